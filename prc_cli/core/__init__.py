@@ -1,0 +1,1 @@
+"""What every layer may speak: errors, class codes, the stream types, configuration machinery, safe files."""

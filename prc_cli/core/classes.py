@@ -1,0 +1,96 @@
+"""The one table of classes: names, what they mean, and the LAS codes they are written as.
+
+Inside the program a label is a :class:`Label` index (uint8). It becomes a LAS class code only when it is
+written, through :meth:`ClassCodes.lookup`, so that a user can choose the codes in ``[classes]``.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli.core.config import Params
+from prc_cli.core.types import U8
+
+
+class Label(IntEnum):
+    """One label per shot, as it flows from the classifiers to the writers."""
+
+    MISSING = 0
+    UNCLASSIFIED = 1
+    NOISE = 2
+    GROUND = 3
+    BUILDING = 4
+    VEGETATION = 5
+    STEM = 6
+    CAR = 7
+    CURB = 8
+    VERTICAL = 9
+    HORIZONTAL = 10
+
+
+LABEL_NAMES: tuple[str, ...] = tuple(label.name.lower() for label in Label)
+"""Lower-case name of every label, by index."""
+
+LABEL_COLOURS: dict[Label, tuple[int, int, int]] = {
+    Label.MISSING: (255, 255, 255),
+    Label.UNCLASSIFIED: (170, 170, 170),
+    Label.NOISE: (30, 30, 30),
+    Label.GROUND: (0, 114, 178),
+    Label.BUILDING: (213, 94, 0),
+    Label.VEGETATION: (0, 158, 115),
+    Label.STEM: (126, 72, 33),
+    Label.CAR: (204, 121, 167),
+    Label.CURB: (240, 228, 66),
+    Label.VERTICAL: (230, 159, 0),
+    Label.HORIZONTAL: (86, 180, 233),
+}
+"""Colour of every label in pictures [sRGB], told apart by colour-blind readers (Okabe and Ito)."""
+
+MISSING_CODE = 0
+"""Code of a shot without return in label files (LAS: created, never classified)."""
+
+
+class ClassCodes(Params):
+    """LAS class codes, ASPRS LAS 1.4 table 17 where it has one, user codes from 64 up elsewhere (``[classes]``)."""
+
+    unclassified: int = Field(1, ge=0, le=255, description="shots that no rule decided")
+    noise: int = Field(7, ge=0, le=255, description="unsupported shots")
+    ground: int = Field(2, ge=0, le=255, description="ground")
+    building: int = Field(6, ge=0, le=255, description="other smooth surfaces in towns")
+    vegetation: int = Field(5, ge=0, le=255, description="non-smooth surfaces; other vegetation in forest")
+    stem: int = Field(64, ge=0, le=255, description="smooth surfaces in forest")
+    car: int = Field(65, ge=0, le=255, description="cars (sequential-angle)")
+    curb: int = Field(66, ge=0, le=255, description="curbs (sequential-angle)")
+    vertical: int = Field(67, ge=0, le=255, description="vertical surfaces (sequential-angle)")
+    horizontal: int = Field(68, ge=0, le=255, description="horizontal surfaces (sequential-angle)")
+
+    def code(self, label: Label) -> int:
+        """Return the class code of one label.
+
+        >>> ClassCodes().code(Label.STEM)
+        64
+        """
+        return MISSING_CODE if label is Label.MISSING else int(getattr(self, label.name.lower()))
+
+    def lookup(self) -> U8:
+        """Return the table from label to code, (number of labels,) uint8.
+
+        >>> ClassCodes().lookup()[Label.GROUND]
+        np.uint8(2)
+        """
+        return np.array([self.code(label) for label in Label], dtype=np.uint8)
+
+    def names(self) -> dict[int, str]:
+        """Return the class name of every code; names that share a code are joined by ``/``.
+
+        >>> ClassCodes().names()[64]
+        'stem'
+        """
+        names: dict[int, str] = {}
+        for label in Label:
+            code = self.code(label)
+            names[code] = f"{names[code]}/{label.name.lower()}" if code in names else label.name.lower()
+        return names

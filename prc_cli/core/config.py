@@ -1,0 +1,141 @@
+"""Machinery of the configuration: strict parameter models, layered TOML tables, errors that name the key.
+
+What the keys mean is declared by the stages themselves; :mod:`prc_cli.config` puts their models together.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from prc_cli.core.errors import ConfigError, InputError
+
+
+class Params(BaseModel):
+    """Base of every parameter table: immutable, unknown keys and values out of bounds are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+
+
+ParamsT = TypeVar("ParamsT", bound=Params)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file.
+
+    Raises
+    ------
+    InputError
+        When the file is absent or unreadable.
+    ConfigError
+        When the file is not TOML; the message carries line and column.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(str(path), f"cannot read the configuration ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        problem = f"byte {error.start} is not UTF-8, expected a TOML text file"
+        raise ConfigError(str(path), problem) from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(str(path), f"not valid TOML: {error}") from error
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay one nested table over another; tables merge, everything else is replaced.
+
+    >>> merge({"a": {"x": 1, "y": 2}}, {"a": {"y": 3}})
+    {'a': {'x': 1, 'y': 3}}
+    """
+    merged = dict(base)
+    for key, value in over.items():
+        below = merged.get(key)
+        both_tables = isinstance(below, Mapping) and isinstance(value, Mapping)
+        merged[key] = merge(below, value) if both_tables else value  # type: ignore[arg-type]
+    return merged
+
+
+def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Walk a nested table as dotted keys.
+
+    >>> dict(flatten({"prc": {"support": {"zeta_s": 1.0}}}))
+    {'prc.support.zeta_s': 1.0}
+    """
+    for key, value in table.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            yield from flatten(value, f"{name}.")
+        else:
+            yield name, value
+
+
+def build(model: type[ParamsT], table: Mapping[str, Any], where: str) -> ParamsT:
+    """Validate a nested table against a parameter model.
+
+    Parameters
+    ----------
+    model : type
+        A :class:`Params` class.
+    table : mapping
+        Nested keys and values.
+    where : str
+        File or option that the table came from, for the message.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first wrong key, what was found and what was expected; an unknown key names its nearest.
+    """
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise _translate(error, model, where) from None
+
+
+def _translate(error: ValidationError, model: type[BaseModel], where: str) -> ConfigError:
+    issues = error.errors(include_url=False)
+    unknown = [issue for issue in issues if issue["type"] == "extra_forbidden"]
+    issue = (unknown or issues)[0]
+    location = [str(part) for part in issue["loc"]]
+    key = ".".join(location)
+    if issue["type"] == "extra_forbidden":
+        known = sorted(_keys_at(model, location[:-1]))
+        near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"
+        return ConfigError(where, f"unknown key {key!r}", hint)
+    expected = issue["msg"].removeprefix("Value error, ")
+    found = "" if issue["type"] in ("missing", "value_error") else f"found {issue['input']!r}, "
+    more = f" (and {len(issues) - 1} more)" if len(issues) > 1 else ""
+    hint = "see `prc config schema` for every key, its bounds and its unit"
+    return ConfigError(where, f"{key or 'configuration'}: {found}expected: {expected}{more}", hint)
+
+
+def _keys_at(model: type[BaseModel], location: list[str]) -> set[str]:
+    """Keys that a model knows at a nested location."""
+    current: type[BaseModel] | None = model
+    for part in location:
+        if current is None:
+            break
+        fields = {(field.alias or name): field for name, field in current.model_fields.items()}
+        current = _model_in(fields[part].annotation) if part in fields else current
+    if current is None:
+        return set()
+    return {field.alias or name for name, field in current.model_fields.items()}
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """First parameter model inside an annotation such as ``Layout | None``."""
+    for candidate in (annotation, *get_args(annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+        for inner in get_args(candidate):
+            if isinstance(inner, type) and issubclass(inner, BaseModel):
+                return inner
+    return None

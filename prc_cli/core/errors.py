@@ -1,0 +1,63 @@
+"""One exception tree: where, what was found, what was expected, what to do.
+
+The command line catches :class:`PrcError` once and turns it into one line and an exit code that scripts can
+trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed.
+"""
+
+from __future__ import annotations
+
+
+class PrcError(Exception):
+    """Anything this package refuses to do, said in one line.
+
+    Parameters
+    ----------
+    where : str
+        File, position in it, or configuration key.
+    problem : str
+        What was found against what was expected.
+    hint : str
+        What to do next, as something that can be typed or checked.
+    """
+
+    exit_code = 1
+
+    def __init__(self, where: str, problem: str, hint: str = "") -> None:
+        self.where = where
+        self.problem = problem
+        self.hint = hint
+        super().__init__(f"{where}: {problem}" + (f"; {hint}" if hint else ""))
+
+    def __reduce__(self) -> tuple[type[PrcError], tuple[str, str, str]]:
+        # the message is composed, so pickling (worker processes) must go through the parts
+        return type(self), (self.where, self.problem, self.hint)
+
+
+class InputError(PrcError):
+    """An input file or stream that cannot be read as what it claims to be."""
+
+
+class OrderError(InputError):
+    """An input whose records are not in the order the shots were fired."""
+
+
+class OutputError(PrcError):
+    """An output that cannot be written whole."""
+
+
+class OutputExistsError(OutputError):
+    """An output that exists already and was not allowed to be replaced."""
+
+    exit_code = 2
+
+
+class ConfigError(PrcError):
+    """A configuration file, option or parameter that makes no sense."""
+
+    exit_code = 2
+
+
+class GateError(PrcError):
+    """An evaluation that fell below the demanded figure."""
+
+    exit_code = 3

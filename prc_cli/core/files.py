@@ -1,0 +1,122 @@
+"""Outputs that exist whole or not at all; the only module that knows how operating systems differ.
+
+A file is written under a temporary name in the folder of its destination, flushed to the disk and renamed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+from prc_cli.core.errors import OutputError, OutputExistsError
+
+
+def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
+    """Refuse an output before any work is done.
+
+    Raises
+    ------
+    OutputExistsError
+        When the output exists and may not be replaced, or is one of the inputs.
+    OutputError
+        When its folder is missing or cannot be written.
+    """
+    for source in inputs:
+        if path.exists() and source.exists() and path.samefile(source):
+            problem = "the output is the input itself; inputs are never modified"
+            raise OutputExistsError(str(path), problem, "choose another output name")
+    if path.is_dir():
+        raise OutputError(str(path), "is a folder, expected a file name", "name the file inside it")
+    if path.exists() and not overwrite:
+        raise OutputExistsError(str(path), "exists already", "choose another name or add --overwrite")
+    folder = path.parent
+    if not folder.is_dir():
+        raise OutputError(str(folder), "output folder does not exist", f"create it: mkdir -p {folder}")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise OutputError(str(folder), "output folder is not writable", "change its permissions or choose another")
+
+
+def temporary_name(path: Path) -> Path:
+    """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic)."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+
+
+@contextlib.contextmanager
+def atomic_output(path: Path) -> Iterator[Path]:
+    """Give a temporary path to write; rename it to ``path`` on success, remove it on any failure.
+
+    Raises
+    ------
+    OutputError
+        When the file cannot be created, filled (disk full) or renamed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> target = Path(tempfile.mkdtemp()) / "labels.bin"
+    >>> with atomic_output(target) as temporary:
+    ...     _ = temporary.write_bytes(b"abc")
+    >>> target.read_bytes()
+    b'abc'
+    """
+    temporary = temporary_name(path)
+    try:
+        with output_errors(path):
+            yield temporary
+            commit(temporary, path)
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def commit(temporary: Path, path: Path) -> None:
+    """Flush a finished temporary file to the disk and give it its name."""
+    with temporary.open("rb+") as handle:
+        os.fsync(handle.fileno())
+    temporary.replace(path)
+    _sync_folder(path.parent)
+
+
+@contextlib.contextmanager
+def output_errors(path: Path) -> Iterator[None]:
+    """Turn the operating system's write errors into :class:`OutputError`."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            free = "free space on the disk or choose another output folder"
+            raise OutputError(str(path), "the disk is full; nothing was written under this name", free) from error
+        # reading errors keep their own file name: they are not about the output
+        if error.filename is not None and Path(os.fsdecode(error.filename)).parent != path.parent:
+            raise
+        problem = f"cannot be written ({error.strerror or error})"
+        raise OutputError(str(path), problem, "check the folder and its permissions") from error
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a rename durable where folders can be flushed (POSIX); elsewhere the rename is enough."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError:  # some network file systems refuse; the rename stands
+        pass
+    finally:
+        os.close(handle)
+
+
+def cache_folder() -> Path:
+    """Return the user's cache folder of this program, whether it exists or not."""
+    base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
+    try:
+        root = Path(base) if base else Path.home() / ".cache"
+    except RuntimeError:  # a cron user without a home
+        import tempfile
+
+        root = Path(tempfile.gettempdir())
+    return root / "prc-cli"

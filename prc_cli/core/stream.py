@@ -1,0 +1,169 @@
+"""The types that flow: blocks of the stream in, labelled blocks out.
+
+The stream is chronological: shot ``i = line * M + column``. A shot without return is part of it (missing, NaN
+range). Readers make :class:`ScanBlock`, classifiers see only its arrays, writers take :class:`LabelledBlock`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from typing import Protocol
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, I64, U8
+
+
+@dataclass(frozen=True, slots=True)
+class Assumption:
+    """One thing the reader took for granted, printed by ``prc info`` and kept in the run record."""
+
+    key: str
+    """Configuration key that would change it, for example ``input.lines``."""
+    value: str
+    """What was taken."""
+    why: str
+    """Why, in plain words."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamInfo:
+    """What is known of a stream before it is read."""
+
+    path: str
+    format: str
+    """Reader name: ``raw binary``, ``text``, ``LAS``, ``array``."""
+    points_per_line: int
+    """M, shots in a scan line (of the longest-lined scanner if several share the file)."""
+    n_records: int | None
+    """Records in the input, None if only reading can tell."""
+    n_lines: int | None
+    """Scan lines, None if only reading can tell."""
+    angle_rad: F64 | None = None
+    """(M,) float64, scan angle of every column [rad], None if unknown."""
+    line_hz: float | None = None
+    """Scan lines a second [Hz], None if unknown."""
+    assumptions: tuple[Assumption, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReadTally:
+    """What a reader met on the way, added up over blocks; nothing is dropped without being counted here."""
+
+    n_not_finite: int = 0
+    """Ranges given as infinite: taken as missing (NaN and empty cells are the normal way to say missing)."""
+    n_not_positive: int = 0
+    """Ranges of zero or below: taken as missing."""
+    n_beyond: int = 0
+    """Ranges outside ``min_range`` to ``max_range``: taken as missing."""
+    n_collisions: int = 0
+    """Records that met another shot in their cell: labelled like further returns of that shot."""
+    n_extra_returns: int = 0
+    """Further returns of a shot that has its cell already."""
+    n_unplaced: int = 0
+    """Records that belong to no cell (column outside 0..M-1): stay unclassified."""
+    n_time_steps_back: int = 0
+    """Times that go back from one record to the next (tolerated when the order is trusted)."""
+
+    def __add__(self, other: ReadTally) -> ReadTally:
+        return ReadTally(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraReturns:
+    """Returns beside the one that stands for the shot in the range image."""
+
+    line: I32
+    """(n,) int32, line within the block."""
+    column: I32
+    """(n,) int32, column."""
+    range_m: F32
+    """(n,) float32, slant range [m]."""
+    record: I64
+    """(n,) int64, record index in the input."""
+
+    @classmethod
+    def none(cls) -> ExtraReturns:
+        """No further returns."""
+        return cls(np.empty(0, np.int32), np.empty(0, np.int32), np.empty(0, np.float32), np.empty(0, np.int64))
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanBlock:
+    """Consecutive scan lines of one scanner.
+
+    Readers yield blocks of any number of lines (at least one); :func:`prc_cli.readers.regroup.regroup` turns
+    them into blocks of k lines with look-ahead.
+    """
+
+    first_line: int
+    """Index of the block's first line in the stream of its scanner."""
+    range_m: F32
+    """(lines, M) float32, C-contiguous, slant range [m]; NaN = missing, all else finite and > 0."""
+    record: I64 | None = None
+    """(lines, M) int64, record index in the input, -1 = none; None = ``line * M + column`` (dense input)."""
+    scanner: int = 0
+    """Scanner id, 0 where the input is not split."""
+    time_s: F64 | None = None
+    """(lines, M) float64, time of every shot [s]; NaN = unknown."""
+    xyz_m: F32 | None = None
+    """(lines, M, 3) float32, sensor-centred, z up [m]; NaN = missing."""
+    intensity: F32 | None = None
+    """(lines, M) float32, raw units of the input; NaN = missing."""
+    angle_rad: F64 | None = None
+    """(M,) float64, scan angle per column [rad]."""
+    extra: ExtraReturns = field(default_factory=ExtraReturns.none)
+    tally: ReadTally = ReadTally()
+    next_m: F32 | None = None
+    """(lines <= look-ahead, M) float32, the lines that follow the block [m]; set by regrouping only."""
+
+    @property
+    def n_lines(self) -> int:
+        """Number of scan lines."""
+        return int(self.range_m.shape[0])
+
+    @property
+    def points_per_line(self) -> int:
+        """M, shots in a scan line."""
+        return int(self.range_m.shape[1])
+
+    def records(self) -> I64:
+        """Record index of every cell, (lines, M) int64, -1 = none."""
+        if self.record is not None:
+            return self.record
+        first = self.first_line * self.points_per_line
+        return np.arange(first, first + self.range_m.size, dtype=np.int64).reshape(self.range_m.shape)
+
+
+class ScanStream(Protocol):
+    """What every reader gives: what it is, and its blocks, as often as asked."""
+
+    @property
+    def info(self) -> StreamInfo:
+        """What is known before reading."""
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start; yields blocks of any size, chronological for each scanner.
+
+        Raises
+        ------
+        InputError
+            When the input is damaged or out of order; nothing after the damage is yielded.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class LabelledBlock:
+    """A block with one label a shot; what writers take."""
+
+    block: ScanBlock
+    labels: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Label`; MISSING where the range is NaN."""
+    extra_labels: U8
+    """(n,) uint8, labels of ``block.extra``, in its order."""
+    segments: I64 | None = None
+    """(lines, M) int64, segment id R_b (Lehtola et al. 2019, II-E); 0 = none."""

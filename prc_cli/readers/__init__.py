@@ -1,0 +1,1 @@
+"""Archive files to blocks of the stream."""

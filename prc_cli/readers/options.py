@@ -1,0 +1,190 @@
+"""The ``[input]`` and ``[layout]`` tables: how lines, columns and ranges are found in an input."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
+
+from prc_cli.core.config import Params
+
+
+def _rule(*patterns: str) -> AfterValidator:
+    """Accept a word or ``word:argument`` out of the given patterns (``*`` stands for a non-empty argument)."""
+
+    def check(value: str) -> str:
+        for pattern in patterns:
+            regex = re.escape(pattern).replace(r"\*", ".+").replace(r"\#", r"[0-9.eE+-]+")
+            if re.fullmatch(regex, value):
+                return value
+        shown = ", ".join(pattern.replace("*", "NAME").replace("#", "NUMBER") for pattern in patterns)
+        message = f"one of: {shown}"
+        raise ValueError(message)
+
+    return AfterValidator(check)
+
+
+LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#")]
+ColumnRule = Annotated[str, _rule("auto", "dimension:*", "angle", "time:#", "order")]
+RangeRule = Annotated[str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz")]
+
+
+class InputConfig(Params):
+    """How the stream is found in an input (``[input]``); ``auto`` is resolved by the reader and reported."""
+
+    lines: LineRule = Field(
+        "auto",
+        description="where scan lines begin: dimension:NAME, fixed (every points_per_line records), angle-wrap, "
+        "or time:HZ (line frequency)",
+    )
+    columns: ColumnRule = Field(
+        "auto",
+        description="which column a shot is: dimension:NAME, angle, time:HZ (shots a second), or order",
+    )
+    range: RangeRule = Field(
+        "auto",
+        description="slant range: dimension:NAME, trajectory:FILE (CSV or SBET), origin:X,Y,Z (static scan), "
+        "or sensor-xyz",
+    )
+    scanner: Literal["none", "scanner_channel", "point_source_id", "user_data"] = Field(
+        "none", description="split the input by this field, classify each part, write one file"
+    )
+    return_: Literal["strongest", "first", "last"] = Field(
+        "strongest", alias="return", description="the return that stands for a shot of several returns"
+    )
+    points_per_line: int | None = Field(None, ge=1, le=10_000_000, description="M, shots in a scan line")
+    order: Literal["require", "trust", "sort-time"] = Field(
+        "require",
+        description="require = refuse an input that is not chronological; trust = take it as it is; "
+        "sort-time = sort the records by time first",
+    )
+    partial_line: Literal["error", "pad"] = Field(
+        "error",
+        description="when M does not divide the records of a fixed layout: refuse, or pad with missing",
+    )
+    min_range: float = Field(0.0, ge=0.0, description="ranges at or below are missing [m]")
+    max_range: float | None = Field(None, gt=0.0, description="ranges beyond are missing [m]")
+    time_origin: float | None = Field(
+        None, description="time at which line 0, column 0 was fired [s]; default: the first record's time"
+    )
+    angle_start: float | None = Field(None, description="scan angle of column 0 [deg]; default: found in the input")
+    angle_step: float | None = Field(None, description="scan angle between columns [deg], signed; default: found")
+    trajectory_time_offset: float = Field(0.0, description="added to the trajectory's times to match gps_time [s]")
+    trajectory_crs: str | None = Field(
+        None,
+        description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's",
+    )
+    max_gap_lines: int = Field(
+        100_000, ge=0, description="more missing lines in a row than this are an error, not a gap"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> InputConfig:
+        if self.max_range is not None and self.max_range <= self.min_range:
+            message = f"max_range ({self.max_range} m) above min_range ({self.min_range} m)"
+            raise ValueError(message)
+        if self.range.startswith("origin:"):
+            parse_origin(self.range)
+        if self.angle_step == 0:
+            message = "angle_step other than 0"
+            raise ValueError(message)
+        for name in ("lines", "columns"):
+            rule = getattr(self, name)
+            if rule.startswith("time:") and not parse_rate(rule) > 0:
+                message = f"{name} = time:HZ with a positive number, found {rule!r}"
+                raise ValueError(message)
+        return self
+
+
+def parse_rate(rule: str) -> float:
+    """Return the number in ``time:48``, NaN if it is none.
+
+    >>> parse_rate("time:48")
+    48.0
+    """
+    try:
+        return float(rule.partition(":")[2])
+    except ValueError:
+        return float("nan")
+
+
+def parse_origin(rule: str) -> tuple[float, float, float]:
+    """Return the coordinates in ``origin:X,Y,Z`` [m].
+
+    >>> parse_origin("origin:1,2,3.5")
+    (1.0, 2.0, 3.5)
+    """
+    try:
+        x, y, z = (float(part) for part in rule.partition(":")[2].split(","))
+    except ValueError:
+        message = f"range = origin:X,Y,Z with three numbers, found {rule!r}"
+        raise ValueError(message) from None
+    return x, y, z
+
+
+def _numpy_type(value: str) -> str:
+    try:
+        dtype = np.dtype(value)
+    except TypeError:
+        dtype = None
+    if dtype is None or dtype.kind not in "iuf":
+        message = "a numpy number type such as f4, u2, i4, float64"
+        raise ValueError(message)
+    return value
+
+
+class LayoutField(Params):
+    """One field of a record (``[[layout.fields]]``)."""
+
+    name: str = Field(
+        min_length=1,
+        description="range, scan_line, column, angle, time, x, y, z, intensity; any other name is carried or skipped",
+    )
+    type: Annotated[str, AfterValidator(_numpy_type)] = Field("f4", description="raw binary: numpy number type")
+    source: str | int | None = Field(
+        None, description="text: column name, or column number from 0; default: the field's own name"
+    )
+    scale: float = Field(1.0, description="value = stored * scale + offset, in m, s, rad or deg")
+    offset: float = Field(0.0, description="value = stored * scale + offset")
+    missing: float | None = Field(None, description="stored value that means no return")
+    unit: Literal["m", "s", "rad", "deg", ""] = Field("", description="angle: rad or deg (default deg)")
+
+
+class Layout(Params):
+    """The records of a raw dump or a text file (``[layout]``)."""
+
+    header_bytes: int = Field(0, ge=0, description="raw binary: bytes before the first record")
+    endian: Literal["little", "big"] = Field("little", description="raw binary: byte order of the fields")
+    record_bytes: int | None = Field(
+        None,
+        ge=1,
+        description="raw binary: size of a record if it is larger than its fields (padding at the end)",
+    )
+    delimiter: str = Field(",", min_length=1, max_length=1, description="text: between cells; a space = any blanks")
+    header: bool | None = Field(None, description="text: the first row holds names; default: found by looking")
+    comment: str = Field("#", max_length=1, description="text: rows that begin with this are skipped")
+    points_per_line: int | None = Field(None, ge=1, le=10_000_000, description="M, shots in a scan line")
+    line_frequency: float | None = Field(None, gt=0, description="scan lines a second [Hz]")
+    fields: tuple[LayoutField, ...] = Field((), description="the record, in order")
+
+    @model_validator(mode="after")
+    def _check(self) -> Layout:
+        names = [item.name for item in self.fields]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            message = f"every field name once, found {sorted(twice)} more than once"
+            raise ValueError(message)
+        return self
+
+
+RANGES_ONLY = Layout(fields=(LayoutField(name="range", type="f4"),))
+"""The simplest raw dump: little-endian float32 ranges alone."""
+
+
+def resolve_path(value: str, base: Path | None) -> Path:
+    """Return a path from a configuration value, relative to the configuration file's folder if there is one."""
+    path = Path(value).expanduser()
+    return path if path.is_absolute() or base is None else base / path

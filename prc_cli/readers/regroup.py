@@ -1,0 +1,149 @@
+"""Blocks of k lines out of blocks of any size, with look-ahead, one buffer a scanner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
+
+LOOK_AHEAD_SHOTS = 1
+"""Shots needed beyond the next line: the flat index i + M + 1 of a line's last shot lies two lines on."""
+
+
+def look_ahead_lines(points_per_line: int) -> int:
+    """Lines that must follow a block so that every shot of it sees its neighbours i + M + 1 and i + 4.
+
+    One line and one shot (Lehtola et al. 2019, eqs. 7 and 8), hence two lines; more if a line is very short.
+
+    >>> [look_ahead_lines(m) for m in (1, 2, 3, 2154)]
+    [4, 2, 2, 2]
+    """
+    reach = max(points_per_line + LOOK_AHEAD_SHOTS, 4)
+    return -(-reach // points_per_line)
+
+
+def regroup(blocks: Iterator[ScanBlock], lines_per_block: int) -> Iterator[ScanBlock]:
+    """Cut a stream into blocks of ``lines_per_block`` lines, each with the lines that follow it.
+
+    Parameters
+    ----------
+    blocks : iterator of ScanBlock
+        Blocks of any number of lines, in order for each scanner.
+    lines_per_block : int
+        k; only the last block of a scanner may hold fewer lines.
+
+    Yields
+    ------
+    ScanBlock
+        With ``next_m`` set. What the result holds does not depend on how the input was cut.
+    """
+    buffers: dict[int, _Buffer] = {}
+    for block in blocks:
+        buffer = buffers.setdefault(block.scanner, _Buffer())
+        buffer.add(block)
+        ahead = look_ahead_lines(block.points_per_line)
+        while buffer.n_lines >= lines_per_block + ahead:
+            yield buffer.take(lines_per_block, ahead)
+    for scanner in sorted(buffers):
+        buffer = buffers[scanner]
+        while buffer.n_lines:
+            ahead = look_ahead_lines(buffer.parts[0].points_per_line)
+            yield buffer.take(min(lines_per_block, buffer.n_lines), ahead)
+
+
+@dataclass(slots=True)
+class _Buffer:
+    """Lines of one scanner that wait for their block; never more than a block, its look-ahead and a chunk."""
+
+    parts: list[ScanBlock] = field(default_factory=list)
+    n_lines: int = 0
+
+    def add(self, block: ScanBlock) -> None:
+        self.parts.append(block)
+        self.n_lines += block.n_lines
+
+    def take(self, n_lines: int, ahead: int) -> ScanBlock:
+        """Remove ``n_lines`` lines; the ``ahead`` lines after them are shown but stay."""
+        taken: list[ScanBlock] = []
+        left = n_lines
+        while left:
+            part = self.parts.pop(0)
+            if part.n_lines > left:
+                self.parts.insert(0, cut(part, left, part.n_lines))
+                part = cut(part, 0, left)
+            taken.append(part)
+            left -= part.n_lines
+        self.n_lines -= n_lines
+        block = join(taken)
+        following: list[NDArray[np.float32]] = []
+        missing = ahead
+        for part in self.parts:
+            if not missing:
+                break
+            following.append(part.range_m[:missing])
+            missing -= len(following[-1])
+        empty = np.empty((0, block.points_per_line), np.float32)
+        return replace(block, next_m=np.concatenate(following) if following else empty)
+
+
+def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
+    """Return the lines ``start`` to ``stop`` of a block; its tally goes with the lines from 0."""
+    inside = (block.extra.line >= start) & (block.extra.line < stop)
+    extra = ExtraReturns(
+        block.extra.line[inside] - np.int32(start),
+        block.extra.column[inside],
+        block.extra.range_m[inside],
+        block.extra.record[inside],
+    )
+    lines = slice(start, stop)
+    return replace(
+        block,
+        first_line=block.first_line + start,
+        range_m=block.range_m[lines],
+        record=None if block.record is None else block.record[lines],
+        time_s=None if block.time_s is None else block.time_s[lines],
+        xyz_m=None if block.xyz_m is None else block.xyz_m[lines],
+        intensity=None if block.intensity is None else block.intensity[lines],
+        extra=extra,
+        tally=block.tally if start == 0 else ReadTally(),
+    )
+
+
+def join(parts: list[ScanBlock]) -> ScanBlock:
+    """Return consecutive blocks of one scanner as one."""
+    if len(parts) == 1:
+        return parts[0]
+    first_lines = np.cumsum([0] + [part.n_lines for part in parts[:-1]])
+    extra = ExtraReturns(
+        np.concatenate([part.extra.line + np.int32(n) for part, n in zip(parts, first_lines, strict=True)]),
+        np.concatenate([part.extra.column for part in parts]),
+        np.concatenate([part.extra.range_m for part in parts]),
+        np.concatenate([part.extra.record for part in parts]),
+    )
+    tally = ReadTally()
+    for part in parts:
+        tally = tally + part.tally
+    return replace(
+        parts[0],
+        range_m=np.concatenate([part.range_m for part in parts]),
+        record=_join_field([part.record for part in parts]),
+        time_s=_join_field([part.time_s for part in parts]),
+        xyz_m=_join_field([part.xyz_m for part in parts]),
+        intensity=_join_field([part.intensity for part in parts]),
+        extra=extra,
+        tally=tally,
+    )
+
+
+ArrayT = TypeVar("ArrayT", bound=NDArray[np.generic])
+
+
+def _join_field(arrays: list[ArrayT | None]) -> ArrayT | None:
+    """Concatenate a field that every part has, or that none has."""
+    present = [array for array in arrays if array is not None]
+    return np.concatenate(present) if len(present) == len(arrays) else None  # type: ignore[return-value]
