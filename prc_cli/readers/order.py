@@ -1,0 +1,270 @@
+"""Are the records in the order the shots were fired? Evidence for and against, and the refusal.
+
+Everything in PRC looks at neighbours in time (Lehtola et al. 2019, section II): on a file that was cut into
+tiles or sorted by coordinate it would label noise. Hence the default is to refuse, with the figures.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from prc_cli.core.errors import OrderError
+from prc_cli.core.types import F32, F64, I64
+
+MAX_SHARE_BACK = 1e-4
+"""Share of steps that may go back: files written by several threads swap a pair now and then."""
+MAX_STEP_BACK = 1.0
+"""A single step back by more than this [s] joins pieces of a drive in the wrong order."""
+MIN_STEPS = 10_000
+"""Steps that must be seen before a share is judged on the way; at the end any number is."""
+RANDOM_PAIRS = 1_000_000
+"""Most pairs compared by :func:`range_correlation`."""
+_WEEK_S = 604_800.0
+
+
+@dataclass(frozen=True, slots=True)
+class StepBack:
+    """One place where the values go back."""
+
+    record: int
+    """Index in the input of the record that is lower than the one before it."""
+    value: float
+    """Its value [s]."""
+    before: float
+    """The value before it [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class OrderEvidence:
+    """What the times of an input say about its order."""
+
+    what: str
+    """Name of the dimension."""
+    n_steps: int
+    """Steps from one record to the next (values that are not finite are left out)."""
+    n_back: int
+    """Steps that go back."""
+    n_equal: int
+    """Steps of zero: further returns of a shot, or time stamps coarser than the shots."""
+    n_not_finite: int
+    """Records whose value is NaN or infinite."""
+    first: StepBack | None
+    """First step back, None if there is none."""
+    largest: StepBack | None
+    """Largest step back, None if there is none."""
+
+    @property
+    def share_back(self) -> float:
+        """Share of steps that go back, 0 to 1."""
+        return self.n_back / self.n_steps if self.n_steps else 0.0
+
+    @property
+    def largest_back(self) -> float:
+        """Largest step back [s], 0 if there is none."""
+        return self.largest.before - self.largest.value if self.largest else 0.0
+
+    @property
+    def is_chronological(self) -> bool:
+        """Whether the order is accepted under ``require``."""
+        return self.share_back <= MAX_SHARE_BACK and self.largest_back <= MAX_STEP_BACK
+
+    def sentence(self) -> str:
+        """Say the evidence in one line, without judging it.
+
+        >>> watch = OrderWatch("drive.las", "trust")
+        >>> watch.see(np.array([1.0, 2.0, 1.5, 3.0]), None)
+        >>> watch.evidence().sentence()
+        'gps_time decreases in 33.3 % of 3 steps, first at record 2: 1.50 s after 2.00 s'
+        """
+        if self.first is None or self.largest is None:
+            return f"{self.what} never decreases in {_grouped(self.n_steps)} steps"
+        if self.share_back >= 1e-3:
+            share, place, step = f"{100 * self.share_back:.1f} %", "first", self.first
+        else:
+            share, place, step = _grouped(self.n_back), "largest", self.largest
+        digits = min(max(2, 1 - math.floor(math.log10(float(f"{step.before - step.value:.1g}")))), 9)
+        return (
+            f"{self.what} decreases in {share} of {_grouped(self.n_steps)} steps, {place} at record {step.record}: "
+            f"{step.value:.{digits}f} s after {step.before:.{digits}f} s"
+        )
+
+
+def _grouped(number: int) -> str:
+    """Group digits by a blank: 10 682."""
+    return f"{number:,}".replace(",", " ")
+
+
+class OrderWatch:
+    """Watches a dimension that must not decrease, chunk by chunk.
+
+    Parameters
+    ----------
+    path : str
+        File name, for messages.
+    policy : {"require", "trust", "sort-time"}
+        ``require`` raises as soon as the evidence is conclusive; the others only count.
+    what : str
+        Name of the dimension.
+    """
+
+    def __init__(self, path: str, policy: Literal["require", "trust", "sort-time"], what: str = "gps_time") -> None:
+        self._path = path
+        self._policy = policy
+        self._what = what
+        self._n_records = 0
+        self._n_finite = 0
+        self._n_back = 0
+        self._n_equal = 0
+        self._last: float | None = None
+        self._first: StepBack | None = None
+        self._largest: StepBack | None = None
+
+    @property
+    def n_back(self) -> int:
+        """Steps back so far."""
+        return self._n_back
+
+    def see(self, values: F64, record: I64 | None) -> None:
+        """Take the next records.
+
+        Parameters
+        ----------
+        values : (n,) float64
+            Times [s]; NaN and infinite values are counted and left out.
+        record : (n,) int64 or None
+            Record index of every value; None = they follow on from what was seen.
+
+        Raises
+        ------
+        OrderError
+            Under ``require``, when the evidence is conclusive.
+        """
+        if record is None:
+            record = np.arange(self._n_records, self._n_records + len(values), dtype=np.int64)
+        self._n_records += len(values)
+        finite = np.isfinite(values)
+        if not finite.all():
+            values, record = values[finite], record[finite]
+        if not len(values):
+            return
+        if self._last is None:
+            before, after, record = values[:-1], values[1:], record[1:]
+        else:
+            before, after = np.concatenate(([self._last], values[:-1])), values
+        self._last = float(values[-1])
+        self._n_finite += len(values)
+        self._n_equal += int(np.count_nonzero(after == before))
+        back = np.flatnonzero(after < before)
+        if len(back):
+            self._n_back += len(back)
+            self._keep(before, after, record, back)
+        if self._policy == "require" and self.evidence().n_steps >= MIN_STEPS:
+            self._judge()
+
+    def _keep(self, before: F64, after: F64, record: I64, back: I64) -> None:
+        """Keep the first and the largest step back."""
+        steps = [int(back[0]), int(back[np.argmax(before[back] - after[back])])]
+        first, largest = (StepBack(int(record[i]), float(after[i]), float(before[i])) for i in steps)
+        if self._first is None:
+            self._first = first
+        if self._largest is None or largest.before - largest.value > self._largest.before - self._largest.value:
+            self._largest = largest
+
+    def finish(self) -> None:
+        """Judge what was seen, however little it is.
+
+        Raises
+        ------
+        OrderError
+            Under ``require``, when the order is not chronological.
+        """
+        if self._policy == "require":
+            self._judge()
+
+    def evidence(self) -> OrderEvidence:
+        """Return the figures so far."""
+        return OrderEvidence(
+            what=self._what,
+            n_steps=max(self._n_finite - 1, 0),
+            n_back=self._n_back,
+            n_equal=self._n_equal,
+            n_not_finite=self._n_records - self._n_finite,
+            first=self._first,
+            largest=self._largest,
+        )
+
+    def _judge(self) -> None:
+        evidence = self.evidence()
+        if evidence.is_chronological:
+            return
+        problem = f"{evidence.sentence()}; expected shots in the order they were fired"
+        hint = "sort with --sort-by-time if every record is there, or insist with --trust-order"
+        if evidence.n_back == 1 and abs(evidence.largest_back - _WEEK_S) < _WEEK_S / 100:
+            hint = "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
+        raise OrderError(self._path, problem, hint)
+
+
+@dataclass(frozen=True, slots=True)
+class RangeCorrelation:
+    """Whether consecutive shots see the same surface."""
+
+    ratio: float
+    """Median range step between neighbours over that between random pairs; NaN if there is too little to tell."""
+    n_pairs: int
+    """Neighbouring pairs where both ranges are valid."""
+
+    @property
+    def verdict(self) -> str:
+        """Say it in plain words.
+
+        >>> RangeCorrelation(0.02, 9000).verdict
+        'neighbouring shots have near ranges (ratio 0.02): as expected of shots in the order they were fired'
+        """
+        if not np.isfinite(self.ratio):
+            return f"{self.n_pairs} neighbouring ranges are too few, or too alike, to tell"
+        if self.ratio < 0.3:
+            said = "neighbouring shots have near ranges", "as expected of shots in the order they were fired"
+        elif self.ratio < 0.7:
+            said = "neighbouring ranges are only loosely alike", "the order may be disturbed, or the scene very rough"
+        else:
+            said = "neighbouring ranges are as unlike as random pairs", "the order carries no spatial correlation"
+        return f"{said[0]} (ratio {self.ratio:.2g}): {said[1]}"
+
+
+def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
+    """Compare the range steps between neighbours with those between random pairs.
+
+    Parameters
+    ----------
+    range_m : (n,) float32
+        Ranges [m] in the order of the input, NaN = missing.
+    seed : int
+        Of the random pairing.
+
+    Returns
+    -------
+    RangeCorrelation
+        Ratio about 1: the order carries no spatial correlation; near 0: as in the order fired. A file sorted by
+        coordinate has a low ratio too, so a low ratio alone is no proof.
+
+    Examples
+    --------
+    >>> walk = np.cumsum(np.random.default_rng(1).normal(size=5000)).astype(np.float32)
+    >>> range_correlation(walk).ratio < 0.1, range_correlation(np.random.default_rng(2).permutation(walk)).ratio > 0.9
+    (True, True)
+    """
+    flat = np.ravel(range_m)
+    valid = np.isfinite(flat)
+    step = np.abs(np.diff(flat))[valid[1:] & valid[:-1]]
+    values = flat[valid]
+    if len(step) < 100:
+        return RangeCorrelation(float("nan"), len(step))
+    n_random = min(len(values), RANDOM_PAIRS)
+    pairs = np.random.default_rng(seed).integers(0, len(values), size=(2, n_random))
+    random_step = float(np.median(np.abs(values[pairs[0]] - values[pairs[1]])))
+    ratio = float(np.median(step)) / random_step if random_step > 0 else float("nan")
+    return RangeCorrelation(ratio, len(step))
