@@ -1,1 +1,1 @@
-"""To be described."""
+"""Blocks of the stream in, one label per shot out; a folder for each method."""

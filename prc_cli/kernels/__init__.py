@@ -1,1 +1,47 @@
-"""To be described."""
+"""The only home of compiled loops.
+
+:data:`KERNELS` is the one table: name of a kernel and the module that holds it. Every kernel has a slow and obvious
+twin of the same name and arguments in :mod:`prc_cli.kernels.oracle`; a test walks the table and compares them bit
+for bit. A kernel is loaded when it is first used, ``kernels.support_mask(...)``, so that reading a configuration does
+not load the compiler.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from prc_cli.kernels.components import fill_holes as fill_holes
+    from prc_cli.kernels.components import label_components as label_components
+    from prc_cli.kernels.support import background_mask as background_mask
+    from prc_cli.kernels.support import support_mask as support_mask
+    from prc_cli.kernels.surfaces import dilate as dilate
+
+KERNELS: dict[str, str] = {
+    "background_mask": "prc_cli.kernels.support",
+    "dilate": "prc_cli.kernels.surfaces",
+    "fill_holes": "prc_cli.kernels.components",
+    "label_components": "prc_cli.kernels.components",
+    "support_mask": "prc_cli.kernels.support",
+}
+"""Module of every kernel, by name."""
+
+
+def __getattr__(name: str) -> Any:
+    """Load a kernel at its first use (compiled earlier, it comes from the cache)."""
+    if name not in KERNELS:
+        msg = f"module {__name__!r} has no attribute {name!r}"
+        raise AttributeError(msg)
+    kernel = getattr(import_module(KERNELS[name]), name)
+    globals()[name] = kernel
+    return kernel
+
+
+def load_kernels() -> None:
+    """Compile every kernel, or load it from the cache; call it before worker processes start.
+
+    Processes that compile the same kernel at the same moment waste each other's time.
+    """
+    for name in KERNELS:
+        __getattr__(name)

@@ -1,0 +1,131 @@
+"""Supported measurements (Lehtola et al. 2019, II-B): shots that enough neighbours agree with; the rest is noise."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.core.config import Params
+from prc_cli.core.types import F32, Mask
+
+N_IN_SLICE = 8
+"""Neighbours in the line: i - 4 .. i + 4 without i (eq. 8)."""
+N_ADJACENT = 6
+"""Neighbours in the lines before and after: i ± (M - 1), i ± M, i ± (M + 1) (eq. 7)."""
+
+
+class SupportParams(Params):
+    """Which neighbours agree with a shot, and how many have to (``[prc.support]``)."""
+
+    zeta_s: float = Field(
+        1.0,
+        ge=0,
+        le=1e9,
+        description="neighbours in adjacent lines agree when their range differs by less than this [m]",
+    )
+    zeta_p: float = Field(
+        1.0,
+        ge=0,
+        le=1e9,
+        description="neighbours in the same line agree when their range differs by less than this [m]",
+    )
+    rho_c: float = Field(
+        1 / 3,
+        gt=0,
+        le=1,
+        description="share of the 8 neighbours in the line, and of the 6 in adjacent lines, that must agree",
+    )
+    rounding: Literal["ceil", "floor"] = Field(
+        "ceil",
+        description='how rho_c times 8 and times 6 become counts: "ceil" compares real numbers (3 and 2 for 1/3), '
+        '"floor" rounds down (2 and 2, which is what the printed probabilities belong to)',
+    )
+
+
+def required_counts(params: SupportParams) -> tuple[int, int]:
+    """Return how many neighbours must agree, in the line and in adjacent lines (eq. 4).
+
+    >>> required_counts(SupportParams()), required_counts(SupportParams(rounding="floor"))
+    ((3, 2), (2, 2))
+    """
+    whole = math.ceil if params.rounding == "ceil" else math.floor
+    return whole(params.rho_c * N_IN_SLICE), whole(params.rho_c * N_ADJACENT)
+
+
+def window_reach(points_per_line: int) -> int:
+    """Return how many shots before and after a block have a say in it: max(M + 1, 4)."""
+    return max(points_per_line + 1, 4)
+
+
+def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
+    """Lay a block between the shots before and after it.
+
+    Parameters
+    ----------
+    tail : (reach,) float32, metres
+        Shots before the block, NaN where the stream had not begun.
+    range_m : (lines, M) float32, metres
+        The block.
+    next_m : (any number of lines, M) float32, metres
+        Lines after the block; shots beyond the end of the stream are taken as missing, which never support.
+
+    Returns
+    -------
+    (reach + lines * M + reach,) float32, metres
+    """
+    reach = len(tail)
+    window = np.full(reach + range_m.size + reach, np.nan, dtype=np.float32)
+    window[:reach] = tail
+    window[reach : reach + range_m.size] = range_m.ravel()
+    if next_m is not None:
+        following = next_m.ravel()[:reach]
+        window[reach + range_m.size : reach + range_m.size + len(following)] = following
+    return window
+
+
+def window_tail(window: F32, points_per_line: int) -> F32:
+    """Return the last ``reach`` shots up to the end of the block, (reach,) float32 [m]: the next block's tail."""
+    reach = window_reach(points_per_line)
+    return window[len(window) - 2 * reach : len(window) - reach].copy()
+
+
+def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
+    """Mark supported shots (eqs. 4 to 8).
+
+    Neighbours go by flat index, so the first shots of a line see the last ones of the line before. Missing and absent
+    neighbours do not agree with anything and leave the required counts as they are.
+
+    Parameters
+    ----------
+    window : (reach + lines * M + reach,) float32, metres
+        From :func:`stream_window`.
+    points_per_line : int
+        M.
+    params : SupportParams
+
+    Returns
+    -------
+    (lines, M) bool
+        S; False where the range is missing.
+
+    Examples
+    --------
+    A lone shot at 9 m in front of a wall at 20 m is noise, the wall is not:
+
+    >>> image = np.full((3, 6), 20.0, dtype=np.float32)
+    >>> image[1, 2] = 9.0
+    >>> window = stream_window(np.full(7, np.nan, dtype=np.float32), image, None)
+    >>> support(window, 6, SupportParams()).astype(int)
+    array([[1, 1, 1, 1, 1, 1],
+           [1, 1, 0, 1, 1, 1],
+           [1, 1, 1, 1, 1, 1]])
+    """
+    n_lines = (len(window) - 2 * window_reach(points_per_line)) // points_per_line
+    min_in_slice, min_adjacent = required_counts(params)
+    return kernels.support_mask(
+        window, n_lines, points_per_line, params.zeta_p, params.zeta_s, min_in_slice, min_adjacent
+    )

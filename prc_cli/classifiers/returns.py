@@ -1,0 +1,65 @@
+"""Labels of further returns: a shot has one label, its other returns take that of the shot they agree with in range."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8
+
+IN_SLICE = tuple((0, column) for column in range(-4, 5))
+"""Cells asked in the line of the shot, as (lines, columns) away from it."""
+ADJACENT = tuple((line, column) for line in (-1, 1) for column in (-1, 0, 1))
+"""Cells asked in the lines before and after."""
+
+
+def label_extra_returns(
+    range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, zeta_p: float, zeta_s: float
+) -> U8:
+    """Label returns beside the one that stands for the shot in the range image.
+
+    A further return takes the label of the shot with the smallest range difference, among the shots around its own
+    cell whose difference is below the support limits of Lehtola et al. (2019), eqs. 5 and 6. Only cells of the block
+    are asked.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        The block; NaN = missing, which agrees with nothing.
+    labels : (lines, M) uint8
+        Its labels.
+    line, column : (n,) int32
+        Cell of every further return.
+    range_m_extra : (n,) float32, metres
+        Its range.
+    zeta_p, zeta_s : float, metres
+        Differences must be below these, in the line and in the lines before and after.
+
+    Returns
+    -------
+    (n,) uint8
+        NOISE where no shot agrees, MISSING where the further return has no range (NaN). Of equal differences the
+        cells of the line go first, then the order of the stream.
+
+    Examples
+    --------
+    A second return behind a leaf agrees with the wall beside it:
+
+    >>> image = np.array([[20.0, 20.0, 6.0, 20.0, 20.0]], dtype=np.float32)
+    >>> labels = np.array([[4, 4, 5, 4, 4]], dtype=np.uint8)
+    >>> label_extra_returns(image, labels, np.array([0]), np.array([2]), np.array([20.1], np.float32), 1.0, 1.0)
+    array([4], dtype=uint8)
+    """
+    found = np.where(np.isnan(range_m_extra), np.uint8(Label.MISSING), np.uint8(Label.NOISE))
+    nearest = np.full(len(line), np.inf)
+    n_lines, n_columns = range_m.shape
+    for cells, zeta in ((IN_SLICE, zeta_p), (ADJACENT, zeta_s)):
+        for lines_away, columns_away in cells:
+            y, x = line + lines_away, column + columns_away
+            exists = (y >= 0) & (y < n_lines) & (x >= 0) & (x < n_columns)
+            y, x = np.where(exists, y, 0), np.where(exists, x, 0)
+            difference = np.abs(range_m_extra - range_m[y, x]).astype(np.float64)
+            better = exists & (difference < zeta) & (difference < nearest)
+            nearest[better] = difference[better]
+            found[better] = labels[y, x][better]
+    return found

@@ -1,0 +1,109 @@
+"""How a loop is compiled, and where the compiled code is kept.
+
+The install folder may belong to somebody else, a cron user may have no home, a disk may be full, a cache file may be
+cut short: none of that may stop a run. Whatever goes wrong with the cache, the kernel is compiled in memory.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core.errors import NumbaError
+
+from prc_cli.core.files import cache_folder
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
+
+def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
+    """Compile a function for the given numba signatures when its module is imported.
+
+    No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
+    NumPy, since a test for it keeps loops from being vectorised. The lock of the interpreter is released,
+    so that blocks of several scanners or files run in parallel in threads.
+
+    Parameters
+    ----------
+    signatures : str
+        Numba signatures; arguments of other types are converted or refused, never compiled anew.
+
+    Returns
+    -------
+    callable
+        Decorator that keeps the signature of the function.
+    """
+
+    def compiled(function: FunctionT) -> FunctionT:
+        jit: Any = numba.njit  # typed by some versions of numba and not by others
+        options = {"nogil": True, "error_model": "numpy"}
+        folder = _writable_cache()
+        if folder is not None:
+            try:
+                with _numba_cache(folder):
+                    cached: FunctionT = jit(list(signatures), cache=True, **options)(function)
+                return cached
+            except NumbaError:
+                raise
+            except Exception:  # a damaged, full or vanished cache, in whatever way: do without it
+                pass
+        in_memory: FunctionT = jit(list(signatures), **options)(function)
+        return in_memory
+
+    return compiled
+
+
+@lru_cache(maxsize=1)
+def _writable_cache() -> Path | None:
+    """Folder for compiled kernels: the user's choice, the user's cache folder, a private temporary one, or none."""
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return Path(given) if _is_writable(Path(given)) else None
+    for folder, shared in ((cache_folder() / "numba", False), (_temporary_cache(), True)):
+        if _is_writable(folder) and not (shared and not _is_private(folder)):
+            return folder
+    return None
+
+
+def _temporary_cache() -> Path:
+    """Return a folder name of this user's own in the folder where everybody may write."""
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    return Path(tempfile.gettempdir()) / f"prc-cli-{user}"
+
+
+def _is_writable(folder: Path) -> bool:
+    """Create the folder if need be and try a file in it; permissions alone do not tell (quota, read-only mount)."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as handle:
+            handle.write(b"x")
+    except OSError:
+        return False
+    return True
+
+
+def _is_private(folder: Path) -> bool:
+    """Tell whether nobody else could have put compiled code there."""
+    status = folder.lstat()
+    if hasattr(os, "getuid") and status.st_uid != os.getuid():
+        return False
+    return stat.S_ISDIR(status.st_mode) and (os.name == "nt" or not status.st_mode & 0o022)
+
+
+@contextmanager
+def _numba_cache(folder: Path) -> Iterator[None]:
+    """Point numba at a cache folder while one function is compiled, and leave its setting as it was."""
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
+    try:
+        yield
+    finally:
+        config.CACHE_DIR = before

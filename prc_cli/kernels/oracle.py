@@ -1,0 +1,100 @@
+"""Slow and obvious twins of the kernels, from NumPy, SciPy and scikit-image alone.
+
+Same names, arguments and results as the kernels, none of their code. Tests compare them bit for bit; nothing else
+uses this module. The whole method, written from the paper, is in :mod:`prc_cli.kernels.oracle_prc`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage import measure
+
+from prc_cli.core.types import F32, I32, Mask
+
+CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
+"""A pixel and its four neighbours."""
+
+
+def support_mask(
+    window: F32, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
+) -> Mask:
+    """Mark shots that enough neighbours agree with; see :func:`prc_cli.kernels.support.support_mask`."""
+    m = n_columns
+    shot = np.arange(n_lines * m) + max(m + 1, 4)
+    ranges = window[shot]
+
+    def count_agreeing(shifts: tuple[int, ...], zeta: float) -> NDArray[np.int64]:
+        differences = [np.abs(ranges - window[shot + shift]) for shift in shifts if shift != 0]
+        count: NDArray[np.int64] = np.sum([d.astype(np.float64) < np.float64(zeta) for d in differences], axis=0)
+        return count
+
+    in_slice = count_agreeing((-4, -3, -2, -1, 1, 2, 3, 4), zeta_p)
+    adjacent = count_agreeing((-m - 1, -m, -m + 1, m - 1, m, m + 1), zeta_s)
+    mask: Mask = (in_slice >= min_in_slice) & (adjacent >= min_adjacent) & ~np.isnan(ranges)
+    return mask.reshape(n_lines, m)
+
+
+def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: float) -> Mask:
+    """Mark abrupt changes of range; see :func:`prc_cli.kernels.support.background_mask`."""
+    n_lines, n_columns = supported.shape
+    reach = max(n_columns + 1, 4)
+    mask = np.zeros((n_lines, n_columns), dtype=bool)
+    for line, column in zip(*np.nonzero(supported), strict=True):
+        i = reach + line * n_columns + column
+        before, here, after = (float(window[j]) for j in (i - 1, i, i + 1))
+        if np.isnan(before) or np.isnan(after):
+            continue
+        mask[line, column] = is_intersection(
+            before, here, after, ("centred", "literal", "abs", "guard")[form], alpha, d_c
+        )
+    return mask
+
+
+def is_intersection(before: float, here: float, after: float, form: str, alpha: float, d_c: float) -> bool:
+    """Tell whether eq. 9, or another reading of it, does not hold for three successive ranges."""
+    if form == "literal":
+        return not alpha < (here - before) / max(after - before, d_c) < 1.0 - alpha
+    if form == "abs":
+        return not alpha < abs(here - before) / max(abs(after - before), d_c) < 1.0 - alpha
+    if form == "guard" and abs(after - before) < d_c:
+        return False
+    middle = (before + after) / 2.0
+    return abs(here - middle) >= (0.5 - alpha) * max(abs(after - before), d_c)
+
+
+def label_components(image: Mask) -> tuple[I32, int]:
+    """Find 4-connected components; see :func:`prc_cli.kernels.components.label_components`."""
+    label: Callable[..., I32] = measure.label
+    labels = label(image, connectivity=1)
+    found, first_pixel = np.unique(labels, return_index=True)
+    in_raster_order = [one for _, one in sorted(zip(first_pixel, found, strict=True)) if one != 0]
+    renumbered = np.zeros(image.shape, dtype=np.int32)
+    for number, one in enumerate(in_raster_order, start=1):
+        renumbered[labels == one] = number
+    return renumbered, len(in_raster_order)
+
+
+def fill_holes(components: I32, holes: Mask) -> I32:
+    """Give holes their neighbours' most frequent component; see :func:`prc_cli.kernels.components.fill_holes`."""
+    framed = np.pad(components, 1)
+    filled = components.copy()
+    for line, column in zip(*np.nonzero(holes), strict=True):
+        around = framed[line : line + 3, column : column + 3].ravel().tolist()
+        del around[4]
+        votes = Counter(label for label in around if label != 0)
+        if votes:
+            filled[line, column] = min(votes, key=lambda label: (-votes[label], label))
+    return filled
+
+
+def dilate(image: Mask, iterations: int) -> Mask:
+    """Dilate with the cross; see :func:`prc_cli.kernels.surfaces.dilate`."""
+    if iterations == 0:  # which SciPy takes as "until nothing changes"
+        return image.copy()
+    grown: Mask = ndimage.binary_dilation(image, structure=CROSS, iterations=iterations)
+    return grown
