@@ -1,1 +1,1 @@
-"""To be described."""
+"""Predicted against reference labels: class mapping, confusion matrix, scores and their reports."""

@@ -1,0 +1,242 @@
+"""Which codes mean which class, on the predicted and on the reference side (TOML files, a few built in)."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from functools import cached_property
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, StringConstraints, field_validator, model_validator
+
+from prc_cli.core.config import Params, build, read_toml
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import I64
+
+Side: TypeAlias = Literal["predicted", "reference"]
+ClassName: TypeAlias = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_ -]*$")]
+Codes: TypeAlias = tuple[int | str, ...]
+
+OTHER = "other"
+"""Name of the row or column without a counterpart; it is shown and counted but can never agree."""
+
+MAX_CODE = 2**32 - 1
+IGNORED = -1
+_UNLISTED = -2
+_TABLE_SIZE = 2**16
+
+
+class ClassMapping(Params):
+    """Which codes mean which class.
+
+    Classes that stand on both sides under one name are scored. A class of one side only is kept as a row or a
+    column and never agrees with anything, like the row "Other" of Lehtola et al. (2019), Table I.
+
+    Examples
+    --------
+    >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": ["1200-1206"], "car": [1501]})
+    >>> mapping.scored_names
+    ('ground',)
+    >>> mapping.class_indices(np.array([1203, 1501]), "reference")
+    array([0, 1])
+    """
+
+    unlisted: Literal["error", "other", "ignore"] = Field(
+        "error", description="codes that stand in no list: refuse the file, count them as other, or do not score them"
+    )
+    ignore: Codes = Field((), description="codes of either side that are not scored, for example 0 = missing")
+    ignore_reference: Codes = Field((), description="codes of the reference alone that are not scored")
+    predicted: dict[ClassName, Codes] = Field(description="class name = list of predicted codes, or ranges 'a-b'")
+    reference: dict[ClassName, Codes] = Field(description="class name = list of reference codes, or ranges 'a-b'")
+
+    @field_validator("ignore", "ignore_reference")
+    @classmethod
+    def _check_ignored(cls, codes: Codes) -> Codes:
+        for code in codes:
+            _span(code)
+        return codes
+
+    @field_validator("predicted", "reference")
+    @classmethod
+    def _check_side(cls, side: dict[str, Codes]) -> dict[str, Codes]:
+        if not side:
+            problem = "at least one class with its codes"
+            raise ValueError(problem)
+        for codes in side.values():
+            cls._check_ignored(codes)
+        return side
+
+    @model_validator(mode="after")
+    def _check_both(self) -> ClassMapping:
+        sides: tuple[Side, Side] = ("predicted", "reference")
+        for side in sides:
+            for code, name, other in _listed_twice(self._spans(side)):
+                problem = f"every {side} code listed once, but {code} stands under {name!r} and again under {other!r}"
+                raise ValueError(problem)
+        if not self.scored_names:
+            problem = "at least one class name that stands under both [predicted] and [reference]"
+            raise ValueError(problem)
+        return self
+
+    def names(self, side: Side) -> tuple[str, ...]:
+        """Class names of one side, in the order of the file; ``other`` last where unlisted codes go there."""
+        listed = tuple(self.predicted if side == "predicted" else self.reference)
+        return (*listed, OTHER) if self.unlisted == "other" and OTHER not in listed else listed
+
+    @property
+    def scored_names(self) -> tuple[str, ...]:
+        """Names that stand on both sides, in the order of the reference; never ``other``."""
+        return scored_names(self.names("reference"), self.names("predicted"))
+
+    def class_indices(self, codes: NDArray[np.integer], side: Side) -> I64:
+        """Look up the class of every code.
+
+        Parameters
+        ----------
+        codes : (n,) integer
+            Class codes as they stand in a file.
+        side : {"predicted", "reference"}
+            Whose lists to use.
+
+        Returns
+        -------
+        (n,) int64
+            Index into :meth:`names`, -1 = not scored.
+
+        Raises
+        ------
+        InputError
+            When the codes are no integers, or hold one that stands in no list and ``unlisted = "error"``.
+        """
+        codes = np.asarray(codes)
+        if not np.issubdtype(codes.dtype, np.integer):
+            where = f"{side} codes"
+            raise InputError(where, f"found {codes.dtype}, expected integer class codes")
+        table = self._tables[side]
+        if codes.dtype.itemsize <= 2 and codes.dtype.kind == "u":
+            found: I64 = table[codes]
+        elif not codes.size or (codes.min() >= 0 and codes.max() < _TABLE_SIZE):
+            found = table[codes.astype(np.intp)]
+        else:
+            found = self._search(codes.astype(np.int64), side)
+        if self.unlisted == "error":
+            self._refuse_unlisted(codes, found, side)
+        return found
+
+    def _refuse_unlisted(self, codes: NDArray[np.integer], found: I64, side: Side) -> None:
+        unlisted = codes[found == _UNLISTED]
+        if not unlisted.size:
+            return
+        distinct = np.unique(unlisted)
+        shown = ", ".join(str(code) for code in distinct[:8]) + (", ..." if distinct.size > 8 else "")
+        problem = f"found {unlisted.size} records with codes that the class mapping does not list: {shown}"
+        hint = f'list them under [{side}], under ignore, or set unlisted = "other"'
+        where = f"{side} codes"
+        raise InputError(where, problem, hint)
+
+    @cached_property
+    def _tables(self) -> dict[Side, I64]:
+        """Class index of every code below 65536, by side: one lookup instead of a search."""
+        every = np.arange(_TABLE_SIZE, dtype=np.int64)
+        return {"predicted": self._search(every, "predicted"), "reference": self._search(every, "reference")}
+
+    def _search(self, codes: I64, side: Side) -> I64:
+        names = self.names(side)
+        spans = sorted(self._spans(side))
+        low = np.array([span[0] for span in spans], dtype=np.int64)
+        high = np.array([span[1] for span in spans], dtype=np.int64)
+        ignored = {"ignore", "ignore_reference"}
+        index = np.array([IGNORED if name in ignored else names.index(name) for *_, name in spans], dtype=np.int64)
+        rest = {"error": _UNLISTED, "ignore": IGNORED, "other": names.index(OTHER) if OTHER in names else _UNLISTED}
+        place = np.searchsorted(low, codes, side="right") - 1
+        listed = (place >= 0) & (codes <= high[place])
+        return np.where(listed, index[place], rest[self.unlisted])
+
+    def _spans(self, side: Side) -> list[tuple[int, int, str]]:
+        """First code, last code and class name (or ignore list) of everything that is listed for a side."""
+        listed = self.predicted if side == "predicted" else self.reference
+        spans = [(*_span(code), name) for name, codes in listed.items() for code in codes]
+        spans += [(*_span(code), "ignore") for code in self.ignore]
+        if side == "reference":
+            spans += [(*_span(code), "ignore_reference") for code in self.ignore_reference]
+        return spans
+
+
+def scored_names(reference: tuple[str, ...], predicted: tuple[str, ...]) -> tuple[str, ...]:
+    """Names that both sides know, in the order of the reference; ``other`` is no class.
+
+    >>> scored_names(("ground", "car", "other"), ("noise", "ground", "other"))
+    ('ground',)
+    """
+    return tuple(name for name in reference if name in predicted and name != OTHER)
+
+
+def preset_names() -> tuple[str, ...]:
+    """Names of the class mappings that come with the package.
+
+    >>> "oakland" in preset_names()
+    True
+    """
+    folder = resources.files("prc_cli.evaluation") / "presets"
+    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+def load_mapping(source: str | Path) -> ClassMapping:
+    """Load a class mapping by preset name, or from a TOML file.
+
+    Parameters
+    ----------
+    source : str or path
+        One of :func:`preset_names`, or the path of a ``.toml`` file.
+
+    Raises
+    ------
+    ConfigError
+        Unknown preset; file that is not TOML; unknown key, code or name that makes no sense, overlapping lists.
+    InputError
+        When the file cannot be read.
+
+    Examples
+    --------
+    >>> load_mapping("lehtola_urban").names("reference")
+    ('noise', 'ground', 'vegetation', 'building', 'other')
+    """
+    name = str(source)
+    known = preset_names()
+    if name in known:
+        text = (resources.files("prc_cli.evaluation") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
+        return build(ClassMapping, tomllib.loads(text), f"class mapping {name}")
+    if Path(name).suffix != ".toml":
+        problem = f"found {name!r}, expected a .toml file or one of: {', '.join(known)}"
+        where = "class mapping"
+        raise ConfigError(where, problem)
+    return build(ClassMapping, read_toml(Path(name)), name)
+
+
+def _span(code: int | str) -> tuple[int, int]:
+    """First and last code of one entry: an integer, or a range "a-b" with both ends."""
+    if isinstance(code, int):
+        low = high = code
+    else:
+        first, dash, last = code.partition("-")
+        if not (dash and first.strip().isdecimal() and last.strip().isdecimal()):
+            problem = f"codes as integers or ranges such as '1200-1206', found {code!r}"
+            raise ValueError(problem)
+        low, high = int(first), int(last)
+    if not 0 <= low <= high <= MAX_CODE:
+        problem = f"codes from 0 to {MAX_CODE}, ranges from low to high, found {code!r}"
+        raise ValueError(problem)
+    return low, high
+
+
+def _listed_twice(spans: list[tuple[int, int, str]]) -> Iterator[tuple[int, str, str]]:
+    """First shared code and both names wherever one span runs into the next."""
+    ordered = sorted(spans)
+    for (_, end, name), (low, _, other) in pairwise(ordered):
+        if low <= end:
+            yield low, name, other

@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.config import build
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.evaluation import mapping as module
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping, preset_names
+
+PACKAGED = Path(module.__file__).parent / "presets"
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "classes"
+PRESETS = ("asprs", "lehtola_forest", "lehtola_urban", "oakland", "prc", "semantic_kitti")
+
+
+def made(**table: Any) -> ClassMapping:
+    return ClassMapping(**{"predicted": {"ground": [2]}, "reference": {"ground": [2]}} | table)
+
+
+def test_presets_are_those_promised() -> None:
+    assert preset_names() == PRESETS
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_preset_loads_by_name_and_from_its_sample_file(name: str) -> None:
+    assert load_mapping(name) == load_mapping(SAMPLES / f"{name}.toml")
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_sample_file_is_the_packaged_one(name: str) -> None:
+    assert (SAMPLES / f"{name}.toml").read_bytes() == (PACKAGED / f"{name}.toml").read_bytes()
+
+
+def test_no_sample_without_a_packaged_twin() -> None:
+    assert {path.stem for path in SAMPLES.glob("*.toml")} == set(PRESETS)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_takes_every_code_that_prc_predicts(name: str) -> None:
+    labels = [Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND]
+    labels += [Label.STEM] if name == "lehtola_forest" else [Label.BUILDING, Label.VEGETATION]
+    codes = ClassCodes().lookup()[labels]
+    indices = load_mapping(name).class_indices(codes, "predicted")
+    assert indices[0] == -1
+    assert (indices[1:] >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "expected"),
+    [
+        ("oakland", 1203, "ground"),
+        ("oakland", 1301, "ground"),
+        ("oakland", 1306, "vegetation"),
+        ("oakland", 1412, "building"),
+        ("oakland", 1501, "other"),
+        ("oakland", 1002, None),
+        ("oakland", 0, None),
+        ("semantic_kitti", 1, "noise"),
+        ("semantic_kitti", 72, "ground"),
+        ("semantic_kitti", 71, "vegetation"),
+        ("semantic_kitti", 252, "other"),
+        ("asprs", 1, None),
+        ("asprs", 11, "ground"),
+        ("asprs", 4, "vegetation"),
+        ("asprs", 65, "other"),
+        ("lehtola_forest", 5, "noise"),
+        ("prc", 65, "other"),
+    ],
+)
+def test_reference_codes_of_presets(name: str, code: int, expected: str | None) -> None:
+    mapping = load_mapping(name)
+    index = mapping.class_indices(np.array([code]), "reference")[0]
+    assert (None if index < 0 else mapping.names("reference")[index]) == expected
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int16, np.int64])
+def test_indices_do_not_depend_on_the_integer_type(dtype: type[np.integer[Any]]) -> None:
+    mapping = made(unlisted="other", ignore=[0], reference={"ground": [2, "10-20"], "wire": ["30-31"]})
+    codes = np.array([0, 1, 2, 9, 10, 15, 20, 21, 30, 31, 32, 127], dtype=dtype)
+    expected = [-1, 2, 0, 2, 0, 0, 0, 2, 1, 1, 2, 2]
+    assert mapping.class_indices(codes, "reference").tolist() == expected
+
+
+def test_codes_too_large_for_the_table_are_searched() -> None:
+    mapping = made(unlisted="ignore", reference={"ground": ["70000-80000"]})
+    codes = np.array([69_999, 70_000, 80_000, 80_001, -5])
+    assert mapping.class_indices(codes, "reference").tolist() == [-1, 0, 0, -1, -1]
+
+
+def test_ignore_reference_leaves_the_predicted_side_alone() -> None:
+    mapping = made(ignore_reference=[1], predicted={"ground": [2], "unclassified": [1]})
+    assert mapping.class_indices(np.array([1]), "predicted").tolist() == [1]
+    assert mapping.class_indices(np.array([1]), "reference").tolist() == [-1]
+
+
+def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
+    with pytest.raises(InputError) as caught:
+        made().class_indices(np.array([2, 9, 9, 5]), "reference")
+    assert str(caught.value).startswith("reference codes: found 3 records with codes that the class mapping does not")
+    assert "5, 9" in str(caught.value)
+    assert 'unlisted = "other"' in caught.value.hint
+
+
+def test_unlisted_negative_and_huge_codes_are_refused() -> None:
+    with pytest.raises(InputError, match="-3, 4294967296"):
+        made().class_indices(np.array([-3, 2**32]), "predicted")
+
+
+def test_codes_must_be_integers() -> None:
+    with pytest.raises(InputError, match="predicted codes: found float64, expected integer"):
+        made().class_indices(np.array([2.0]), "predicted")
+
+
+def test_other_is_never_scored_even_if_both_sides_list_it() -> None:
+    mapping = made(
+        predicted={"ground": [2], "other": [1]}, reference={"ground": [2], "other": [9]}, unlisted="other"
+    )  # fmt: skip
+    assert mapping.scored_names == ("ground",)
+    assert mapping.names("predicted") == ("ground", "other")
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ({"reference": {"ground": ["5-2"]}}, "found '5-2'"),
+        ({"reference": {"ground": ["two"]}}, "found 'two'"),
+        ({"reference": {"ground": [-2]}}, "found -2"),
+        ({"reference": {"ground": [2**32]}}, "codes from 0 to 4294967295"),
+        ({"ignore": ["1-"]}, "found '1-'"),
+        ({"reference": {"ground": [2], "road": ["1-3"]}}, "2 stands under 'road' and again under 'ground'"),
+        ({"reference": {"ground": [2, "1-3"]}}, "2 stands under 'ground' and again under 'ground'"),
+        ({"ignore": [2]}, "predicted code listed once, but 2"),
+        ({"ignore_reference": [2]}, "reference code listed once, but 2"),
+        ({"reference": {"road": [2]}}, "at least one class name that stands under both"),
+        ({"reference": {}}, "at least one class with its codes"),
+        ({"unlisted": "drop"}, "'error', 'other' or 'ignore'"),
+        ({"unlsted": "other"}, "did you mean 'unlisted'"),
+        ({"reference": {"gro|und": [2]}}, "reference.gro|und"),
+    ],
+)
+def test_mappings_that_make_no_sense(table: dict[str, Any], expected: str) -> None:
+    whole = {"predicted": {"ground": [2]}, "reference": {"ground": [2]}} | table
+    with pytest.raises(ConfigError) as caught:
+        build(ClassMapping, whole, "classes.toml")
+    assert str(caught.value).startswith("classes.toml: ")
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_preset_names_those_there_are() -> None:
+    with pytest.raises(ConfigError, match=r"class mapping: found 'okland', expected a .toml file or one of: asprs, "):
+        load_mapping("okland")
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none\.toml: cannot read"):
+        load_mapping(tmp_path / "none.toml")
+
+
+def test_mapping_file_of_the_user(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('unlisted = "other"\n[predicted]\nground = [2]\n[reference]\nground = ["40-49"]\n')
+    assert load_mapping(str(path)).class_indices(np.array([45, 3]), "reference").tolist() == [0, 1]
