@@ -1,1 +1,144 @@
-"""Archive files to blocks of the stream."""
+"""Archive files to blocks of the stream: which reader takes which file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import ScanStream
+from prc_cli.readers.options import RANGES_ONLY, InputConfig, Layout
+from prc_cli.readers.records import RecordSource
+
+
+def _raw_binary(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.readers.raw_binary import RawBinarySource
+
+    return RawBinarySource(path, layout if layout is not None and layout.fields else _ranges_only(layout))
+
+
+def _ranges_only(layout: Layout | None) -> Layout:
+    """Ranges alone, with what a layout without fields says of header, byte order and line length."""
+    return RANGES_ONLY if layout is None else layout.model_copy(update={"fields": RANGES_ONLY.fields})
+
+
+def _text(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.readers.text import TextSource
+
+    return TextSource(path, layout)
+
+
+def _las(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.readers.las import LasSource
+
+    return LasSource(path)
+
+
+READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
+    ".bin": _raw_binary,
+    ".raw": _raw_binary,
+    ".dat": _raw_binary,
+    ".csv": _text,
+    ".csv.gz": _text,
+    ".csv.zst": _text,
+    ".txt": _text,
+    ".txt.gz": _text,
+    ".txt.zst": _text,
+    ".las": _las,
+    ".laz": _las,
+}
+"""Readers of record lists by suffix."""
+
+ARRAY_SUFFIXES = (".npy", ".npz")
+"""Range images, which are blocks of the stream already."""
+
+LAS_SUFFIXES = (".las", ".laz")
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix that decides the reader, lower case, with the compression behind it.
+
+    >>> suffix_of(Path("drive.CSV.gz"))
+    '.csv.gz'
+    """
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes[-1:] in ([".gz"], [".zst"]):
+        return "".join(suffixes[-2:])
+    return suffixes[-1] if suffixes else ""
+
+
+def check_input(path: Path) -> str:
+    """Return the suffix of a readable input file.
+
+    Raises
+    ------
+    InputError
+        When it is absent, not a file, empty, or of a suffix that no reader takes.
+    """
+    known = (*READERS, *ARRAY_SUFFIXES)
+    suffix = suffix_of(path)
+    if suffix not in known:
+        found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
+        raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", "rename the file or convert it")
+    if not path.exists():
+        raise InputError(str(path), "no such file", "check the name and that the disk is mounted")
+    if not path.is_file():
+        raise InputError(str(path), "not a regular file, expected an archive file")
+    try:
+        with path.open("rb") as handle:
+            empty = not handle.read(1)
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read ({error.strerror})", "check its permissions") from error
+    if empty:
+        raise InputError(str(path), "the file is empty (0 bytes), expected scan data", "copy it from the archive again")
+    return suffix
+
+
+def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:
+    """Open an input as a list of records; None for range images."""
+    suffix = check_input(path)
+    return None if suffix in ARRAY_SUFFIXES else READERS[suffix](path, layout)
+
+
+def open_input(
+    path: Path, config: InputConfig, layout: Layout | None = None, *, base: Path | None = None
+) -> ScanStream:
+    """Open an input file as a stream of blocks.
+
+    Parameters
+    ----------
+    path : Path
+        Input file.
+    config : InputConfig
+        How lines, columns and ranges are found.
+    layout : Layout, optional
+        Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
+    base : Path, optional
+        Folder that relative paths in the configuration start from.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged or does not hold what the configuration asks for.
+    """
+    source = open_source(path, layout)
+    if layout is not None and config.points_per_line is None and layout.points_per_line is not None:
+        config = config.model_copy(update={"points_per_line": layout.points_per_line})
+    if source is None:
+        from prc_cli.readers.arrays import ArrayStream
+
+        return ArrayStream(path, config)
+    from prc_cli.readers.grid import open_grid
+
+    return open_grid(source, config, base=base, line_hz=None if layout is None else layout.line_frequency)
+
+
+__all__ = [
+    "ARRAY_SUFFIXES",
+    "LAS_SUFFIXES",
+    "READERS",
+    "check_input",
+    "open_input",
+    "open_source",
+    "suffix_of",
+]

@@ -1,0 +1,174 @@
+"""Write the reference pages from the code; ``--check`` fails when a page on disk differs.
+
+Run ``python docs/generate.py`` after changing an option, a parameter or a class code.
+"""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from prc_cli.cli import cli
+from prc_cli.config import PRESETS, RunConfig, load_config, to_toml
+from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
+from prc_cli.core.config import Params
+
+ROOT = Path(__file__).resolve().parent.parent
+GENERATED = "<!-- written by docs/generate.py from the code; do not edit -->\n"
+
+
+def cli_page() -> str:
+    """Return the command reference: every command's own ``--help``."""
+    parts = [GENERATED, "# Commands\n", f"```text\n{_help(cli, 'prc')}\n```\n"]
+    context = click.Context(cli, info_name="prc")
+    for name in cli.list_commands(context):
+        command = cli.get_command(context, name)
+        assert command is not None
+        parts.append(f"## prc {name}\n\n```text\n{_help(command, f'prc {name}')}\n```\n")
+        if isinstance(command, click.Group):
+            for sub_name, sub in command.commands.items():
+                parts.append(f"### prc {name} {sub_name}\n\n```text\n{_help(sub, f'prc {name} {sub_name}')}\n```\n")
+    return "\n".join(parts)
+
+
+def _help(command: click.Command, name: str) -> str:
+    with click.Context(command, info_name=name, terminal_width=100, max_content_width=100) as context:
+        return command.get_help(context).rstrip()
+
+
+def configuration_page() -> str:
+    """Return the configuration reference: every table, key, default, bound and description."""
+    intro = """\
+        # Configuration
+
+        A configuration is a TOML file. Layers, each over the one before: the defaults below, a preset
+        (`--preset urban`, or `preset = "urban"` as the first line of the file), the file (`--config FILE`), options.
+        Unknown keys and values out of bounds are errors. `prc config show` prints the effective configuration with the
+        source of every value, `prc config check FILE` checks a file, `prc config schema` prints the JSON schema.
+        """
+    parts = [GENERATED, textwrap.dedent(intro), *_tables(RunConfig, "")]
+    parts.append("## Presets\n")
+    for name in PRESETS:
+        text = to_toml(load_config(preset=name), comments=False)
+        parts.append(f"### {name}\n\n```toml\n{text}```\n")
+    return "\n".join(parts)
+
+
+def _tables(model: type[Params], prefix: str) -> Iterator[str]:
+    rows, inner = [], []
+    for name, info in model.model_fields.items():
+        key = info.alias or name
+        nested = _model_of(info.annotation)
+        if nested is not None:
+            inner.append((key, nested))
+            continue
+        schema = model.model_json_schema(by_alias=True)["properties"][key]
+        default = info.get_default(call_default_factory=True)
+        shown = "not set" if default is None else f"`{_toml(default)}`"
+        rows.append(f"| `{key}` | {shown} | {_bounds(schema)} | {info.description or ''} |".replace("  ", " "))
+    title = f"[{prefix.rstrip('.')}]" if prefix else "Top level"
+    documentation = (model.__doc__ or "").strip().splitlines()[0].replace("``", "`")
+    if rows:
+        table = "\n".join(["| key | default | allowed | meaning |", "|---|---|---|---|", *rows])
+        yield f"## {title}\n\n{documentation}\n\n{table}\n"
+    for key, nested in inner:
+        yield from _tables(nested, f"{prefix}{key}.")
+
+
+def _model_of(annotation: Any) -> type[Params] | None:
+    for candidate in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(candidate, type) and issubclass(candidate, Params):
+            return candidate
+        for argument in getattr(candidate, "__args__", ()):
+            if isinstance(argument, type) and issubclass(argument, Params):
+                return argument
+    return None
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else str(list(value) if isinstance(value, tuple) else value)
+
+
+def _bounds(schema: dict[str, Any]) -> str:
+    if "anyOf" in schema:
+        return " or ".join(_bounds(option) for option in schema["anyOf"] if option.get("type") != "null")
+    if "enum" in schema:
+        return ", ".join(f"`{value}`" for value in schema["enum"])
+    if "const" in schema:
+        return f"`{schema['const']}`"
+    signs = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
+    limits = [f"{sign} {schema[key]:g}" for key, sign in signs.items() if key in schema]
+    return ", ".join([schema.get("type", ""), *limits]).strip(", ")
+
+
+def classes_page() -> str:
+    """Return the class codes page."""
+    codes = ClassCodes()
+    rows = [
+        f"| {label.name.lower()} | {codes.code(label)} | rgb{LABEL_COLOURS[label]} | "
+        f"{'no return; label files only' if label is Label.MISSING else _description(label)} |"
+        for label in Label
+    ]
+    table = "\n".join(["| class | code | colour in pictures | meaning |", "|---|---|---|---|", *rows])
+    text = """\
+        # Class codes
+
+        Codes follow ASPRS LAS 1.4 where it has the class; the others take user codes from 64 up. All of them can be
+        changed in `[classes]`. Point formats 0 to 5 hold codes up to 31: when a run needs a larger one, the file is
+        upgraded to the matching format 6 to 10 and the command says so; with `output.codes = "below-32"` such a code
+        is refused instead.
+        """
+    return "\n".join([GENERATED, textwrap.dedent(text), table, ""])
+
+
+def _description(label: Label) -> str:
+    return ClassCodes.model_fields[label.name.lower()].description or ""
+
+
+def sample_config(name: str) -> str:
+    """Return the commented configuration file of a preset."""
+    head = (
+        f"# The published parameters of the preset {name!r} (Lehtola et al. 2019), every key with its meaning.\n"
+        f"# Written by docs/generate.py; `prc classify IN OUT --preset {name}` is the same as using this file.\n\n"
+    )
+    loaded = load_config(preset=name)
+    return head + to_toml(loaded)
+
+
+def pages() -> dict[Path, str]:
+    """Return every generated file and its content."""
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    return {
+        ROOT / "docs/reference/cli.md": cli_page(),
+        ROOT / "docs/reference/configuration.md": configuration_page(),
+        ROOT / "docs/reference/classes.md": classes_page(),
+        ROOT / "docs/changelog.md": GENERATED + changelog,
+        ROOT / "sample_configs/urban.toml": sample_config("urban"),
+        ROOT / "sample_configs/forest.toml": sample_config("forest"),
+    }
+
+
+def main() -> int:
+    """Write the pages, or with ``--check`` report the ones that differ."""
+    stale = []
+    for path, text in pages().items():
+        if path.exists() and path.read_text(encoding="utf-8") == text:
+            continue
+        stale.append(str(path.relative_to(ROOT)))
+        if "--check" not in sys.argv:
+            path.write_text(text, encoding="utf-8")
+    if stale:
+        verb = "differ from the code; run python docs/generate.py" if "--check" in sys.argv else "written"
+        sys.stderr.write(f"{', '.join(stale)}: {verb}\n")
+    return 1 if stale and "--check" in sys.argv else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,90 @@
+"""The command line: parses, calls one function, prints. The only code that prints."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+import traceback
+from typing import Any
+
+import click
+
+from prc_cli import __version__
+from prc_cli.core.errors import PrcError
+
+COMMANDS: dict[str, tuple[str, str]] = {
+    "demo": ("prc_cli.cli.demo:demo", "Simulate a street, classify it, evaluate it, draw it: no data needed."),
+    "info": ("prc_cli.cli.info:info", "Say what a file holds and whether PRC can classify it."),
+    "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
+    "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
+    "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
+    "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
+}
+"""Commands by name: where they live (loaded when called) and what ``prc --help`` says of them."""
+
+
+class LazyGroup(click.Group):
+    """Loads a command only when it is called, so that ``prc --help`` loads nothing but click."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the commands in the order of a first day's work."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Load one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(importlib.import_module(module), attribute)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without loading them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """Name the nearest command when one is unknown."""
+        name = args[0] if args else ""
+        if name and name not in COMMANDS and not name.startswith("-"):
+            import difflib
+
+            near = difflib.get_close_matches(name, COMMANDS, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known commands: {', '.join(COMMANDS)}"
+            ctx.fail(f"no such command {name!r}; {hint}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="Example: prc classify drive.laz drive_classified.laz --preset urban",
+)
+@click.version_option(__version__, prog_name="prc")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def cli(debug: bool) -> None:
+    """Classify raw mobile laser scanning streams before registration, shot by shot.
+
+    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed.
+    """
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the command line; every refusal of the package ends here as one line and an exit code."""
+    arguments = sys.argv[1:] if args is None else args
+    try:
+        cli.main(args=arguments, prog_name="prc", standalone_mode=True)
+    except PrcError as error:
+        if "--debug" in arguments:
+            traceback.print_exc()
+        click.echo(f"error: {one_line(error)}", err=True)
+        sys.exit(error.exit_code)
+
+
+def one_line(error: PrcError) -> str:
+    r"""Return a message as one printable line, whatever a file name or a cell contained.
+
+    >>> one_line(PrcError("a\\nb.las", "no such file"))
+    'a\\\\nb.las: no such file'
+    """
+    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in str(error))

@@ -1,0 +1,65 @@
+"""``prc classify``: one input, one output."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.report import console, line_progress, print_assumptions, print_classes
+from prc_cli.pipeline import RunSummary
+from prc_cli.pipeline import classify as classify_file
+
+
+@click.command()
+@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@stream_options
+@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@click.option("--segment-ids", is_flag=True, help="Also write the segment id of every shot.")
+@output_options
+def classify(
+    source: Path, output: Path, overwrite: bool, segment_ids: bool,
+    as_json: bool, quiet: bool, verbose: bool, **options: Any,
+) -> None:  # fmt: skip
+    r"""Give every shot of IN its class and write OUT.
+
+    OUT is .las or .laz (class codes; everything else stays as it is in IN), or the labels alone: .npy, .csv,
+    .parquet. The run is recorded in OUT and in OUT.prc.json beside it.
+
+    \b
+    Examples:
+      prc classify drive.laz drive_classified.laz --preset urban
+      prc classify drive.bin labels.npy --preset urban -M 2154
+      prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97 --columns time:414190
+    """
+    if segment_ids:
+        options["assignments"] = (*options["assignments"], "output.segment_ids=true")
+    loaded = config_from(options)
+    start = time.perf_counter()
+    with line_progress(source.name, quiet=quiet) as progress:
+        summary = classify_file(source, output, loaded, overwrite=overwrite, progress=progress)
+    if as_json:
+        click.echo(json.dumps(summary.record.as_dict(), indent=2, sort_keys=True))
+    if not quiet:
+        _print_summary(summary, time.perf_counter() - start, verbose=verbose)
+
+
+def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> None:
+    record, counts = summary.record, summary.counts
+    print_classes(summary)
+    if verbose:
+        print_assumptions(record.assumptions, record.tally)
+    for notice in record.notices:
+        console().print(f"note: {notice}", highlight=False, soft_wrap=True)
+    rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
+    console().print(
+        f"{summary.output}: {counts.n_lines:,} lines of {record.points_per_line:,} shots "
+        f"in {seconds:.1f} s ({rate:.1f} million shots a second)",
+        highlight=False,
+        soft_wrap=True,
+    )

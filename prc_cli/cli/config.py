@@ -1,0 +1,60 @@
+"""``prc config``: the effective configuration, with the source of every value."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from prc_cli.cli.options import config_from, stream_options
+from prc_cli.config import json_schema, load_config, to_toml
+
+
+@click.group()
+def config() -> None:
+    r"""Show, check or describe the configuration.
+
+    \b
+    Example: prc config show --preset forest > forest.toml
+    """
+
+
+@config.command()
+@stream_options
+@click.option("--bare", is_flag=True, help="Without comments.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON, with the source of every value that was set.")
+def show(bare: bool, as_json: bool, **options: Any) -> None:
+    r"""Print the effective configuration as TOML that can be used as a configuration file.
+
+    \b
+    Example: prc config show --preset urban --set prc.support.zeta_p=0.1
+    """
+    loaded = config_from(options)
+    if as_json:
+        click.echo(json.dumps({"config": loaded.config.to_table(), "sources": loaded.sources}, indent=2))
+    else:
+        click.echo(to_toml(loaded, comments=not bare), nl=False)
+
+
+@config.command()
+@click.argument("file", type=click.Path(path_type=Path))
+def check(file: Path) -> None:
+    r"""Check a configuration file; exit code 2 names the first wrong key.
+
+    \b
+    Example: prc config check night_run.toml
+    """
+    loaded = load_config(file)
+    click.echo(f"{file}: valid, {len(loaded.sources)} keys set")
+
+
+@config.command()
+def schema() -> None:
+    r"""Print the JSON schema of the configuration file (for editors).
+
+    \b
+    Example: prc config schema > prc.schema.json
+    """
+    click.echo(json.dumps(json_schema(), indent=2))

@@ -1,0 +1,82 @@
+"""Options that several commands share, and the tables that they build.
+
+``stream_options``  how a stream is found in an input and with which parameters it is classified
+``output_options``  ``--json --quiet --verbose``
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
+from prc_cli.core.config import merge, read_toml
+
+CommandT = TypeVar("CommandT", bound=Callable[..., Any])
+
+_STREAM_OPTIONS = [
+    click.option("--preset", type=click.Choice(list(PRESETS)), help="Published parameters to start from."),
+    click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+                 help="Configuration."),
+    click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE",
+                 help="Any key, e.g. prc.support.zeta_p=0.1."),
+    click.option("--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+                 help="Record layout of a raw dump or a text file."),
+    click.option("--lines", help="dimension:NAME, fixed, angle-wrap or time:HZ."),
+    click.option("--columns", help="dimension:NAME, angle, time:HZ or order."),
+    click.option("--range", "range_", help="dimension:NAME, trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
+    click.option("--scanner", help="none, scanner_channel, point_source_id or user_data."),
+    click.option("--return", "return_", help="strongest, first or last."),
+    click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line."),
+    click.option("--max-range", type=float, metavar="METRES", help="Ranges beyond are missing."),
+    click.option("--sort-by-time", "order", flag_value="sort-time", help="Sort the records by time first."),
+    click.option("--trust-order", "order", flag_value="trust", help="Take the order of the records as it is."),
+]  # fmt: skip
+
+_OUTPUT_OPTIONS = [
+    click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
+    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json)."),
+    click.option("-v", "--verbose", is_flag=True, help="Print every assumption and count."),
+]
+
+
+def stream_options(command: CommandT) -> CommandT:
+    """Add the options that say how a stream is found and classified."""
+    for option in reversed(_STREAM_OPTIONS):
+        command = option(command)
+    return command
+
+
+def output_options(command: CommandT) -> CommandT:
+    """Add ``--json``, ``--quiet`` and ``--verbose``."""
+    for option in reversed(_OUTPUT_OPTIONS):
+        command = option(command)
+    return command
+
+
+def config_from(options: dict[str, Any]) -> LoadedConfig:
+    """Build the configuration from the values of :func:`stream_options` (given as keyword arguments)."""
+    table: dict[str, Any] = {}
+    layout_file: Path | None = options["layout_file"]
+    if layout_file is not None:
+        content = read_toml(layout_file)
+        table["layout"] = content.get("layout", content)
+    for assignment in options["assignments"]:
+        table = merge(table, parse_assignment(assignment))
+    given = {
+        "lines": options["lines"],
+        "columns": options["columns"],
+        "range": options["range_"],
+        "scanner": options["scanner"],
+        "return": options["return_"],
+        "points_per_line": options["points_per_line"],
+        "max_range": options["max_range"],
+        "order": options["order"],
+    }
+    inputs = {key: value for key, value in given.items() if value is not None}
+    if inputs:
+        table = merge(table, {"input": inputs})
+    return load_config(options["config_file"], options["preset"], table)

@@ -1,0 +1,102 @@
+"""Tables and progress bars, on stderr; results for machines go to stdout elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from functools import cache
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, scores
+
+if TYPE_CHECKING:
+    from prc_cli.core.stream import Assumption, ReadTally
+    from prc_cli.evaluation.confusion import ConfusionMatrix
+    from prc_cli.evaluation.scores import Scores
+    from prc_cli.pipeline import Progress, RunSummary
+
+
+@cache
+def console() -> Console:
+    """Return the console on stderr; stdout is kept for results."""
+    return Console(stderr=True)
+
+
+@cache
+def results() -> Console:
+    """Return the console on stdout, for the tables that are the result of a command."""
+    # a pipe or a file gets the whole table, not one cut to 80 columns
+    return Console(width=None if sys.stdout.isatty() else 160)
+
+
+@contextlib.contextmanager
+def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
+    """Show a progress bar of scan lines on a terminal; nothing elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=name, unit=" lines", unit_scale=True, leave=False) as bar:
+        yield bar.update
+
+
+def print_classes(summary: RunSummary) -> None:
+    """Print how many records of the run have which class."""
+    table = Table(title=f"{summary.record.input_name}: classes")
+    for heading in ("class", "code", "shots", "share"):
+        table.add_column(heading, justify="left" if heading == "class" else "right")
+    codes = ClassCodes.model_validate(summary.record.config["classes"])
+    counts = summary.counts.labels.tolist()
+    returned = sum(counts) - counts[Label.MISSING]
+    for label in Label:
+        if counts[label]:
+            share = "" if label is Label.MISSING else f"{counts[label] / returned:.1%}"
+            table.add_row(label.name.lower(), str(codes.code(label)), f"{counts[label]:,}", share)
+    console().print(table)
+
+
+def print_evaluation(matrix: ConfusionMatrix, found: Scores) -> None:
+    """Print a confusion matrix with row shares, and the scores, on stdout."""
+    shown = matrix.trimmed()
+    table = Table(title="reference in rows, predicted in columns: records (share of the row)")
+    table.add_column("reference")
+    for name in shown.predicted_names:
+        table.add_column(name, justify="right")
+    for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True):
+        cells = (f"{count:,} ({share:.1%})" for count, share in zip(counts, shares, strict=True))
+        table.add_row(name, *cells)
+    results().print(table)
+    table = Table(title="scores")
+    table.add_column("class")
+    for score in CLASS_SCORES:
+        table.add_column(score, justify="right")
+    for item in scores(shown).classes:
+        table.add_row(item.name, *(_figure(getattr(item, score)) for score in CLASS_SCORES))
+    results().print(table)
+    overall = ", ".join(f"{name.replace('_', ' ')} {_figure(getattr(found, name))}" for name in OVERALL_SCORES)
+    results().print(f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}: {overall}", highlight=False)
+
+
+def _figure(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
+def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:
+    """Print what the reader took for granted and what it met."""
+    table = Table(title="taken for granted")
+    for heading in ("key", "value", "why"):
+        table.add_column(heading)
+    for item in assumptions:
+        table.add_row(item.key, item.value, item.why)
+    console().print(table)
+    met = {name.removeprefix("n_").replace("_", " "): count for name, count in asdict(tally).items() if count}
+    for name, count in met.items():
+        console().print(f"{name}: {count:,} records", highlight=False)

@@ -1,0 +1,208 @@
+"""The whole configuration: every stage's own parameters put together, layered, with the source of every value.
+
+Layers, each over the one before: built-in defaults, a preset, a TOML file, command-line options.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+from pydantic.fields import FieldInfo
+
+from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.config import Params, build, flatten, merge, read_toml
+from prc_cli.core.errors import ConfigError
+from prc_cli.readers.options import InputConfig, Layout
+from prc_cli.writers.options import OutputConfig
+
+
+class RunConfig(Params):
+    """Everything a run depends on beside its input."""
+
+    method: Literal["prc"] = Field("prc", description="classifier: prc (Lehtola et al. 2019)")
+    input: InputConfig = Field(default_factory=InputConfig, description="how the stream is found in the input")
+    layout: Layout | None = Field(None, description="records of a raw dump or a text file")
+    prc: PrcParams = Field(default_factory=PrcParams, description="PRC (Lehtola et al. 2019)")
+    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes")
+    output: OutputConfig = Field(default_factory=OutputConfig, description="what is written")
+
+    def to_table(self) -> dict[str, Any]:
+        """Return the effective configuration as a nested table, names as in TOML, unset values left out."""
+        return self.model_dump(mode="json", by_alias=True, exclude_none=True)
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "urban": {
+        "prc": {
+            "environment": "urban",
+            "lines_per_block": 99,
+            "support": {"zeta_s": 1.0, "zeta_p": 1.0},
+            "surfaces": {"area": 30.0, "gamma": 2},
+        }
+    },
+    "forest": {
+        "prc": {
+            "environment": "forest",
+            "lines_per_block": 255,
+            "support": {"zeta_s": 0.01, "zeta_p": 0.01},
+            "surfaces": {"area": "auto", "gamma": 2},
+        }
+    },
+}
+"""Published parameters (Lehtola et al. 2019, II-A, II-E, IV-A, IV-C); the forest's area is not printed there."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedConfig:
+    """A configuration and where each of its values came from."""
+
+    config: RunConfig
+    sources: dict[str, str] = field(default_factory=dict)
+    """Layer by dotted key; keys that are absent here hold their default."""
+    base: Path | None = None
+    """Folder of the configuration file: relative paths inside it start there."""
+
+
+def load_config(
+    path: Path | str | None = None,
+    preset: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> LoadedConfig:
+    """Build the effective configuration.
+
+    Parameters
+    ----------
+    path : path, optional
+        TOML file; it may name a preset itself (``preset = "urban"``).
+    preset : str, optional
+        ``urban`` or ``forest``; wins over the preset that the file names.
+    options : mapping, optional
+        Nested table laid over everything else, for example ``{"prc": {"support": {"zeta_p": 0.1}}}``.
+
+    Raises
+    ------
+    ConfigError
+        Unknown preset or key (the nearest known one is named), value of the wrong kind or out of bounds.
+    InputError
+        When the file cannot be read.
+
+    Examples
+    --------
+    >>> loaded = load_config(preset="urban", options={"prc": {"support": {"zeta_p": 0.1}}})
+    >>> loaded.config.prc.support.zeta_p, loaded.sources["prc.support.zeta_p"]
+    (0.1, 'option')
+    """
+    file_path = None if path is None else Path(path)
+    table = {} if file_path is None else read_toml(file_path)
+    named = table.pop("preset", None)
+    chosen = preset if preset is not None else named
+    layers: list[tuple[str, Mapping[str, Any]]] = []
+    if chosen is not None:
+        layers.append((f"preset {chosen}", preset_table(chosen)))
+    if file_path is not None:
+        layers.append((str(file_path), table))
+    if options:
+        layers.append(("option", options))
+    merged: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    for name, layer in layers:
+        merged = merge(merged, layer)
+        # each layer is validated on top of those below it, so that the message names the right source
+        build(RunConfig, merged, name)
+        sources.update(dict.fromkeys(dict(flatten(layer)), name))
+    config = build(RunConfig, merged, "configuration")
+    return LoadedConfig(config, sources, None if file_path is None else file_path.parent)
+
+
+def preset_table(name: Any) -> dict[str, Any]:
+    """Return the table of a preset, or raise :class:`ConfigError` naming those there are."""
+    if name not in PRESETS:
+        raise ConfigError("preset", f"found {name!r}, expected one of: {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def parse_assignment(text: str) -> dict[str, Any]:
+    """Turn ``prc.support.zeta_p=0.1`` into a nested table; the value is TOML, a bare word is a string.
+
+    >>> parse_assignment("prc.surfaces.area=auto")
+    {'prc': {'surfaces': {'area': 'auto'}}}
+    """
+    key, equals, value = text.partition("=")
+    if not equals or not all(key.split(".")):
+        raise ConfigError("--set", f"found {text!r}, expected KEY=VALUE such as prc.support.zeta_p=0.1")
+    nested: Any = _parse_value(value.strip())
+    for part in reversed(key.strip().split(".")):
+        nested = {part: nested}
+    return dict(nested)
+
+
+def _parse_value(text: str) -> Any:
+    import tomllib
+
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def to_toml(loaded: LoadedConfig, *, comments: bool = True) -> str:
+    """Write an effective configuration as TOML that :func:`load_config` reads back.
+
+    Parameters
+    ----------
+    loaded : LoadedConfig
+        The configuration.
+    comments : bool
+        With the description of every key and the source of every value that is not its default.
+    """
+    return "\n".join(_toml_lines(loaded.config, "", loaded.sources, comments)).strip() + "\n"
+
+
+def _toml_lines(table: Params, prefix: str, sources: Mapping[str, str], comments: bool) -> Iterator[str]:
+    tables: list[tuple[str, Params]] = []
+    for name, info in type(table).model_fields.items():
+        key = info.alias or name
+        value = getattr(table, name)
+        if isinstance(value, Params):
+            tables.append((key, value))
+        else:
+            yield from _toml_key(key, value, info, sources.get(f"{prefix}{key}"), comments)
+    for key, value in tables:
+        yield ""
+        if comments and (documentation := type(value).__doc__):
+            yield f"# {documentation.strip().splitlines()[0]}"
+        yield f"[{prefix}{key}]"
+        yield from _toml_lines(value, f"{prefix}{key}.", sources, comments)
+
+
+def _toml_key(key: str, value: Any, info: FieldInfo, source: str | None, comments: bool) -> Iterator[str]:
+    origin = f"  # from: {source}" if comments and source else ""
+    if comments and info.description:
+        yield f"# {info.description}"
+    if value is None:
+        if comments:
+            yield f"# {key} ="
+    elif isinstance(value, tuple) and value and isinstance(value[0], Params):
+        rows = (row.model_dump(mode="json", by_alias=True, exclude_defaults=True) for row in value)
+        yield f"{key} = [{origin}"
+        yield from (f"    {{ {', '.join(f'{k} = {json.dumps(v)}' for k, v in row.items())} }}," for row in rows)
+        yield "]"
+    else:
+        # JSON's strings, numbers, booleans and lists are TOML's as well
+        yield f"{key} = {json.dumps(value)}{origin}"
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON schema of the configuration file, for editors and for the reference page."""
+    schema = RunConfig.model_json_schema(by_alias=True)
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "prc configuration"
+    preset = {"type": "string", "enum": list(PRESETS), "description": "published parameters to start from"}
+    schema["properties"] = {"preset": preset, **schema["properties"]}
+    return schema

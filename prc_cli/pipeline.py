@@ -1,0 +1,330 @@
+"""Joins reader, classifier and writer for one file; the functions the commands call.
+
+The data flows one way: ``open_stream`` → blocks of k lines → ``label_blocks`` → writer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, classify_block, initial_state
+from prc_cli.classifiers.returns import label_extra_returns
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import InputError
+from prc_cli.core.files import check_output
+from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import I64, U8
+from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.readers import LAS_SUFFIXES, open_input, suffix_of
+from prc_cli.readers.ranges_clean import clean_ranges
+from prc_cli.readers.regroup import regroup
+from prc_cli.writers import open_writer
+from prc_cli.writers.record import RunRecord, fingerprint
+
+Progress: TypeAlias = Callable[[int], None]
+"""Called with the number of scan lines that were just finished."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Running counts of a stream, passed along with it."""
+
+    n_lines: int
+    n_shots: int
+    n_records: int
+    """Records of the input that have a cell or are a further return, counted by the highest index."""
+    labels: I64
+    """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`; MISSING counts shots."""
+    tally: ReadTally
+
+    @classmethod
+    def none(cls) -> Counts:
+        """Return the counts before the first block."""
+        return cls(0, 0, 0, np.zeros(len(Label), np.int64), ReadTally())
+
+    def add(self, item: LabelledBlock) -> Counts:
+        """Return the counts with one more block."""
+        block = item.block
+        if block.record is None:
+            highest = self.n_shots + block.range_m.size - 1
+        else:
+            highest = int(max(block.record.max(), block.extra.record.max(initial=-1)))
+        labels = np.bincount(item.labels.ravel(), minlength=len(Label))
+        extra = np.bincount(item.extra_labels, minlength=len(Label))
+        return Counts(
+            self.n_lines + block.n_lines,
+            self.n_shots + block.range_m.size,
+            max(self.n_records, highest + 1),
+            self.labels + labels + extra,
+            self.tally + block.tally,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """What a run did."""
+
+    output: Path
+    record: RunRecord
+    """Provenance and what was written, as stored in the output; ``.notices`` is what the user should know."""
+    counts: Counts
+    """Lines, shots and labels of the stream."""
+
+
+def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None) -> ScanStream:
+    """Open any readable input as a stream of blocks.
+
+    Parameters
+    ----------
+    path : path
+        Raw binary, text, LAS/LAZ or array file.
+    config : LoadedConfig or RunConfig, optional
+        How lines, columns and ranges are found (``[input]``, ``[layout]``).
+
+    Returns
+    -------
+    ScanStream
+        ``.info`` says what is known before reading, ``.blocks()`` reads from the start.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged, or holds nothing that a range can be taken from.
+    """
+    loaded = _loaded(config)
+    return open_input(Path(path), loaded.config.input, loaded.config.layout, base=loaded.base)
+
+
+def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlock]:
+    """Classify a stream block by block; what crosses blocks is one state a scanner.
+
+    Parameters
+    ----------
+    blocks : iterator of ScanBlock
+        Blocks of any number of lines.
+    params : PrcParams
+        Parameters of the classifier.
+
+    Yields
+    ------
+    LabelledBlock
+        Blocks of k lines (fewer at the end), in order for each scanner.
+    """
+    states: dict[int, PrcState] = {}
+    for block in regroup(blocks, params.lines_per_block):
+        state = states.get(block.scanner)
+        if state is None:
+            state = initial_state(block.points_per_line)
+        following = np.empty((0, block.points_per_line), np.float32) if block.next_m is None else block.next_m
+        result = classify_block(block.range_m, following, state, params)
+        states[block.scanner] = result.state
+        extra = label_extra_returns(
+            block.range_m,
+            result.labels,
+            block.extra.line,
+            block.extra.column,
+            block.extra.range_m,
+            params.support.zeta_p,
+            params.support.zeta_s,
+        )
+        yield LabelledBlock(block, result.labels, extra, result.segments)
+
+
+def classify(
+    source: Path | str,
+    output: Path | str,
+    config: LoadedConfig | RunConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RunSummary:
+    """Classify one file and write its labels; the output exists whole or not at all.
+
+    Parameters
+    ----------
+    source : path
+        Any readable input.
+    output : path
+        ``.las``, ``.laz``, ``.npy``, ``.csv`` or ``.parquet``.
+    config : LoadedConfig or RunConfig, optional
+        Default: the published urban parameters.
+    overwrite : bool
+        Replace an existing output.
+    progress : callable, optional
+        Called with the number of lines that were just finished.
+
+    Returns
+    -------
+    RunSummary
+        Counts, assumptions and notices; the same record is stored in the output and beside it.
+
+    Raises
+    ------
+    InputError, OutputError, ConfigError
+        See :mod:`prc_cli.core.errors`; nothing is left behind.
+    """
+    loaded = _loaded(config)
+    source, output = Path(source), Path(output)
+    check_output(output, overwrite=overwrite, inputs=(source,))
+    stream = open_stream(source, loaded)
+    before = source.stat()
+    size, digest = fingerprint(source)
+    counts = Counts.none()
+    with open_writer(
+        output,
+        source=source,
+        source_is_las=suffix_of(source) in LAS_SUFFIXES,
+        n_records=stream.info.n_records,
+        points_per_line=stream.info.points_per_line,
+        codes=loaded.config.classes,
+        options=loaded.config.output,
+        overwrite=overwrite,
+    ) as writer:
+        for item in label_blocks(stream.blocks(), loaded.config.prc):
+            writer.add(item)
+            counts = counts.add(item)
+            if progress is not None:
+                progress(item.block.n_lines)
+        after = source.stat()
+        if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+            raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
+        record = writer.finish(run_record(stream.info, counts, loaded.config, size, digest))
+    return RunSummary(output, record, counts)
+
+
+def classify_ranges(range_m: ArrayLike, config: LoadedConfig | RunConfig | None = None) -> U8:
+    """Classify a range image that is in memory.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float, metres
+        Chronological; NaN, infinite or not positive = missing.
+    config : LoadedConfig or RunConfig, optional
+        Default: the published urban parameters.
+
+    Returns
+    -------
+    (lines, M) uint8
+        :class:`prc_cli.core.classes.Label` of every shot.
+
+    Examples
+    --------
+    A wall with one stray shot in front of it:
+
+    >>> image = np.full((6, 9), 20.0)
+    >>> image[3, 4] = 5.0
+    >>> labels = classify_ranges(image)
+    >>> Label(labels[3, 4]).name, Label(labels[0, 0]).name
+    ('NOISE', 'GROUND')
+    """
+    config = _loaded(config).config
+    ranges, tally = clean_ranges(np.asarray(range_m), config.input.min_range, config.input.max_range)
+    if ranges.ndim != 2 or not ranges.size:
+        raise InputError("range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)")
+    block = ScanBlock(first_line=0, range_m=np.ascontiguousarray(ranges), tally=tally)
+    return np.concatenate([item.labels for item in label_blocks(iter([block]), config.prc)])
+
+
+def run_record(info: StreamInfo, counts: Counts, config: RunConfig, size: int, digest: str) -> RunRecord:
+    """Return the provenance of a finished run."""
+    return RunRecord(
+        config=config.to_table(),
+        input_name=Path(info.path).name,
+        input_size=size,
+        input_sha256=digest,
+        format=info.format,
+        points_per_line=info.points_per_line,
+        n_lines=counts.n_lines,
+        n_records=counts.n_records if info.n_records is None else info.n_records,
+        n_missing=int(counts.labels[Label.MISSING]),
+        assumptions=info.assumptions,
+        tally=counts.tally,
+    )
+
+
+def evaluate(
+    predicted: Path | str,
+    reference: Path | str,
+    mapping: ClassMapping | str | Path = "prc",
+    *,
+    predicted_dimension: str | None = None,
+    reference_dimension: str | None = None,
+) -> ConfusionMatrix:
+    """Compare two label files record by record.
+
+    Parameters
+    ----------
+    predicted, reference : path
+        Label files (``.npy``, ``.csv``, ``.parquet``), or any record file that carries codes.
+    mapping : ClassMapping, name or path
+        Which codes mean which class on either side: a preset name, a TOML file or a mapping.
+    predicted_dimension, reference_dimension : str, optional
+        Column or dimension that holds the codes; default ``class``, ``label`` or ``classification``.
+
+    Raises
+    ------
+    InputError
+        When the files hold different numbers of records: matched by order needs equal counts.
+    """
+    from prc_cli.readers.labels import open_codes
+
+    found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
+    left = open_codes(Path(predicted), predicted_dimension)
+    right = open_codes(Path(reference), reference_dimension)
+    matrix = ConfusionMatrix.empty(found)
+    pairs = pair_chunks(left.chunks(), right.chunks(), (str(predicted), str(reference)))
+    for predicted_codes, reference_codes in pairs:
+        matrix = accumulate(matrix, predicted_codes, reference_codes, found)
+    return matrix
+
+
+def pair_chunks(left: Iterator[I64], right: Iterator[I64], names: tuple[str, str]) -> Iterator[tuple[I64, I64]]:
+    """Walk two code streams in equal steps; different lengths are refused with both counts."""
+    rest: list[I64] = [np.empty(0, np.int64), np.empty(0, np.int64)]
+    seen = [0, 0]
+    streams = (left, right)
+    while True:
+        for side in (0, 1):
+            while not rest[side].size:
+                chunk = next(streams[side], None)
+                if chunk is None:
+                    break
+                rest[side] = chunk
+                seen[side] += chunk.size
+        n = min(rest[0].size, rest[1].size)
+        if not n:
+            break
+        yield rest[0][:n], rest[1][:n]
+        rest = [rest[0][n:], rest[1][n:]]
+    for side in (0, 1):
+        seen[side] += sum(chunk.size for chunk in streams[side])
+    if seen[0] != seen[1]:
+        problem = f"{seen[0]} records, but {names[1]} holds {seen[1]}; matching by order needs equal counts"
+        raise InputError(names[0], problem, "give two label files of the same stream")
+
+
+def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:
+    if isinstance(config, LoadedConfig):
+        return config
+    return LoadedConfig(config if config is not None else RunConfig())
+
+
+__all__ = [
+    "Counts",
+    "Progress",
+    "RunSummary",
+    "classify",
+    "classify_ranges",
+    "evaluate",
+    "label_blocks",
+    "open_stream",
+    "pair_chunks",
+]

@@ -1,0 +1,114 @@
+"""Layers, sources, and the messages for wrong keys and values."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from prc_cli.config import PRESETS, RunConfig, json_schema, load_config, parse_assignment, to_toml
+from prc_cli.core.config import merge
+from prc_cli.core.errors import ConfigError, InputError
+
+
+def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text('preset = "forest"\n[prc.support]\nzeta_p = 0.2\n')
+    loaded = load_config(path, options={"prc": {"surfaces": {"gamma": 5}}})
+    assert loaded.config.prc.support.zeta_p == 0.2
+    assert loaded.config.prc.support.zeta_s == 0.01
+    assert loaded.config.prc.surfaces.gamma == 5
+    assert loaded.sources["prc.support.zeta_p"] == str(path)
+    assert loaded.sources["prc.support.zeta_s"] == "preset forest"
+    assert loaded.sources["prc.surfaces.gamma"] == "option"
+    assert "prc.background.alpha" not in loaded.sources
+
+
+def test_the_presets_hold_the_published_values() -> None:
+    urban = load_config(preset="urban").config.prc
+    assert (urban.lines_per_block, urban.support.zeta_s, urban.support.zeta_p) == (99, 1.0, 1.0)
+    assert (urban.surfaces.area, urban.surfaces.gamma, urban.environment) == (30.0, 2, "urban")
+    assert (urban.background.alpha, urban.background.d_c, urban.background.form) == (0.3, 0.05, "centred")
+    assert urban.support.rho_c == 1 / 3
+    assert urban.components.min_votes == 3
+    forest = load_config(preset="forest").config.prc
+    assert (forest.lines_per_block, forest.support.zeta_s, forest.support.zeta_p) == (255, 0.01, 0.01)
+    assert (forest.forest.column_step, forest.forest.density) == (10, 1 / 3)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"prc": {"suport": {}}}, "unknown key 'prc.suport'; did you mean 'support'?"),
+        ({"prc": {"support": {"zeta_q": 1.0}}}, "unknown key 'prc.support.zeta_q'; did you mean 'zeta_"),
+        ({"input": {"point_per_line": 3}}, "did you mean 'points_per_line'?"),
+        ({"prc": {"background": {"alpha": 0.7}}}, "prc.background.alpha: found 0.7, expected:"),
+        ({"prc": {"surfaces": {"area": -3}}}, "prc.surfaces.area"),
+        ({"input": {"lines": "sometimes"}}, "input.lines"),
+        ({"input": {"range": "origin:1,2"}}, "origin:X,Y,Z with three numbers"),
+        ({"input": {"max_range": 1.0, "min_range": 2.0}}, "max_range (1.0 m) above min_range (2.0 m)"),
+        ({"layout": {"fields": [{"name": "range", "type": "complex"}]}}, "layout.fields.0.type"),
+        ({"classes": {"ground": 300}}, "classes.ground: found 300"),
+    ],
+)
+def test_wrong_keys_and_values_name_themselves(table: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_config(options=table)
+    assert message in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_a_file_that_is_not_toml_names_line_and_column(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("[prc\n")
+    with pytest.raises(ConfigError, match="line 1, column 5"):
+        load_config(path)
+    path.write_bytes(b"\xff\xfe")
+    with pytest.raises(ConfigError, match="byte 0 is not UTF-8"):
+        load_config(path)
+    with pytest.raises(InputError, match="No such file"):
+        load_config(tmp_path / "none.toml")
+
+
+def test_unknown_preset_lists_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="expected one of: urban, forest"):
+        load_config(preset="town")
+    path = tmp_path / "run.toml"
+    path.write_text("preset = 3\n")
+    with pytest.raises(ConfigError, match="found 3"):
+        load_config(path)
+
+
+@pytest.mark.parametrize("preset", [None, *PRESETS])
+@pytest.mark.parametrize("comments", [True, False])
+def test_what_is_shown_can_be_read_back(preset: str | None, comments: bool, tmp_path: Path) -> None:
+    layout = {"fields": [{"name": "range", "type": "i4", "scale": 0.001, "missing": 0}], "endian": "big"}
+    loaded = load_config(preset=preset, options={"layout": layout, "input": {"max_range": 99.5}})
+    path = tmp_path / "shown.toml"
+    path.write_text(to_toml(loaded, comments=comments))
+    assert load_config(path).config == loaded.config
+
+
+def test_assignments_are_toml_or_bare_words() -> None:
+    assert parse_assignment("prc.support.zeta_p=0.1") == {"prc": {"support": {"zeta_p": 0.1}}}
+    assert parse_assignment("a=true") == {"a": True}
+    assert parse_assignment("a = word") == {"a": "word"}
+    for wrong in ("a", "=3", "a..b=3"):
+        with pytest.raises(ConfigError, match="expected KEY=VALUE"):
+            parse_assignment(wrong)
+
+
+def test_merge_leaves_its_inputs_alone() -> None:
+    base: dict[str, object] = {"a": {"x": 1}, "b": 1}
+    assert merge(base, {"a": {"y": 2}, "b": {"z": 3}}) == {"a": {"x": 1, "y": 2}, "b": {"z": 3}}
+    assert base == {"a": {"x": 1}, "b": 1}
+
+
+def test_the_schema_names_every_table() -> None:
+    schema = json_schema()
+    json.dumps(schema)
+    assert set(schema["properties"]) == {"preset", *RunConfig.model_fields}
+    shown = tomllib.loads(to_toml(load_config(), comments=False))
+    assert set(shown) <= set(schema["properties"])
