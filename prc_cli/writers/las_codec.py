@@ -1,0 +1,298 @@
+"""Points of LAS and LAZ files as raw records, read and written in batches; laszip through lazrs."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+import lazrs
+import numpy as np
+
+from prc_cli.core.errors import OutputError
+from prc_cli.core.types import U8
+from prc_cli.writers.las_file import LasFile, Source, damaged, open_source
+
+LASZIP_KEY = ("laszip encoded", 22204)
+CHUNK_POINTS = 50_000
+"""Records in a compressed chunk, laszip's own default."""
+_VARIABLE_CHUNKS = 0xFFFFFFFF
+_CHUNK_SIZE_AT = 12  # byte of the chunk size in the laszip VLR
+_BATCH_RECORDS = 400_000
+_BATCH_BYTES = 32 << 20
+_COPY_BYTES = 4 << 20
+
+
+class Target:
+    """An output being written; keeps the system's own error, which lazrs would reword."""
+
+    def __init__(self, handle: BinaryIO) -> None:
+        self._handle = handle
+        self.error: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write all bytes."""
+        try:
+            return self._handle.write(data)
+        except OSError as error:
+            self.error = error
+            raise
+
+    def seek(self, position: int, whence: int = 0) -> int:
+        """Go to a position."""
+        try:
+            return self._handle.seek(position, whence)
+        except OSError as error:  # a seek flushes the buffer, hence may find the disk full
+            self.error = error
+            raise
+
+    def tell(self) -> int:
+        """Return the position."""
+        return self._handle.tell()
+
+    def flush(self) -> None:
+        """Hand the buffer to the system."""
+        try:
+            self._handle.flush()
+        except OSError as error:
+            self.error = error
+            raise
+
+
+class PointSink(Protocol):
+    """Where raw records go."""
+
+    def write(self, records: U8) -> None:
+        """Append (n, record length) uint8 records."""
+
+    def close(self) -> None:
+        """Write what is still held back; the target stands behind the points then."""
+
+
+class LasSink:
+    """Records as they are."""
+
+    def __init__(self, target: Target) -> None:
+        self._target = target
+
+    def write(self, records: U8) -> None:
+        """Append records."""
+        self._target.write(np.ascontiguousarray(records).reshape(-1).data)
+
+    def close(self) -> None:
+        """Nothing is held back."""
+
+
+class LazSink:
+    """Records compressed by laszip; the same bytes whatever the batches and the number of threads."""
+
+    def __init__(self, target: Target, laszip: bytes) -> None:
+        self._target = target
+        with _codec_errors(target):
+            vlr = lazrs.LazVlr(laszip)
+            # the parallel compressor holds whole chunks in memory
+            large = vlr.chunk_size() * vlr.item_size() > _BATCH_BYTES
+            self._compressor = (lazrs.LasZipCompressor if large else lazrs.ParLasZipCompressor)(target, vlr)
+
+    def write(self, records: U8) -> None:
+        """Append records."""
+        with _codec_errors(self._target):
+            self._compressor.compress_many(np.ascontiguousarray(records).reshape(-1))
+
+    def close(self) -> None:
+        """Write the last chunk and the chunk table."""
+        with _codec_errors(self._target):
+            self._compressor.done()
+        self._target.flush()
+        self._target.seek(0, 2)
+
+
+def batch_records(record_length: int) -> int:
+    """Return how many records are handled together: bounded in number and in bytes."""
+    return max(1, min(_BATCH_RECORDS, _BATCH_BYTES // record_length))
+
+
+def read_points(source: Source, las: LasFile, n: int) -> Iterator[U8]:
+    """Read all raw records in batches of up to ``n``; each batch may be changed by the caller.
+
+    Raises
+    ------
+    InputError
+        When the points are cut off or cannot be decompressed.
+    """
+    if las.n_points == 0:
+        return
+    source.seek(las.point_offset)
+    decompressor = _decompressor(source, las) if las.compressed else None
+    for first in range(0, las.n_points, n):
+        records = np.empty((min(n, las.n_points - first), las.record_length), np.uint8)
+        if decompressor is None:
+            source.into(records.reshape(-1).data, f"point record {first} and what follows")
+        else:
+            with _decoding(source, first):
+                decompressor.decompress_many(records.reshape(-1))
+        yield records
+
+
+def tail_bounds(source: Source, las: LasFile) -> tuple[int, int]:
+    """Return where what follows the points begins and ends: EVLRs, waveforms, foreign bytes.
+
+    Behind compressed points this is the end of the chunk table, found by encoding the table again.
+    """
+    if not las.compressed:
+        return las.point_offset + las.n_points * las.record_length, las.size
+    if las.size < las.point_offset + 8:
+        return min(las.size, las.point_offset), las.size
+    source.seek(las.point_offset)
+    table_at = struct.unpack("<q", source.exact(8, "the chunk table offset"))[0]
+    end = las.size
+    if table_at == -1:  # written to a pipe: the offset stands at the very end, and is not needed again
+        end -= 8
+        source.seek(end)
+        table_at = struct.unpack("<q", source.exact(8, "the chunk table offset"))[0]
+    if not las.point_offset < table_at <= end - 8:
+        problem = f"found the chunk table at byte {table_at}, expected it behind the points, before byte {end}"
+        raise damaged(las.path, f"byte {las.point_offset}", problem)
+    laszip = las.vlr(*LASZIP_KEY)
+    assert laszip is not None
+    source.seek(table_at)
+    n_chunks = struct.unpack("<II", source.exact(8, "the chunk table"))[1]
+    if n_chunks > las.size:  # a chunk takes at least a byte
+        raise damaged(las.path, f"byte {table_at}", f"found a table of {n_chunks} chunks in {las.size} bytes")
+    with _decoding(source, 0):
+        vlr = lazrs.LazVlr(laszip.payload)
+        source.seek(table_at)
+        table = lazrs.read_chunk_table_only(source, vlr)
+        again = io.BytesIO()
+        lazrs.write_chunk_table(again, table, vlr)
+    source.seek(table_at)
+    if source.read(len(again.getvalue())) == again.getvalue():
+        return table_at + len(again.getvalue()), end
+    # another encoder's table: what follows is known only from the EVLRs' own offset
+    return (las.evlrs[0].start if las.evlrs else end), end
+
+
+def laszip_payload(las: LasFile, point_format: int, n_extra_bytes: int, *, keep: bool) -> bytes:
+    """Return the laszip VLR for an output: the input's own where its records stay as they are.
+
+    Raises
+    ------
+    OutputError
+        When the compression library cannot write the format.
+    """
+    old = las.vlr(*LASZIP_KEY)
+    if keep and old is not None and not has_variable_chunks(old.payload) and _can_compress(old.payload):
+        return old.payload
+    payload = new_laszip_payload(las.path, point_format, n_extra_bytes)
+    if old is None or has_variable_chunks(old.payload):
+        return payload
+    # other records, but chunks as they were
+    return payload[:_CHUNK_SIZE_AT] + old.payload[_CHUNK_SIZE_AT : _CHUNK_SIZE_AT + 4] + payload[_CHUNK_SIZE_AT + 4 :]
+
+
+def new_laszip_payload(path: Path, point_format: int, n_extra_bytes: int) -> bytes:
+    """Return the laszip VLR of a new file with chunks of :data:`CHUNK_POINTS` records."""
+    try:
+        return bytes(lazrs.LazVlr.new_for_compression(point_format, n_extra_bytes).record_data())
+    except lazrs.LazrsError as error:
+        problem = f"point format {point_format} with {n_extra_bytes} extra bytes cannot be compressed ({error})"
+        raise OutputError(str(path), problem, "write .las instead of .laz") from error
+
+
+def has_variable_chunks(laszip: bytes) -> bool:
+    """Whether compressed chunks differ in length (COPC, for one)."""
+    return bool(struct.unpack_from("<I", laszip, _CHUNK_SIZE_AT)[0] == _VARIABLE_CHUNKS)
+
+
+def check_compressed(path: Path, output: Path, las: LasFile, checksum: int) -> None:
+    """Decompress what was written and compare its CRC-32.
+
+    Waveform packets (formats 9 and 10) of several scanner channels do not survive laszip's third version: found
+    with lazrs 0.8.2, and why this check is made.
+
+    Raises
+    ------
+    OutputError
+        When the records read back are not those that were written.
+    """
+    found = 0
+    with open_source(path) as source:
+        for records in read_points(source, las, batch_records(las.record_length)):
+            found = crc(records, found)
+    if found != checksum:
+        problem = f"LAZ does not hold the waveform packets of these point format {las.point_format} records unchanged"
+        raise OutputError(str(output), problem, "write .las instead of .laz")
+
+
+def crc(records: U8, start: int = 0) -> int:
+    """Continue a CRC-32 over records."""
+    return zlib.crc32(np.ascontiguousarray(records).reshape(-1).data, start)
+
+
+def copy_bytes(source: Source, target: Target, start: int, stop: int) -> None:
+    """Copy a span of the input."""
+    source.seek(start)
+    while start < stop:
+        piece = source.exact(min(_COPY_BYTES, stop - start), "the file")
+        target.write(piece)
+        start += len(piece)
+
+
+def _decompressor(source: Source, las: LasFile) -> Any:
+    laszip = las.vlr(*LASZIP_KEY)
+    if laszip is None:
+        raise damaged(las.path, "byte 104", "found compressed points without a laszip VLR, expected one")
+    with _decoding(source, 0):
+        vlr = lazrs.LazVlr(laszip.payload)
+        if vlr.item_size() != las.record_length:
+            problem = f"found laszip items of {vlr.item_size()} bytes, expected {las.record_length} (record length)"
+            raise damaged(las.path, "laszip VLR", problem)
+        # the parallel decompressor holds whole chunks in memory
+        large = vlr.uses_variable_size_chunks() or vlr.chunk_size() * las.record_length > _BATCH_BYTES
+        kind = lazrs.LasZipDecompressor if large else lazrs.ParLasZipDecompressor
+        return kind(source, laszip.payload)
+
+
+def _can_compress(laszip: bytes) -> bool:
+    """Whether the library writes the item versions that a file was compressed with."""
+    try:
+        with _codec_errors(Target(io.BytesIO())):
+            lazrs.LasZipCompressor(io.BytesIO(), lazrs.LazVlr(laszip))
+    except OutputError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def _decoding(source: Source, first: int) -> Iterator[None]:
+    try:
+        yield
+    except BaseException as error:
+        if source.error is not None:
+            raise source.error from error
+        if not _is_codec_error(error):
+            raise
+        raise damaged(
+            source.path, f"point record {first} and what follows", f"cannot be decompressed ({error})"
+        ) from error
+
+
+@contextlib.contextmanager
+def _codec_errors(target: Target) -> Iterator[None]:
+    try:
+        yield
+    except BaseException as error:
+        if target.error is not None:
+            raise target.error from error
+        if not _is_codec_error(error):
+            raise
+        raise OutputError("LAZ compression", f"failed ({error})", "write .las instead of .laz") from error
+
+
+def _is_codec_error(error: BaseException) -> bool:
+    """Tell a refusal of lazrs, or a panic inside it (which is no Exception), from other errors."""
+    return isinstance(error, lazrs.LazrsError) or type(error).__name__ == "PanicException"

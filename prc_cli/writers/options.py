@@ -1,0 +1,76 @@
+"""The ``[output]`` table: what is written beside the class codes, and how codes above 31 are held."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.config import Params
+from prc_cli.core.errors import ConfigError
+
+HIGH_NOISE_CODE = 18
+"""LAS 1.4 table 17: high noise."""
+
+FIVE_BIT_LIMIT = 32
+"""Point formats 0-5 keep the class in five bits: codes 0 to 31."""
+
+
+class OutputConfig(Params):
+    """What outputs hold (``[output]``)."""
+
+    segment_ids: bool = Field(
+        False,
+        description="add the segment id R_b of every shot: extra bytes uint32 `segment_id`, or a column `segment`",
+    )
+    range: bool = Field(False, description="add the range of every shot [m]: extra bytes float32 `range` (LAS, LAZ)")
+    codes: Literal["upgrade", "below-32"] = Field(
+        "upgrade",
+        description="codes above 31 in LAS point formats 0-5: upgrade = write the matching format 6-10 when such a "
+        "code occurs; below-32 = refuse to start unless every code in [classes] is below 32",
+    )
+    high_noise_beyond: float | None = Field(
+        None, gt=0.0, description="noise farther than this gets code 18 (high noise) [m]; default: never"
+    )
+
+
+def check_codes(codes: ClassCodes, options: OutputConfig) -> None:
+    """Refuse a class table that the chosen outputs may not hold.
+
+    Raises
+    ------
+    ConfigError
+        With ``codes = "below-32"``, naming the first key of ``[classes]`` whose code is above 31.
+
+    Examples
+    --------
+    >>> check_codes(ClassCodes(), OutputConfig())
+    >>> check_codes(ClassCodes(), OutputConfig(codes="below-32"))
+    Traceback (most recent call last):
+    ...
+    prc_cli.core.errors.ConfigError: classes.stem: found code 64, expected a code below 32 because [output] codes = \
+"below-32"; set stem to a code from 19 to 31 in [classes], or codes = "upgrade"
+    """
+    if options.codes != "below-32":
+        return
+    for label in Label:
+        code = codes.code(label)
+        if code >= FIVE_BIT_LIMIT:
+            name = label.name.lower()
+            problem = f'found code {code}, expected a code below {FIVE_BIT_LIMIT} because [output] codes = "below-32"'
+            hint = f'set {name} to a code from 19 to 31 in [classes], or codes = "upgrade"'
+            raise ConfigError(f"classes.{name}", problem, hint)
+
+
+def class_names(codes: ClassCodes, options: OutputConfig) -> dict[int, str]:
+    """Return the class name of every code that an output may hold, high noise included.
+
+    >>> class_names(ClassCodes(), OutputConfig(high_noise_beyond=80))[18]
+    'high_noise'
+    """
+    names = codes.names()
+    if options.high_noise_beyond is not None:
+        shared = names.get(HIGH_NOISE_CODE)
+        names[HIGH_NOISE_CODE] = f"{shared}/high_noise" if shared else "high_noise"
+    return names

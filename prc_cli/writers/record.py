@@ -1,0 +1,172 @@
+"""What made an output: program, effective configuration, input and assumptions, as JSON that never changes.
+
+The same run gives the same bytes: keys are sorted, there are no time stamps and no folders.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from prc_cli import __version__
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import Assumption, ReadTally
+
+PROGRAM = "prc-cli"
+RECORD_SUFFIX = ".prc.json"
+_READ_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class ClassCount:
+    """How many records of an output carry a code."""
+
+    code: int
+    """LAS class code."""
+    name: str
+    """Class name; ``class 12`` for codes that this program did not give."""
+    count: int
+    """Records (LAS, LAZ, label files: entries)."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """One run, as kept in the output (VLR) and beside it (``<output>.prc.json``)."""
+
+    config: Mapping[str, Any]
+    """Effective configuration, nested tables."""
+    input_name: str
+    """File name of the input, without its folder."""
+    input_size: int
+    """Size of the input [bytes]."""
+    input_sha256: str
+    """SHA-256 of the input, hexadecimal."""
+    format: str
+    """Reader name."""
+    points_per_line: int
+    """M, shots in a scan line."""
+    n_lines: int | None = None
+    """Scan lines read."""
+    n_records: int | None = None
+    """Records read; label files get exactly so many entries when it is known."""
+    n_missing: int | None = None
+    """Shots without return."""
+    assumptions: tuple[Assumption, ...] = ()
+    """What the reader took for granted."""
+    tally: ReadTally = field(default_factory=ReadTally)
+    """What the reader met on the way."""
+    classes: tuple[ClassCount, ...] = ()
+    """Records by class code as written; filled in by the writer."""
+    notices: tuple[str, ...] = ()
+    """What the writer had to decide; filled in by the writer."""
+
+    def with_written(self, classes: tuple[ClassCount, ...], notices: tuple[str, ...]) -> RunRecord:
+        """Return the record completed with what a writer wrote."""
+        return replace(self, classes=classes, notices=notices)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record as nested plain values."""
+        return {
+            "program": PROGRAM,
+            "version": __version__,
+            "config": _without_folders(self.config),
+            "input": {"name": self.input_name, "size": self.input_size, "sha256": self.input_sha256},
+            "format": self.format,
+            "stream": {
+                "points_per_line": self.points_per_line,
+                "n_lines": self.n_lines,
+                "n_records": self.n_records,
+                "n_missing": self.n_missing,
+            },
+            "assumptions": [_without_folders(asdict(item)) for item in self.assumptions],
+            "tally": asdict(self.tally),
+            "classes": [asdict(item) for item in self.classes],
+            "notices": list(self.notices),
+        }
+
+    def to_json(self) -> bytes:
+        """Return the record as ASCII JSON, sorted keys, ending in a line feed."""
+        return _dump(self.as_dict())
+
+    def to_json_within(self, limit: int) -> bytes:
+        """Return the record as JSON of at most ``limit`` bytes.
+
+        A record that is too long loses its configuration, then its assumptions and notices, to their SHA-256
+        and counts; ``complete`` tells that the file beside the output has them. JSON is never cut.
+        """
+        whole = self.to_json()
+        if len(whole) <= limit:
+            return whole
+        short = self.as_dict()
+        short["complete"] = False
+        for key in ("config", "assumptions", "notices"):
+            value = short.pop(key)
+            short[f"{key}_sha256"] = hashlib.sha256(_dump(value)).hexdigest()
+            text = _dump(short)
+            if len(text) <= limit:
+                return text
+        message = f"the run record takes {len(text)} bytes even in short form, limit {limit}"
+        raise ValueError(message)
+
+
+def record_path(output: Path) -> Path:
+    """Return the name of the JSON beside an output.
+
+    >>> record_path(Path("drive_classified.laz")).name
+    'drive_classified.laz.prc.json'
+    """
+    return output.with_name(output.name + RECORD_SUFFIX)
+
+
+def fingerprint(path: Path) -> tuple[int, str]:
+    """Return size [bytes] and SHA-256 (hexadecimal) of a file, read in pieces.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "a.bin"
+    >>> _ = path.write_bytes(b"abc")
+    >>> fingerprint(path)[0], fingerprint(path)[1][:8]
+    (3, 'ba7816bf')
+    """
+    digest = hashlib.sha256()
+    size = 0
+    try:
+        with path.open("rb", buffering=0) as handle:
+            while piece := handle.read(_READ_BYTES):
+                digest.update(piece)
+                size += len(piece)
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror or error})"
+        raise InputError(str(path), problem, "check that the file exists and its permissions") from error
+    return size, digest.hexdigest()
+
+
+def _dump(value: Any) -> bytes:
+    return (json.dumps(value, sort_keys=True, indent=1, ensure_ascii=True, allow_nan=False) + "\n").encode("ascii")
+
+
+def _without_folders(value: Any) -> Any:
+    """Replace absolute paths (also behind ``trajectory:``) by file names: runs must not differ by machine."""
+    if isinstance(value, Mapping):
+        return {str(key): _without_folders(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_folders(item) for item in value]
+    if isinstance(value, Path):
+        value = str(value)
+    if isinstance(value, str):
+        head, separator, tail = value.partition(":")
+        for prefix, rest in (("", value), (head + separator, tail)):
+            for kind in (PurePosixPath, PureWindowsPath):
+                if rest and kind(rest).is_absolute():
+                    return prefix + kind(rest).name
+    return value

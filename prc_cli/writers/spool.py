@@ -1,0 +1,148 @@
+"""A column of values by record index, on disk: labels arrive in scan order and are read back in record order.
+
+Scan order and record order differ when several scanners share a file or a file was sorted, so values are
+scattered into a temporary file page by page. Memory stays at a page and a buffer, whatever the file's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from prc_cli.core.types import I64
+
+PAGE_BYTES = 1 << 20
+BUFFER_ITEMS = 1 << 20
+
+
+class Spool:
+    """One value a record in a temporary file; records never written read as ``fill``.
+
+    Parameters
+    ----------
+    path : Path
+        Temporary file, created; the caller removes it after :meth:`close`.
+    dtype : dtype
+        Type of 1, 2, 4 or 8 bytes.
+    fill : scalar
+        Value of records that are never written.
+    n_records : int or None
+        Length of the column; None = one more than the highest record written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> spool = Spool(Path(tempfile.mkdtemp()) / "s", np.uint8, 1, n_records=6)
+    >>> spool.put(np.array([4, 2]), np.array([9, 7], np.uint8))
+    >>> np.concatenate(list(spool.chunks(4)))
+    array([1, 1, 7, 1, 9, 1], dtype=uint8)
+    >>> spool.close()
+    """
+
+    def __init__(self, path: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None) -> None:
+        self._dtype = np.dtype(dtype)
+        self._bits = np.dtype(f"u{self._dtype.itemsize}")
+        # stored as value XOR fill: holes of a file read as zero, hence as the fill value
+        self._mask = np.array([fill], self._dtype).view(self._bits)[0]
+        self._page_items = PAGE_BYTES // self._dtype.itemsize
+        self._n_fixed = n_records
+        self._n_seen = 0
+        self._pending: list[tuple[I64, NDArray[Any]]] = []
+        self._n_pending = 0
+        self._file: BinaryIO = path.open("w+b", buffering=0)
+
+    def __len__(self) -> int:
+        """Return the records in the column so far."""
+        return self._n_seen if self._n_fixed is None else self._n_fixed
+
+    def put(self, record: I64, values: NDArray[Any]) -> None:
+        """Set values by record index; a later value replaces an earlier one.
+
+        Parameters
+        ----------
+        record : (n,) int64
+            Record indices, each >= 0 and below the fixed length if there is one.
+        values : (n,) array of the spool's dtype
+
+        Raises
+        ------
+        IndexError
+            When a record index is out of bounds.
+        """
+        if not len(record):
+            return
+        low, high = int(record.min()), int(record.max())
+        if low < 0 or (self._n_fixed is not None and high >= self._n_fixed):
+            message = f"record {low if low < 0 else high} outside 0..{self._n_fixed}"
+            raise IndexError(message)
+        self._n_seen = max(self._n_seen, high + 1)
+        bits = np.ascontiguousarray(values, self._dtype).view(self._bits) ^ self._mask
+        self._pending.append((np.array(record, np.int64), bits))
+        self._n_pending += len(bits)
+        if self._n_pending >= BUFFER_ITEMS:
+            self._flush()
+
+    def chunks(self, n: int, *, first: int = 0, stop: int | None = None) -> Iterator[NDArray[Any]]:
+        """Read the column in arrays of up to ``n`` values, records ``first`` to ``stop`` (default: all).
+
+        ``stop`` may lie beyond the last record written: what follows reads as the fill value.
+        """
+        self._flush()
+        stop = len(self) if stop is None else stop
+        for start in range(first, stop, n):
+            bits = self._read(start, min(n, stop - start))
+            yield (bits ^ self._mask).view(self._dtype)
+
+    def close(self) -> None:
+        """Close the temporary file."""
+        self._pending.clear()
+        self._file.close()
+
+    def _flush(self) -> None:
+        if not self._pending:
+            return
+        record = np.concatenate([item[0] for item in self._pending])
+        bits = np.concatenate([item[1] for item in self._pending])
+        self._pending.clear()
+        self._n_pending = 0
+        if np.any(record[1:] < record[:-1]):
+            order = np.argsort(record, kind="stable")
+            record, bits = record[order], bits[order]
+        page = record // self._page_items
+        starts = np.flatnonzero(np.concatenate(([True], page[1:] != page[:-1])))
+        for start, stop in zip(starts, [*starts[1:], len(record)], strict=True):
+            self._write(record[start:stop], bits[start:stop])
+
+    def _write(self, record: I64, bits: NDArray[Any]) -> None:
+        """Write sorted records of one page; read it first unless they leave no gap."""
+        first, n = int(record[0]), int(record[-1]) - int(record[0]) + 1
+        if n == len(record) and bool(np.all(np.diff(record) == 1)):
+            span = bits
+        else:
+            span = self._read(first, n)
+            span[record - first] = bits
+        self._file.seek(first * self._bits.itemsize)
+        write_all(self._file, np.ascontiguousarray(span).view(np.uint8).data)
+
+    def _read(self, first: int, n: int) -> NDArray[Any]:
+        span = np.zeros(n, self._bits)
+        view = span.view(np.uint8).data
+        self._file.seek(first * self._bits.itemsize)
+        done = 0
+        while done < len(view):
+            got = self._file.readinto(view[done:])  # type: ignore[attr-defined]
+            if not got:  # beyond what was written: a hole
+                break
+            done += got
+        return span
+
+
+def write_all(handle: BinaryIO, data: memoryview) -> None:
+    """Write to an unbuffered file until nothing is left (a single write may be short)."""
+    done = 0
+    while done < len(data):
+        done += handle.write(data[done:])
