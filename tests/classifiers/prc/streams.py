@@ -1,0 +1,109 @@
+"""Streams that end in ties, and the way from shipped parameters to the oracle's."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from prc_cli.classifiers.prc.pipeline import PrcParams, PrcResult, PrcTrace, initial_state, trace_block
+from prc_cli.classifiers.prc.surfaces import area_threshold
+from prc_cli.core.types import F32, I64, U8
+from prc_cli.kernels.oracle_prc import Settings
+
+TIGHT_LOOK_AHEAD = {1: 4, 2: 2}
+"""Lines of look-ahead that suffice for very short scan lines; two for all others."""
+
+
+def run_blocks(range_m: F32, params: PrcParams, extra_lines: int = 0) -> list[PrcTrace]:
+    """Classify a stream as the program does: k lines and the least look-ahead at a time."""
+    k, width = params.lines_per_block, range_m.shape[1]
+    ahead = TIGHT_LOOK_AHEAD.get(width, 2) + extra_lines
+    state = initial_state(width)
+    traces = []
+    for first in range(0, len(range_m), k):
+        following = range_m[first + k : first + k + ahead]
+        traces.append(trace_block(range_m[first : first + k], following, state, params))
+        state = traces[-1].result.state
+    return traces
+
+
+def run_stream(range_m: F32, params: PrcParams) -> tuple[U8, I64]:
+    """Labels and segments of a whole stream."""
+    results: list[PrcResult] = [trace.result for trace in run_blocks(range_m, params)]
+    return np.concatenate([r.labels for r in results]), np.concatenate([r.segments for r in results])
+
+
+def to_settings(params: PrcParams, points_per_line: int) -> Settings:
+    """Parameters under the oracle's names."""
+    k = params.lines_per_block
+    return Settings(
+        k=k,
+        environment=params.environment,
+        zeta_s=params.support.zeta_s,
+        zeta_p=params.support.zeta_p,
+        rho_c=params.support.rho_c,
+        rounding=params.support.rounding,
+        form=params.background.form,
+        alpha=params.background.alpha,
+        d_c=params.background.d_c,
+        min_votes=params.components.min_votes,
+        area=area_threshold(params.surfaces, k, k, points_per_line),
+        gamma=params.surfaces.gamma,
+        ground=params.urban.ground,
+        column_step=params.forest.column_step,
+        density=params.forest.density,
+        noise_in_ground_columns=params.forest.noise_in_ground_columns,
+    )
+
+
+def pick(rng: Generator, *values: Any) -> Any:
+    return values[rng.integers(len(values))]
+
+
+def random_params(rng: Generator) -> PrcParams:
+    """Parameters at which small streams show everything: every option, small areas, few votes."""
+    return PrcParams.model_validate(
+        {
+            "lines_per_block": pick(rng, 1, 2, 3, 5, 8, 99),
+            "environment": pick(rng, "urban", "forest"),
+            "support": {
+                "zeta_s": pick(rng, 1.0, 0.5, 0.1, 0.01, 1e9),
+                "zeta_p": pick(rng, 1.0, 0.5, 0.1, 0.01, 0.0625),
+                "rho_c": pick(rng, 1 / 3, 1 / 3, 0.25, 0.5, 0.1),
+                "rounding": pick(rng, "ceil", "floor"),
+            },
+            "background": {
+                "form": pick(rng, "centred", "centred", "literal", "abs", "guard"),
+                "alpha": pick(rng, 0.3, 0.25),
+                "d_c": pick(rng, 0.05, 0.0625, 1.0),
+            },
+            "components": {"min_votes": pick(rng, 1, 2, 3)},
+            "surfaces": {"area": pick(rng, 1, 3, 7.5, 12, 30, "auto"), "gamma": pick(rng, 0, 1, 2, 3)},
+            "urban": {"ground": pick(rng, "running-total", "block")},
+            "forest": {
+                "column_step": pick(rng, 1, 3, 10),
+                "density": pick(rng, 1 / 3, 0.5, 0.0),
+                "noise_in_ground_columns": pick(rng, True, False),
+            },
+        }
+    )
+
+
+def random_stream(rng: Generator) -> F32:
+    """Patches at a few ranges, ramps, strays and gaps, on a grid of 1/1000 or 1/16 m, some lines without returns."""
+    n_lines, width = int(rng.integers(1, 22)), int(pick(rng, 1, 2, 3, 4, 5, 8, 17, 33))
+    grid = pick(rng, 0.001, 0.0625)
+    levels = np.array([5.0, 5.5, 6.0, 8.0, 5.1])
+    patch = (int(rng.integers(1, 6)), int(rng.integers(1, 9)))
+    coarse = rng.integers(len(levels), size=(-(-n_lines // patch[0]), -(-width // patch[1])))
+    image = levels[np.kron(coarse, np.ones(patch, dtype=int))[:n_lines, :width]]
+    image += grid * np.arange(width) * pick(rng, 0, 0, 1, -1, 20)
+    image += grid * rng.integers(-2, 3, image.shape) * pick(rng, 0, 1, 4)
+    strays = rng.random(image.shape) < pick(rng, 0.0, 0.05, 0.3)
+    image[strays] = rng.integers(1, 100, np.count_nonzero(strays)) * 0.5
+    image[rng.random(image.shape) < pick(rng, 0.0, 0.05, 0.4)] = np.nan
+    image[rng.random(n_lines) < pick(rng, 0.0, 0.0, 0.2)] = np.nan
+    stream: F32 = image.astype(np.float32)
+    return stream

@@ -1,0 +1,150 @@
+"""A run must never fail because of where compiled code is kept."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numba
+import pytest
+
+from prc_cli.kernels import cache
+
+MODULE = """
+from prc_cli.kernels.cache import kernel
+
+@kernel("int64(int64)")
+def twice(number):
+    return 2 * number
+"""
+
+needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
+posix_only = pytest.mark.skipif(os.name == "nt", reason="POSIX permissions")
+
+
+@pytest.fixture(autouse=True)
+def _forget_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path / "user")
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    cache._writable_cache.cache_clear()
+    yield
+    cache._writable_cache.cache_clear()
+
+
+def blocked(tmp_path: Path) -> Path:
+    """A folder that nobody can create, root included."""
+    (tmp_path / "file").write_text("")
+    return tmp_path / "file" / "folder"
+
+
+def compile_module(tmp_path: Path) -> ModuleType:
+    path = tmp_path / "some_kernels.py"
+    path.write_text(MODULE)
+    specification = importlib.util.spec_from_file_location("some_kernels", path)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    sys.modules["some_kernels"] = module
+    try:
+        specification.loader.exec_module(module)
+    finally:
+        del sys.modules["some_kernels"]
+    return module
+
+
+def compiled_files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*.nb?"))
+
+
+@needs_compiler
+def test_compiled_code_goes_to_the_users_cache_folder(tmp_path: Path) -> None:
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    assert compile_module(tmp_path).twice(21) == 42
+    assert len(compiled_files(tmp_path / "user" / "numba")) == 2
+    assert not compiled_files(tmp_path / "__pycache__")
+    assert before == numba.config.CACHE_DIR, "the user's own functions are none of our business"  # type: ignore[attr-defined]
+
+
+@needs_compiler
+def test_second_import_takes_the_compiled_code(tmp_path: Path) -> None:
+    compile_module(tmp_path)
+    again: Any = compile_module(tmp_path)
+    assert sum(again.twice.stats.cache_hits.values()) == 1
+
+
+@needs_compiler
+def test_users_choice_of_folder_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
+    assert compile_module(tmp_path).twice(21) == 42
+    assert compiled_files(tmp_path / "chosen")
+    assert not (tmp_path / "user").exists()
+
+
+def test_users_choice_that_cannot_be_written_means_no_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(blocked(tmp_path)))
+    assert compile_module(tmp_path).twice(21) == 42
+    assert not (tmp_path / "user").exists()
+
+
+def test_unwritable_cache_folder_falls_back_to_a_private_temporary_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
+    assert compile_module(tmp_path).twice(21) == 42
+    folder = cache._writable_cache()
+    assert folder is not None
+    assert folder.parent == tmp_path / "temporary"
+    if os.name != "nt":
+        assert folder.stat().st_mode & 0o077 == 0
+
+
+@posix_only
+def test_temporary_folder_that_others_can_write_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
+    folder = cache._temporary_cache()
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+    assert cache._writable_cache() is None
+
+
+@posix_only
+def test_temporary_folder_of_somebody_else_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
+    folder = cache._temporary_cache()
+    folder.mkdir(parents=True)
+    me = os.getuid()
+    monkeypatch.setattr(cache, "_temporary_cache", lambda: folder)
+    monkeypatch.setattr(os, "getuid", lambda: me + 1)
+    assert cache._writable_cache() is None
+
+
+def test_nothing_writable_at_all_still_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(blocked(tmp_path)))
+    assert compile_module(tmp_path).twice(21) == 42
+    assert cache._writable_cache() is None
+
+
+@needs_compiler
+@pytest.mark.parametrize("damage", [b"", b"\x80", b"not a pickle at all"])
+def test_damaged_cache_is_done_without(tmp_path: Path, damage: bytes) -> None:
+    compile_module(tmp_path)
+    files = compiled_files(tmp_path / "user")
+    assert files
+    for path in files:
+        path.write_bytes(damage)
+    assert compile_module(tmp_path).twice(21) == 42
+
+
+@needs_compiler
+def test_mistake_in_a_kernel_is_not_hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules[__name__], "MODULE", MODULE.replace("2 * number", "number.spam"))
+    with pytest.raises(numba.core.errors.TypingError):
+        compile_module(tmp_path)

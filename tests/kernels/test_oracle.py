@@ -1,0 +1,195 @@
+"""Every kernel against its slow twin, bit for bit, on data that ends in ties."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Callable, Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.random import Generator
+
+from prc_cli import kernels
+from prc_cli.core.types import F32, I32, Mask
+from prc_cli.kernels import KERNELS, load_kernels, oracle, oracle_prc
+
+SHAPES = [(1, 1), (1, 2), (2, 1), (7, 1), (1, 9), (3, 2), (4, 3), (5, 5), (2, 17), (9, 40)]
+
+
+def window(rng: Generator, n_lines: int, n_columns: int) -> F32:
+    """Ranges on the millimetre or 1/16 grid around a few levels, with missing shots and absent ends."""
+    reach = max(n_columns + 1, 4)
+    size = n_lines * n_columns + 2 * reach
+    if rng.random() < 0.5:
+        ranges = rng.choice([5.0, 5.5, 6.0, 7.0], size) + rng.integers(-8, 9, size) / 16
+    else:
+        ranges = rng.choice([5.0, 5.1, 6.0, 6.1], size) + rng.integers(-3, 4, size) * 0.001
+    ranges[rng.random(size) < rng.choice([0.0, 0.05, 0.5])] = np.nan
+    ranges[: rng.integers(0, reach + 1)] = np.nan
+    ranges[size - rng.integers(0, reach + 1) :] = np.nan
+    return ranges.astype(np.float32)
+
+
+def shape(rng: Generator) -> tuple[int, int]:
+    return SHAPES[rng.integers(len(SHAPES))]
+
+
+def blobs(rng: Generator) -> Mask:
+    image: Mask = rng.random(shape(rng)) < rng.choice([0.0, 0.3, 0.6, 0.8, 1.0])
+    return image
+
+
+def support_case(rng: Generator) -> tuple[Any, ...]:
+    n_lines, n_columns = shape(rng)
+    zetas = [0.0, 1e-45, 1e-9, 0.001, 0.1, float(np.float32(0.1)), 0.0625, 0.5, 1.0, 1e9]
+    zeta_p, zeta_s = (zetas[i] for i in rng.integers(len(zetas), size=2))
+    counts = (int(rng.integers(0, 9)), int(rng.integers(0, 7)))
+    return (window(rng, n_lines, n_columns), n_lines, n_columns, zeta_p, zeta_s, *counts)
+
+
+def background_case(rng: Generator) -> tuple[Any, ...]:
+    n_lines, n_columns = shape(rng)
+    ranges = window(rng, n_lines, n_columns)
+    reach = max(n_columns + 1, 4)
+    valid = ~np.isnan(ranges[reach:-reach]).reshape(n_lines, n_columns)
+    supported = valid & (rng.random((n_lines, n_columns)) < 0.8)
+    alpha = float(rng.choice([0.25, 0.3, 0.125]))
+    return ranges, supported, int(rng.integers(4)), alpha, float(rng.choice([0.05, 0.0625, 0.001, 1.0]))
+
+
+def label_case(rng: Generator) -> tuple[Any, ...]:
+    return (blobs(rng),)
+
+
+def fill_case(rng: Generator) -> tuple[Any, ...]:
+    n_lines, n_columns = shape(rng)
+    components: I32 = rng.integers(0, rng.integers(2, 6), (n_lines, n_columns)).astype(np.int32)
+    return components, (components == 0) & (rng.random((n_lines, n_columns)) < 0.7)
+
+
+def dilate_case(rng: Generator) -> tuple[Any, ...]:
+    return rng.random(shape(rng)) < rng.choice([0.0, 0.02, 0.2]), int(rng.choice([0, 1, 2, 3, 50]))
+
+
+CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "background_mask": background_case,
+    "dilate": dilate_case,
+    "fill_holes": fill_case,
+    "label_components": label_case,
+    "support_mask": support_case,
+}
+
+
+def assert_equal_bits(found: Any, expected: Any) -> None:
+    found, expected = (value if isinstance(value, tuple) else (value,) for value in (found, expected))
+    assert len(found) == len(expected)
+    for one, other in zip(found, expected, strict=True):
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_kernel_equals_its_twin(name: str) -> None:
+    rng = np.random.default_rng(20190)
+    results = set()
+    for _ in range(400):
+        case = CASES[name](rng)
+        found = getattr(kernels, name)(*case)
+        assert_equal_bits(found, getattr(oracle, name)(*case))
+        results.add(np.asarray(found[0] if isinstance(found, tuple) else found).any())
+    assert results == {False, True}, "the data shows only one side"
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 2**32))
+def test_kernel_equals_its_twin_on_any_seed(name: str, seed: int) -> None:
+    case = CASES[name](np.random.default_rng(seed))
+    assert_equal_bits(getattr(kernels, name)(*case), getattr(oracle, name)(*case))
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    zeta=st.floats(0, 1e9),
+    steps=st.integers(-2, 2),
+)
+def test_support_limit_is_exact_at_the_float32_beside_zeta(zeta: float, steps: int) -> None:
+    """A difference is below zeta as real numbers, however zeta falls between two float32 values."""
+    difference = np.float32(zeta)
+    for _ in range(abs(steps)):
+        difference = np.nextafter(difference, np.float32(np.inf if steps > 0 else 0))
+    # zero on both sides: the difference to it is exact
+    case = np.zeros(9 + 2 * 10, dtype=np.float32)
+    case[10 + 4] = difference
+    found = kernels.support_mask(case, 1, 9, zeta, 0.0, 8, 0)
+    assert bool(found[0, 4]) == (float(difference) < zeta)
+
+
+def test_every_kernel_has_a_twin_of_the_same_arguments() -> None:
+    load_kernels()
+    assert set(CASES) == set(KERNELS), "every kernel needs test data"
+    for name, module in KERNELS.items():
+        function = getattr(import_module(module), name)
+        plain = getattr(function, "py_func", function)
+        assert inspect.signature(plain) == inspect.signature(getattr(oracle, name)), name
+
+
+def test_every_compiled_function_is_in_the_table() -> None:
+    for module in set(KERNELS.values()):
+        public = {
+            name
+            for name, value in vars(import_module(module)).items()
+            if callable(value) and getattr(value, "__module__", "") == module and not name.startswith("_")
+        }
+        assert public == {name for name, where in KERNELS.items() if where == module}
+
+
+def test_unknown_kernel_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'sharpen'"):
+        _ = kernels.sharpen
+
+
+@pytest.mark.parametrize("module", [oracle, oracle_prc])
+def test_oracle_knows_nothing_of_what_it_judges(module: Any) -> None:
+    allowed = ("numpy", "scipy", "skimage", "prc_cli.core", "prc_cli.kernels.oracle")
+    standard = {"__future__", "collections", "collections.abc", "dataclasses", "math"}
+    for name in imported_modules(Path(module.__file__)):
+        assert name in standard or name.startswith(allowed), name
+
+
+def imported_modules(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            yield str(node.module)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+
+
+def test_components_are_numbered_in_raster_order() -> None:
+    image = np.array([[0, 0, 1, 0, 1], [1, 0, 1, 0, 1], [1, 0, 1, 1, 1]], dtype=bool)
+    labels, n_components = kernels.label_components(image)
+    assert n_components == 2
+    assert labels.tolist() == [[0, 0, 1, 0, 1], [2, 0, 1, 0, 1], [2, 0, 1, 1, 1]]
+
+
+@pytest.mark.parametrize("shape", [(40, 41), (41, 40)])
+def test_components_of_a_comb_a_spiral_and_a_chessboard(shape: tuple[int, int]) -> None:
+    comb = np.zeros(shape, dtype=bool)
+    comb[:, ::2] = True
+    comb[-1] = True
+    chessboard = np.indices(shape).sum(axis=0) % 2 == 0
+    spiral = np.ones(shape, dtype=bool)
+    for ring in range(1, 18, 2):  # walls with one gap each, on alternating sides
+        spiral[ring, ring:-ring] = spiral[-1 - ring, ring:-ring] = False
+        spiral[ring:-ring, ring] = spiral[ring:-ring, -1 - ring] = False
+        spiral[ring if ring % 4 == 1 else -1 - ring, 20] = True
+    for image, n_expected in ((comb, 1), (chessboard, chessboard.sum()), (spiral, 1)):
+        labels, n_components = kernels.label_components(image)
+        assert n_components == n_expected
+        assert_equal_bits((labels, n_components), oracle.label_components(image))
