@@ -1,1 +1,1 @@
-"""To be described."""
+"""Pictures of ranges, labels and segments."""

@@ -1,1 +1,1 @@
-"""To be described."""
+"""Simulated scans with a reference label for every shot; the data that comes with the package."""
