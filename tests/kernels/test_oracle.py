@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import inspect
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
@@ -193,3 +195,12 @@ def test_components_of_a_comb_a_spiral_and_a_chessboard(shape: tuple[int, int]) 
         labels, n_components = kernels.label_components(image)
         assert n_components == n_expected
         assert_equal_bits((labels, n_components), oracle.label_components(image))
+
+
+def test_reading_the_parameters_does_not_load_the_compiler() -> None:
+    code = (
+        "import sys; import prc_cli.classifiers.prc.pipeline, prc_cli.classifiers.returns; "
+        "print([name for name in ('numba', 'scipy', 'skimage') if name in sys.modules])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prc_cli import kernels
 from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.components import Components, ComponentsParams, carry_labels, components
 from prc_cli.classifiers.prc.forest import ForestParams, forest
@@ -33,9 +34,8 @@ def support_of(image: list[list[float]] | F32, **params: float | str) -> Mask:
 def background_of(line: list[float], **params: float | str) -> list[int]:
     """G of a single line that is supported wherever there is a range."""
     image = np.array([line], dtype=np.float32)
-    return (
-        background(window_of(image), ~np.isnan(image), BackgroundParams.model_validate(params))[0].astype(int).tolist()
-    )
+    marked = background(window_of(image), ~np.isnan(image), BackgroundParams.model_validate(params))
+    return [int(mark) for mark in marked[0]]
 
 
 def h_of(image: list[list[int]], ids: list[int] | None = None, next_id: int = 0) -> Components:
@@ -104,6 +104,12 @@ def test_reading_3_neighbours_go_by_flat_index() -> None:
     assert support_of(image)[2, 0]
     image[0, 9] = 700.0
     assert not support_of(image)[2, 0]
+
+
+def test_a_shot_does_not_support_itself() -> None:
+    """With one shot a line the flat index i + M - 1 is i itself."""
+    alone = window_of([[5.0], [50.0], [90.0], [20.0], [70.0]])
+    assert not kernels.support_mask(alone, 5, 1, 1.0, 1.0, 0, 1).any()
 
 
 class TestReading4BlockEdges:
