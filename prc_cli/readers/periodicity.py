@@ -1,0 +1,185 @@
+"""How many shots make a scan line, when nobody says: the period of the ranges.
+
+Consecutive scan lines of a mobile scanner see almost the same profile, so the ranges repeat after M shots
+(Lehtola et al. 2019, section II: shot i, i + M and i - M are neighbours). The estimate needs missing shots to be
+part of the stream: where they were left out, lines have no common length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from prc_cli.core.types import F32, F64, I64
+
+MAX_SHOTS = 1 << 21
+"""Most shots looked at, from the start."""
+MIN_LINES = 16
+"""Lines that must be there for a period to be believed."""
+WEAK = 0.35
+"""Strengths below this are no evidence: random ranges, random walks and streams of too few lines stay below."""
+_MULTIPLES = 6
+"""Multiples of the period at which the correlation must be seen to rise again."""
+_MULTIPLES_SEEN = 16
+"""Multiples looked at where the stream is long enough: lines of no common length lose step by then."""
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodEstimate:
+    """Estimate of the shots in a scan line."""
+
+    points_per_line: int | None
+    """M, None if the ranges do not tell."""
+    strength: float
+    """Least rise of the autocorrelation from between the lines to the next line, over the first multiples of
+    M: about 1 and more = lines alike, below :data:`WEAK` = no evidence; 0 if nothing could be computed."""
+    n_shots_used: int
+    """Shots looked at."""
+    reason: str
+    """Why, in plain words."""
+
+
+def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimate:
+    """Estimate M from the autocorrelation of the logarithms of the ranges.
+
+    Missing shots take no part, neither in the products nor in the energies; the correlation at a lag is that
+    of the pairs where both ranges are valid. The smallest lag that rises almost as high above the dip before it
+    as any other is the fundamental; its multiples, where they can be seen, refine it.
+
+    Parameters
+    ----------
+    range_m : (n,) float32
+        Ranges [m] in the order fired, missing shots included as NaN.
+    max_m : int
+        Largest M looked for.
+
+    Returns
+    -------
+    PeriodEstimate
+        ``points_per_line`` is None where the evidence is weak or the stream too short (fewer than
+        :data:`MIN_LINES` lines).
+
+    Examples
+    --------
+    >>> line = 10 + np.random.default_rng(0).random(120).cumsum()
+    >>> estimate_points_per_line(np.tile(line, 20).astype(np.float32)).points_per_line
+    120
+    """
+    flat = np.ravel(range_m)[:MAX_SHOTS].astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        valid = np.isfinite(flat) & (flat > 0)
+    max_lag = min(max_m, len(flat) // MIN_LINES)
+    if np.count_nonzero(valid) < 100 or max_lag < 4:
+        return PeriodEstimate(None, 0.0, len(flat), f"too few ranges: {np.count_nonzero(valid)} of {len(flat)} shots")
+    logs = np.log(np.where(valid, flat, 1.0))
+    # a few wild ranges must not outweigh the rest
+    low, middle, high = np.percentile(logs[valid], (1, 50, 99))
+    signal = np.where(valid, np.clip(logs, low, high) - middle, 0.0)
+    signal[valid] -= signal[valid].mean()
+    if not signal.any():
+        return PeriodEstimate(None, 0.0, len(flat), "all ranges are equal")
+    correlation = _autocorrelation(signal, valid.astype(np.float64), _MULTIPLES * max_lag + max_lag // 2)
+    period = _fundamental(correlation[: max_lag + 1])
+    strength = _comb(correlation, period) if period else 0.0
+    looked = f"{len(flat)} shots, lines of up to {max_lag}"
+    if strength < WEAK:
+        reason = f"no period in the ranges ({looked}): too few lines, missing shots left out, or not in order"
+        return PeriodEstimate(None, strength, len(flat), reason)
+    refined = _refine(correlation, period)
+    reason = f"the ranges repeat after {refined} shots ({looked})"
+    if valid.all():
+        reason += "; no shot is missing: if the input leaves such shots out, this is a mean and no layout"
+    return PeriodEstimate(refined, strength, len(flat), reason)
+
+
+def _autocorrelation(signal: F64, valid: F64, n_lags: int) -> F64:
+    """Correlation of the valid pairs at lags 0 to ``n_lags``, (n_lags + 1,), -1 to 1."""
+    size = fft.next_fast_len(len(signal) + n_lags + 1, real=True)
+    of_signal = fft.rfft(signal, size)
+    of_valid = fft.rfft(valid, size)
+    of_energy = fft.rfft(signal * signal, size)
+    products = fft.irfft(np.abs(of_signal) ** 2, size)[: n_lags + 1]
+    # energies of the earlier and of the later shot of the pairs, missing partners left out
+    earlier = fft.irfft(np.conj(of_energy) * of_valid, size)[: n_lags + 1]
+    later = fft.irfft(np.conj(of_valid) * of_energy, size)[: n_lags + 1]
+    energy = np.sqrt(np.maximum(earlier, 0.0) * np.maximum(later, 0.0))
+    least = 1e-6 * energy[0]
+    correlation: F64 = np.where(energy > least, products / np.maximum(energy, least), 0.0)
+    return np.clip(correlation, -1.0, 1.0)
+
+
+def _fundamental(correlation: F64) -> int:
+    """Return the smallest lag that rises almost as high above the dip before it as any lag does; 0 if none."""
+    dip = np.minimum.accumulate(correlation)
+    rise = correlation - dip
+    peaks = _peaks(correlation)
+    if not len(peaks):
+        return 0
+    highest = rise[peaks].max()
+    first = int(peaks[rise[peaks] >= 0.9 * highest][0])
+    # noise sits on a broad peak: take the highest point before the correlation falls again
+    fallen = np.flatnonzero(rise[first:] < 0.7 * highest)
+    end = first + int(fallen[0]) if len(fallen) else len(correlation)
+    return first + int(np.argmax(correlation[first:end]))
+
+
+def _peaks(correlation: F64) -> I64:
+    inner = correlation[1:-1]
+    return np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:])) + 1
+
+
+def _comb(correlation: F64, period: int) -> float:
+    """Return the least rise at the first multiples of the period above the dip before each."""
+    reach = max(period // 50, 1)
+    rises = []
+    for k in range(1, min(_MULTIPLES_SEEN, (len(correlation) - 1 - reach) // period) + 1):
+        at = correlation[max(k * period - reach, 1) : k * period + reach + 1].max()
+        rises.append(at - correlation[(k - 1) * period : k * period].min())
+    return float(min(rises))
+
+
+def _refine(correlation: F64, period: int) -> int:
+    """Follow the peak to higher multiples: a scene that shifts a little from line to line moves the first one."""
+    refined = float(period)
+    for k in range(2, _MULTIPLES_SEEN + 1):
+        centre = round(k * refined)
+        reach = max(round(0.75 * k), 2)
+        if centre + reach >= len(correlation) or reach * 4 > period:
+            break
+        window = correlation[centre - reach : centre + reach + 1]
+        if window.max() < 0.5 * correlation[period]:
+            break
+        refined = (centre - reach + int(np.argmax(window))) / k
+    return round(refined)
+
+
+def estimate_line_frequency(time_s: F64) -> float | None:
+    """Estimate the scan lines a second from the times at which lines begin.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Time at the start of each line [s]; lines may be missing in between.
+
+    Returns
+    -------
+    float or None
+        Frequency [Hz]; None with fewer than 3 times, or where they do not follow a beat.
+
+    Examples
+    --------
+    >>> estimate_line_frequency(np.array([0.0, 0.02, 0.04, 0.08, 0.10]))
+    50.0
+    """
+    steps = np.diff(time_s[np.isfinite(time_s)])
+    steps = steps[steps > 0]
+    if len(steps) < 2:
+        return None
+    beat = float(np.median(steps))
+    n_lines = np.rint(steps / beat)
+    on_beat = (n_lines >= 1) & (np.abs(steps / beat - n_lines) < 0.1 * np.maximum(n_lines, 1))
+    if np.count_nonzero(on_beat) < 0.8 * len(steps):
+        return None
+    return round(float(n_lines[on_beat].sum() / steps[on_beat].sum()), 9)
