@@ -209,11 +209,12 @@ class ScatterWriter(StagedWriter):
         super().__init__(path, codes, options)
         self._n_records = n_records
         self._with_range = False  # label files have no range column
+        self._with_segments = options.segment_ids
 
     def _start(self) -> None:
         n = self._n_records
         self._code_spool = self._spool(np.uint8, self._codes.unclassified, n)
-        self._segment_spool = self._spool(np.uint32, 0, n) if self._options.segment_ids else None
+        self._segment_spool = self._spool(np.uint32, 0, n) if self._with_segments else None
         self._range_spool = self._spool(np.float32, np.nan, n) if self._with_range else None
 
     def _add(self, block: LabelledBlock) -> None:

@@ -28,6 +28,7 @@ class LabelFileWriter(ScatterWriter):
         super().__init__(path, codes, options, n_records)
         self._kind = path.suffix.lower()
         if self._kind == ".npy" and options.segment_ids:
+            self._with_segments = False
             self._notice("a .npy output holds class codes only; segment ids need .csv, .parquet, .las or .laz")
         if options.range:
             self._notice("label files hold no ranges; [output] range needs .las or .laz")

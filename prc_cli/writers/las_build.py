@@ -120,7 +120,7 @@ class LasBuilder(StagedWriter):
                 points["segment_id"] = np.where(own, segments[shots.line, shots.column], 0)
             self._fill(points, scan, shots)
             self._count(points["classification"])
-            self._sink.write(points.view(np.uint8).reshape(len(points), -1))
+            self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
 
     def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: _Returns) -> None:
         """Set everything but class and segment, and add to the header's counts and bounds."""

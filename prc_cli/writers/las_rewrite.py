@@ -32,7 +32,16 @@ from prc_cli.writers.las_codec import (
     read_points,
     tail_bounds,
 )
-from prc_cli.writers.las_file import POINT_SIZES, STANDARD_HEADER, Header, LasFile, Source, Vlr, open_source, read_structure
+from prc_cli.writers.las_file import (
+    POINT_SIZES,
+    STANDARD_HEADER,
+    Header,
+    LasFile,
+    Source,
+    Vlr,
+    open_source,
+    read_structure,
+)
 from prc_cli.writers.las_points import FORMAT_FOR_CODES, append_bytes, count_returns, set_classes, upgrade
 from prc_cli.writers.las_tail import Tail, plan_tail
 from prc_cli.writers.las_vlrs import (
