@@ -10,7 +10,7 @@ import numpy as np
 
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F64, U8
-from prc_cli.simulation.houses import FACADE_M, PAVEMENT_Z_M, ROAD_HALF_M, lots_between
+from prc_cli.simulation.houses import FACADE_M, PAVEMENT_Z_M, ROAD_HALF_M, Lots, lots_between
 from prc_cli.simulation.rays import Bounds, Rays, lattice, through_ellipsoid, through_planes
 
 CELL_M = 8.0
@@ -133,8 +133,8 @@ def bodies_between(seed: int, x_low: float, x_high: float) -> Iterator[Body]:
         for cell in range(int(x_low // CELL_M) - 1, int(x_high // CELL_M) + 2):
             yield from _cell(seed, side, cell)
         lots = lots_between(seed, side, x_low, x_high)
-        for i in np.flatnonzero(lots.garden):
-            yield from _garden(seed, side, int(lots.index[i]), float(lots.edge[i]), float(lots.edge[i + 1]))
+        for i in np.flatnonzero(lots.hedged & (np.diff(lots.edge) > 0.1)):
+            yield from _garden(seed, side, lots, int(i))
 
 
 def _cell(seed: int, side: int, cell: int) -> Iterator[Body]:
@@ -191,13 +191,16 @@ def _tree(x: float, y: float, size: float, shape: float) -> Iterator[Body]:
         yield _ellipsoid(place, (0.6 * radius, 0.6 * radius, 0.6 * tall), 0.7)
 
 
-def _garden(seed: int, side: int, lot: int, x_low: float, x_high: float) -> Iterator[Body]:
-    u = lattice(seed, 13, side, lot, np.arange(6)).tolist()
+def _garden(seed: int, side: int, lots: Lots, i: int) -> Iterator[Body]:
+    """Hedge along the pavement; where no house stands behind it, a tree and a bush."""
+    u = lattice(seed, 13, side, lots.index[i], np.arange(6)).tolist()
+    low, high = float(lots.edge[i]), float(lots.edge[i + 1])
     y = side * (FACADE_M + 0.5)
-    z = (PAVEMENT_Z_M, 1.3 + 0.7 * u[0])
-    yield Leaves(Bounds((x_low + 0.4, x_high - 0.4), (y - 0.4, y + 0.4), z), 0.12, box=True)
-    yield from _tree(x_low + 2.0 + (x_high - x_low - 4.0) * u[1], side * (FACADE_M + 4.0 + 4.0 * u[2]), 1.0, u[3])
-    yield _ellipsoid((x_low + 4.0 + 6.0 * u[4], side * (FACADE_M + 3.0), 1.0), (1.6, 1.2, 1.0 + 0.5 * u[5]), 0.3)
+    yield Leaves(Bounds((low, high), (y - 0.45, y + 0.45), (PAVEMENT_Z_M, 1.3 + 0.6 * u[0])), 0.12, box=True)
+    if not lots.built[i]:
+        x = low + (high - low) * (0.35 + 0.3 * u[1])
+        yield from _tree(x, side * (FACADE_M + 5.0 + 3.0 * u[2]), 0.5 * u[4], u[3])
+        yield _ellipsoid((x, side * (FACADE_M + 3.0), 1.0), (1.6, 1.2, 1.0 + 0.5 * u[5]), 0.3)
 
 
 def _cuboid(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float], label: Label) -> Solid:

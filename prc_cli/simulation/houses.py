@@ -37,26 +37,29 @@ _PROFILE = np.array(
 
 @dataclass(frozen=True, slots=True)
 class Lots:
-    """Consecutive lots on one side of a stretch of street."""
+    """Consecutive lots on one side of a stretch of street, each in two parts: the house and the yard beside it."""
 
     index: I64
-    """(n,) int64, number of the lot along the street."""
+    """(n,) int64, number of the part along the street: even = house, odd = yard."""
     edge: F64
-    """(n + 1,) float64, where lots begin and end [m]."""
+    """(n + 1,) float64, where parts begin and end [m]; the yards of terraced houses have no width."""
     built: Mask
-    """(n,) bool, a house stands at the pavement."""
-    garden: Mask
-    """(n,) bool, a hedge stands there; neither = a side street."""
+    """(n,) bool, a house stands here."""
+    hedged: Mask
+    """(n,) bool, a hedge stands along the pavement; neither built nor hedged = a side street."""
     height: F64
     """(n,) float64, of the facade [m]."""
     setback: F64
     """(n,) float64, of the facade behind the building line [m]."""
     backdrop: F64
-    """(n,) float64, distance of the next house behind an open lot, from the building line [m]."""
+    """(n,) float64, distance of the next house behind an open lot, from the building line [m]; inf = none."""
 
 
 def lots_between(seed: int, side: int, x_low: float, x_high: float) -> Lots:
     """Lay out the lots that a stretch of street touches.
+
+    Quarters of four lots are either terraces at the pavement or single houses behind hedges, with side streets and
+    gardens in between.
 
     Parameters
     ----------
@@ -74,15 +77,22 @@ def lots_between(seed: int, side: int, x_low: float, x_high: float) -> Lots:
 
     borders = np.append(index, index[-1] + 1)
     edge = borders * LOT_M + (chance(0, borders) - 0.5) * 6.0
-    kind = chance(1)
+    house = chance(1) < 0.76
+    garden = ~house & (chance(1) < 0.89)
+    single = house & (chance(5, index // 4) < 0.55)
+    yard = np.where(single, 3.5 + 2.5 * chance(6), 0.0)
+    storeys = np.where(single, 2 + np.floor(chance(2) * 2), 3 + np.floor(chance(2) * 4))
+    setback = np.where(single, 3.0, np.floor(chance(3) * 4) * 0.25)
+    backdrop = np.where((single | garden) & (chance(7) < 0.6), np.inf, 20.0 + 30.0 * chance(4))
+    parts = np.stack([2 * index, 2 * index + 1], axis=1)
     return Lots(
-        index=index,
-        edge=edge,
-        built=kind < 0.76,
-        garden=(kind >= 0.76) & (kind < 0.89),
-        height=_STOREY_M * (3 + np.floor(chance(2) * 4)) + 1.0,
-        setback=np.floor(chance(3) * 4) * 0.25,
-        backdrop=20.0 + 30.0 * chance(4),
+        index=parts.ravel(),
+        edge=np.append(np.stack([edge[:-1], edge[1:] - yard], axis=1).ravel(), edge[-1]),
+        built=np.stack([house, house & ~single], axis=1).ravel(),
+        hedged=np.repeat(garden | single, 2),
+        height=np.repeat(_STOREY_M * storeys + 1.0, 2),
+        setback=np.repeat(setback, 2),
+        backdrop=np.repeat(backdrop, 2),
     )
 
 
@@ -172,6 +182,8 @@ def _windows(
     state = lattice(seed, 7, lots.index[lot], storey, column)
     # most panes swallow the shot or mirror it away, some show a curtain, some the room behind
     depth = np.where(state < 0.5, 0.0, np.where(state < 0.75, 0.25, 0.6 + 20.0 * (state - 0.75)))
+    # a shot that rises steeply meets the ceiling of the room before its back wall
+    depth = np.minimum(depth, 0.8 * outward / np.maximum(np.abs(rays.dz), 1e-3))
     seen = pane & (state >= 0.5) & (chance < np.where(state < 0.75, 0.9, 0.45))
     result = np.where(inside, t_pane + np.where(pane, depth, 0.0) / outward, t)
     return result, np.where(pane & ~seen, Label.MISSING, Label.BUILDING).astype(np.uint8)

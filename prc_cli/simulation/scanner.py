@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, F64, U8
+from prc_cli.core.types import F32, F64, U8, Mask
 from prc_cli.simulation.params import StreetParams
 from prc_cli.simulation.rays import Hits, lattice
 
@@ -73,7 +73,7 @@ def scan(hits: Hits, draws: Draws, first_line: int, params: StreetParams) -> tup
     _mix_edges(true_range, label, draws, params.mixed_share)
     noisy = true_range + draws.normal * (params.noise_m + params.noise_per_m * true_range)
     lost = draws.lost < _lost_share(true_range, hits.facing)
-    strays = draws.background < _background_share(np.isinf(hits.t), first_line, params.background_share)
+    strays = draws.background < _background_share(np.isinf(hits.t), first_line, params)
     anywhere = 0.5 + draws.background_range * (params.max_range_m - 0.5)
     noisy = np.where(strays, anywhere, np.where(lost, np.nan, noisy))
     label[strays] = Label.NOISE
@@ -103,20 +103,20 @@ def _lost_share(true_range: F64, facing: F64) -> F64:
     return 0.003 + far + grazing
 
 
-def _background_share(sky: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], first_line: int, share: float) -> F64:
+def _background_share(sky: Mask, first_line: int, params: StreetParams) -> F64:
     """Probability of a range from nowhere; higher in patches of the sky, where bright clouds are."""
-    cloud = np.clip(4.0 * _clouds(first_line, *sky.shape) - 2.2, 0.0, 1.0)
-    return share * np.where(sky, 1.0 + 13.0 * cloud, 1.0)
+    cloud = np.clip(4.0 * _clouds(params.seed, first_line, *sky.shape) - 2.2, 0.0, 1.0)
+    return params.background_share * np.where(sky, 1.0 + 13.0 * cloud, 1.0)
 
 
-def _clouds(first_line: int, n_lines: int, points_per_line: int) -> F64:
+def _clouds(seed: int, first_line: int, n_lines: int, points_per_line: int) -> F64:
     """Smooth random field in 0..1, (lines, M) float64: lattice values, blended in between."""
     line = np.arange(first_line, first_line + n_lines)[:, None] / 80.0
     column = np.arange(points_per_line)[None, :] * (18.0 / points_per_line)
     i, j = np.floor(line).astype(np.int64), np.floor(column).astype(np.int64)
     u, v = line - i, column - j
     u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
-    before = lattice(3, i, j) * (1.0 - v) + lattice(3, i, j + 1) * v
-    after = lattice(3, i + 1, j) * (1.0 - v) + lattice(3, i + 1, j + 1) * v
+    before = lattice(seed, 17, i, j) * (1.0 - v) + lattice(seed, 17, i, j + 1) * v
+    after = lattice(seed, 17, i + 1, j) * (1.0 - v) + lattice(seed, 17, i + 1, j + 1) * v
     field: F64 = before * (1.0 - u) + after * u
     return field

@@ -1,4 +1,9 @@
-"""A small simulated street: the embedded input of ``prc demo``, with a reference label for every shot."""
+"""A small simulated street: the embedded input of ``prc demo``, with a reference label for every shot.
+
+Terraces whose walls stand on the pavement alternate with single houses behind hedges. The first are the hard case of
+PRC (the wall foot joins facade and ground), the second the easy one; their mixture decides the building figures, so
+these say how a classifier behaves, not how well it does in a town.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import Assumption, LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.simulation.furniture import bodies_between
@@ -68,7 +74,15 @@ class StreetScan:
         ------
         LabelledBlock
             ``labels`` holds NOISE, GROUND, BUILDING, VEGETATION, CAR, UNCLASSIFIED (posts and signs) or MISSING.
+
+        Raises
+        ------
+        ConfigError
+            When ``lines`` is below 1.
         """
+        if lines < 1:
+            where = "lines"
+            raise ConfigError(where, f"found {lines}, expected at least 1 line in a block")
         params, angle = self.params, self.angle_rad
         for first in range(0, params.n_lines, lines):
             n_lines = min(lines, params.n_lines - first)
