@@ -56,13 +56,15 @@ class Solid:
 
     def cast(self, rays: Rays, chance: F64, depth: F64) -> tuple[F64, U8 | int]:
         """See :meth:`Body.cast`; three of four shots at the glass are lost, the others end a little behind it."""
-        t = through_planes(rays, self.normals, self.offsets).enter
+        way = through_planes(rays, self.normals, self.offsets)
+        t = way.enter
         if self.glass_z is None:
             return t, self.label
         z = rays.z + np.where(np.isfinite(t), t, 0.0) * rays.dz
         glass = (z > self.glass_z[0]) & (z < self.glass_z[1])
         label = np.where(glass & (chance < 0.75), Label.MISSING, self.label).astype(np.uint8)
-        return np.where(glass, t + 2.0 * (chance - 0.75).clip(0.0), t), label
+        inside = np.minimum(t + 2.0 * (chance - 0.75).clip(0.0), way.leave)
+        return np.where(glass, inside, t), label
 
 
 @dataclass(frozen=True, slots=True)

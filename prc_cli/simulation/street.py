@@ -21,6 +21,8 @@ from prc_cli.simulation.params import StreetParams
 from prc_cli.simulation.rays import Hits, Rays, window
 from prc_cli.simulation.scanner import draw, scan
 
+__all__ = ["StreetParams", "StreetScan", "simulate_street"]
+
 LANE_M = -1.6
 """The scanner drives to the right of the crown of the road [m]."""
 LINES_AT_ONCE = 64

@@ -1,0 +1,35 @@
+"""Every label of the real scans has its place in the preset made for them."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.evaluation.mapping import load_mapping
+
+pytestmark = pytest.mark.data
+
+
+@pytest.mark.parametrize("name", ["oakland_1", "oakland_2", "oakland_3"])
+def test_oakland_labels_are_all_listed(real_data: Path, name: str) -> None:
+    with gzip.open(real_data / "oakland" / f"{name}.csv.gz", "rt", encoding="utf-8") as handle:
+        counts = Counter(row["label"] for row in csv.DictReader(handle))
+    codes = np.array([int(label or 0) for label in counts])
+    mapping = load_mapping("oakland")
+    indices = mapping.class_indices(codes, "reference")
+    shots = np.bincount(indices + 1, weights=np.array(list(counts.values())), minlength=5)
+    assert shots[1 + mapping.names("reference").index("ground")] > 0.4 * shots.sum()
+    assert (shots[1:] > 0).all()
+
+
+def test_semantic_kitti_labels_are_all_listed(real_data: Path) -> None:
+    labels = np.fromfile(real_data / "kitti" / "000000.label", dtype="<u4") & 0xFFFF
+    mapping = load_mapping("semantic_kitti")
+    found = np.bincount(mapping.class_indices(labels, "reference") + 1, minlength=6)
+    assert found[0] == np.count_nonzero(labels == 0)
+    assert found[1 + mapping.names("reference").index("ground")] > 0.5 * found.sum()
