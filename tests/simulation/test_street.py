@@ -11,6 +11,7 @@ from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanStream
 from prc_cli.core.types import F32, F64, U8
+from prc_cli.simulation.houses import lots_between
 from prc_cli.simulation.params import StreetParams
 from prc_cli.simulation.street import LANE_M, StreetScan, simulate_street
 
@@ -107,6 +108,23 @@ def test_labels_stand_where_such_things_stand() -> None:
     assert z[car].max() < 2.1
     post = labels == Label.UNCLASSIFIED
     assert np.abs(np.abs(y[post]) - 5.7).max() < 0.35
+
+
+def test_facades_stand_on_the_lots_that_are_built() -> None:
+    scan = street(n_lines=600, points_per_line=900, speed_m_s=8.33, **CLEAN)
+    range_m, labels = simulated(scan)
+    y, z = across(scan, range_m)
+    # the slanted plane meets what is above the scanner ahead of it
+    shot = np.arange(labels.size).reshape(labels.shape)
+    x = shot * 8.33 / (48.0 * 900) + (z - 2.2) * np.tan(np.deg2rad(25.0))
+    facade = (labels == Label.BUILDING) & (np.abs(y) < 9.7)
+    assert (z[facade] > 6.0).sum() > 1000
+    for side in (1, -1):
+        lots = lots_between(1, side, -10.0, 150.0)
+        at = facade & (y * side > 0)
+        lot = np.searchsorted(lots.edge, x[at], side="right") - 1
+        beside = np.minimum(x[at] - lots.edge[lot], lots.edge[lot + 1] - x[at])
+        assert (lots.built[lot] | (beside < 0.8)).all()
 
 
 def test_every_class_is_there_in_earnest() -> None:
