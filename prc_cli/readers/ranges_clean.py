@@ -1,0 +1,60 @@
+"""What counts as a range: everything else becomes missing, and is counted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.stream import ReadTally
+from prc_cli.core.types import F32
+
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+def clean_ranges(
+    range_m: NDArray[Any], min_range: float = 0.0, max_range: float | None = None
+) -> tuple[F32, ReadTally]:
+    """Return ranges that are finite, positive and within bounds; all else as NaN, counted by its reason.
+
+    Judged after rounding to float32, so that a stream gives the same result whether its file holds float32,
+    float64 or decimal text.
+
+    Parameters
+    ----------
+    range_m : array of any shape, float or integer
+        Slant ranges [m]; NaN = missing, not counted. Never modified.
+    min_range : float
+        Ranges at or below are missing [m].
+    max_range : float, optional
+        Ranges beyond are missing [m]; None = no bound.
+
+    Returns
+    -------
+    ranges : array of the same shape, float32
+        A new array [m]; NaN = missing.
+    tally : ReadTally
+        ``n_not_finite`` (infinite, or too large for float32), ``n_not_positive``, ``n_beyond``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> ranges, tally = clean_ranges(np.array([2.5, np.nan, 0.0, -1.0, np.inf, 300.0]), max_range=120.0)
+    >>> ranges.tolist()
+    [2.5, nan, nan, nan, nan, nan]
+    >>> tally.n_not_positive, tally.n_not_finite, tally.n_beyond
+    (2, 1, 1)
+    """
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        ranges: F32 = np.array(range_m, dtype=np.float32)
+        low = np.float32(min(max(min_range, 0.0), _LARGEST))
+        high = np.float32(_LARGEST if max_range is None else min(max_range, _LARGEST))
+        refused = ~((ranges > low) & (ranges <= high))
+        found = ranges[refused]
+        n_not_finite = int(np.count_nonzero(np.isinf(found)))
+        n_not_positive = int(np.count_nonzero(found <= 0)) - int(np.count_nonzero(found == -np.inf))
+    n_nan = int(np.count_nonzero(np.isnan(found)))
+    ranges[refused] = np.nan
+    n_beyond = found.size - n_nan - n_not_finite - n_not_positive
+    return ranges, ReadTally(n_not_finite=n_not_finite, n_not_positive=n_not_positive, n_beyond=n_beyond)
