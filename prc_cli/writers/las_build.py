@@ -107,7 +107,7 @@ class LasBuilder(StagedWriter):
         codes = self._encode(block.labels, scan.range_m)
         extra_codes = self._encode(block.extra_labels, scan.extra.range_m)
         segments = self._segments(block) if self._options.segment_ids else None
-        lines = max(1, batch_records(self._dtype.itemsize) // scan.points_per_line)
+        lines = max(1, batch_records(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
         for first in range(0, scan.n_lines, lines):
             rows = slice(first, first + lines)
             shots = _returns(scan, rows)

@@ -223,7 +223,7 @@ class LasRewriter(ScatterWriter):
         return checksum, returns
 
     def _records(self, las: LasFile, plan: Plan, source: Source) -> Iterator[U8]:
-        n = batch_records(las.record_length)
+        n = batch_records(las.record_length, compressed=las.compressed or plan.compress)
         for records, columns in zip(read_points(source, las, n), self._columns(las.n_points, n), strict=True):
             yield changed(records, columns, las, plan)
 

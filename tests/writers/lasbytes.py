@@ -102,7 +102,7 @@ def without_class(records: Raw, form: int) -> Raw:
 
 
 def classes(parsed: Parsed) -> Raw:
-    return parsed.records[:, 15] & 0x1F if parsed.form < 6 else parsed.records[:, 16]
+    return parsed.records[:, 15] & np.uint8(0x1F) if parsed.form < 6 else parsed.records[:, 16]
 
 
 def vlr_bytes(user: bytes, number: int, payload: bytes) -> bytes:

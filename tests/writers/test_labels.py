@@ -19,7 +19,7 @@ SOURCE = Path("drive.bin")
 
 def read(path: Path) -> np.ndarray:
     if path.suffix == ".npy":
-        return np.load(path)
+        return np.asarray(np.load(path))
     if path.suffix == ".csv":
         with path.open(newline="") as handle:
             rows = list(csv.DictReader(handle))
@@ -27,7 +27,7 @@ def read(path: Path) -> np.ndarray:
         return np.array([int(row["class"]) for row in rows], np.uint8)
     table = pq.read_table(path)
     assert table["record"].to_pylist() == list(range(len(table)))
-    return table["class"].to_numpy()
+    return np.asarray(table["class"].to_numpy())
 
 
 SUFFIXES = [".npy", ".csv", ".parquet"]

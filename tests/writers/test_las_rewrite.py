@@ -8,13 +8,14 @@ import json
 import shutil
 import struct
 from pathlib import Path
+from typing import Any
 
 import laspy
 import lazrs
 import numpy as np
 import pytest
 
-from prc_cli.core.classes import ClassCodes
+from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.writers import OutputConfig, fingerprint
 from prc_cli.writers.las_codec import LASZIP_KEY
@@ -38,7 +39,7 @@ EVLRS = (evlr_bytes(b"nobody", 5, b"abc" * 50), evlr_bytes(b"LASF_Spec", 65535, 
 UPGRADED = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
 
 
-def rewrite(source: Path, output: Path, *, of: tuple[int, ...] = URBAN, **changes: object) -> tuple[Parsed, np.ndarray]:
+def rewrite(source: Path, output: Path, *, of: tuple[Label, ...] = URBAN, **changes: Any) -> tuple[Parsed, np.ndarray]:
     n = n_points(source.read_bytes())
     labels = random_labels(n, of)
     write(output, source, record_blocks(labels), **changes)
@@ -440,6 +441,29 @@ def test_chunks_of_differing_length_become_equal(tmp_path: Path) -> None:
     record = write(tmp_path / "out.laz", source, record_blocks(random_labels(500)))
     assert any("differing length" in text for text in record.notices)
     assert np.array_equal(without_class(parse(tmp_path / "out.laz").records, 6), without_class(old.records, 6))
+
+
+def test_old_laszip_items_are_written_as_new_ones(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
+    old = make_las(source, 1, n=500, extra=False)
+    laszip = next(vlr for vlr in old.vlrs if vlr[2:].startswith(b"laszip"))
+    first = bytearray(laszip)
+    for item in range(2):
+        first[54 + 34 + 6 * item + 4] = 1  # version
+    _recompress(source, old, laszip, bytes(first))
+    record = write(output, source, record_blocks(random_labels(500)))
+    assert any("older laszip version" in text for text in record.notices)
+    assert laszip in parse(output).vlrs
+    assert np.array_equal(without_class(parse(output).records, 1), without_class(old.records, 1))
+
+
+def test_waveforms_in_a_file_of_their_own_are_pointed_out(tmp_path: Path) -> None:
+    source = tmp_path / "drive.las"
+    data = bytearray(make_las(source, 9).data)
+    data[6] |= 4
+    source.write_bytes(data)
+    record = write(tmp_path / "out.las", source, record_blocks(random_labels(300)))
+    assert any("copy drive.wdp beside the output" in text for text in record.notices)
 
 
 def _recompress(path: Path, old: Parsed, laszip: bytes, changed: bytes, breaks: tuple[int, ...] = ()) -> None:

@@ -20,7 +20,7 @@ def read(spool: Spool, n: int = 1000) -> np.ndarray:
 def test_holes_read_as_the_fill_value(tmp_path: Path, dtype: type, fill: float) -> None:
     spool = Spool(tmp_path / "s", dtype, fill, n_records=10)
     spool.put(np.array([7, 2]), np.array([5, 6], dtype))
-    expected = np.full(10, fill, dtype)
+    expected: np.ndarray = np.full(10, fill, dtype)
     expected[[7, 2]] = [5, 6]
     assert read(spool, 3).tobytes() == expected.tobytes()
     spool.close()

@@ -14,8 +14,8 @@ import pytest
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, OutputError, OutputExistsError
+from prc_cli.core.files import commit
 from prc_cli.writers import OutputConfig
-from prc_cli.writers import base as base_module
 from tests.writers.common import labelled, random_labels, record_blocks, run_record, write, writer
 from tests.writers.lasbytes import make_las
 
@@ -197,14 +197,12 @@ def test_full_disk(tmp_path: Path, tiny_disk: Path, kind: str, suffix: str, n: i
 
 
 def test_a_record_that_cannot_be_named_takes_the_output_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = base_module.commit
-
     def failing(temporary: Path, path: Path) -> None:
         if path.suffix == ".json":
             raise PermissionError(errno.EACCES, "denied", str(path))
-        real(temporary, path)
+        commit(temporary, path)
 
-    monkeypatch.setattr(base_module, "commit", failing)
+    monkeypatch.setattr("prc_cli.writers.base.commit", failing)
     with pytest.raises(OutputError, match="cannot be written"):
         write(tmp_path / "a.npy", Path("in.bin"), record_blocks(random_labels(30)), run_record())
     assert list(tmp_path.iterdir()) == []
