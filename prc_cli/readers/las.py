@@ -142,7 +142,7 @@ class LasSource:
             records = np.frombuffer(raw, dtype=self._layout.dtype)
             yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))
 
-    def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, bytes | bytearray]]:
+    def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, bytes | memoryview]]:
         """Yield the index of the first record and the records as stored, uncompressed."""
         header = self.header
         with self._path.open("rb") as handle:

@@ -22,6 +22,8 @@ from prc_cli.readers.las_header import DAMAGED, LasHeader, damaged
 
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
+_LOOK_BYTES = 4 << 20
+_RUN_BLOCK = 512
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Compressed layers by item type of point formats 6-10; extra bytes (14) have one a byte."""
 
@@ -140,19 +142,19 @@ class LazRecords:
         first_byte = start + np.concatenate(([0], np.cumsum(table[:n_used, 1]))).astype(np.int64)
         return ChunkTable(first_record, first_byte, len(table) - n_used)
 
-    def batches(self, n_max: int, selection: int) -> Iterator[tuple[int, bytearray]]:
+    def batches(self, n_max: int, selection: int) -> Iterator[tuple[int, memoryview]]:
         """Decode from the start.
 
         Parameters
         ----------
         n_max : int
-            Most records of a batch; batches are whole chunks where they fit.
+            Most records of a batch; batches begin with a chunk where whole chunks fit.
         selection : int
             Layers to decode (``lazrs.SELECTIVE_DECOMPRESS_*``), point formats 6-10 only.
 
         Yields
         ------
-        (int, bytearray)
+        (int, memoryview)
             Index of the first record, the records.
 
         Raises
@@ -166,7 +168,7 @@ class LazRecords:
         largest = int(np.diff(self.table.first_record).max())
         # the parallel decoder sizes its buffers by the declared chunk, full or not
         declared = lazrs.LazVlr(self._vlr_data).chunk_size()
-        whole = largest <= n_max and (declared * size <= _SERIAL_BYTES or self._variable())
+        whole = largest * size <= _SERIAL_BYTES and (declared * size <= _SERIAL_BYTES or self._variable())
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
         with lazrs_errors(self._where, "the compressed records cannot be opened"):
             decoder = self._open(kind, selection)
@@ -175,14 +177,19 @@ class LazRecords:
         while chunk < n_chunks:
             first = int(self.table.first_record[chunk])
             end = max(int(np.searchsorted(self.table.first_record, first + n_max, side="right")) - 1, chunk + 1)
-            self._check_layers(chunk, end)
+            # a handle of its own: the decoder must find the other one where it left it
+            with Path(self._where).open("rb") as handle:
+                self._check_layers(handle, chunk, end)
+                self._check_runs(handle, chunk, end)
             stop = int(self.table.first_record[end])
-            for begin in range(first, stop, n_max):
-                count = min(n_max, stop - begin)
-                raw = bytearray(count * size)
+            # whole chunks are decoded at once even if they are longer than a batch: only then is damage noticed
+            step = stop - first if whole else n_max
+            for begin in range(first, stop, step):
+                raw = bytearray(min(step, stop - begin) * size)
                 if not self._decode(decoder, raw):
                     raise self._damage(chunk, end, begin, kind)
-                yield begin, raw
+                for start in range(0, len(raw), n_max * size):
+                    yield begin + start // size, memoryview(raw)[start : start + n_max * size]
             chunk = end
 
     def _variable(self) -> bool:
@@ -227,30 +234,54 @@ class LazRecords:
         )
         return InputError(self._where, problem, DAMAGED)
 
-    def _check_layers(self, first: int, end: int) -> None:
+    def _check_layers(self, handle: BinaryIO, first: int, end: int) -> None:
         """Compare the sizes that chunks of point formats 6-10 declare of themselves with the chunk table."""
         if self._items[0][0] < 10:
             return
         n_layers = sum(_LAYERS.get(kind, n_bytes) for kind, n_bytes in self._items)
         layout = struct.Struct(f"<{1 + n_layers}I")
         size = self._header.record_bytes
-        first_byte, first_record = (
-            a[first : end + 1].tolist() for a in (self.table.first_byte, self.table.first_record)
-        )
-        # a handle of its own: the decoder must find the other one where it left it
-        with Path(self._where).open("rb") as handle:
-            for k, chunk in enumerate(range(first, end)):
-                begin, n_bytes = first_byte[k], first_byte[k + 1] - first_byte[k]
-                n_records = first_record[k + 1] - first_record[k]
-                handle.seek(begin + size)
-                head = handle.read(layout.size)
-                held, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
-                what = f"LAZ chunk {chunk} (from record {first_record[k]})"
-                if held < n_records or (held > n_records and chunk < len(self.table.first_byte) - 2):
-                    raise damaged(self._where, begin + size, f"{what} holds {held} records, expected {n_records}")
-                claimed = size + layout.size + sum(layers)
-                if claimed > n_bytes:
-                    raise damaged(self._where, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
+        first_byte = self.table.first_byte[first : end + 1].tolist()
+        first_record = self.table.first_record[first : end + 1].tolist()
+        for k, chunk in enumerate(range(first, end)):
+            begin, n_bytes = first_byte[k], first_byte[k + 1] - first_byte[k]
+            n_records = first_record[k + 1] - first_record[k]
+            handle.seek(begin + size)
+            head = handle.read(layout.size)
+            held, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
+            what = f"LAZ chunk {chunk} (from record {first_record[k]})"
+            if held < n_records or (held > n_records and chunk < len(self.table.first_byte) - 2):
+                raise damaged(self._where, begin + size, f"{what} holds {held} records, expected {n_records}")
+            claimed = size + layout.size + sum(layers)
+            if claimed > n_bytes:
+                raise damaged(self._where, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
+
+    def _check_runs(self, handle: BinaryIO, first: int, end: int) -> None:
+        """Refuse chunks with a long run of 0xFF, as bad blocks of a disk leave them.
+
+        The decoder of times calls itself once for every such code (lazrs 0.8) until its stack is used up, which
+        ends the process. Compressed data look random: a run of this length does not occur in sound files.
+        """
+        position, stop = int(self.table.first_byte[first]), int(self.table.first_byte[end])
+        handle.seek(position)
+        while position < stop:
+            raw = np.frombuffer(handle.read(min(_LOOK_BYTES, stop - position)), np.uint8)
+            if not len(raw):
+                return
+            # a run of twice the block covers a whole block wherever it begins
+            blocks = raw[: len(raw) // _RUN_BLOCK * _RUN_BLOCK].reshape(-1, _RUN_BLOCK)
+            suspects = np.flatnonzero(blocks[:, 0] == 0xFF)
+            full = suspects[(blocks[suspects] == 0xFF).all(axis=1)]
+            if len(full):
+                byte = position + int(full[0]) * _RUN_BLOCK
+                chunk = int(np.searchsorted(self.table.first_byte, byte, side="right")) - 1
+                bounds = self.table.first_record[chunk : chunk + 2]
+                problem = (
+                    f"records {bounds[0]} to {bounds[1] - 1} cannot be decompressed: LAZ chunk {chunk} holds "
+                    f"{_RUN_BLOCK} bytes of 0xFF in a row, expected compressed records"
+                )
+                raise damaged(self._where, byte, problem)
+            position += len(raw)
 
 
 @contextlib.contextmanager
