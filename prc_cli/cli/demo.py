@@ -1,0 +1,50 @@
+"""``prc demo``: the main job without any data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from prc_cli.cli.report import console, line_progress, print_classes, print_evaluation
+from prc_cli.config import load_config
+from prc_cli.demo import run_demo
+from prc_cli.evaluation.reports import as_json
+from prc_cli.evaluation.scores import scores
+from prc_cli.simulation.street import StreetParams
+
+
+@click.command()
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    default=Path("prc-demo"),
+    show_default=True,
+    help="Folder for the files.",
+)
+@click.option(
+    "--lines", type=click.IntRange(100, 100_000), default=600, show_default=True, help="Scan lines of the street."
+)
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another street.")
+@click.option("--overwrite", is_flag=True, help="Use a folder that holds files already.")
+@click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
+    r"""Simulate a street, classify it with the urban preset, evaluate it and draw it.
+
+    \b
+    Example: prc demo --output /tmp/prc-demo
+    """
+    config = load_config(preset="urban")
+    params = StreetParams(seed=seed, n_lines=lines)
+    with line_progress("simulated street", quiet=quiet) as progress:
+        result = run_demo(output, config, params, overwrite=overwrite, progress=progress)
+    if json_wanted:
+        click.echo(as_json(result.matrix))
+    if quiet:
+        return
+    print_classes(result.summary)
+    if not json_wanted:
+        print_evaluation(result.matrix, scores(result.matrix))
+    for path in result.files:
+        console().print(f"{path} ({path.stat().st_size:,} bytes)", highlight=False, soft_wrap=True)

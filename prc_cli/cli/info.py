@@ -1,0 +1,111 @@
+"""``prc info``: what a file holds and whether PRC can classify it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from prc_cli.cli import one_line
+from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.report import results
+from prc_cli.core.errors import PrcError
+from prc_cli.inspection import Inspection, inspect
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
+@stream_options
+@output_options
+def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+    r"""Say what FILE holds, what would be taken for granted, and whether PRC can classify it.
+
+    The same options as for classify say how lines, columns and ranges are found.
+
+    \b
+    Example: prc info drive.laz --lines time:200 --columns time:1000000
+    """
+    loaded = config_from(options)
+    found: list[dict[str, Any]] = []
+    code = 0
+    for path in files:
+        try:
+            inspection = inspect(path, loaded)
+        except PrcError as error:
+            click.echo(f"error: {one_line(error)}", err=True)
+            found.append({"path": str(path), "error": str(error), "classifiable": False})
+            code = max(code, error.exit_code)
+            continue
+        found.append(inspection.as_dict())
+        if not as_json and not quiet:
+            _print(inspection, verbose=verbose)
+    if as_json:
+        click.echo(json.dumps(found[0] if len(files) == 1 else found, indent=2))
+    if code:
+        raise SystemExit(code)
+
+
+def _print(inspection: Inspection, *, verbose: bool) -> None:
+    table = Table(title=inspection.path, show_header=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column()
+    for key, value in _rows(inspection, verbose=verbose):
+        table.add_row(key, value)
+    results().print(table)
+
+
+def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
+    rows = [("format", f"{inspection.format}, {inspection.size:,} bytes")]
+    if inspection.header:
+        head = inspection.header
+        rows[0] = (rows[0][0], f"{rows[0][1]}, LAS {head['version']}, point format {head['point_format']}")
+        rows.append(("CRS", str(head.get("crs") or "none in the file").split("\n")[0][:100]))
+    if inspection.n_records is not None:
+        rows.append(("records", f"{inspection.n_records:,}"))
+    if inspection.dimensions:
+        rows.append(("dimensions", ", ".join(inspection.dimensions)))
+    rows.extend(_stream_rows(inspection))
+    if inspection.order is not None:
+        rows.append(("time order", inspection.order.sentence()))
+    rows.extend((f"taken: {item.key}", f"{item.value} ({item.why})") for item in inspection.assumptions)
+    rows.extend(("note", note) for note in inspection.notes)
+    if inspection.facts is not None:
+        counts = asdict(inspection.facts.tally).items()
+        rows.extend((name.removeprefix("n_").replace("_", " "), f"{n:,}") for name, n in counts if n or verbose)
+    if verbose and inspection.header:
+        rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
+    hint = f"; {inspection.hint}" if inspection.hint else ""
+    verdict = f"no: {inspection.problem}{hint}" if inspection.problem else "yes, as it is"
+    rows.append(("PRC can classify it", verdict))
+    return rows
+
+
+def _stream_rows(inspection: Inspection) -> list[tuple[str, str]]:
+    rows = []
+    facts, period = inspection.facts, inspection.period
+    if facts is not None:
+        rows.append(("scan lines", f"{facts.n_lines:,} of {inspection.points_per_line:,} shots"))
+        if len(facts.scanners) > 1:
+            rows.append(("scanners", ", ".join(map(str, facts.scanners))))
+        rows.append(
+            ("missing", f"{facts.n_missing:,} of {facts.n_shots:,} shots ({_share(facts.n_missing, facts.n_shots)})")
+        )
+        if facts.line_hz is not None:
+            rows.append(("line frequency", f"{facts.line_hz:.6g} Hz"))
+        if facts.range_m is not None:
+            low, median, high = facts.range_m
+            rows.append(("ranges", f"{low:.3f} to {high:.3f} m, median {median:.3f} m"))
+        if facts.correlation is not None:
+            rows.append(("spatial correlation", facts.correlation.verdict))
+    if period is not None:
+        estimate = "none" if period.points_per_line is None else f"{period.points_per_line:,}"
+        rows.append(("M estimated", f"{estimate} ({period.reason})"))
+    return rows
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part / whole:.1%}" if whole else "-"

@@ -1,0 +1,212 @@
+"""Each command once per mode, through the same door as a user: output, exit code, files."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli.cli import main
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+
+
+class Result:
+    """Exit code and what was printed."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+class Prc:
+    """Runs ``prc`` in this process."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *arguments: object) -> Result:
+        self._capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main([str(argument) for argument in arguments])
+        captured = self._capsys.readouterr()
+        code = stop.value.code
+        return Result(int(code) if code is not None else 0, captured.out, captured.err)
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+def test_classify_prints_a_summary_on_stderr_and_keeps_stdout_clean(prc: Prc, tmp_path: Path) -> None:
+    source = write_raw(tmp_path / "drive.bin", street())
+    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "urban", "-M", POINTS_PER_LINE)
+    assert (result.code, result.out) == (0, "")
+    assert "ground" in result.err
+    assert f"{N_LINES} lines of {POINTS_PER_LINE} shots" in result.err
+    assert np.load(tmp_path / "labels.npy").shape == (N_LINES * POINTS_PER_LINE,)
+
+
+def test_quiet_prints_nothing_and_json_goes_to_stdout(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    result = prc("classify", source, tmp_path / "labels.csv", "--quiet")
+    assert (result.code, result.out, result.err) == (0, "", "")
+    result = prc("classify", source, tmp_path / "labels.parquet", "--quiet", "--json")
+    assert json.loads(result.out)["stream"]["points_per_line"] == POINTS_PER_LINE
+    result = prc("classify", source, tmp_path / "labels.npy", "--verbose")
+    assert "taken for granted" in result.err
+
+
+def test_options_reach_the_classifier(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    layout = tmp_path / "layout.toml"
+    layout.write_text('[layout]\nfields = [{name = "range", type = "f4"}]\n')
+    options = ["--set", "prc.support.zeta_p=0.25", "--segment-ids", "--max-range", "80", "--layout", layout]
+    result = prc("classify", source, tmp_path / "out.las", "--json", "-q", *options)
+    config = json.loads(result.out)["config"]
+    assert config["prc"]["support"]["zeta_p"] == 0.25
+    assert config["output"]["segment_ids"] is True
+    assert config["input"]["max_range"] == 80
+    assert config["layout"]["fields"] == [{"name": "range", "type": "f4", "scale": 1.0, "offset": 0.0, "unit": ""}]
+    las = laspy.read(tmp_path / "out.las")
+    assert las["segment_id"].max() > 1
+    assert las["range"].max() <= 80
+
+
+def test_existing_output_needs_overwrite(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    assert prc("classify", source, tmp_path / "a.npy", "-q").code == 0
+    result = prc("classify", source, tmp_path / "a.npy", "-q")
+    assert result.code == 2
+    assert "exists already" in result.err
+    assert prc("classify", source, tmp_path / "a.npy", "-q", "--overwrite").code == 0
+
+
+def test_info_describes_a_stream(prc: Prc, tmp_path: Path) -> None:
+    source = write_csv(tmp_path / "drive.csv", street())
+    result = prc("info", source)
+    assert result.code == 0
+    assert f"{N_LINES} of {POINTS_PER_LINE} shots" in result.out
+    assert "yes, as it is" in result.out
+    found = json.loads(prc("info", source, "--json").out)
+    assert found["classifiable"] is True
+    assert found["facts"]["n_lines"] == N_LINES
+    assert found["facts"]["n_missing"] == int(np.isnan(street()).sum())
+    assert found["period"]["points_per_line"] == POINTS_PER_LINE
+
+
+def test_info_estimates_m_of_a_raw_dump(prc: Prc, tmp_path: Path) -> None:
+    source = write_raw(tmp_path / "drive.bin", street())
+    found = json.loads(prc("info", source, "--json").out)
+    assert found["classifiable"] is False
+    assert "points_per_line" in found["problem"] + found["hint"]
+    assert found["period"]["points_per_line"] == POINTS_PER_LINE
+    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
+    assert found["classifiable"] is True
+
+
+def test_info_tells_a_shuffled_stream(prc: Prc, tmp_path: Path) -> None:
+    image = street().ravel()
+    np.random.default_rng(3).shuffle(image)
+    source = write_raw(tmp_path / "drive.bin", image.reshape(N_LINES, POINTS_PER_LINE))
+    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
+    assert found["classifiable"] is False
+    assert "not in the order the shots were fired" in found["problem"]
+
+
+def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    result = prc("info", tmp_path / "none.las", source, "--json")
+    found = json.loads(result.out)
+    assert result.code == 1
+    assert "no such file" in found[0]["error"]
+    assert found[1]["classifiable"] is True
+
+
+def test_evaluate_in_every_form_and_its_gates(prc: Prc, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([2, 2, 6, 6, 7, 5], np.uint8))
+    np.save(tmp_path / "b.npy", np.array([2, 6, 6, 6, 7, 5], np.uint8))
+    files = (tmp_path / "a.npy", tmp_path / "b.npy")
+    assert "ground" in prc("evaluate", *files).out
+    assert json.loads(prc("evaluate", *files, "--json").out)["classes"]["building"]["recall"] == pytest.approx(2 / 3)
+    assert prc("evaluate", *files, "--format", "csv").out.startswith("class,")
+    assert "| reference" in prc("evaluate", *files, "--format", "markdown").out
+    assert prc("evaluate", *files, "--fail-under", "recall.ground=1", "--fail-under", "accuracy=0.8").code == 0
+    result = prc("evaluate", *files, "--fail-under", "recall.building=0.9")
+    assert result.code == 3
+    assert "recall.building: found 0.6667, demanded at least 0.9000" in result.err
+    assert prc("evaluate", *files, "--fail-under", "recall.stem=0.5").code == 3  # undefined has not reached it
+    assert prc("evaluate", *files, "--fail-under", "recall.ground").code == 2
+    assert prc("evaluate", *files, "--fail-under", "recal.ground=0.5").code == 2
+
+
+def test_config_commands(prc: Prc, tmp_path: Path) -> None:
+    shown = prc("config", "show", "--preset", "forest", "--set", "prc.surfaces.gamma=1").out
+    path = tmp_path / "run.toml"
+    path.write_text(shown)
+    assert "# from: preset forest" in shown
+    assert prc("config", "check", path).code == 0
+    assert json.loads(prc("config", "show", "--config", path, "--json").out)["config"]["prc"]["surfaces"]["gamma"] == 1
+    assert "properties" in json.loads(prc("config", "schema").out)
+    path.write_text("[prc.suport]\nzeta_s = 1\n")
+    result = prc("config", "check", path)
+    assert result.code == 2
+    assert "did you mean 'support'?" in result.err
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_scripts_name_the_command(prc: Prc, shell: str) -> None:
+    assert "_PRC_COMPLETE" in prc("completion", shell).out
+
+
+def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
+    folder = tmp_path / "demo"
+    result = prc("demo", "--output", folder, "--lines", "200", "--json", "--quiet")
+    assert result.code == 0, result.err
+    assert json.loads(result.out)["classes"]["ground"]["recall"] > 0.8
+    names = {path.name for path in folder.iterdir()}
+    assert names >= {"street.npz", "street.laz", "street.png", "street_labels.npy", "street_reference.npy"}
+    assert names >= {"street.toml", "evaluation.md", "evaluation.json", "street.laz.prc.json"}
+    result = prc("demo", "--output", folder)
+    assert result.code == 2
+    assert "holds files already" in result.err
+
+
+def test_unknown_commands_and_options_are_usage_errors(prc: Prc) -> None:
+    result = prc("clasify", "a", "b")
+    assert result.code == 2
+    assert "did you mean 'classify'?" in result.err
+    assert prc("classify", "--nonsense").code == 2
+    assert prc("--version").out.startswith("prc, version")
+
+
+def test_a_terminal_gets_a_progress_bar_and_a_pipe_none(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.npy")]
+    piped = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "lines/s" not in piped.stderr
+    assert "\r" not in piped.stderr
+    if os.name != "posix":
+        return
+    import pty
+
+    master, slave = pty.openpty()
+    subprocess.run([*command, "--overwrite"], stderr=slave, check=True)
+    os.close(slave)
+    shown = b""
+    while chunk := _read(master):
+        shown += chunk
+    assert b"drive.npz" in shown
+    assert b"lines" in shown
+
+
+def _read(handle: int) -> bytes:
+    try:
+        return os.read(handle, 65536)
+    except OSError:  # Linux ends a pseudo terminal this way
+        return b""
