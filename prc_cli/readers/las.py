@@ -142,8 +142,8 @@ class LasSource:
             records = np.frombuffer(raw, dtype=self._layout.dtype)
             yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))
 
-    def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, bytes | memoryview]]:
-        """Yield the index of the first record and the records as stored, uncompressed."""
+    def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, memoryview]]:
+        """Yield the index of the first record and the records, uncompressed; valid until the next is asked for."""
         header = self.header
         with self._path.open("rb") as handle:
             if header.compressed:
@@ -151,14 +151,16 @@ class LasSource:
                 yield from LazRecords(self.path, handle, header).batches(self._chunk_records, layers)
                 return
             handle.seek(header.data_offset)
+            # one buffer for all batches: every dimension is copied out before the next one is read
+            buffer = memoryview(bytearray(min(self._chunk_records, header.n_records) * header.record_bytes))
             for first in range(0, header.n_records, self._chunk_records):
-                wanted = min(self._chunk_records, header.n_records - first) * header.record_bytes
-                raw = handle.read(wanted)
-                if len(raw) < wanted:
-                    record = first + len(raw) // header.record_bytes
+                batch = buffer[: min(self._chunk_records, header.n_records - first) * header.record_bytes]
+                found = handle.readinto(batch)
+                if found < len(batch):
+                    record = first + found // header.record_bytes
                     problem = f"the file ends at record {record}, expected {header.n_records}: it changed while read"
                     raise InputError(self.path, problem, DAMAGED)
-                yield first, raw
+                yield first, batch
 
     def describe(self) -> dict[str, Any]:
         """Return what the header says, ready for JSON, for ``prc info``."""
