@@ -260,11 +260,12 @@ class ScatterWriter(StagedWriter):
                 raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
         return n
 
-    def _columns(self, total: int, chunk: int = CHUNK_RECORDS) -> Iterator[Columns]:
+    def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
         """Codes, segment ids and ranges in record order, in chunks."""
+        n = chunk or CHUNK_RECORDS
 
         def read(spool: Spool | None) -> Iterator[Any]:
-            return repeat(None) if spool is None else spool.chunks(chunk, stop=total)
+            return repeat(None) if spool is None else spool.chunks(n, stop=total)
 
         columns = zip(read(self._code_spool), read(self._segment_spool), read(self._range_spool), strict=False)
         for codes, segments, ranges in columns:

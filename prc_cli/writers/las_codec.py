@@ -23,6 +23,7 @@ CHUNK_POINTS = 50_000
 _VARIABLE_CHUNKS = 0xFFFFFFFF
 _CHUNK_SIZE_AT = 12  # byte of the chunk size in the laszip VLR
 _ITEMS_AT = 32  # byte where the items of a record begin: number, then type, size and version of each
+_WAVEPACKET13 = 9  # laszip's item type
 _BATCH_RECORDS = 400_000
 _BATCH_BYTES = 32 << 20
 _COPY_BYTES = 4 << 20
@@ -202,10 +203,17 @@ def laszip_payload(las: LasFile, point_format: int, n_extra_bytes: int, *, keep:
 def new_laszip_payload(path: Path, point_format: int, n_extra_bytes: int) -> bytes:
     """Return the laszip VLR of a new file with chunks of :data:`CHUNK_POINTS` records."""
     try:
-        return bytes(lazrs.LazVlr.new_for_compression(point_format, n_extra_bytes).record_data())
+        payload = bytearray(lazrs.LazVlr.new_for_compression(point_format, n_extra_bytes).record_data())
     except lazrs.LazrsError as error:
         problem = f"point format {point_format} with {n_extra_bytes} extra bytes cannot be compressed ({error})"
         raise OutputError(str(path), problem, "write .las instead of .laz") from error
+    n_items = struct.unpack_from("<H", payload, _ITEMS_AT)[0]
+    for at in range(_ITEMS_AT + 2, _ITEMS_AT + 2 + 6 * n_items, 6):
+        # lazrs calls its only way of coding waveform packets of formats 4 and 5 version 2; LASzip knows the same
+        # bytes as version 1 and refuses any other
+        if struct.unpack_from("<H", payload, at)[0] == _WAVEPACKET13:
+            struct.pack_into("<H", payload, at + 4, 1)
+    return bytes(payload)
 
 
 def has_variable_chunks(laszip: bytes) -> bool:

@@ -177,7 +177,7 @@ class LasRewriter(ScatterWriter):
             self._notice("compressed chunks of differing length were written as chunks of equal length")
         elif same and payload != old.payload:
             self._notice(
-                "the points were compressed with an older laszip version, which cannot be written; the newer is used"
+                "the points were compressed with a version of laszip's items that is not written; the usual one is used"
             )
         return [old.with_payload(payload) if vlr.key == LASZIP_KEY else vlr for vlr in vlrs]
 
