@@ -17,10 +17,8 @@ from prc_cli.core.types import F32, F64, I64
 
 MAX_SHARE_BACK = 1e-4
 """Share of steps that may go back: files written by several threads swap a pair now and then."""
-MAX_STEP_BACK = 1.0
-"""A single step back by more than this [s] joins pieces of a drive in the wrong order."""
-MIN_STEPS = 10_000
-"""Steps that must be seen before a share is judged on the way; at the end any number is."""
+CHECK_RECORDS = 1 << 20
+"""The share is judged after every so many records, wherever chunks are cut, and at the end."""
 RANDOM_PAIRS = 1_000_000
 """Most pairs compared by :func:`range_correlation`."""
 _WEEK_S = 604_800.0
@@ -70,7 +68,7 @@ class OrderEvidence:
     @property
     def is_chronological(self) -> bool:
         """Whether the order is accepted under ``require``."""
-        return self.share_back <= MAX_SHARE_BACK and self.largest_back <= MAX_STEP_BACK
+        return self.share_back <= MAX_SHARE_BACK
 
     def sentence(self) -> str:
         """Say the evidence in one line, without judging it.
@@ -145,6 +143,15 @@ class OrderWatch:
         """
         if record is None:
             record = np.arange(self._n_records, self._n_records + len(values), dtype=np.int64)
+        while len(values):
+            # up to the next check, so that the verdict does not depend on how the input was cut
+            n = CHECK_RECORDS - self._n_records % CHECK_RECORDS
+            self._count(values[:n], record[:n])
+            values, record = values[n:], record[n:]
+            if self._policy == "require" and self._n_records % CHECK_RECORDS == 0:
+                self._judge()
+
+    def _count(self, values: F64, record: I64) -> None:
         self._n_records += len(values)
         finite = np.isfinite(values)
         if not finite.all():
@@ -162,8 +169,6 @@ class OrderWatch:
         if len(back):
             self._n_back += len(back)
             self._keep(before, after, record, back)
-        if self._policy == "require" and self.evidence().n_steps >= MIN_STEPS:
-            self._judge()
 
     def _keep(self, before: F64, after: F64, record: I64, back: I64) -> None:
         """Keep the first and the largest step back."""
