@@ -1,0 +1,139 @@
+"""Raw dumps of fixed-size records, the scanner's own or a converter's, in any numpy field layout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.readers.layout import decode, record_dtype
+from prc_cli.readers.options import Layout
+from prc_cli.readers.records import STANDARD_NAMES, RecordChunk
+
+CHUNK_RECORDS = 1 << 20
+"""Records decoded at a time."""
+CHUNK_BYTES = 64 << 20
+"""Most bytes decoded at a time; fat records make shorter chunks."""
+
+
+class RawBinarySource:
+    """A raw dump as a :class:`prc_cli.readers.records.RecordSource`.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    layout : Layout
+        Its header, byte order and fields (:data:`prc_cli.readers.options.RANGES_ONLY` for float32 ranges alone).
+    chunk_records : int
+        Most records decoded at a time; changes memory and speed, never a value.
+
+    Raises
+    ------
+    ConfigError
+        When the layout contradicts itself.
+    InputError
+        When the file is empty, shorter than its header, ends after it, or ends inside a record.
+    """
+
+    format = "raw binary"
+    """Reader name, for messages and ``prc info``."""
+
+    def __init__(self, path: Path, layout: Layout, chunk_records: int = CHUNK_RECORDS) -> None:
+        self._path = path
+        self._header_bytes = layout.header_bytes
+        self._dtype = record_dtype(layout)
+        self._fields = {item.name: item for item in layout.fields}
+        self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self._dtype.itemsize))
+        self._n_records = self._count()
+
+    def _count(self) -> int:
+        """Return the number of records behind the header; anything but whole records is an error."""
+        with self._open() as handle:
+            size = handle.seek(0, 2)
+        header, each = self._header_bytes, self._dtype.itemsize
+        if not size:
+            problem = f"the file is empty (0 bytes), expected records of {each} bytes"
+            raise InputError(self.path, problem, "copy it from the archive again")
+        if size < header:
+            problem = f"found {size} bytes, fewer than the header of {header} bytes"
+            raise InputError(self.path, problem, "check layout.header_bytes")
+        if size == header:
+            problem = f"nothing follows the header of {header} bytes, expected records of {each} bytes"
+            raise InputError(self.path, problem, "check layout.header_bytes")
+        n_records, rest = divmod(size - header, each)
+        if rest:
+            problem = f"byte {size - rest} (record {n_records}): found {rest} bytes, expected a record of {each} bytes"
+            hint = "copy it from the archive again, or check layout.header_bytes, fields and record_bytes"
+            raise InputError(self.path, problem, hint)
+        return n_records
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return str(self._path)
+
+    @property
+    def n_records(self) -> int:
+        """Number of records, from the size of the file."""
+        return self._n_records
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver, standard names first."""
+        standard = [name for name in STANDARD_NAMES if name in self._fields]
+        return tuple(standard + [name for name in self._fields if name not in standard])
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named fields from the start, in bounded memory, in the order of the file.
+
+        Raises
+        ------
+        ConfigError
+            When a name is none of :attr:`dimensions`.
+        InputError
+            When the file cannot be read or is shorter than it was when opened.
+        """
+        unknown = [name for name in names if name not in self._fields]
+        if unknown:
+            hint = f"the layout has: {', '.join(self.dimensions)}"
+            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the layout", hint)
+        with self._open() as handle:
+            handle.seek(self._header_bytes)
+            for first in range(0, self._n_records, self._chunk_records):
+                records = self._read(handle, first, min(self._chunk_records, self._n_records - first))
+                values = {name: decode(records[name], self._fields[name]) for name in names}
+                yield RecordChunk(first, values, len(records))
+
+    def _read(self, handle: BinaryIO, first: int, wanted: int) -> NDArray[Any]:
+        try:
+            records = np.fromfile(handle, dtype=self._dtype, count=wanted)
+        except OSError as error:
+            problem = f"record {first} and on cannot be read ({error.strerror or error})"
+            raise InputError(self.path, problem, "check the disk or copy the file again") from error
+        if len(records) < wanted:
+            found = first + len(records)
+            at = self._header_bytes + found * self._dtype.itemsize
+            problem = f"byte {at} (record {found}): the file ends, expected {self._n_records} records as when opened"
+            raise InputError(self.path, problem, "it was cut while being read; wait until its writer is done")
+        return records
+
+    def _open(self) -> BinaryIO:
+        try:
+            return self._path.open("rb")
+        except OSError as error:
+            problem = f"cannot be read ({error.strerror or error})"
+            raise InputError(self.path, problem, "check the name and its permissions") from error
+
+    def describe(self) -> dict[str, Any]:
+        """Return the layout in use, ready for JSON, for ``prc info``."""
+        return {
+            "header_bytes": self._header_bytes,
+            "record_bytes": self._dtype.itemsize,
+            "records": self._n_records,
+            "fields": {name: self._dtype[name].str for name in self._fields},
+        }
