@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numba
 import pytest
@@ -73,10 +73,15 @@ def test_compiled_code_goes_to_the_users_cache_folder(tmp_path: Path) -> None:
 
 
 @needs_compiler
-def test_second_import_takes_the_compiled_code(tmp_path: Path) -> None:
-    compile_module(tmp_path)
-    again: Any = compile_module(tmp_path)
-    assert sum(again.twice.stats.cache_hits.values()) == 1
+def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
+    (tmp_path / "some_kernels.py").write_text(MODULE)
+    code = "import some_kernels; print(sum(some_kernels.twice.stats.cache_hits.values()))"
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    hits = [
+        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        for _ in range(2)
+    ]
+    assert hits == ["0\n", "1\n"]
 
 
 @needs_compiler
