@@ -1,0 +1,124 @@
+"""Text files as blocks of whole lines with their line numbers: compression, byte order marks, endless lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Protocol, cast
+
+from prc_cli.core.errors import InputError
+
+BLOCK_BYTES = 4 << 20
+"""Bytes of text read at a time."""
+MAX_LINE_BYTES = 1 << 20
+"""Longest line; a longer one is a file of something else."""
+
+_CODECS = {".gz": "gzip", ".zst": "zstd"}
+_COMPRESSED = {b"\x1f\x8b": ("gzip", ".gz"), b"\x28\xb5\x2f\xfd": ("zstd", ".zst")}
+_UTF8_MARK = b"\xef\xbb\xbf"
+
+
+@dataclass(frozen=True, slots=True)
+class Lines:
+    """Consecutive whole lines."""
+
+    first: int
+    """Number of the first line, from 1, as ``sed -n Np`` counts."""
+    data: bytes
+    """The lines with their ends; only the last line of a file may lack one."""
+
+
+class _Readable(Protocol):
+    def read(self, n: int, /) -> bytes: ...
+
+
+def iter_lines(path: Path, block_bytes: int = BLOCK_BYTES) -> Iterator[Lines]:
+    """Read a text file, compressed if it ends in ``.gz`` or ``.zst``, in blocks of whole lines.
+
+    Parameters
+    ----------
+    path : Path
+        File; a UTF-8 byte order mark is dropped.
+    block_bytes : int
+        Bytes read at a time; never changes a line or its number.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, is no text, is cut short or damaged inside its compression, or has a line
+        longer than :data:`MAX_LINE_BYTES`.
+    """
+    line, rest, at_start = 1, b"", True
+    with _open(path) as handle:
+        while True:
+            found = _read(path, handle, block_bytes, line)
+            if not found:
+                break
+            if at_start:
+                found, at_start = _without_mark(path, handle, found, block_bytes), False
+            data = rest + found
+            end = data.rfind(b"\n") + 1
+            rest = data[end:]
+            if len(rest) > MAX_LINE_BYTES:
+                raise too_long(path, line + data.count(b"\n", 0, end))
+            if end:
+                yield Lines(line, data[:end])
+                line += data.count(b"\n", 0, end)
+    if rest:
+        yield Lines(line, rest)
+
+
+def too_long(path: Path, line: int) -> InputError:
+    """Return the error of a line without end."""
+    problem = f"more than {MAX_LINE_BYTES} bytes without a line end, expected rows of text"
+    return InputError(f"{path}: line {line}", problem, "check that this is a text file with LF or CR LF line ends")
+
+
+@contextmanager
+def _open(path: Path) -> Iterator[_Readable]:
+    codec = _CODECS.get(path.suffix.lower())
+    try:
+        handle = path.open("rb")
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror or error})"
+        raise InputError(str(path), problem, "check the name and its permissions") from error
+    with handle:
+        if codec is None:
+            yield handle
+            return
+        import pyarrow as pa
+
+        with pa.CompressedInputStream(pa.PythonFile(handle, mode="r"), codec) as stream:
+            yield cast("BinaryIO", stream)
+
+
+def _read(path: Path, handle: _Readable, n: int, line: int) -> bytes:
+    try:
+        return handle.read(n)
+    except OSError as error:
+        if path.suffix.lower() in _CODECS:
+            kind = _CODECS[path.suffix.lower()]
+            problem = f"the {kind} stream is cut short or damaged in or after line {line} ({error})"
+            raise InputError(str(path), problem, "copy it from the archive again") from error
+        problem = f"cannot be read after line {line} ({error.strerror or error})"
+        raise InputError(str(path), problem, "check the disk or copy the file again") from error
+
+
+def _without_mark(path: Path, handle: _Readable, found: bytes, block_bytes: int) -> bytes:
+    """Look at the first bytes: drop a byte order mark, refuse what is no text."""
+    while len(found) < 4 and (more := _read(path, handle, block_bytes, 1)):
+        found += more
+    for magic, (kind, suffix) in _COMPRESSED.items():
+        if found.startswith(magic):
+            problem = f"the content is {kind}-compressed, expected text"
+            raise InputError(str(path), problem, f"rename it to {path.name}{suffix}")
+    if found.startswith((b"\xff\xfe", b"\xfe\xff")):
+        hint = "convert it: iconv -f UTF-16 -t UTF-8 IN > OUT"
+        raise InputError(str(path), "the text is UTF-16, expected UTF-8", hint)
+    head = found[:4096]
+    if b"\0" in head:
+        problem = f"byte {head.index(0)} is 0, expected a text file in UTF-8"
+        raise InputError(str(path), problem, "raw dumps are read from .bin, .raw and .dat files")
+    return found.removeprefix(_UTF8_MARK)
