@@ -1,0 +1,206 @@
+"""Lists of records to the stream of blocks, the same way for every format.
+
+Which line, column and range a record has is decided here and nowhere else: rules (:mod:`.grid_rules`), what must
+be known beforehand (:mod:`.grid_setup`), whole lines out of chunks (:mod:`.grid_lines`, :mod:`.grid_read`), cells
+(:mod:`.grid_cells`). Memory stays at a chunk of records and the open lines of every scanner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import F32, F64, I64
+from prc_cli.readers.grid_cells import INTENSITY, MAX_BLOCK_CELLS, RANGE, XYZ, blocks_of
+from prc_cli.readers.grid_lines import RECORD, LineRules, Table
+from prc_cli.readers.grid_read import (
+    check_partial_line,
+    judge_first_records,
+    nothing_placed,
+    open_watch,
+    see_times,
+    table_of,
+    whole_lines,
+)
+from prc_cli.readers.grid_rules import GridRules, given_points_per_line, resolve_rules
+from prc_cli.readers.grid_setup import ScannerSetup, find_setups
+from prc_cli.readers.options import InputConfig
+from prc_cli.readers.ranges import RangeRule, measure_ranges, open_ranges
+from prc_cli.readers.ranges_clean import clean_ranges
+from prc_cli.readers.records import RecordChunk, RecordSource
+from prc_cli.readers.sorting import sorted_by_time
+
+
+def open_grid(
+    source: RecordSource, config: InputConfig, *, base: Path | None = None, line_hz: float | None = None
+) -> ScanStream:
+    """Turn a list of records into the stream.
+
+    Parameters
+    ----------
+    source : RecordSource
+        Decoded records; read once from the start, or twice where M must be found first.
+    config : InputConfig
+        How lines, columns and ranges are found; ``auto`` is resolved and reported in ``info.assumptions``.
+    base : Path, optional
+        Folder that relative paths in the configuration start from.
+    line_hz : float, optional
+        Scan lines a second, where a layout says so [Hz].
+
+    Returns
+    -------
+    ScanStream
+
+    Raises
+    ------
+    InputError
+        When the input does not hold what lines, columns or ranges could be found by.
+    OrderError
+        When that is so and its first records are not in the order they were fired either.
+    ConfigError
+        When the configuration names a dimension that is not there, or M is needed and not given.
+    """
+    records = sorted_by_time(source) if config.order == "sort-time" else source
+    try:
+        rules = resolve_rules(records, config)
+    except InputError:
+        # a file of no lines is often a tile: then its order is the better reason
+        judge_first_records(source, config)
+        raise
+    crs_wkt: str | None = getattr(source, "crs_wkt", None)
+    ranges = open_ranges(rules.range, records.dimensions, source.path, config, base=base, crs_wkt=crs_wkt)
+    m, assumption = given_points_per_line(rules, source)
+    if rules.lines == "fixed" and m is not None and not rules.has_returns and source.n_records is not None:
+        check_partial_line(source.path, source.n_records, m, config)
+    setups, n_lines, found = find_setups(records, rules, m)
+    sizes = [setup.points_per_line for setup in setups.values()] or ([m] if m is not None else [])
+    if not sizes:
+        raise nothing_placed(source.path)
+    if n_lines is None and rules.is_dense and source.n_records is not None:
+        n_lines = -(-source.n_records // max(sizes))
+    info = StreamInfo(
+        path=source.path,
+        format=source.format,
+        points_per_line=max(sizes),
+        n_records=source.n_records,
+        n_lines=n_lines,
+        angle_rad=next(iter(setups.values())).angle_rad if len(setups) == 1 else None,
+        line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
+        assumptions=(*rules.assumptions, *([assumption] if assumption else []), *found),
+    )
+    default = None if m is None else ScannerSetup(m, None, None, None)
+    return GridStream(info, records, rules, ranges, setups, default)
+
+
+@dataclass(frozen=True, slots=True)
+class GridStream:
+    """Records as a stream of blocks; see :func:`open_grid`."""
+
+    info: StreamInfo
+    source: RecordSource
+    rules: GridRules
+    ranges: RangeRule
+    setups: dict[int, ScannerSetup]
+    """By scanner."""
+    default: ScannerSetup | None
+    """For scanners that were not met beforehand; None where that cannot be."""
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
+        return self._dense_blocks() if self.rules.is_dense else self._sparse_blocks()
+
+    def _setup(self, scanner: int) -> ScannerSetup:
+        setup = self.setups.get(scanner, self.default)
+        if setup is None:
+            problem = f"{self.rules.scanner} {scanner} was not there when the file was first read"
+            raise InputError(self.source.path, problem, "the file changed while it was read: run again")
+        return setup
+
+    def _line_rules(self, scanner: int) -> LineRules:
+        setup = self._setup(scanner)
+        return LineRules(self.rules, setup.points_per_line, setup.sweep)
+
+    def _sparse_blocks(self) -> Iterator[ScanBlock]:
+        """Bring every record to its cell, whatever is missing between them."""
+        for whole in whole_lines(self.source, self.rules, self._line_rules, self._carried(), self._prepare):
+            yield from blocks_of(whole, self.rules, self._setup(whole.scanner))
+
+    def _carried(self) -> tuple[str, ...]:
+        """Return the dimensions that are needed beside those that decide the cells."""
+        return (*self.ranges.names, *(("intensity",) if self.rules.has_intensity else ()))
+
+    def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
+        """Add ranges and what goes along with them to the table of a chunk."""
+        found, xyz = measure_ranges(chunk.values, self.ranges)
+        table[RANGE], tally = clean_ranges(found, self.rules.config.min_range, self.rules.config.max_range)
+        if xyz is not None:
+            table[XYZ] = xyz
+        if self.rules.has_intensity:
+            table[INTENSITY] = chunk.values["intensity"]
+        return table, tally
+
+    def _dense_blocks(self) -> Iterator[ScanBlock]:
+        """Cut records that are the cells already into lines; nothing is moved."""
+        setup, config = self._setup(0), self.rules.config
+        m = setup.points_per_line
+        watch = open_watch(self.source, config) if self.rules.has_time else None
+        rest: Table = {}
+        n_records = first_line = 0
+        tally = ReadTally()
+        names = tuple(dict.fromkeys((*self.rules.names, *self._carried())))
+        for chunk in self.source.chunks(names):
+            table, cleaned = self._prepare(chunk, table_of(chunk, self.rules.names))
+            tally += cleaned
+            if watch is not None:
+                tally += see_times(watch, table)
+            n_records += chunk.n
+            table = {name: np.concatenate([rest[name], table[name]]) for name in table} if rest else table
+            n_whole = len(table[RECORD]) // m
+            for start in range(0, n_whole, max(MAX_BLOCK_CELLS // m, 1)):
+                stop = min(start + max(MAX_BLOCK_CELLS // m, 1), n_whole)
+                yield self._dense_block(table, slice(start * m, stop * m), first_line, setup, tally)
+                first_line, tally = first_line + stop - start, ReadTally()
+            rest = {name: column[n_whole * m :].copy() for name, column in table.items()}
+        if watch is not None:
+            watch.finish()
+        if not n_records:
+            raise nothing_placed(self.source.path)
+        check_partial_line(self.source.path, n_records, m, config)
+        if n_records % m:
+            yield self._dense_block(_pad(rest, m), slice(0, m), first_line, setup, tally)
+
+    def _dense_block(
+        self, table: Table, part: slice, first_line: int, setup: ScannerSetup, tally: ReadTally
+    ) -> ScanBlock:
+        shape = (-1, setup.points_per_line)
+        time_s: F64 | None = np.asarray(table["time"][part], np.float64).reshape(shape) if "time" in table else None
+        intensity: F32 | None = None
+        if INTENSITY in table:
+            intensity = table[INTENSITY][part].astype(np.float32).reshape(shape)
+        # cells that were padded have no record, so the short form would be wrong
+        padded = self.rules.config.partial_line == "pad"
+        record: I64 | None = table[RECORD][part].reshape(shape) if padded else None
+        return ScanBlock(
+            first_line=first_line,
+            range_m=table[RANGE][part].reshape(shape),
+            record=record,
+            time_s=time_s,
+            intensity=intensity,
+            angle_rad=setup.angle_rad,
+            tally=tally,
+        )
+
+
+def _pad(rest: Table, m: int) -> Table:
+    """Fill the last line up with missing shots."""
+    padded: Table = {}
+    for name, column in rest.items():
+        filler = np.full(m - len(column), -1 if name == RECORD else np.nan)
+        padded[name] = np.concatenate([column, filler.astype(column.dtype if name == RECORD else np.float64)])
+    padded[RANGE] = padded[RANGE].astype(np.float32)
+    return padded

@@ -1,0 +1,121 @@
+"""Slant range of every record: from a dimension, or the distance to the sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F32, F64
+from prc_cli.readers.options import InputConfig, parse_origin, resolve_path
+from prc_cli.readers.trajectory import Trajectory, load_trajectory
+
+XYZ = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class RangeRule:
+    """Where ranges come from; exactly one of the three is set."""
+
+    dimension: str | None = None
+    """Dimension that holds the range [m]."""
+    origin_m: tuple[float, float, float] | None = None
+    """Fixed position of the sensor in the coordinates of the input [m]; zeros = they are the sensor's own."""
+    trajectory: Trajectory | None = None
+    """Position of the sensor over time."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dimensions that :func:`measure_ranges` needs."""
+        if self.dimension is not None:
+            return (self.dimension,)
+        return (*XYZ, "time") if self.trajectory is not None else XYZ
+
+
+def open_ranges(
+    rule: str, dimensions: tuple[str, ...], path: str, config: InputConfig, *, base: Path | None, crs_wkt: str | None
+) -> RangeRule:
+    """Turn a resolved ``input.range`` into what it means; reads the trajectory if there is one.
+
+    Parameters
+    ----------
+    rule : str
+        ``dimension:NAME``, ``trajectory:FILE``, ``origin:X,Y,Z`` or ``sensor-xyz``.
+    dimensions : tuple of str
+        What the input has.
+    path : str
+        Input, for messages.
+    config : InputConfig
+        Coordinate system and time offset of the trajectory.
+    base : Path or None
+        Folder that the trajectory's name starts from.
+    crs_wkt : str or None
+        Coordinate system of the input.
+
+    Raises
+    ------
+    InputError
+        When the input lacks coordinates or times, or the trajectory cannot be read.
+    """
+    kind, _, argument = rule.partition(":")
+    if kind == "dimension":
+        return RangeRule(dimension=argument)
+    needed = (*XYZ, "time") if kind == "trajectory" else XYZ
+    lacking = [name for name in needed if name not in dimensions]
+    if lacking:
+        problem = f"range = {rule} needs {', '.join(needed)}; the file has no {', '.join(lacking)}"
+        raise InputError(path, problem, f"it has: {', '.join(dimensions)}")
+    if kind == "sensor-xyz":
+        return RangeRule(origin_m=(0.0, 0.0, 0.0))
+    if kind == "origin":
+        return RangeRule(origin_m=parse_origin(rule))
+    trajectory = load_trajectory(
+        resolve_path(argument, base),
+        crs=config.trajectory_crs,
+        source_crs_wkt=crs_wkt,
+        time_offset=config.trajectory_time_offset,
+    )
+    return RangeRule(trajectory=trajectory)
+
+
+def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
+    """Return ranges as found or computed, not yet cleaned, and sensor-centred coordinates.
+
+    Parameters
+    ----------
+    values : dict of (n,) arrays
+        The dimensions ``rule.names``.
+    rule : RangeRule
+
+    Returns
+    -------
+    range_m : (n,) float
+        [m]; from a dimension as stored, else float64; NaN where a coordinate is NaN.
+    xyz_m : (n, 3) float32 or None
+        Relative to the sensor, axes as in the input (z up) [m]; None if ranges come from a dimension.
+
+    Raises
+    ------
+    InputError
+        When a time lies outside the trajectory.
+
+    Examples
+    --------
+    >>> point = {"x": np.array([13.0]), "y": np.array([4.0]), "z": np.array([7.0])}
+    >>> measure_ranges(point, RangeRule(origin_m=(10.0, 0.0, 7.0)))[0]
+    array([5.])
+    """
+    if rule.dimension is not None:
+        return values[rule.dimension], None
+    xyz: F64 = np.stack([np.asarray(values[name], np.float64) for name in XYZ], axis=1)
+    # coordinates of 1e6 m keep their millimetres only in float64: subtract before rounding
+    if rule.trajectory is not None:
+        xyz -= rule.trajectory.positions(np.asarray(values["time"], np.float64))
+    elif rule.origin_m is not None:
+        xyz -= rule.origin_m
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.sqrt((xyz * xyz).sum(axis=1)), xyz.astype(np.float32)

@@ -1,0 +1,124 @@
+"""Which records are returns of one shot, and which of them stands for it."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, Mask
+
+
+def continues_run(keys: tuple[NDArray[Any], ...], number_of_returns: NDArray[Any]) -> Mask:
+    """Mark the records that may belong to the shot of the record before them.
+
+    Parameters
+    ----------
+    keys : tuple of (n,) arrays
+        What the returns of a shot share: time, and line or column number where the input has them.
+    number_of_returns : (n,) array
+        Returns of the shot; records of single-return shots never continue anything.
+
+    Returns
+    -------
+    (n,) bool
+        True where all keys equal those of the record before; the first is False.
+    """
+    several = number_of_returns > 1
+    same: Mask = np.zeros(len(several), np.bool_)
+    same[1:] = several[1:] & (number_of_returns[1:] == number_of_returns[:-1])
+    for key in keys:
+        same[1:] &= key[1:] == key[:-1]
+    return same
+
+
+def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
+    """Mark the first record of every shot.
+
+    Parameters
+    ----------
+    continues : (n,) bool
+        From :func:`continues_run`.
+    return_number : (n,) array or None
+        Tells shots apart that share a time stamp: a new one begins where the number that began the run comes
+        back, or where a number repeats.
+
+    Returns
+    -------
+    (n,) bool
+
+    Examples
+    --------
+    Two shots of two returns with one coarse time stamp:
+
+    >>> mark_shots(np.array([False, True, True, True]), np.array([1, 2, 1, 2]))
+    array([ True, False,  True, False])
+    """
+    starts: Mask = ~continues
+    if return_number is None or starts.all():
+        return starts
+    position = np.arange(len(starts))
+    first_of_run = np.maximum.accumulate(np.where(starts, position, 0))
+    again = return_number == return_number[first_of_run]
+    again[1:] |= return_number[1:] == return_number[:-1]
+    starts |= continues & again
+    return starts
+
+
+def choose_returns(
+    starts: Mask,
+    range_m: F32,
+    intensity: NDArray[Any] | None,
+    return_number: NDArray[Any] | None,
+    rule: Literal["strongest", "first", "last"],
+) -> Mask:
+    """Mark the one return of every shot that stands for it in the range image.
+
+    Returns without range are taken only if no return of the shot has one; of equal ones the earlier is taken.
+
+    Parameters
+    ----------
+    starts : (n,) bool
+        First record of every shot; the first is True.
+    range_m : (n,) float32
+        Ranges [m], NaN = missing.
+    intensity : (n,) array or None
+        Decides under ``strongest``; None = as ``first``.
+    return_number : (n,) array or None
+        Decides under ``first`` and ``last``; None = the position in the file does.
+    rule : {"strongest", "first", "last"}
+
+    Returns
+    -------
+    (n,) bool
+        One True a shot.
+
+    Examples
+    --------
+    >>> starts = np.array([True, False, True])
+    >>> choose_returns(starts, np.array([5.0, 9.0, 7.0], np.float32), np.array([10, 30, 5]), None, "strongest")
+    array([False,  True,  True])
+    """
+    if starts.all():
+        return starts
+    n = len(starts)
+    if rule == "strongest" and intensity is not None:
+        score = np.where(np.isfinite(intensity), intensity, -np.inf)
+    else:
+        order = np.arange(n) if return_number is None else return_number
+        score = order.astype(np.float64) if rule == "last" else -order.astype(np.float64)
+        score[np.isnan(score)] = -np.inf
+    # two passes of the same comparison: a range beats any score
+    first = np.flatnonzero(starts)
+    shot = np.cumsum(starts) - 1
+    valid = ~np.isnan(range_m)
+    candidate = valid | ~np.logical_or.reduceat(valid, first)[shot]
+    score = np.where(candidate, score, -np.inf)
+    best = candidate & (score == np.maximum.reduceat(score, first)[shot])
+    position = np.flatnonzero(best)
+    earliest = np.ones(len(position), np.bool_)
+    earliest[1:] = shot[position[1:]] != shot[position[:-1]]
+    chosen: Mask = np.zeros(n, np.bool_)
+    chosen[position[earliest]] = True
+    return chosen
