@@ -54,7 +54,7 @@ def write_csv(path: Path, image: F32) -> Path:
     for line, ranges in enumerate(image):
         for column, value in enumerate(ranges):
             cell = "" if np.isnan(value) else repr(float(value))
-            rows.append(f"{line},{column},{degrees[column]!r},{cell}")
+            rows.append(f"{line},{column},{float(degrees[column])!r},{cell}")
     data = ("\n".join(rows) + "\n").encode()
     path.write_bytes(gzip.compress(data, mtime=0) if path.suffix == ".gz" else data)
     return path

@@ -59,7 +59,7 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
     console().print(
         f"{summary.output}: {counts.n_lines:,} lines of {record.points_per_line:,} shots "
-        f"in {seconds:.1f} s ({rate:.1f} million shots a second)",
+        f"in {seconds:.1f} s ({rate:.2g} million shots a second)",
         highlight=False,
         soft_wrap=True,
     )

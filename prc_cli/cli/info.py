@@ -60,8 +60,8 @@ def _print(inspection: Inspection, *, verbose: bool) -> None:
 
 def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     rows = [("format", f"{inspection.format}, {inspection.size:,} bytes")]
-    if inspection.header:
-        head = inspection.header
+    head = inspection.header
+    if "point_format" in head:
         rows[0] = (rows[0][0], f"{rows[0][1]}, LAS {head['version']}, point format {head['point_format']}")
         rows.append(("CRS", str(head.get("crs") or "none in the file").split("\n")[0][:100]))
     if inspection.n_records is not None:
