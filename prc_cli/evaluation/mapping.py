@@ -26,6 +26,8 @@ OTHER = "other"
 """Name of the row or column without a counterpart; it is shown and counted but can never agree."""
 
 MAX_CODE = 2**32 - 1
+NO_CODE = -1
+"""What label files give for a record without a code, such as an empty cell."""
 IGNORED = -1
 _UNLISTED = -2
 _TABLE_SIZE = 2**16
@@ -99,7 +101,7 @@ class ClassMapping(Params):
         Parameters
         ----------
         codes : (n,) integer
-            Class codes as they stand in a file.
+            Class codes as they stand in a file; :data:`NO_CODE` = the record has none, never scored.
         side : {"predicted", "reference"}
             Whose lists to use.
 
@@ -155,7 +157,9 @@ class ClassMapping(Params):
         rest = {"error": _UNLISTED, "ignore": IGNORED, "other": names.index(OTHER) if OTHER in names else _UNLISTED}
         place = np.searchsorted(low, codes, side="right") - 1
         listed = (place >= 0) & (codes <= high[place])
-        return np.where(listed, index[place], rest[self.unlisted])
+        found = np.where(listed, index[place], rest[self.unlisted])
+        found[codes == NO_CODE] = IGNORED
+        return found
 
     def _spans(self, side: Side) -> list[tuple[int, int, str]]:
         """First code, last code and class name (or ignore list) of everything that is listed for a side."""

@@ -165,3 +165,10 @@ def test_mapping_file_of_the_user(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text('unlisted = "other"\n[predicted]\nground = [2]\n[reference]\nground = ["40-49"]\n')
     assert load_mapping(str(path)).class_indices(np.array([45, 3]), "reference").tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("unlisted", ["error", "other", "ignore"])
+def test_a_record_without_a_code_is_never_scored(unlisted: str) -> None:
+    table = {"unlisted": unlisted, "predicted": {"ground": [2]}, "reference": {"ground": [2]}}
+    mapping = ClassMapping.model_validate(table)
+    assert mapping.class_indices(np.array([-1, 2]), "reference").tolist() == [-1, 0]
