@@ -33,7 +33,7 @@ def clean_ranges(
     Returns
     -------
     ranges : array of the same shape, float32
-        A new array [m]; NaN = missing.
+        A new C-contiguous array [m]; NaN = missing.
     tally : ReadTally
         ``n_not_finite`` (infinite, or too large for float32), ``n_not_positive``, ``n_beyond``.
 
@@ -47,7 +47,7 @@ def clean_ranges(
     (2, 1, 1)
     """
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        ranges: F32 = np.array(range_m, dtype=np.float32)
+        ranges: F32 = np.array(range_m, dtype=np.float32, order="C")
         low = np.float32(min(max(min_range, 0.0), _LARGEST))
         high = np.float32(_LARGEST if max_range is None else min(max_range, _LARGEST))
         refused = ~((ranges > low) & (ranges <= high))

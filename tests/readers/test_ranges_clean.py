@@ -10,7 +10,7 @@ from prc_cli.readers.ranges_clean import clean_ranges
 
 
 def test_keeps_good_ranges_as_they_are_and_leaves_its_input_alone() -> None:
-    given = np.array([[1.5, np.nan], [-2.0, 7.25]], np.float32)
+    given = np.asfortranarray(np.array([[1.5, np.nan], [-2.0, 7.25]], np.float32))
     before = given.copy()
     ranges, tally = clean_ranges(given)
     assert ranges.dtype == np.float32

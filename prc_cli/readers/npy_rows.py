@@ -1,0 +1,279 @@
+"""Arrays in ``.npy`` and ``.npz`` files, read some rows at a time.
+
+numpy maps a ``.npy`` file or loads it whole, and loads a member of an ``.npz`` archive whole; here both are
+read like any other stream, so that memory does not grow with the file. Pickled objects are never loaded.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy_format
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError
+
+MAX_MEMBERS = 1000
+"""Most arrays in an archive."""
+
+_COPY = "copy it from the archive again"
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError)
+
+
+@dataclass(frozen=True, slots=True)
+class NpyHeader:
+    """What stands before the numbers of an array."""
+
+    where: str
+    """File, and the array's name in an archive, for messages."""
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    fortran: bool
+    """Whether the first index runs fastest, so that rows do not stand together."""
+    offset: int
+    """Bytes before the first number."""
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of numbers."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def check_numbers(self, kinds: str = "iuf", expected: str = "floats or integers") -> None:
+        """Refuse arrays of anything but numbers.
+
+        Raises
+        ------
+        InputError
+            Naming the type.
+        """
+        if self.dtype.kind not in kinds:
+            problem = f"found an array of {_type_name(self.dtype)}, expected {expected}"
+            raise InputError(self.where, problem, "save it as numbers, for example array.astype('f4')")
+
+
+class Rows:
+    """The rows of one array, from the first on.
+
+    Parameters
+    ----------
+    header : NpyHeader
+    handle : binary stream
+        Stands at the first number.
+    """
+
+    def __init__(self, header: NpyHeader, handle: IO[bytes]) -> None:
+        self.header = header
+        self._handle = handle
+        self._row_bytes = math.prod(header.shape[1:]) * header.dtype.itemsize
+        self._n_read = 0
+
+    def read(self, n: int) -> NDArray[Any]:
+        """Return the next ``n`` rows, (n, ...) in the array's type.
+
+        Raises
+        ------
+        InputError
+            When the numbers end early or are damaged.
+        """
+        header = self.header
+        try:
+            raw = self._handle.read(n * self._row_bytes)
+        except _DAMAGED as error:
+            problem = f"rows {self._n_read} to {self._n_read + n - 1} cannot be read ({error})"
+            raise InputError(header.where, problem, _COPY) from error
+        if len(raw) < n * self._row_bytes:
+            at = self._n_read + len(raw) // self._row_bytes
+            problem = f"the numbers end in row {at}, expected {header.shape[0]} rows"
+            raise InputError(header.where, problem, _COPY)
+        self._n_read += n
+        return np.frombuffer(raw, header.dtype).reshape(n, *header.shape[1:])
+
+    def finish(self) -> None:
+        """Make sure that nothing follows; in an archive this is where the checksum is compared.
+
+        Raises
+        ------
+        InputError
+            When something does, or the checksum differs.
+        """
+        try:
+            more = self._handle.read(1)
+        except _DAMAGED as error:
+            raise InputError(self.header.where, f"the numbers are damaged ({error})", _COPY) from error
+        if more:
+            raise InputError(self.header.where, f"more bytes than {self._n_read} rows take", _COPY)
+
+
+class _FortranRows(Rows):
+    """Rows of a file in Fortran order, picked together: what one row takes lies far apart."""
+
+    def read(self, n: int) -> NDArray[Any]:
+        header = self.header
+        n_rows, n_columns = header.shape[0], math.prod(header.shape[1:])
+        rows = np.empty((n_columns, n), header.dtype)
+        try:
+            for column in range(n_columns):
+                self._handle.seek(header.offset + (column * n_rows + self._n_read) * header.dtype.itemsize)
+                raw = self._handle.read(n * header.dtype.itemsize)
+                rows[column] = np.frombuffer(raw, header.dtype)
+        except (OSError, ValueError) as error:
+            problem = f"rows {self._n_read} to {self._n_read + n - 1} cannot be read ({error})"
+            raise InputError(header.where, problem, _COPY) from error
+        self._n_read += n
+        return rows.T.reshape((n, *header.shape[1:]), order="F")
+
+    def finish(self) -> None:
+        """Nothing can follow: the size was compared when the file was opened."""
+
+
+class ArrayFile:
+    """The arrays of a ``.npy`` (one, without a name) or ``.npz`` file.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Raises
+    ------
+    InputError
+        When the file is neither, is cut short, or an array does not have the size that its header says.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.is_archive = path.suffix.lower() == ".npz"
+        self.headers: dict[str, NpyHeader] = {}
+        """By name, in the order of the file."""
+        if not self.is_archive:
+            with _opened(path) as handle:
+                size = handle.seek(0, 2)
+                handle.seek(0)
+                self.headers[""] = _read_header(str(path), handle, size)
+            return
+        with _archive(path) as archive:
+            members = [info for info in archive.infolist() if info.filename.endswith(".npy")]
+            if len(members) > MAX_MEMBERS:
+                raise InputError(str(path), f"{len(members)} arrays, expected at most {MAX_MEMBERS}")
+            for info in members:
+                name = info.filename.removesuffix(".npy")
+                with _member(path, archive, name) as handle:
+                    self.headers[name] = _read_header(_where(path, name), handle, info.file_size)
+
+    @contextmanager
+    def open(self, *names: str) -> Iterator[list[Rows]]:
+        """Open arrays to be read side by side.
+
+        Raises
+        ------
+        InputError
+            When an array has changed since the file was opened, or its rows do not stand together.
+        """
+        with ExitStack() as stack:
+            archive = stack.enter_context(_archive(self.path)) if self.is_archive else None
+            rows = []
+            for name in names:
+                header = self.headers[name]
+                if archive is None:
+                    handle = stack.enter_context(_opened(self.path))
+                    size = handle.seek(0, 2)
+                    handle.seek(0)
+                else:
+                    handle = stack.enter_context(_member(self.path, archive, name))
+                    size = archive.getinfo(f"{name}.npy").file_size
+                if _read_header(header.where, handle, size) != header:
+                    raise InputError(header.where, "the array has changed since the file was opened", "try again")
+                rows.append(self._rows(header, handle))
+            yield rows
+
+    def _rows(self, header: NpyHeader, handle: IO[bytes]) -> Rows:
+        if not header.fortran or len(header.shape) < 2:
+            return Rows(header, handle)
+        if self.is_archive:
+            problem = "found an array in Fortran order, whose rows cannot be read one after the other"
+            raise InputError(header.where, problem, "save it in C order: numpy.ascontiguousarray(array)")
+        return _FortranRows(header, handle)
+
+
+def _where(path: Path, name: str) -> str:
+    return f"{path}: {name}"
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[IO[bytes]]:
+    try:
+        handle = path.open("rb")
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror or error})"
+        raise InputError(str(path), problem, "check the name and its permissions") from error
+    with handle:
+        yield handle
+
+
+@contextmanager
+def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
+    with _opened(path) as handle:
+        try:
+            archive = zipfile.ZipFile(handle)
+        except _DAMAGED as error:
+            problem = f"not a whole npz archive, which is a zip file ({error})"
+            raise InputError(str(path), problem, f"{_COPY}, or write it with numpy.savez_compressed") from error
+        with archive:
+            yield archive
+
+
+@contextmanager
+def _member(path: Path, archive: zipfile.ZipFile, name: str) -> Iterator[IO[bytes]]:
+    where = _where(path, name)
+    info = archive.getinfo(f"{name}.npy")
+    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        found = "encryption" if info.flag_bits & 1 else f"compression method {info.compress_type}"
+        raise InputError(where, f"found {found}, expected deflate or none", "write it with numpy.savez_compressed")
+    try:
+        handle = archive.open(info)
+    except _DAMAGED as error:
+        raise InputError(where, f"the array cannot be read ({error})", _COPY) from error
+    with handle:
+        yield handle
+
+
+def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
+    """Read the header of an array of which, with its header, ``size`` bytes are there."""
+    try:
+        with warnings.catch_warnings():
+            # headers written by Python 2 are read all the same
+            warnings.simplefilter("ignore", UserWarning)
+            version = npy_format.read_magic(handle)
+            if version not in ((1, 0), (2, 0)):
+                problem = f"found npy format {version[0]}.{version[1]}, expected 1.0 or 2.0, plain numbers"
+                raise InputError(where, problem, "save it as numbers, without named fields")
+            read = npy_format.read_array_header_1_0 if version == (1, 0) else npy_format.read_array_header_2_0
+            shape, fortran, dtype = read(handle)
+    except (ValueError, *_DAMAGED) as error:
+        problem = f"no npy header ({' '.join(str(error).split())[:120]})"
+        raise InputError(where, problem, f"{_COPY}, or write it with numpy.save") from error
+    header = NpyHeader(where, shape, dtype, fortran, handle.tell())
+    if min(shape, default=0) < 0:
+        raise InputError(where, f"found shape {shape}, expected no negative size", _COPY)
+    # the bytes of objects are a pickle of any length: refused by their type
+    if not dtype.hasobject and size - header.offset != header.n_bytes:
+        problem = f"found {size - header.offset} bytes of numbers, expected {header.n_bytes} for shape {shape}"
+        raise InputError(where, problem, _COPY)
+    return header
+
+
+def _type_name(dtype: np.dtype[Any]) -> str:
+    """Return a type in words."""
+    if dtype.names is not None:
+        return f"records with the fields {', '.join(dtype.names[:8])}"
+    kinds = {"O": "Python objects", "c": "complex numbers", "U": "text", "S": "text", "b": "true/false values"}
+    return kinds.get(dtype.kind, f"type {dtype.name}")
