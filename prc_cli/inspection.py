@@ -101,8 +101,10 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         return _describe(path, None, stream, None, None)
     order = _time_order(source)
     if stream is None:
-        stream_of_lines = _lines_only(source, loaded.config.input, path)
-        inspection = _describe(path, source, stream_of_lines, order, refusal, with_ranges=False)
+        way, lines_only = _lines_only(source, loaded.config.input, path)
+        # with its lines found, the file may still lack ranges: say both at once
+        further = _try_open(path, _with_input(loaded, way))[1] if way else None
+        inspection = _describe(path, source, lines_only, order, _both(refusal, further), with_ranges=False)
         if "range" in source.dimensions:
             inspection = replace(inspection, period=estimate_points_per_line(_sample(source)))
         return inspection
@@ -111,14 +113,25 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
 
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
     """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them."""
-    inputs = loaded.config.input
-    if inputs.order == "require":
-        inputs = inputs.model_copy(update={"order": "trust"})
-    config = loaded.config.model_copy(update={"input": inputs})
+    if loaded.config.input.order == "require":
+        loaded = _with_input(loaded, {"order": "trust"})
     try:
-        return open_stream(path, replace(loaded, config=config)), None
+        return open_stream(path, loaded), None
     except (InputError, ConfigError) as refusal:
         return None, refusal
+
+
+def _with_input(loaded: LoadedConfig, update: dict[str, str]) -> LoadedConfig:
+    inputs = loaded.config.input.model_copy(update=update)
+    return replace(loaded, config=loaded.config.model_copy(update={"input": inputs}))
+
+
+def _both(
+    first: InputError | ConfigError | None, second: InputError | ConfigError | None
+) -> InputError | ConfigError | None:
+    if first is None or second is None or first.problem == second.problem:
+        return first
+    return InputError(first.where, f"{first.problem}, and {second.problem}", f"{first.hint}; {second.hint}")
 
 
 def _describe(
@@ -260,17 +273,21 @@ class _UnitRanges:
             yield replace(chunk, values={**chunk.values, "range": np.ones(chunk.n)})
 
 
-def _lines_only(source: RecordSource, inputs: InputConfig, path: Path) -> ScanStream | None:
-    """Find the lines of an input without ranges, by the configured rule or by the wrap of its scan angle."""
-    ways = [{"range": "dimension:range", "order": "trust"}]
+def _lines_only(source: RecordSource, inputs: InputConfig, path: Path) -> tuple[dict[str, str], ScanStream | None]:
+    """Find the lines of an input without ranges, by the configured rule or by the wrap of its scan angle.
+
+    Returns the rule that had to be added to the configuration, empty if none, and the stream of lines.
+    """
+    ways: list[dict[str, str]] = [{}]
     if inputs.lines == "auto" and "angle" in source.dimensions:
-        ways.append({**ways[0], "lines": "angle-wrap", "columns": "order"})
+        ways.append({"lines": "angle-wrap", "columns": "order"})
     for way in ways:
+        update = {**way, "range": "dimension:range", "order": "trust"}
         try:
-            return open_grid(_UnitRanges(source), inputs.model_copy(update=way), base=path.parent)
+            return way, open_grid(_UnitRanges(source), inputs.model_copy(update=update), base=path.parent)
         except (InputError, ConfigError):
             continue
-    return None
+    return {}, None
 
 
 def _plain(value: Any) -> Any:
