@@ -35,6 +35,12 @@ class LineState:
     """Angle wrap: wraps so far."""
     last_angle: float = math.nan
     """Angle wrap: last known angle [rad]."""
+    low: float = math.inf
+    """Angle wrap: least angle of the line so far [rad]."""
+    high: float = -math.inf
+    """Angle wrap: greatest angle of the line so far [rad]."""
+    last_span: float = 0.0
+    """Angle wrap: span of the line before [rad]."""
     origin_s: float | None = None
     """Time: begin of line 0 [s]."""
 
@@ -46,7 +52,9 @@ class Sweep:
     direction: int
     """+1 = the angle grows from shot to shot, -1 = it falls."""
     span_rad: float
-    """Angle between the ends of a line [rad]."""
+    """Angle between the ends of the longest lines [rad]."""
+    noise_rad: float
+    """Angles may go back by this much within a line [rad]."""
 
 
 def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tuple[I64, Mask, LineState]:
@@ -99,6 +107,9 @@ def lines_fixed(n_shots: int, points_per_line: int, state: LineState) -> tuple[I
 def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[I64, Mask, LineState]:
     """Begin a line where the angle jumps back against the sweep by more than half the span.
 
+    The span is that of the line that ends there or of the one before it, whichever is larger: at the edges of a
+    flight or behind an obstacle lines are much shorter than the longest.
+
     Parameters
     ----------
     angle : (n,) float
@@ -114,19 +125,32 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[
 
     Examples
     --------
-    >>> lines_by_wrap(np.array([0.0, 0.5, 1.0, 0.1, 0.6]), Sweep(1, 1.0), LineState())[0]
+    >>> lines_by_wrap(np.array([0.0, 0.5, 1.0, 0.1, 0.6]), Sweep(1, 1.0, 0.05), LineState())[0]
     array([0, 0, 0, 1, 1])
     """
     value = np.asarray(angle, np.float64)
-    finite = np.isfinite(value)
-    position = np.flatnonzero(finite)
-    wrapped = np.zeros(len(value), np.int64)
+    position = np.flatnonzero(np.isfinite(value))
+    begins = np.zeros(len(value), np.int64)
     if len(position):
         seen = value[position]
-        before = np.concatenate(([state.last_angle], seen[:-1]))
-        wrapped[position] = sweep.direction * (seen - before) < -0.5 * sweep.span_rad
-        state = replace(state, last_angle=float(seen[-1]))
-    line = state.wraps + np.cumsum(wrapped)
+        back = sweep.direction * (np.concatenate(([state.last_angle], seen[:-1])) - seen)
+        # a jump that is larger than noise ends a line or not: few of them, looked at one by one
+        jumps = np.flatnonzero(back > sweep.noise_rad)
+        borders = np.concatenate(([0], jumps[jumps > 0]))
+        lows, highs = np.minimum.reduceat(seen, borders), np.maximum.reduceat(seen, borders)
+        pieces = iter(zip(lows.tolist(), highs.tolist(), strict=True))
+        low, high, last_span = state.low, state.high, state.last_span
+        if not len(jumps) or jumps[0] > 0:
+            first_low, first_high = next(pieces)
+            low, high = min(low, first_low), max(high, first_high)
+        for jump, size, (piece_low, piece_high) in zip(jumps.tolist(), back[jumps].tolist(), pieces, strict=True):
+            if size > 0.5 * max(high - low, last_span):
+                begins[position[jump]] = 1
+                low, high, last_span = piece_low, piece_high, high - low
+            else:
+                low, high = min(low, piece_low), max(high, piece_high)
+        state = replace(state, last_angle=float(seen[-1]), low=low, high=high, last_span=last_span)
+    line = state.wraps + np.cumsum(begins)
     if len(line):
         state = replace(state, wraps=int(line[-1]))
     return line, np.ones(len(value), np.bool_), state
@@ -145,12 +169,12 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     Raises
     ------
     InputError
-        When the angles do not vary, or run back and forth (an oscillating mirror has no wrap).
+        When angles do not vary, or run back and forth (an oscillating mirror has no wrap).
 
     Examples
     --------
-    >>> find_sweep(np.tile(np.linspace(1.0, -1.0, 50), 20), "strip.laz")
-    Sweep(direction=-1, span_rad=2.0)
+    >>> find_sweep(np.tile(np.linspace(1.0, -1.0, 50), 20), "strip.laz")  # doctest: +ELLIPSIS
+    Sweep(direction=-1, span_rad=2.0, noise_rad=0.081...)
     """
     value = np.asarray(angle, np.float64)
     value = value[np.isfinite(value)]
@@ -166,7 +190,9 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     if share < MIN_AGREEMENT:
         problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
         raise InputError(where, problem, hint)
-    return Sweep(1 if n_up >= n_down else -1, span)
+    # angles are rounded: a few steps back and forth are no wrap
+    noise = max(2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span)
+    return Sweep(1 if n_up >= n_down else -1, span, noise)
 
 
 def lines_by_time(
