@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import tomllib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,9 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import ConfigError
 from prc_cli.readers.layout import decode, record_dtype
 from prc_cli.readers.options import RANGES_ONLY, Layout, LayoutField
+from prc_cli.readers.raw_binary import RawBinarySource
+from prc_cli.readers.records import RecordSource
+from prc_cli.readers.text import TextSource
 
 
 def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
@@ -120,3 +125,41 @@ def test_value_is_stored_times_scale_plus_offset(
     item = LayoutField(name="range", type="i4", scale=scale, offset=offset, missing=missing)
     expected = [math.nan if value == missing else value * scale + offset for value in stored]
     np.testing.assert_array_equal(decode(np.array(stored, order), item), expected)
+
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "layouts"
+
+
+@pytest.mark.parametrize(
+    ("name", "n", "share_missing", "value"),
+    [
+        ("ranges_f32", 100 * 2154, 200 / 2154, 5.0),
+        ("faro_like_i4_mm", 20 * 5120, 1 / 3, 7.25),
+        ("big_endian_u2_cm", 50 * 1080, 580 / 1080, 12.34),
+        ("range_angle_time", 40 * 720, 1 / 5, 9.5),
+        ("csv_oakland", 30 * 229, 33 / 229, 6.25),
+        ("csv_no_header", 60 * 541, 1 / 4, 4.321),
+    ],
+)
+def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, n: int, share_missing: float, value: float
+) -> None:
+    sample = (SAMPLES / f"{name}.toml").read_text(encoding="utf-8")
+    given = Layout.model_validate(tomllib.loads(sample)["layout"])
+    example = [line[6:] for line in sample.splitlines() if line.startswith("#     ")]
+    monkeypatch.chdir(tmp_path)
+    exec("\n".join(example), {})
+    (path,) = tmp_path.iterdir()
+    assert f"prc classify {path.name} " in sample or name == "csv_oakland"
+    is_text = path.suffix in (".csv", ".txt")
+    source: RecordSource = TextSource(path, given) if is_text else RawBinarySource(path, given)
+    assert set(source.dimensions) >= {item.name for item in given.fields}
+    ranges = np.concatenate([chunk.values["range"] for chunk in source.chunks(("range",))])
+    assert len(ranges) == n
+    assert np.isnan(ranges).mean() == pytest.approx(share_missing, abs=1e-4)
+    np.testing.assert_allclose(ranges[~np.isnan(ranges)], value, rtol=1e-7)
+
+
+def test_every_sample_layout_is_tried_above() -> None:
+    tried = test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads.pytestmark[0].args[1]  # type: ignore[attr-defined]
+    assert {path.stem for path in SAMPLES.glob("*.toml")} == {case[0] for case in tried}
