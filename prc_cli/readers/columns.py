@@ -218,15 +218,16 @@ def find_angle_grid(
         if equal > MAX_EQUAL:
             problem = f"{100 * equal:.0f} % of neighbouring shots have equal scan angles: rounded too coarsely"
             raise InputError(where, problem, "take the order, --columns order, or the time, --columns time:HZ")
-        step = _refine_step(np.cumsum(forward), line, forward[within & (forward > 0)])
+        step = _refine_step(np.cumsum(forward), line, forward[within & (forward >= 0)])
     else:
         step = abs(step_rad)
     return _grid(value, line, forward, sign * step, start_rad, keep_step=step_rad is not None)
 
 
 def _refine_step(along: F64, line: I64, forward: F64) -> float:
-    """Return the step: the usual one of the short steps first, then least squares over longer ones."""
-    step = float(np.median(forward[forward < 1.5 * np.percentile(forward, 25)]))
+    """Return the step: the mean of short steps first, then least squares over ever longer ones."""
+    # a mean, because rounded angles step by 0, 1 or 2 times their rounding
+    step = float(np.mean(forward[forward < 2.5 * np.median(forward[forward > 0])]))
     lag = 1
     while lag < len(along):
         same = line[lag:] == line[:-lag]
@@ -234,9 +235,8 @@ def _refine_step(along: F64, line: I64, forward: F64) -> float:
         n_steps = np.rint(distance / step)
         # beyond this the number of steps would be a guess
         use = (n_steps >= 1) & (np.abs(distance / step - n_steps) < 0.25) & (n_steps <= 4 * lag)
-        if not use.any():
-            break
-        step = float((distance[use] * n_steps[use]).sum() / (n_steps[use] ** 2).sum())
+        if use.any():
+            step = float((distance[use] * n_steps[use]).sum() / (n_steps[use] ** 2).sum())
         lag *= 2
     return step
 
