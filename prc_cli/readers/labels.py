@@ -24,6 +24,7 @@ BUFFER_BYTES = 1 << 20
 MAX_POINTS_PER_LINE = 10_000_000
 """Longest row of a label image."""
 
+_DAMAGED = (OSError, ValueError, LookupError, MemoryError)
 _WHOLE = float(1 << 53)
 
 
@@ -65,10 +66,10 @@ class CodeSource:
 
     def _to_codes(self, values: NDArray[Any], first: int) -> I64:
         if values.dtype.kind == "f":
-            wide = values.astype(np.float64)
-            if self._missing:
-                wide[np.isnan(wide)] = NO_CODE
             with np.errstate(invalid="ignore"):
+                wide = values.astype(np.float64)
+                if self._missing:
+                    wide[np.isnan(wide)] = NO_CODE
                 wrong = ~((np.abs(wide) <= _WHOLE) & (np.floor(wide) == wide))
         else:
             wide = values
@@ -189,7 +190,7 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
     try:
         with parquet.ParquetFile(path) as file:
             schema, n = file.schema_arrow, file.metadata.num_rows
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, *_DAMAGED) as error:
         raise InputError(str(path), f"no whole Parquet file ({_one_line(error)})", damaged) from error
     name = _choose(path, list(schema.names), dimension)
     kind = schema.types[schema.names.index(name)]
@@ -211,7 +212,7 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
                         column = column.cast(wide).fill_null(NO_CODE)
                     first += len(column)
                     yield column.to_numpy(zero_copy_only=False)
-        except (pa.ArrowException, OSError) as error:
+        except (pa.ArrowException, *_DAMAGED) as error:
             problem = f"record {first} and on cannot be read ({_one_line(error)})"
             raise InputError(str(path), problem, damaged) from error
 

@@ -25,6 +25,7 @@ from prc_cli.core.errors import InputError
 MAX_MEMBERS = 1000
 """Most arrays in an archive."""
 
+_VERSIONS = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
 _COPY = "copy it from the archive again"
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError)
 
@@ -249,18 +250,13 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str) -> Iterator[IO[byte
 def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
     """Read the header of an array of which, with its header, ``size`` bytes are there."""
     try:
-        with warnings.catch_warnings():
-            # headers written by Python 2 are read all the same
-            warnings.simplefilter("ignore", UserWarning)
-            version = npy_format.read_magic(handle)
-            if version not in ((1, 0), (2, 0)):
-                problem = f"found npy format {version[0]}.{version[1]}, expected 1.0 or 2.0, plain numbers"
-                raise InputError(where, problem, "save it as numbers, without named fields")
-            read = npy_format.read_array_header_1_0 if version == (1, 0) else npy_format.read_array_header_2_0
-            shape, fortran, dtype = read(handle)
-    except (ValueError, *_DAMAGED) as error:
+        version, (shape, fortran, dtype) = _parse_header(handle)
+    except Exception as error:  # a damaged header is parsed as Python, which can fail in any way
         problem = f"no npy header ({' '.join(str(error).split())[:120]})"
         raise InputError(where, problem, f"{_COPY}, or write it with numpy.save") from error
+    if version not in _VERSIONS:
+        problem = f"found npy format {version[0]}.{version[1]}, expected 1.0 or 2.0, plain numbers"
+        raise InputError(where, problem, "save it as numbers, without named fields")
     header = NpyHeader(where, shape, dtype, fortran, handle.tell())
     if min(shape, default=0) < 0:
         raise InputError(where, f"found shape {shape}, expected no negative size", _COPY)
@@ -269,6 +265,16 @@ def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
         problem = f"found {size - header.offset} bytes of numbers, expected {header.n_bytes} for shape {shape}"
         raise InputError(where, problem, _COPY)
     return header
+
+
+def _parse_header(handle: IO[bytes]) -> tuple[tuple[int, int], tuple[tuple[int, ...], bool, np.dtype[Any]]]:
+    """Return the version of the format, and shape, order and type (nothing of use for versions not known)."""
+    with warnings.catch_warnings():
+        # headers written by Python 2 are read all the same
+        warnings.simplefilter("ignore")
+        version = npy_format.read_magic(handle)
+        read = _VERSIONS.get(version)
+        return version, read(handle) if read is not None else ((), False, np.dtype(np.float32))
 
 
 def _type_name(dtype: np.dtype[Any]) -> str:

@@ -268,6 +268,7 @@ def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any])
         (lambda raw: raw.replace(b"(7, 5), }", b"(99999999999, 99999999999), }", 1), "scan.npy: "),
         (lambda raw: raw.replace(b"'<f4'", b"'<q9'"), "no npy header (descr is not a valid dtype descriptor"),
         (lambda raw: raw.replace(b"'<f4'", b"import"), "no npy header ("),
+        (lambda raw: raw.replace(b"'<f4'", b"(((((").replace(b"}", b"\xbe"), "no npy header ("),
         (lambda raw: raw[:6] + b"\3\0" + raw[8:], "found npy format 3.0, expected 1.0 or 2.0"),
     ],
 )
