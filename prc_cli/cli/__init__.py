@@ -84,7 +84,7 @@ def main(args: list[str] | None = None) -> None:
 def one_line(error: PrcError) -> str:
     r"""Return a message as one printable line, whatever a file name or a cell contained.
 
-    >>> one_line(PrcError("a\\nb.las", "no such file"))
-    'a\\\\nb.las: no such file'
+    >>> one_line(PrcError("a\nb.las", "no such file"))
+    'a\\nb.las: no such file'
     """
     return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in str(error))

@@ -111,8 +111,8 @@ def _translate(error: ValidationError, model: type[BaseModel], where: str) -> Co
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"
         return ConfigError(where, f"unknown key {key!r}", hint)
     expected = issue["msg"].removeprefix("Value error, ")
-    # a check over several keys has a whole table as its input: its own message says what it found
-    told = issue["type"] == "missing" or isinstance(issue["input"], Mapping | BaseModel)
+    # a check over several keys has a whole table as its input; then, or always, its own message says what it found
+    told = issue["type"] == "missing" or isinstance(issue["input"], Mapping | BaseModel) or "found " in expected
     found = "" if told else f"found {issue['input']!r}, "
     more = f" (and {len(issues) - 1} more)" if len(issues) > 1 else ""
     hint = "see `prc config schema` for every key, its bounds and its unit"
