@@ -23,6 +23,8 @@ FULL_TURN = 0.9
 """Share of a turn that the lines must span to be taken for whole turns."""
 MAX_EQUAL = 0.5
 """Share of neighbouring shots that may have equal angles: more are rounded too coarsely to tell columns."""
+MAX_ROUNDED = 0.005
+"""Share of neighbouring shots with equal angles from which on angles count as rounded coarsely."""
 _TURN = 2 * math.pi
 
 
@@ -225,9 +227,14 @@ def find_angle_grid(
 
 
 def _refine_step(along: F64, line: I64, forward: F64) -> float:
-    """Return the step: the mean of short steps first, then least squares over ever longer ones."""
-    # a mean, because rounded angles step by 0, 1 or 2 times their rounding
-    step = float(np.mean(forward[forward < 2.5 * np.median(forward[forward > 0])]))
+    """Return the step: that of neighbours first, then least squares over ever longer stretches."""
+    ahead = forward[forward > 0]
+    if len(ahead) < (1 - MAX_ROUNDED) * len(forward):
+        # rounded more coarsely than the step: 0, 1 or 2 times the rounding, only their mean tells
+        step = float(np.mean(forward[forward < 2.5 * np.median(ahead)]))
+    else:
+        # shots may be missing between most neighbours: look at the shortest fifth
+        step = float(np.median(ahead[ahead < 1.5 * np.percentile(ahead, 20)]))
     lag = 1
     while lag < len(along):
         same = line[lag:] == line[:-lag]
