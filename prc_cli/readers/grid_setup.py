@@ -14,7 +14,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F64, I64
 from prc_cli.readers import columns as column_rules
-from prc_cli.readers.columns import AngleGrid, column_angles, find_angle_grid
+from prc_cli.readers.angles import AngleGrid, column_angles, columns_by_angle, find_angle_grid
 from prc_cli.readers.grid_lines import (
     LINE,
     ORDINAL,
@@ -209,7 +209,7 @@ def find_columns(whole: WholeLines, rules: GridRules, grid: AngleGrid | None) ->
     if rules.column_dimension is not None:
         return column_rules.columns_by_dimension(shots[rules.column_dimension])
     if grid is not None:
-        return column_rules.columns_by_angle(shots["angle"], grid)
+        return columns_by_angle(shots["angle"], grid)
     if rules.shot_hz is None:
         return column_rules.columns_by_order(line)
     spread: F64 = shots[SPREAD]

@@ -80,8 +80,9 @@ def only(records: dict[str, NDArray[Any]], *names: str) -> dict[str, NDArray[Any
 
 
 def open_records(records: dict[str, NDArray[Any]], chunk_records: int = 1000, **options: Any) -> ScanStream:
-    """Open records with ``[input]`` keys as keyword arguments."""
-    return open_grid(MemorySource(records, chunk_records), InputConfig(**options))
+    """Open records with ``[input]`` keys as keyword arguments (``return_`` for ``return``)."""
+    keys = {key.rstrip("_"): value for key, value in options.items()}
+    return open_grid(MemorySource(records, chunk_records), InputConfig(**keys))
 
 
 @dataclass(frozen=True)

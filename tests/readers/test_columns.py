@@ -9,16 +9,13 @@ import pytest
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64
+from prc_cli.readers.angles import AngleGrid, column_angles, columns_by_angle, find_angle_grid
 from prc_cli.readers.columns import (
     NO_COLUMN,
-    AngleGrid,
     StampState,
-    column_angles,
-    columns_by_angle,
     columns_by_dimension,
     columns_by_order,
     columns_by_time,
-    find_angle_grid,
     line_starts,
     spread_stamps,
 )

@@ -175,7 +175,7 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
     }
     if data.draw(st.booleans()):
         del records["return_number"]
-    options = data.draw(
+    options: dict[str, Any] = data.draw(
         st.sampled_from(
             [
                 {},
@@ -189,7 +189,7 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
     results = []
     for chunk_records in (1, 2, 7, 1000):
         try:
-            whole = read(open_records(records, chunk_records, order="trust", **{"return": "first"}, **options))
+            whole = read(open_records(records, chunk_records, order="trust", return_="first", **options))
         except InputError as error:
             results.append(str(error))
             continue
@@ -457,7 +457,7 @@ def test_times_far_from_zero_keep_their_columns() -> None:
     column = np.tile([0, 17, M - 1], len(line) // 3)
     start = 3.9e8 + 0.123
     time_s = start + line / LINE_HZ + column / SHOT_HZ
-    options = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
+    options: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
     whole = read(open_records({"range": np.ones(len(line)), "time": time_s}, 100, **options))
     cell = np.argwhere(whole.record >= 0)
     assert np.array_equal(cell[:, 0], line)
@@ -466,7 +466,7 @@ def test_times_far_from_zero_keep_their_columns() -> None:
 
 def test_time_origin_shifts_lines_and_columns() -> None:
     _, records = scene()
-    options = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
+    options: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
     early = START_S - 2 / LINE_HZ - 3 / SHOT_HZ
     whole = read(open_records(only(records, "range", "time"), time_origin=early, **options))
     assert np.argwhere(whole.record == 0).tolist() == [[2, 3]]

@@ -57,7 +57,7 @@ def check(found: list[ScanBlock], whole: ScanBlock, k: int) -> None:
         assert np.array_equal(block.records(), whole.records()[lines])
         for name in ("time_s", "xyz_m", "intensity"):
             assert np.array_equal(getattr(block, name), getattr(whole, name)[lines]), name
-        assert np.array_equal(block.angle_rad, whole.angle_rad)
+        assert block.angle_rad is whole.angle_rad
         assert block.next_m is not None
         assert np.array_equal(block.next_m, whole.range_m[lines.stop : lines.stop + ahead])
         inside = (whole.extra.line >= lines.start) & (whole.extra.line < lines.stop)

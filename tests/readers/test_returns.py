@@ -19,7 +19,7 @@ def shots(time: list[float], number_of_returns: list[int], return_number: list[i
     """Return the shot of every record."""
     continues = continues_run((np.array(time),), np.array(number_of_returns))
     starts = mark_shots(continues, None if return_number is None else np.array(return_number))
-    return np.cumsum(starts).tolist()  # type: ignore[no-any-return]
+    return [int(i) for i in np.cumsum(starts)]
 
 
 def test_single_returns_are_shots_even_with_one_stamp() -> None:
@@ -56,7 +56,7 @@ def choose(rule: Any, range_m: list[float], intensity: list[float] | None, numbe
         rule,
     )
     assert chosen[3]
-    return np.flatnonzero(chosen[:3]).tolist()  # type: ignore[no-any-return]
+    return [int(i) for i in np.flatnonzero(chosen[:3])]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def forest() -> dict[str, NDArray[Any]]:
 def test_one_return_a_shot_in_the_image(rule: str, standing: list[list[int]], columns: str, chunk_records: int) -> None:
     records = forest()
     records["column"] = np.array([0, 1, 1, 1, 2, 2, 0, 0, 1, 2])
-    whole = read(open_records(records, chunk_records, columns=columns, **{"return": rule}))
+    whole = read(open_records(records, chunk_records, columns=columns, return_=rule))
     assert whole.record.tolist() == standing
     assert whole.range_m.tolist() == [[records["range"][i] for i in line] for line in standing]
     others = sorted(set(range(10)) - {i for line in standing for i in line})
@@ -124,7 +124,7 @@ def test_one_return_a_shot_in_the_image(rule: str, standing: list[list[int]], co
 def test_fixed_lines_count_shots_of_several_returns_once() -> None:
     records = forest()
     del records["scan_line"]
-    whole = read(open_records(records, 3, points_per_line=3, **{"return": "first"}))
+    whole = read(open_records(records, 3, points_per_line=3, return_="first"))
     assert whole.record.tolist() == [[0, 1, 4], [6, 8, 9]]
 
 
@@ -150,12 +150,12 @@ def test_a_shot_that_meets_another_takes_its_returns_along() -> None:
         "number_of_returns": np.full(4, 2),
         "return_number": np.array([1, 2, 1, 2]),
     }
-    whole = read(open_records(records, **{"return": "last"}))
+    whole = read(open_records(records, return_="last"))
     assert whole.record.tolist() == [[1]]
     assert whole.tally == ReadTally(n_collisions=1, n_extra_returns=2)
 
 
 def test_the_rule_has_no_effect_without_returns_and_says_so() -> None:
     records = {"range": np.ones(4), "scan_line": np.zeros(4)}
-    stream = open_records(records, **{"return": "last"})
+    stream = open_records(records, return_="last")
     assert any(item.key == "input.return" and item.value == "no effect" for item in stream.info.assumptions)
