@@ -1,7 +1,7 @@
 """Peak resident size of ``prc classify`` at two input sizes, each run in a process of its own.
 
-    python benchmarks/memory.py            # 1.2 and 12 million shots
-    python benchmarks/memory.py --lines 6000 60000
+    python -m benchmarks.memory                           # 1.3 and 13 million shots
+    python -m benchmarks.memory --lines 3000 30000
 
 The stream is a tiled simulated street; the table is what the documentation quotes.
 """

@@ -1,6 +1,6 @@
-"""Classify and evaluate the real scans, and print the tables of docs/results.md.
+"""Classify and evaluate the real scans, and print the page docs/real_scans.md.
 
-    python benchmarks/real_scans.py             # reads ../shared/data or $PRC_DATA
+    python -m benchmarks.real_scans > docs/real_scans.md          # reads ../shared/data or $PRC_DATA
 
 Each table names the commands that give the same figures one by one.
 """
@@ -11,12 +11,15 @@ import os
 import tempfile
 from pathlib import Path
 
+import laspy
 import numpy as np
 
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.evaluation.reports import as_markdown
+from prc_cli.inspection import inspect
 from prc_cli.pipeline import classify, evaluate
+from tests.profiler import jakarto, jakarto_input, placed, scanner_positions, steps_apart, write_trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
@@ -57,9 +60,51 @@ def forest(folder: Path) -> None:
         print(f"| {zeta_s} m, {zeta_p} m | {shares} |")
 
 
+def profiler(folder: Path) -> None:
+    """The 360° profiler sample: cells from time stamps against cells recovered by fitting, ranges by trajectory."""
+    source, recovered = jakarto(DATA)
+    las = laspy.read(source)
+    write_trajectory(folder / "drive.csv", scanner_positions(las, recovered))
+    inputs = jakarto_input(folder / "drive.csv")
+    line, column, range_m, n_cells = placed(source, load_config(options={"input": inputs}), len(las))
+    steps = steps_apart(line, column, recovered)
+    print("## Profiler sample\n\n```console")
+    lines, columns = inputs["lines"], inputs["columns"]
+    print(f"$ prc classify jakarto_0.02s.las out.las --lines {lines} --columns {columns} \\")
+    print(f"      --range trajectory:drive.csv -M {inputs['points_per_line']}\n```\n")
+    print("| | |\n|---|---|")
+    print(f"| records | {len(las):,} in {n_cells:,} cells, {1 - len(las) / n_cells:.1%} missing |")
+    print(f"| same line as recovered | {(line == recovered['line']).mean():.2%} |")
+    for distance in (0, 1, 2, 5):
+        what = "same cell" if not distance else f"at most {distance} shots beside it"
+        print(f"| {what} | {(steps <= distance).mean():.1%} |")
+    difference = np.abs(range_m - recovered["range_m"])
+    print(f"| range difference, median and 99th percentile | {np.nanmedian(difference) * 1000:.1f} mm, ", end="")
+    print(f"{np.nanpercentile(difference, 99) * 1000:.1f} mm |\n")
+
+
+def strip(folder: Path) -> None:
+    """The airborne strip: lines by the wrap of the scan angle, checked by the times."""
+    source = DATA / "las" / "als_strip_labelled.laz"
+    found = inspect(source, load_config())
+    assert found.facts is not None
+    las = laspy.read(source)
+    time_s = np.asarray(las.gps_time)[661:]
+    print("## Airborne strip\n\n```console\n$ prc info als_strip_labelled.laz\n```\n")
+    print("| | |\n|---|---|")
+    print(f"| lines by the wrap of the scan angle | {found.facts.n_lines} |")
+    print(f"| line frequency from the times of the lines | {found.facts.line_hz:.3f} Hz |")
+    print(f"| line periods between the first and the last record after the stray start | {np.ptp(time_s) * 150:.1f} |")
+    degrees = np.asarray(las.scan_angle) * 0.006
+    print(f"| jumps back of the scan angle by more than 2° | {np.count_nonzero(np.diff(degrees) > 2)} |\n")
+
+
 def main() -> None:
     """Print all tables."""
+    print("<!-- written by python -m benchmarks.real_scans; do not edit -->\n\n# Tables of real scans\n")
     with tempfile.TemporaryDirectory() as name:
+        profiler(Path(name))
+        strip(Path(name))
         oakland(Path(name))
         forest(Path(name))
 

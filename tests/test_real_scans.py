@@ -11,17 +11,22 @@ import pytest
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import InputError, OrderError
-from prc_cli.core.types import F64
 from prc_cli.evaluation.scores import gate_value, scores
 from prc_cli.inspection import inspect
-from prc_cli.pipeline import classify, evaluate, open_stream
+from prc_cli.pipeline import classify, evaluate
+from tests.profiler import (
+    JAKARTO_M,
+    jakarto,
+    jakarto_input,
+    placed,
+    scanner_positions,
+    steps_apart,
+    write_trajectory,
+)
 
 pytestmark = pytest.mark.data
 
 ROOT = Path(__file__).resolve().parent.parent
-JAKARTO_M = 5099
-JAKARTO_PERIOD_S = 5.0161e-3
-SHOT_S = 0.98374e-6
 
 
 def options(**inputs: object) -> LoadedConfig:
@@ -54,65 +59,16 @@ def test_oakland(
         assert gate_value(found, "f1.building") > building
 
 
-def jakarto(real_data: Path) -> tuple[Path, dict[str, np.ndarray]]:
-    folder = real_data / "profiler"
-    with np.load(folder / "jakarto_0.02s_recovered.npz") as recovered:
-        return folder / "jakarto_0.02s.las", {name: recovered[name] for name in recovered.files}
-
-
-def scanner_positions(las: laspy.LasData, recovered: dict[str, np.ndarray]) -> F64:
-    """Scanner centre of every line from coordinates and recovered ranges (linear least squares): time, x, y, z."""
-    xyz = np.column_stack([las.x, las.y, las.z])
-    middle = xyz.mean(axis=0)
-    rows = []
-    for line in range(4):
-        chosen = recovered["line"] == line
-        points, ranges = xyz[chosen] - middle, recovered["range_m"][chosen].astype(np.float64)
-        # |p - c|² = r²  becomes linear in c and |c|²; in a plane, the part across it comes from the coordinates' normal
-        squares = (points**2).sum(axis=1) - ranges**2
-        normal = np.linalg.svd(points - points.mean(axis=0))[2][2]
-        offset = float(normal @ points.mean(axis=0))
-        system = np.column_stack([2 * points, -np.ones(len(points))])
-        system = np.vstack([system, [*(1e6 * normal), 0.0]])
-        solution = np.linalg.lstsq(system, np.append(squares, 1e6 * offset), rcond=None)[0]
-        rows.append([float(las.gps_time[chosen].mean()), *(solution[:3] + middle)])
-    return np.array(rows)
-
-
-def write_trajectory(path: Path, positions: F64) -> None:
-    """Extend the positions straight on at both ends, so that every shot lies inside."""
-    first = positions[0] - 2 * (positions[1] - positions[0])
-    last = positions[-1] + 2 * (positions[-1] - positions[-2])
-    rows = np.vstack([first, positions, last])
-    np.savetxt(path, rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.9f")
-
-
 def test_profiler_from_time_and_trajectory(real_data: Path, tmp_path: Path) -> None:
     source, recovered = jakarto(real_data)
     las = laspy.read(source)
     write_trajectory(tmp_path / "drive.csv", scanner_positions(las, recovered))
-    loaded = options(
-        lines=f"time:{1 / JAKARTO_PERIOD_S!r}",
-        columns=f"time:{1 / SHOT_S!r}",
-        range=f"trajectory:{tmp_path / 'drive.csv'}",
-        points_per_line=JAKARTO_M,
-    )
-    line = np.full(len(las), -1)
-    column = np.full(len(las), -1)
-    range_m = np.full(len(las), np.nan)
-    n_cells = 0
-    for block in open_stream(source, loaded).blocks():
-        placed = block.records()
-        where = np.argwhere(placed >= 0)
-        record = placed[placed >= 0]
-        line[record], column[record] = where[:, 0] + block.first_line, where[:, 1]
-        range_m[record] = block.range_m[placed >= 0]
-        n_cells += block.range_m.size
+    loaded = load_config(preset="urban", options={"input": jakarto_input(tmp_path / "drive.csv")})
+    line, column, range_m, n_cells = placed(source, loaded, len(las))
     # half of the shots had no return: they are back, as missing ones
     assert n_cells == pytest.approx(4 * JAKARTO_M, rel=0.3)
     same_line = line == recovered["line"]
-    steps = (line - recovered["line"]) * JAKARTO_M + column - recovered["column"]
-    steps = np.abs(steps - np.median(steps))  # the phase of the mirror is not in the file
+    steps = steps_apart(line, column, recovered)
     assert same_line.mean() > 0.99
     assert (steps <= 5).mean() > 0.95
     assert np.nanmedian(np.abs(range_m - recovered["range_m"])) < 0.01
@@ -140,18 +96,24 @@ def assert_only_classes_differ(before: Path, after: Path) -> None:
 
 def test_airborne_strip(real_data: Path, tmp_path: Path) -> None:
     source = real_data / "las" / "als_strip_labelled.laz"
+    las = laspy.read(source)
+    # after a stray start of 661 records the times span 909.1 periods of 150 Hz; 843 jumps exceed 2 degrees, the
+    # other lines are the short ones where the edge of the flight is cut
+    time_s = np.asarray(las.gps_time)[661:]
+    n_lines = 1 + int(np.ceil(np.ptp(time_s) * 150))
+    assert n_lines == 911
+    assert np.count_nonzero(np.diff(np.asarray(las.scan_angle) * 0.006) > 2) == 843
     found = inspect(source, load_config())
     assert found.facts is not None
-    assert found.facts.n_lines == 843
+    assert found.facts.n_lines == n_lines
     json.dumps(found.as_dict(), allow_nan=False)
     wrap = {"lines": "angle-wrap", "columns": "order"}
     with pytest.raises(InputError, match="no slant range"):
         classify(source, tmp_path / "out.laz", options(**wrap))
     assert list(tmp_path.iterdir()) == []
-    las = laspy.read(source)
     origin = origin_above(las, 1000.0)
     summary = classify(source, tmp_path / "out.laz", options(**wrap, range=origin))
-    assert summary.counts.n_lines == 843
+    assert summary.counts.n_lines == n_lines
     assert_only_classes_differ(source, tmp_path / "out.laz")
 
 
