@@ -25,7 +25,9 @@ from prc_cli.simulation.street import StreetParams
 @click.option(
     "--lines", type=click.IntRange(100, 100_000), default=600, show_default=True, help="Scan lines of the street."
 )
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another street.")
+@click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another street."
+)
 @click.option("--overwrite", is_flag=True, help="Use a folder that holds files already.")
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")

@@ -196,6 +196,7 @@ def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules
         max_gap_lines=rules.rules.config.max_gap_lines,
         refuse_back=dimension is not None and policy == "require",
         slack=rules.slack,
+        begins_with_first=rules.rules.config.time_origin is None or dimension is not None,
     )
     admitted, line_state = line_rules.admit_lines(line, known, shots[RECORD], line_state, admission)
     found[LINE] = line

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.stream import ReadTally
 from prc_cli.readers.grid_lines import (
     RECORD,
@@ -28,6 +28,8 @@ from prc_cli.readers.records import RecordChunk, RecordSource
 
 MAX_SCANNERS = 256
 """Scanners in one input; more values are something else than scanners."""
+MAX_LATE = 0.01
+"""Share of shots that may come after their line has left."""
 
 LineRulesOf: TypeAlias = Callable[[int], LineRules]
 """Gives the rules of a scanner."""
@@ -97,6 +99,7 @@ def _last_lines(
     leftover = ReadTally()
     for scanner in sorted(states):
         whole, state = advance(scanner, {}, states[scanner], line_rules(scanner), final=True)
+        _check_late(source.path, state, rules.config)
         if rules.lines == "fixed":
             check_partial_line(source.path, state.lines.n_shots, line_rules(scanner).points_per_line, rules.config)
         # what a scanner without a single line leaves behind
@@ -107,6 +110,18 @@ def _last_lines(
         raise nothing_placed(source.path)
     closed[0] = replace(closed[0], tally=closed[0].tally + leftover)
     yield from closed
+
+
+def _check_late(path: str, state: ScanState, config: InputConfig) -> None:
+    """Refuse an input in which more than a seam's worth of shots go back to lines that have left.
+
+    A piece of an earlier drive behind a later one has a single step back: no share of steps tells it.
+    """
+    n_late, n_seen = state.lines.n_late, state.lines.n_seen
+    if config.order == "require" and n_late > MAX_LATE * n_seen:
+        problem = f"{n_late} of {n_seen} shots go back to lines before those that they follow"
+        hint = "sort with --sort-by-time, or leave them unclassified with --trust-order"
+        raise OrderError(path, f"{problem}; expected lines in the order they were scanned", hint)
 
 
 def table_of(chunk: RecordChunk, names: tuple[str, ...]) -> Table:
@@ -190,7 +205,7 @@ def check_partial_line(path: str, n_shots: int, points_per_line: int | None, con
     """Refuse a last line that is not whole, unless it may be padded."""
     n_over = n_shots % (points_per_line or 1)
     if n_over and config.partial_line == "error":
-        problem = f"{n_shots} records are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
+        problem = f"{n_shots} shots are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
         hint = 'check points_per_line, or pad the last line: --set input.partial_line="pad"'
         raise InputError(path, problem, hint)
 

@@ -27,6 +27,10 @@ class LineState:
 
     top: int = -1
     """Highest line so far; -1 = none."""
+    n_seen: int = 0
+    """Shots with a line so far."""
+    n_late: int = 0
+    """Those of them whose line had left already."""
     offset: int | None = None
     """Dimension: line number that is line 0."""
     n_shots: int = 0
@@ -242,6 +246,8 @@ class Admission:
     """Whether lines that go back by more than the slack are an error (else they come too late, counted)."""
     slack: int
     """Lines beside the last that are still open."""
+    begins_with_first: bool = True
+    """Whether line 0 is that of the first shot; else shots before it are expected, not late."""
 
 
 def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Admission) -> tuple[Mask, LineState]:
@@ -289,4 +295,6 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
         problem = f"{missing} lines are missing before record {record[i]}, expected at most {rule.max_gap_lines}"
         hint = "check the line numbers or times there, or raise max_gap_lines"
         raise InputError(rule.where, problem, hint)
+    n_late = int(np.count_nonzero(late & ((line >= 0) | rule.begins_with_first)))
+    state = replace(state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late)
     return known & ~late, replace(state, top=int(highest[-1]))

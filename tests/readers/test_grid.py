@@ -366,7 +366,7 @@ def test_fixed_lines_need_m() -> None:
 @pytest.mark.parametrize("extra", [{}, {"number_of_returns": np.ones(10)}])
 def test_a_partial_line_is_refused_or_padded(extra: dict[str, NDArray[Any]]) -> None:
     records = {"range": np.arange(1.0, 11.0), "time": np.arange(10) / 7, **extra}
-    with pytest.raises(InputError, match=r"10 records are not a multiple of points_per_line = 4 \(2 left over\)"):
+    with pytest.raises(InputError, match=r"10 shots are not a multiple of points_per_line = 4 \(2 left over\)"):
         read(open_records(records, 3, points_per_line=4))
     whole = read(open_records(records, 3, points_per_line=4, partial_line="pad"))
     assert whole.record.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, -1, -1]]
@@ -415,6 +415,20 @@ def test_trusted_disorder_is_counted() -> None:
     assert whole.tally.n_time_steps_back > 100
     assert whole.tally.n_unplaced > 100
     assert int((whole.record >= 0).sum()) + whole.tally.n_unplaced == len(order)
+
+
+def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
+    """One step back in 40 000 is a seam; but half of the shots have no line left then."""
+    n = 20_000
+    time_s = np.concatenate([100 + np.arange(n) / 1000, np.arange(n) / 1000])
+    records = {"range": np.ones(2 * n), "time": time_s}
+    options: dict[str, Any] = {"lines": "time:50", "columns": "time:1000"}
+    with pytest.raises(OrderError, match="drive.bin: 20000 of 40000 shots go back to lines before those that they"):
+        read(open_records(records, 999, **options))
+    trusted = read(open_records(records, 999, order="trust", **options))
+    assert trusted.tally.n_unplaced == n
+    assert trusted.tally.n_time_steps_back == 1
+    assert np.isnan(read(open_records(records, 999, order="sort-time", **options)).range_m).mean() == 0.8
 
 
 def test_sorting_by_time_restores_the_scene() -> None:
