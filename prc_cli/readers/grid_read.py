@@ -101,7 +101,9 @@ def _last_lines(
         whole, state = advance(scanner, {}, states[scanner], line_rules(scanner), final=True)
         _check_late(source.path, state, rules.config)
         if rules.lines == "fixed":
-            check_partial_line(source.path, state.lines.n_shots, line_rules(scanner).points_per_line, rules.config)
+            m = line_rules(scanner).points_per_line
+            what = "shots" if rules.has_returns else "records"
+            check_partial_line(source.path, state.lines.n_shots, m, rules.config, what)
         # what a scanner without a single line leaves behind
         leftover += state.tally
         if whole is not None:
@@ -201,11 +203,13 @@ def check_scanners(n_scanners: int, path: str, rules: GridRules) -> None:
         raise InputError(path, problem, "choose another dimension for --scanner, or none")
 
 
-def check_partial_line(path: str, n_shots: int, points_per_line: int | None, config: InputConfig) -> None:
+def check_partial_line(
+    path: str, n_shots: int, points_per_line: int | None, config: InputConfig, what: str = "records"
+) -> None:
     """Refuse a last line that is not whole, unless it may be padded."""
     n_over = n_shots % (points_per_line or 1)
     if n_over and config.partial_line == "error":
-        problem = f"{n_shots} shots are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
+        problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
         hint = 'check points_per_line, or pad the last line: --set input.partial_line="pad"'
         raise InputError(path, problem, hint)
 
