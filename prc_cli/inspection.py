@@ -143,7 +143,14 @@ def _describe(
     *,
     with_ranges: bool = True,
 ) -> Inspection:
-    facts, sample = (None, None) if stream is None else _measure(stream, with_ranges=with_ranges)
+    facts, sample = None, None
+    if stream is not None:
+        try:
+            facts, sample = _measure(stream, with_ranges=with_ranges)
+        except InputError:
+            # records out of order make lines that are not whole: then the order is the news, not the line
+            if order is None or order.is_chronological:
+                raise
     problem, hint = _verdict(order, facts, refusal)
     info = None if stream is None else stream.info
     n_records = None if source is None else source.n_records
