@@ -93,6 +93,16 @@ def test_stamps_of_their_own_may_collide() -> None:
     spread, ordinal, _ = spread_stamps(stamp, 10.0, StampState())
     assert columns_by_time(spread, stamp, ordinal, np.zeros(4, np.int64), 10.0, np.zeros(4)).tolist() == [0, 1, 2, 5]
 
+    stamp = np.array([0.0, 0.0, 0.5, 0.51])
+    spread, ordinal, _ = spread_stamps(stamp, 10.0, StampState())
+    assert columns_by_time(spread, stamp, ordinal, np.zeros(4, np.int64), 10.0, np.zeros(4)).tolist() == [0, 1, 5, 5]
+
+
+def test_a_time_that_goes_back_is_not_pushed_ahead() -> None:
+    stamp = np.array([0.5, 0.5, 0.2, 0.2])
+    spread, ordinal, _ = spread_stamps(stamp, 10.0, StampState())
+    assert columns_by_time(spread, stamp, ordinal, np.zeros(4, np.int64), 10.0, np.zeros(4)).tolist() == [5, 6, 2, 3]
+
 
 def test_times_that_are_none_have_no_column() -> None:
     stamp = np.array([NAN, INF, 0.0, 1e300])

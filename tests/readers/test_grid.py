@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OrderError
 from prc_cli.core.stream import ReadTally
-from prc_cli.readers import grid_cells, grid_lines, grid_read, grid_setup
+from prc_cli.readers import grid_cells, grid_lines, grid_read, grid_rules, grid_setup
 from prc_cli.readers.grid import open_grid
 from prc_cli.readers.options import InputConfig
 from tests.readers.record_lists import (
@@ -205,8 +205,9 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
 def test_gaps_leave_in_bounded_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grid_cells, "MAX_BLOCK_CELLS", 100)
     line = np.array([0, 0, 70_000, 70_001])
-    records = {"range": np.ones(4), "scan_line": line, "column": np.array([0, 4, 1, 2])}
+    records = {"range": np.array([-1.0, 1, 1, 1]), "scan_line": line, "column": np.array([0, 4, 1, 2])}
     whole = read(open_records(records))
+    assert whole.tally == ReadTally(n_not_positive=1)
     assert max(block.n_lines for block in whole.blocks) == 20
     assert whole.range_m.shape == (70_002, 5)
     assert np.argwhere(whole.record >= 0).tolist() == [[0, 0], [0, 4], [70_000, 1], [70_001, 2]]
@@ -366,9 +367,7 @@ def test_fixed_lines_need_m() -> None:
 @pytest.mark.parametrize("extra", [{}, {"number_of_returns": np.ones(10)}])
 def test_a_partial_line_is_refused_or_padded(extra: dict[str, NDArray[Any]]) -> None:
     records = {"range": np.arange(1.0, 11.0), "time": np.arange(10) / 7, **extra}
-    with pytest.raises(
-        InputError, match=r"10 (records|shots) are not a multiple of points_per_line = 4 \(2 left over\)"
-    ):
+    with pytest.raises(InputError, match=r"10 (records|shots) are not a multiple of points_per_line = 4 \(2 left"):
         read(open_records(records, 3, points_per_line=4))
     whole = read(open_records(records, 3, points_per_line=4, partial_line="pad"))
     assert whole.record.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, -1, -1]]
@@ -433,6 +432,34 @@ def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
     sorted_ = read(open_records(records, 999, order="sort-time", **options))
     assert sorted_.range_m.shape == (6000, 20)  # 120 s
     assert np.isnan(sorted_.range_m).sum() == 6000 * 20 - 2 * n
+
+
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+def test_records_swapped_at_the_border_of_lines_are_not_lost(chunk_records: int) -> None:
+    image, records = scene()
+    order = np.arange(len(records["range"]))
+    border = np.flatnonzero(np.diff(records["scan_line"]))[5]
+    order[[border, border + 1]] = border + 1, border
+    swapped = {name: value[order] for name, value in records.items()}
+    by_time: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}", "order": "trust"}
+    for names, options in ((("range", "scan_line", "column"), {}), (("range", "time"), by_time)):
+        whole = read(open_records(only(swapped, *names), chunk_records, **options))
+        assert np.array_equal(whole.range_m, image, equal_nan=True)
+        assert whole.tally.n_unplaced == 0
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_the_first_records_do_not_depend_on_chunks(split: bool) -> None:
+    records = {"range": np.ones(90), "angle": np.arange(90.0), "user_data": np.arange(90) % 3}
+    config = InputConfig(points_per_line=9, scanner="user_data" if split else "none")
+    found = []
+    for chunk_records in (1, 7, 50, 1000):
+        source = MemorySource(records, chunk_records)
+        rules = grid_rules.resolve_rules(source, config)
+        parts = grid_read.first_records(source, rules, ("angle", *rules.names), 40, to_end=False)
+        found.append({scanner: table["angle"].tolist() for scanner, table in parts.items()})
+        assert sum(len(angles) for angles in found[-1].values()) == 40
+    assert all(one == found[0] for one in found)
 
 
 def test_sorting_by_time_restores_the_scene() -> None:
