@@ -14,6 +14,9 @@ from prc_cli.cli.report import console, line_progress, print_assumptions, print_
 from prc_cli.pipeline import RunSummary
 from prc_cli.pipeline import classify as classify_file
 
+MANY_UNPLACED = 0.01
+"""Share of records without a cell from which on the rules for lines and columns are probably wrong."""
+
 
 @click.command()
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
@@ -54,6 +57,12 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     print_classes(summary)
     if verbose:
         print_assumptions(record.assumptions, record.tally)
+    if counts.tally.n_unplaced > MANY_UNPLACED * max(counts.n_records, 1):
+        share = counts.tally.n_unplaced / counts.n_records
+        text = (
+            f"warning: {share:.1%} of the records found no cell and stay unclassified: check --lines, --columns and -M"
+        )
+        console().print(text, highlight=False, soft_wrap=True)
     for notice in record.notices:
         console().print(f"note: {notice}", highlight=False, soft_wrap=True)
     rate = counts.n_shots / seconds / 1e6 if seconds else 0.0

@@ -156,7 +156,8 @@ def _auto_range(source: RecordSource, taken: list[Assumption]) -> str:
     if {"x", "y", "z"} <= set(source.dimensions):
         ways += ["--range trajectory:FILE"] if "time" in source.dimensions else []
         ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
-    raise InputError(source.path, "no slant range: the file has no dimension range", f"give {_either(ways)}")
+    problem = f"no slant range: the file has no dimension range, it has {', '.join(source.dimensions) or 'none'}"
+    raise InputError(source.path, problem, f"give {_either(ways)}")
 
 
 def _either(ways: list[str]) -> str:

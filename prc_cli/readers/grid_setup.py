@@ -97,7 +97,7 @@ def find_setups(
     """
     estimates, probes = _probe(source, rules, points_per_line)
     n_lines: int | None = None
-    sizes = dict.fromkeys(estimates, points_per_line)
+    sizes: dict[int, int | None] = dict.fromkeys(estimates, points_per_line)
     taken = _estimate_assumptions(rules, estimates)
     if points_per_line is None:
         for scanner, found in estimates.items():

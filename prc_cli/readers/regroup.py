@@ -131,7 +131,8 @@ def join(parts: list[ScanBlock]) -> ScanBlock:
     return replace(
         parts[0],
         range_m=np.concatenate([part.range_m for part in parts]),
-        record=_join_field([part.record for part in parts]),
+        # dense parts beside others have their indices written out
+        record=None if all(part.record is None for part in parts) else np.concatenate([p.records() for p in parts]),
         time_s=_join_field([part.time_s for part in parts]),
         xyz_m=_join_field([part.xyz_m for part in parts]),
         intensity=_join_field([part.intensity for part in parts]),

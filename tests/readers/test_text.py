@@ -148,13 +148,13 @@ def test_compressed_text(tmp_path: Path, suffix: str) -> None:
 
 
 def test_a_gzip_file_of_several_members(tmp_path: Path) -> None:
-    path = write(tmp_path, gzip.compress(b"range\n1\n") + gzip.compress(b"2\n"), "drive.txt.gz")
+    path = write(tmp_path, gzip.compress(b"range\n1\n", mtime=0) + gzip.compress(b"2\n"), "drive.txt.gz")
     np.testing.assert_array_equal(read(TextSource(path), "range")["range"], [1, 2])
 
 
 def compress(content: bytes, suffix: str) -> bytes:
     if suffix == ".gz":
-        return gzip.compress(content, 1)
+        return gzip.compress(content, 1, mtime=0)
     packed = pa.Codec("zstd").compress(content, asbytes=True)
     assert isinstance(packed, bytes)
     return packed
@@ -286,7 +286,10 @@ def test_the_line_number_of_a_late_error_is_the_one_of_sed(tmp_path: Path) -> No
         (b"r\xe4nge,x\n1,2\n", "line 1: byte 2 of the line (0xe4) is not UTF-8, expected"),
         ("range\n1\n".encode("utf-16"), "the text is UTF-16, expected UTF-8; convert it: iconv"),
         ("range\n1\n".encode("utf-16-le"), "byte 1 is 0, expected a text file in UTF-8"),
-        (gzip.compress(b"range\n1\n"), "the content is gzip-compressed, expected text; rename it to drive.csv.gz"),
+        (
+            gzip.compress(b"range\n1\n", mtime=0),
+            "the content is gzip-compressed, expected text; rename it to drive.csv.gz",
+        ),
         (b",".join([b"1"] * 10_001) + b"\n", "line 1: 10001 cells, expected at most 10000"),
     ],
 )
@@ -315,7 +318,7 @@ def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeyp
     path = write(tmp_path, b"range\n1\n" + b"2" * 100_000)
     with pytest.raises(InputError, match="line 3: more than 1000 bytes without a line end"):
         TextSource(path)
-    packed = write(tmp_path, gzip.compress(b"range\n" + b"1" * 100_000), "drive.csv.gz")
+    packed = write(tmp_path, gzip.compress(b"range\n" + b"1" * 100_000, mtime=0), "drive.csv.gz")
     with pytest.raises(InputError, match="line 2: more than 1000 bytes"):
         TextSource(packed)
 
