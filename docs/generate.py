@@ -69,7 +69,7 @@ def _tables(model: type[Params], prefix: str) -> Iterator[str]:
             continue
         schema = model.model_json_schema(by_alias=True)["properties"][key]
         default = info.get_default(call_default_factory=True)
-        shown = "not set" if default is None else f"`{_toml(default)}`"
+        shown = "required" if info.is_required() else "not set" if default is None else f"`{_toml(default)}`"
         rows.append(f"| `{key}` | {shown} | {_bounds(schema)} | {info.description or ''} |".replace("  ", " "))
     title = f"[{prefix.rstrip('.')}]" if prefix else "Top level"
     documentation = (model.__doc__ or "").strip().splitlines()[0].replace("``", "`")
@@ -100,9 +100,9 @@ def _bounds(schema: dict[str, Any]) -> str:
     if "anyOf" in schema:
         return " or ".join(_bounds(option) for option in schema["anyOf"] if option.get("type") != "null")
     if "enum" in schema:
-        return ", ".join(f"`{value}`" for value in schema["enum"])
+        return ", ".join(f"`{_toml(value)}`" for value in schema["enum"])
     if "const" in schema:
-        return f"`{schema['const']}`"
+        return f"`{_toml(schema['const'])}`"
     signs = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
     limits = [f"{sign} {schema[key]:g}" for key, sign in signs.items() if key in schema]
     return ", ".join([schema.get("type", ""), *limits]).strip(", ")

@@ -29,7 +29,7 @@ def classify(
     source: Path, output: Path, overwrite: bool, segment_ids: bool,
     as_json: bool, quiet: bool, verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
-    r"""Give every shot of IN its class and write OUT.
+    """Give every shot of IN its class and write OUT.
 
     OUT is .las or .laz (class codes; everything else stays as it is in IN), or the labels alone: .npy, .csv,
     .parquet. The run is recorded in OUT and in OUT.prc.json beside it.

@@ -14,7 +14,7 @@ from prc_cli.config import json_schema, load_config, to_toml
 
 @click.group()
 def config() -> None:
-    r"""Show, check or describe the configuration.
+    """Show, check or describe the configuration.
 
     \b
     Example: prc config show --preset forest > forest.toml
@@ -26,7 +26,7 @@ def config() -> None:
 @click.option("--bare", is_flag=True, help="Without comments.")
 @click.option("--json", "as_json", is_flag=True, help="As JSON, with the source of every value that was set.")
 def show(bare: bool, as_json: bool, **options: Any) -> None:
-    r"""Print the effective configuration as TOML that can be used as a configuration file.
+    """Print the effective configuration as TOML that can be used as a configuration file.
 
     \b
     Example: prc config show --preset urban --set prc.support.zeta_p=0.1
@@ -41,7 +41,7 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
 @config.command()
 @click.argument("file", type=click.Path(path_type=Path))
 def check(file: Path) -> None:
-    r"""Check a configuration file; exit code 2 names the first wrong key.
+    """Check a configuration file; exit code 2 names the first wrong key.
 
     \b
     Example: prc config check night_run.toml
@@ -52,7 +52,7 @@ def check(file: Path) -> None:
 
 @config.command()
 def schema() -> None:
-    r"""Print the JSON schema of the configuration file (for editors).
+    """Print the JSON schema of the configuration file (for editors).
 
     \b
     Example: prc config schema > prc.schema.json

@@ -32,7 +32,7 @@ from prc_cli.simulation.street import StreetParams
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
-    r"""Simulate a street, classify it with the urban preset, evaluate it and draw it.
+    """Simulate a street, classify it with the urban preset, evaluate it and draw it.
 
     \b
     Example: prc demo --output /tmp/prc-demo

@@ -45,7 +45,7 @@ def evaluate(
     predicted: Path, reference: Path, mapping: str, predicted_dimension: str | None, reference_dimension: str | None,
     form: str, as_json_flag: bool, gates: tuple[str, ...],
 ) -> None:  # fmt: skip
-    r"""Compare PREDICTED with REFERENCE, record by record.
+    """Compare PREDICTED with REFERENCE, record by record.
 
     Both hold one code a record, in the same order: .npy, .csv(.gz), .parquet, .las or .laz.
 

@@ -22,7 +22,7 @@ from prc_cli.inspection import Inspection, inspect
 @stream_options
 @output_options
 def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
-    r"""Say what FILE holds, what would be taken for granted, and whether PRC can classify it.
+    """Say what FILE holds, what would be taken for granted, and whether PRC can classify it.
 
     The same options as for classify say how lines, columns and ranges are found.
 
