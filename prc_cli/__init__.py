@@ -14,13 +14,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from prc_cli.comparison import evaluate
     from prc_cli.config import load_config
-    from prc_cli.pipeline import classify, classify_ranges, evaluate, open_stream
+    from prc_cli.pipeline import classify, classify_ranges, open_stream
 
 __version__ = "0.1.0"
 __all__ = ["classify", "classify_ranges", "evaluate", "load_config", "open_stream"]
 
-_HOME = {"load_config": "prc_cli.config"}
+_HOME = {"evaluate": "prc_cli.comparison", "load_config": "prc_cli.config"}
 
 
 def __getattr__(name: str) -> Any:

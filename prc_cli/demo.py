@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.classifiers.prc.pipeline import initial_state, trace_block
+from prc_cli.comparison import evaluate
 from prc_cli.config import LoadedConfig, to_toml
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError, OutputExistsError
@@ -24,7 +25,7 @@ from prc_cli.imaging.pictures import (
     stack_pictures,
     write_png,
 )
-from prc_cli.pipeline import Progress, RunSummary, classify, evaluate
+from prc_cli.pipeline import Progress, RunSummary, classify
 from prc_cli.readers.regroup import regroup
 from prc_cli.simulation.street import StreetParams, StreetScan, simulate_street
 

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import prc_cli
+from prc_cli.comparison import evaluate, pair_chunks
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputExistsError
-from prc_cli.pipeline import classify, classify_ranges, evaluate, open_stream, pair_chunks
+from prc_cli.pipeline import classify, classify_ranges, open_stream
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
 WITH_M = {"input": {"points_per_line": POINTS_PER_LINE}}

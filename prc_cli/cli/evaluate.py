@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 
 from prc_cli.cli.report import print_evaluation
+from prc_cli.comparison import evaluate as evaluate_files
 from prc_cli.core.errors import ConfigError, GateError
 from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
 from prc_cli.evaluation.scores import Scores, gate_value, scores
-from prc_cli.pipeline import evaluate as evaluate_files
 
 
 @click.command()
