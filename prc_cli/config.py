@@ -18,7 +18,7 @@ from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, read_toml
 from prc_cli.core.errors import ConfigError
-from prc_cli.readers.options import InputConfig, Layout
+from prc_cli.readers.options import InputConfig, Layout, resolve_path
 from prc_cli.writers.options import OutputConfig
 
 
@@ -65,8 +65,14 @@ class LoadedConfig:
     config: RunConfig
     sources: dict[str, str] = field(default_factory=dict)
     """Layer by dotted key; keys that are absent here hold their default."""
-    base: Path | None = None
-    """Folder of the configuration file: relative paths inside it start there."""
+    files: tuple[Path, ...] = ()
+    """Files that were read for it: never overwritten by a run."""
+
+    @property
+    def trajectory(self) -> Path | None:
+        """The trajectory that ranges are measured from, if any."""
+        kind, _, name = self.config.input.range.partition(":")
+        return Path(name) if kind == "trajectory" else None
 
 
 def load_config(
@@ -79,7 +85,7 @@ def load_config(
     Parameters
     ----------
     path : path, optional
-        TOML file; it may name a preset itself (``preset = "urban"``).
+        TOML file; it may name a preset itself (``preset = "urban"``). Relative names inside it start at its folder.
     preset : str, optional
         ``urban`` or ``forest``; wins over the preset that the file names.
     options : mapping, optional
@@ -106,7 +112,7 @@ def load_config(
     if chosen is not None:
         layers.append((f"preset {chosen}", preset_table(chosen)))
     if file_path is not None:
-        layers.append((str(file_path), table))
+        layers.append((str(file_path), _from_folder(table, file_path.parent)))
     if options:
         layers.append(("option", options))
     merged: dict[str, Any] = {}
@@ -117,7 +123,17 @@ def load_config(
         build(RunConfig, merged, name)
         sources.update(dict.fromkeys(dict(flatten(layer)), name))
     config = build(RunConfig, merged, "configuration")
-    return LoadedConfig(config, sources, None if file_path is None else file_path.parent)
+    return LoadedConfig(config, sources, () if file_path is None else (file_path,))
+
+
+def _from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """Let the trajectory that a configuration file names start at the file's folder, wherever the program runs."""
+    inputs = table.get("input")
+    rule = inputs.get("range") if isinstance(inputs, Mapping) else None
+    if not isinstance(rule, str) or not rule.startswith("trajectory:"):
+        return table
+    name = resolve_path(rule.partition(":")[2], folder)
+    return merge(table, {"input": {"range": f"trajectory:{name}"}})
 
 
 def preset_table(name: Any) -> dict[str, Any]:

@@ -76,13 +76,13 @@ def run_demo(
     stream, reference = folder / "street.npz", folder / "street_reference.npy"
     _write_street(street, stream, reference)
     with atomic_output(folder / "street.toml") as temporary:
-        temporary.write_text(to_toml(config), encoding="utf-8")
+        temporary.write_text(to_toml(config), encoding="utf-8", newline="\n")
     summary = classify(stream, folder / "street.laz", config, overwrite=overwrite, progress=progress)
     classify(stream, folder / "street_labels.npy", config, overwrite=overwrite)
     matrix = evaluate(folder / "street_labels.npy", reference, "prc")
     for name, text in (("evaluation.json", as_json(matrix)), ("evaluation.md", as_markdown(matrix))):
         with atomic_output(folder / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", newline="\n")
     _draw(street, config, folder / "street.png")
     return DemoResult(summary, matrix, tuple(sorted(folder.iterdir())))
 

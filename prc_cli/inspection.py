@@ -98,7 +98,7 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
-        return _describe(path, None, stream, None, None)
+        return _describe(path, None, stream, _line_order(stream), None)
     order = _time_order(source)
     if stream is None:
         way, lines_only = _lines_only(source, loaded.config.input, path)
@@ -177,6 +177,8 @@ def _verdict(
 ) -> tuple[str, str]:
     if order is not None and not order.is_chronological:
         hint = "sort with --sort-by-time if every record is there, or insist with --trust-order"
+        if order.what == "time_s":  # lines of a range image are not sorted
+            hint = "insist with --trust-order"
         return f"not in the order the shots were fired: {order.sentence()}", hint
     if refusal is not None:
         return refusal.problem, refusal.hint
@@ -238,6 +240,17 @@ def _time_order(source: RecordSource) -> OrderEvidence | None:
     for chunk in source.chunks(("time",)):
         watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
     return watch.evidence()
+
+
+def _line_order(stream: ScanStream) -> OrderEvidence | None:
+    """Read the times of a range image's lines alone; None where it has none."""
+    watch = None
+    for block in stream.blocks():
+        if block.time_s is None:
+            return None
+        watch = watch or OrderWatch(stream.info.path, "trust", "time_s")
+        watch.see(block.time_s.ravel(), None)
+    return None if watch is None else watch.evidence()
 
 
 def _sample(source: RecordSource) -> F32:

@@ -25,7 +25,7 @@ from prc_cli.readers import LAS_SUFFIXES, open_input, suffix_of
 from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.regroup import regroup
 from prc_cli.writers import open_writer
-from prc_cli.writers.record import RunRecord, fingerprint
+from prc_cli.writers.record import RunRecord, fingerprint, record_path
 
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
@@ -98,7 +98,7 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
         When the file is damaged, or holds nothing that a range can be taken from.
     """
     loaded = _loaded(config)
-    return open_input(Path(path), loaded.config.input, loaded.config.layout, base=loaded.base)
+    return open_input(Path(path), loaded.config.input, loaded.config.layout)
 
 
 def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlock]:
@@ -171,10 +171,12 @@ def classify(
     """
     loaded = _loaded(config)
     source, output = Path(source), Path(output)
-    check_output(output, overwrite=overwrite, inputs=(source,))
+    trajectory = loaded.trajectory
+    inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
+    for path in (output, record_path(output)):
+        check_output(path, overwrite=overwrite, inputs=inputs)
     stream = open_stream(source, loaded)
     before = source.stat()
-    size, digest = fingerprint(source)
     counts = Counts.none()
     with open_writer(
         output,
@@ -191,10 +193,11 @@ def classify(
             counts = counts.add(item)
             if progress is not None:
                 progress(item.block.n_lines)
+        record = run_record(stream.info, counts, loaded)
         after = source.stat()
         if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
-        record = writer.finish(run_record(stream.info, counts, loaded.config, size, digest))
+        record = writer.finish(record)
     return RunSummary(output, record, counts)
 
 
@@ -231,13 +234,13 @@ def classify_ranges(range_m: ArrayLike, config: LoadedConfig | RunConfig | None 
     return np.concatenate([item.labels for item in label_blocks(iter([block]), config.prc)])
 
 
-def run_record(info: StreamInfo, counts: Counts, config: RunConfig, size: int, digest: str) -> RunRecord:
-    """Return the provenance of a finished run."""
+def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRecord:
+    """Return the provenance of a finished run; reads the input once more for its fingerprint."""
+    config, trajectory = loaded.config, loaded.trajectory
     return RunRecord(
         config=config.to_table(),
-        input_name=Path(info.path).name,
-        input_size=size,
-        input_sha256=digest,
+        input=fingerprint(Path(info.path)),
+        trajectory=None if trajectory is None else fingerprint(trajectory),
         format=info.format,
         points_per_line=info.points_per_line,
         n_lines=counts.n_lines,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
+import threading
 import traceback
 from typing import Any
 
@@ -72,6 +74,7 @@ def cli(debug: bool) -> None:
 def main(args: list[str] | None = None) -> None:
     """Run the command line; every refusal of the package ends here as one line and an exit code."""
     arguments = sys.argv[1:] if args is None else args
+    _leave_on_sigterm()
     try:
         cli.main(args=arguments, prog_name="prc", standalone_mode=True)
     except PrcError as error:
@@ -79,6 +82,12 @@ def main(args: list[str] | None = None) -> None:
             traceback.print_exc()
         click.echo(f"error: {one_line(error)}", err=True)
         sys.exit(error.exit_code)
+
+
+def _leave_on_sigterm() -> None:
+    """Let ``kill`` and ``timeout`` end a run like Ctrl-C: temporary files are removed on the way out."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
 
 
 def one_line(error: PrcError) -> str:

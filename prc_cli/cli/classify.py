@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,12 @@ import click
 
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_classes
-from prc_cli.pipeline import RunSummary
+from prc_cli.core.classes import Label
+from prc_cli.pipeline import Counts, RunSummary
 from prc_cli.pipeline import classify as classify_file
 
-MANY_UNPLACED = 0.01
-"""Share of records without a cell from which on the rules for lines and columns are probably wrong."""
+MANY = 0.01
+"""Share of records from which on the rules for lines and columns are probably wrong."""
 
 
 @click.command()
@@ -57,12 +59,8 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     print_classes(summary)
     if verbose:
         print_assumptions(record.assumptions, record.tally)
-    if counts.tally.n_unplaced > MANY_UNPLACED * max(counts.n_records, 1):
-        share = counts.tally.n_unplaced / counts.n_records
-        text = (
-            f"warning: {share:.1%} of the records found no cell and stay unclassified: check --lines, --columns and -M"
-        )
-        console().print(text, highlight=False, soft_wrap=True)
+    for warning in _warnings(counts):
+        console().print(f"warning: {warning}", highlight=False, soft_wrap=True)
     for notice in record.notices:
         console().print(f"note: {notice}", highlight=False, soft_wrap=True)
     rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
@@ -72,3 +70,15 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _warnings(counts: Counts) -> Iterator[str]:
+    tally, n_records = counts.tally, max(counts.n_records, 1)
+    if counts.labels[Label.MISSING] == counts.n_shots:
+        yield "no shot has a range: check --range and the layout"
+    if tally.n_unplaced > MANY * n_records:
+        share = tally.n_unplaced / n_records
+        yield f"{share:.1%} of the records found no cell and stay unclassified: check --lines, --columns and -M"
+    if tally.n_collisions > MANY * n_records:
+        share = tally.n_collisions / n_records
+        yield f"{share:.1%} of the records met another shot in their cell: check --lines, --columns and -M"

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -79,4 +80,5 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:
         table = merge(table, {"input": inputs})
-    return load_config(options["config_file"], options["preset"], table)
+    loaded = load_config(options["config_file"], options["preset"], table)
+    return loaded if layout_file is None else replace(loaded, files=(*loaded.files, layout_file))

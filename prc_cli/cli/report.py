@@ -50,7 +50,7 @@ def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
 
 def print_classes(summary: RunSummary) -> None:
     """Print how many records of the run have which class."""
-    table = Table(title=f"{summary.record.input_name}: classes")
+    table = Table(title=f"{summary.record.input.name}: classes")
     for heading in ("class", "code", "shots", "share"):
         table.add_column(heading, justify="left" if heading == "class" else "right")
     codes = ClassCodes.model_validate(summary.record.config["classes"])

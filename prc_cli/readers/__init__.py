@@ -100,9 +100,7 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
     return None if suffix in ARRAY_SUFFIXES else READERS[suffix](path, layout)
 
 
-def open_input(
-    path: Path, config: InputConfig, layout: Layout | None = None, *, base: Path | None = None
-) -> ScanStream:
+def open_input(path: Path, config: InputConfig, layout: Layout | None = None) -> ScanStream:
     """Open an input file as a stream of blocks.
 
     Parameters
@@ -113,8 +111,6 @@ def open_input(
         How lines, columns and ranges are found.
     layout : Layout, optional
         Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
-    base : Path, optional
-        Folder that relative paths in the configuration start from.
 
     Raises
     ------
@@ -130,7 +126,7 @@ def open_input(
         return ArrayStream(path, config)
     from prc_cli.readers.grid import open_grid
 
-    return open_grid(source, config, base=base, line_hz=None if layout is None else layout.line_frequency)
+    return open_grid(source, config, line_hz=None if layout is None else layout.line_frequency)
 
 
 __all__ = [

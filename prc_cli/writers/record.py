@@ -34,17 +34,25 @@ class ClassCount:
 
 
 @dataclass(frozen=True, slots=True)
+class Fingerprint:
+    """What tells one file from another."""
+
+    name: str
+    """File name, without its folder."""
+    size: int
+    """Size [bytes]."""
+    sha256: str
+    """SHA-256 of the content, hexadecimal."""
+
+
+@dataclass(frozen=True, slots=True)
 class RunRecord:
     """One run, as kept in the output (VLR) and beside it (``<output>.prc.json``)."""
 
     config: Mapping[str, Any]
     """Effective configuration, nested tables."""
-    input_name: str
-    """File name of the input, without its folder."""
-    input_size: int
-    """Size of the input [bytes]."""
-    input_sha256: str
-    """SHA-256 of the input, hexadecimal."""
+    input: Fingerprint
+    """The file that was classified."""
     format: str
     """Reader name."""
     points_per_line: int
@@ -55,6 +63,8 @@ class RunRecord:
     """Records read; label files get exactly so many entries when it is known."""
     n_missing: int | None = None
     """Shots without return."""
+    trajectory: Fingerprint | None = None
+    """The file that ranges were measured from; None if ranges do not need one."""
     assumptions: tuple[Assumption, ...] = ()
     """What the reader took for granted."""
     tally: ReadTally = field(default_factory=ReadTally)
@@ -74,7 +84,8 @@ class RunRecord:
             "program": PROGRAM,
             "version": __version__,
             "config": _without_folders(self.config),
-            "input": {"name": self.input_name, "size": self.input_size, "sha256": self.input_sha256},
+            "input": asdict(self.input),
+            "trajectory": None if self.trajectory is None else asdict(self.trajectory),
             "format": self.format,
             "stream": {
                 "points_per_line": self.points_per_line,
@@ -122,8 +133,8 @@ def record_path(output: Path) -> Path:
     return output.with_name(output.name + RECORD_SUFFIX)
 
 
-def fingerprint(path: Path) -> tuple[int, str]:
-    """Return size [bytes] and SHA-256 (hexadecimal) of a file, read in pieces.
+def fingerprint(path: Path) -> Fingerprint:
+    """Return name, size and SHA-256 of a file, read in pieces.
 
     Raises
     ------
@@ -135,7 +146,7 @@ def fingerprint(path: Path) -> tuple[int, str]:
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "a.bin"
     >>> _ = path.write_bytes(b"abc")
-    >>> fingerprint(path)[0], fingerprint(path)[1][:8]
+    >>> fingerprint(path).size, fingerprint(path).sha256[:8]
     (3, 'ba7816bf')
     """
     digest = hashlib.sha256()
@@ -148,7 +159,7 @@ def fingerprint(path: Path) -> tuple[int, str]:
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check that the file exists and its permissions") from error
-    return size, digest.hexdigest()
+    return Fingerprint(path.name, size, digest.hexdigest())
 
 
 def _dump(value: Any) -> bytes:

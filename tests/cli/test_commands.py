@@ -119,6 +119,15 @@ def test_info_tells_a_shuffled_stream(prc: Prc, tmp_path: Path) -> None:
     assert "not in the order the shots were fired" in found["problem"]
 
 
+def test_info_tells_an_array_whose_lines_are_out_of_order(prc: Prc, tmp_path: Path) -> None:
+    times = np.random.default_rng(4).permutation(N_LINES) / 48.0
+    np.savez(tmp_path / "drive.npz", range_m=street(), time_s=times)
+    found = json.loads(prc("info", tmp_path / "drive.npz", "--json").out)
+    assert found["classifiable"] is False
+    assert "time_s decreases in" in found["problem"]
+    assert prc("classify", tmp_path / "drive.npz", tmp_path / "a.npy").code == 1
+
+
 def test_info_goes_on_after_a_bad_file(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     result = prc("info", tmp_path / "none.las", source, "--json")
@@ -210,3 +219,46 @@ def _read(handle: int) -> bytes:
         return os.read(handle, 65536)
     except OSError:  # Linux ends a pseudo terminal this way
         return b""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
+    import signal
+    import time
+
+    source = write_raw(tmp_path / "drive.bin", np.tile(street(), (400, 1)))
+    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.laz"), "-M", "180", "-q"]
+    run = subprocess.Popen(command)
+    deadline = time.monotonic() + 30
+    while not list(tmp_path.glob(".a.laz.*")) and run.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    run.send_signal(signal.SIGTERM)
+    assert run.wait(30) == 128 + signal.SIGTERM
+    assert sorted(os.listdir(tmp_path)) == ["drive.bin"]
+
+
+def test_files_that_a_run_reads_are_never_its_output(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    config = tmp_path / "run.csv"
+    config.write_text("[prc.surfaces]\ngamma = 1\n")
+    result = prc("classify", source, config, "--config", config, "--overwrite")
+    assert result.code == 2
+    assert "the output is the input itself" in result.err
+    prc("classify", source, tmp_path / "drive.las")
+    track = tmp_path / "track.csv"
+    track.write_text("time,x,y,z\n0,0,0,0\n1,0,0,0\n")
+    result = prc("classify", tmp_path / "drive.las", track, "--overwrite", "--range", f"trajectory:{track}")
+    assert result.code == 2
+    assert "the output is the input itself" in result.err
+    assert track.read_text().startswith("time,x,y,z")
+
+
+def test_a_trajectory_starts_where_it_was_named(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "conf").mkdir()
+    (tmp_path / "conf" / "run.toml").write_text('[input]\nrange = "trajectory:track.csv"\n')
+    monkeypatch.chdir(tmp_path)
+    shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json").out)
+    assert Path(shown["config"]["input"]["range"].partition(":")[2]) == Path("conf/track.csv")
+    option = ["--range", "trajectory:track.csv"]
+    shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json", *option).out)
+    assert shown["config"]["input"]["range"] == "trajectory:track.csv"

@@ -10,7 +10,7 @@ import numpy as np
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, I64, U8
-from prc_cli.writers import LabelWriter, OutputConfig, RunRecord, open_writer
+from prc_cli.writers import Fingerprint, LabelWriter, OutputConfig, RunRecord, open_writer
 
 URBAN = (Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.BUILDING, Label.VEGETATION)
 FOREST = (*URBAN, Label.STEM)
@@ -19,9 +19,7 @@ FOREST = (*URBAN, Label.STEM)
 def run_record(**changes: Any) -> RunRecord:
     values: dict[str, Any] = {
         "config": {"prc": {"A": 12}, "input": {"range": "dimension:range"}},
-        "input_name": "drive.bin",
-        "input_size": 17,
-        "input_sha256": "00ff",
+        "input": Fingerprint("drive.bin", 17, "00ff"),
         "format": "raw binary",
         "points_per_line": 20,
         "assumptions": (Assumption("input.lines", "fixed", "told so"),),

@@ -8,7 +8,7 @@ import pytest
 
 from prc_cli import __version__
 from prc_cli.core.errors import InputError
-from prc_cli.writers.record import ClassCount, fingerprint, record_path
+from prc_cli.writers.record import ClassCount, Fingerprint, fingerprint, record_path
 from tests.writers.common import run_record
 
 
@@ -45,7 +45,7 @@ def test_folders_are_left_out(value: object, kept: str) -> None:
 
 
 def test_names_that_are_no_text_are_kept_as_escapes() -> None:
-    found = run_record(input_name="stra\udcdfe.las").to_json()
+    found = run_record(input=Fingerprint("stra\udcdfe.las", 1, "0")).to_json()
     assert json.loads(found)["input"]["name"] == "stra\udcdfe.las"
     assert found.isascii()
 
@@ -75,7 +75,7 @@ def test_fingerprint(tmp_path: Path) -> None:
     path = tmp_path / "big.bin"
     data = bytes(range(256)) * 10_000
     path.write_bytes(data)
-    assert fingerprint(path) == (len(data), hashlib.sha256(data).hexdigest())
+    assert fingerprint(path) == Fingerprint(path.name, len(data), hashlib.sha256(data).hexdigest())
 
 
 def test_fingerprint_of_nothing(tmp_path: Path) -> None:
