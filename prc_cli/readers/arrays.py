@@ -147,9 +147,12 @@ class ArrayStream:
         n = min(self._n_lines, self._chunk_lines, 1024)
         with self._file.open(TIME) as (rows,):
             times = rows.read(n).astype(np.float64)
-        steps = np.diff(times if times.ndim == 1 else times[:, 0])
-        steps = steps[np.isfinite(steps) & (steps > 0)]
-        return float(1 / np.median(steps)) if len(steps) else None
+        # stamps as large or as close as floats can be leave no frequency, which is no reason to warn
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.diff(times if times.ndim == 1 else times[:, 0])
+            steps = steps[np.isfinite(steps) & (steps > 0)]
+            line_hz = float(1 / np.median(steps)) if len(steps) else 0.0
+        return line_hz if 0 < line_hz < np.inf else None
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start.
@@ -161,7 +164,7 @@ class ArrayStream:
         OrderError
             When ``time_s`` goes back and the order is not trusted.
         """
-        watch = OrderWatch(self._info.path, self._config.order, TIME)
+        watch = OrderWatch(self._info.path, self._config.order, TIME, can_sort=False)
         names = (self._range, *self._names)
         with self._file.open(*names) as rows:
             opened = dict(zip(names, rows, strict=True))

@@ -22,6 +22,8 @@ CHECK_RECORDS = 1 << 20
 RANDOM_PAIRS = 1_000_000
 """Most pairs compared by :func:`range_correlation`."""
 _WEEK_S = 604_800.0
+_PLAIN_S = 1e15
+"""Times beyond have no use for digits behind the point; written out they fill the screen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +86,20 @@ class OrderEvidence:
             share, place, step = f"{100 * self.share_back:.1f} %", "first", self.first
         else:
             share, place, step = _grouped(self.n_back), "largest", self.largest
-        digits = min(max(2, 1 - math.floor(math.log10(float(f"{step.before - step.value:.1g}")))), 9)
         return (
             f"{self.what} decreases in {share} of {_grouped(self.n_steps)} steps, {place} at record {step.record}: "
-            f"{step.value:.{digits}f} s after {step.before:.{digits}f} s"
+            f"{_shown(step.value, step)} s after {_shown(step.before, step)} s"
         )
+
+
+def _shown(time_s: float, step: StepBack) -> str:
+    """Write a time with as many digits as the step needs."""
+    if abs(time_s) > _PLAIN_S:
+        return f"{time_s:g}"
+    # a step may be beyond the largest float, but then one of its ends is beyond what is written out
+    size = min(step.before - step.value, _PLAIN_S)
+    digits = min(max(2, 1 - math.floor(math.log10(float(f"{size:.1g}")))), 9)
+    return f"{time_s:.{digits}f}"
 
 
 def _grouped(number: int) -> str:
@@ -107,10 +118,20 @@ class OrderWatch:
         ``require`` raises as soon as the evidence is conclusive; the others only count.
     what : str
         Name of the dimension.
+    can_sort : bool
+        Whether the input can be sorted by time; the refusal advises it only then.
     """
 
-    def __init__(self, path: str, policy: Literal["require", "trust", "sort-time"], what: str = "gps_time") -> None:
+    def __init__(
+        self,
+        path: str,
+        policy: Literal["require", "trust", "sort-time"],
+        what: str = "gps_time",
+        *,
+        can_sort: bool = True,
+    ) -> None:
         self._path = path
+        self._can_sort = can_sort
         self._policy = policy
         self._what = what
         self._n_records = 0
@@ -172,7 +193,9 @@ class OrderWatch:
 
     def _keep(self, before: F64, after: F64, record: I64, back: I64) -> None:
         """Keep the first and the largest step back."""
-        steps = [int(back[0]), int(back[np.argmax(before[back] - after[back])])]
+        # times of 1e308 are finite, the step between them need not be
+        with np.errstate(over="ignore"):
+            steps = [int(back[0]), int(back[np.argmax(before[back] - after[back])])]
         first, largest = (StepBack(int(record[i]), float(after[i]), float(before[i])) for i in steps)
         if self._first is None:
             self._first = first
@@ -208,6 +231,8 @@ class OrderWatch:
             return
         problem = f"{evidence.sentence()}; expected shots in the order they were fired"
         hint = "sort with --sort-by-time if every record is there, or insist with --trust-order"
+        if not self._can_sort:
+            hint = "write the lines in the order they were scanned, or insist with --trust-order"
         if evidence.n_back == 1 and abs(evidence.largest_back - _WEEK_S) < _WEEK_S / 100:
             hint = "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
         raise OrderError(self._path, problem, hint)

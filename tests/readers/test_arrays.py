@@ -176,6 +176,22 @@ def test_times_that_go_back(tmp_path: Path) -> None:
     assert trusted.tally == ReadTally(n_time_steps_back=2)
 
 
+def test_the_refusal_of_an_image_does_not_advise_what_it_refuses(tmp_path: Path) -> None:
+    path = save_npz(tmp_path, range_m=image(3), time_s=np.array([3.0, 2.0, 1.0]))
+    message = refused(path)
+    assert "time_s decreases in 100.0 % of 2 steps" in message
+    assert "--trust-order" in message
+    assert "sort-by-time" not in message
+
+
+@pytest.mark.parametrize("times", [[1e300, -1.7e308, 1.7e308], [0.0, 5e-324, 1e-323], [-1.7e308, 1.7e308, 1e300]])
+def test_times_as_large_or_close_as_floats_can_be(tmp_path: Path, times: list[float]) -> None:
+    path = save_npz(tmp_path, range_m=image(3), time_s=np.array(times))
+    stream = ArrayStream(path, config(order="trust"))
+    assert stream.info.line_hz is None or 0 < stream.info.line_hz < np.inf
+    np.testing.assert_array_equal(whole(stream).time_s[:, 0], times)  # type: ignore[index]
+
+
 def test_a_time_for_every_shot(tmp_path: Path) -> None:
     times = np.arange(35.0).reshape(7, 5)
     stream = ArrayStream(save_npz(tmp_path, range_m=image(), time_s=times), AUTO)

@@ -143,6 +143,28 @@ def test_tiny_step_back_is_shown_with_enough_digits() -> None:
     assert sentence.endswith("1.9999962 s after 2.0000000 s")
 
 
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([1e300, -1.7e308, 1.7e308], "first at record 1: -1.7e+308 s after 1e+300 s"),
+        ([1.7e308, -1.7e308], "first at record 1: -1.7e+308 s after 1.7e+308 s"),
+        ([1e300, 12.5], "first at record 1: 12.50 s after 1e+300 s"),
+    ],
+)
+def test_steps_as_large_as_floats_can_be(times: list[float], said: str) -> None:
+    for chunk in (1, 5):
+        sentence = watch_in_chunks(np.array(times), chunk).evidence().sentence()
+        assert sentence.endswith(said)
+
+
+def test_the_refusal_of_what_cannot_be_sorted_does_not_advise_to_sort() -> None:
+    watch = OrderWatch("scan.npz", "require", "time_s", can_sort=False)
+    watch.see(np.array([2.0, 1.0]), None)
+    with pytest.raises(OrderError) as caught:
+        watch.finish()
+    assert caught.value.hint == "write the lines in the order they were scanned, or insist with --trust-order"
+
+
 def test_range_correlation_tells_a_walk_from_its_shuffle() -> None:
     rng = np.random.default_rng(5)
     walk = (20 + np.cumsum(rng.normal(scale=0.01, size=20_000))).astype(np.float32)
