@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,6 +11,9 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from prc_cli.core.config import Params
+
+MAX_RECORD_BYTES = 1 << 20
+"""Largest record of a raw dump; LAS allows 65535 bytes, and chunks of records are held in memory."""
 
 
 def _rule(*patterns: str) -> AfterValidator:
@@ -73,6 +77,12 @@ class InputConfig(Params):
     angle_start: float | None = Field(None, description="scan angle of column 0 [deg]; default: found in the input")
     angle_step: float | None = Field(None, description="scan angle between columns [deg], signed; default: found")
     trajectory_time_offset: float = Field(0.0, description="added to the trajectory's times to match gps_time [s]")
+    trajectory_max_gap: float | None = Field(
+        None,
+        gt=0,
+        description="points in a longer gap of the trajectory are an error [s]; default: ten times the median step, "
+        "at least 1 s",
+    )
     trajectory_crs: str | None = Field(
         None,
         description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's",
@@ -93,7 +103,7 @@ class InputConfig(Params):
             raise ValueError(message)
         for name in ("lines", "columns"):
             rule = getattr(self, name)
-            if rule.startswith("time:") and not parse_rate(rule) > 0:
+            if rule.startswith("time:") and not 0 < parse_rate(rule) < np.inf:
                 message = f"{name} = time:HZ with a positive number, found {rule!r}"
                 raise ValueError(message)
         return self
@@ -114,21 +124,31 @@ def parse_rate(rule: str) -> float:
 def parse_origin(rule: str) -> tuple[float, float, float]:
     """Return the coordinates in ``origin:X,Y,Z`` [m].
 
+    Raises
+    ------
+    ValueError
+        When they are not three finite numbers.
+
+    Examples
+    --------
     >>> parse_origin("origin:1,2,3.5")
     (1.0, 2.0, 3.5)
     """
     try:
         x, y, z = (float(part) for part in rule.partition(":")[2].split(","))
     except ValueError:
-        message = f"range = origin:X,Y,Z with three numbers, found {rule!r}"
-        raise ValueError(message) from None
+        x = y = z = float("nan")
+    if not all(math.isfinite(value) for value in (x, y, z)):
+        message = f"range = origin:X,Y,Z with three numbers, all finite, found {rule!r}"
+        raise ValueError(message)
     return x, y, z
 
 
 def _numpy_type(value: str) -> str:
     try:
         dtype = np.dtype(value)
-    except TypeError:
+    except (TypeError, ValueError, SyntaxError):
+        # numpy parses what holds a comma as a list of types
         dtype = None
     if dtype is None or dtype.kind not in "iuf":
         message = "a numpy number type such as f4, u2, i4, float64"
@@ -161,6 +181,7 @@ class Layout(Params):
     record_bytes: int | None = Field(
         None,
         ge=1,
+        le=MAX_RECORD_BYTES,
         description="raw binary: size of a record if it is larger than its fields (padding at the end)",
     )
     delimiter: str = Field(",", min_length=1, max_length=1, description="text: between cells; a space = any blanks")
