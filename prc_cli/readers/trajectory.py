@@ -2,37 +2,31 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
-from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.types import F64
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F64, I64
+from prc_cli.readers.trajectory_sbet import project, read_sbet
+from prc_cli.readers.trajectory_text import read_text
 
-SBET_BYTES = 136
-"""Bytes of an SBET record: 17 little-endian doubles; time, latitude, longitude and altitude are the first."""
-_NAMES = {
-    "time": ("time", "gps_time", "gpstime", "t"),
-    "x": ("x", "easting", "e"),
-    "y": ("y", "northing", "n"),
-    "z": ("z", "height", "altitude", "alt", "h"),
-}
-_BATCH = 100_000
-"""Rows or records read at a time."""
-_MAX_ROW = 65_536
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
 """Adjusted standard GPS time is GPS time less this (LAS 1.4, global encoding bit 0)."""
+_GAP_STEPS, _GAP_S = 10, 1.0
+"""A longer step than so many median ones, and than this [s], is a gap if nothing else is asked for."""
+_PLAIN_S = 1e15
+"""Times beyond are not written out digit by digit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Positions of the sensor over time, linear in between.
+    """Positions of the sensor over time, linear in between, but not across gaps.
 
     Held in memory whole: 32 bytes a position, so a day at 200 Hz takes 550 MB and an hour 23 MB.
     """
@@ -43,6 +37,35 @@ class Trajectory:
     """(n,) float64, strictly increasing [s], the offset already added."""
     xyz_m: F64
     """(n, 3) float64, in the coordinate system of the points [m]."""
+    max_gap_s: float | None = None
+    """Longest step between positions that is interpolated [s]; None = ten median steps, at least 1 s."""
+    sha256: str = ""
+    """Of the file, in hexadecimal digits; empty if there is none."""
+    gap_limit_s: float = field(init=False)
+    """The same, with its default resolved [s]."""
+    _gaps: I64 = field(init=False, repr=False)
+    """Indices of the positions that a gap follows."""
+
+    def __post_init__(self) -> None:
+        with np.errstate(over="ignore"):
+            steps = np.diff(self.time_s)
+        limit = self.max_gap_s
+        if limit is None:
+            # the lower of two medians: of 1 s and 1099 s it is the 1 s that says how often there was a fix
+            middle = (len(steps) - 1) // 2
+            limit = max(_GAP_S, _GAP_STEPS * float(np.partition(steps, middle)[middle])) if len(steps) else _GAP_S
+        object.__setattr__(self, "gap_limit_s", limit)
+        object.__setattr__(self, "_gaps", np.flatnonzero(steps > limit))
+
+    @property
+    def n_positions(self) -> int:
+        """Number of positions."""
+        return len(self.time_s)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time [s], the offset already added."""
+        return float(self.time_s[0]), float(self.time_s[-1])
 
     def positions(self, time_s: F64) -> F64:
         """Interpolate.
@@ -60,7 +83,7 @@ class Trajectory:
         Raises
         ------
         InputError
-            When a time is not finite or lies outside the trajectory.
+            When a time is not finite, or lies outside the trajectory or in a gap of it.
 
         Examples
         --------
@@ -74,28 +97,52 @@ class Trajectory:
         inside = (time_s >= self.time_s[0]) & (time_s <= self.time_s[-1])
         if not inside.all():
             raise self._outside(time_s, inside)
+        if len(self._gaps):
+            self._check_gaps(time_s)
         columns = [np.interp(time_s, self.time_s, self.xyz_m[:, axis]) for axis in range(3)]
         return np.stack(columns, axis=1)
 
-    def _outside(self, time_s: F64, inside: np.ndarray) -> InputError:
+    def _check_gaps(self, time_s: F64) -> None:
+        """Refuse times strictly inside a gap: a straight line would make up where the sensor was."""
+        starts, ends = self.time_s[self._gaps], self.time_s[self._gaps + 1]
+        k = np.searchsorted(starts, time_s, side="left") - 1
+        held = (k >= 0) & (time_s < ends[k])
+        if not held.any():
+            return
+        i = int(np.argmax(held))
+        start, end, at = float(starts[k[i]]), float(ends[k[i]]), float(time_s[i])
+        n_held = int(np.count_nonzero(held))
+        problem = (
+            f"no position from {_shown(start)} to {_shown(end)} s, a gap of {_shown(end - start)} s that holds the "
+            f"point time {_shown(at)} s; expected gaps of at most {_shown(self.gap_limit_s)} s ({n_held} of "
+            f"{len(time_s)} point times are in such gaps)"
+        )
+        enough = _shown(math.ceil(end - start), 0) if end - start < _PLAIN_S else "more"
+        hint = f"give the whole trajectory, or set trajectory_max_gap = {enough} to take straight lines across"
+        raise InputError(self.path, problem, hint)
+
+    def _outside(self, time_s: F64, inside: NDArray[np.bool_]) -> InputError:
         finite = time_s[np.isfinite(time_s)]
         n_outside = int(np.count_nonzero(~inside))
         if not len(finite):
             problem = f"all {len(time_s)} point times are NaN or infinite, expected times within the trajectory"
             return InputError(self.path, problem, "look at gps_time with prc info")
-        span = f"{self.time_s[0]:.2f} to {self.time_s[-1]:.2f} s"
+        first, last = float(finite.min()), float(finite.max())
         problem = (
-            f"{n_outside} of {len(time_s)} point times are outside the trajectory: points from {finite.min():.2f} to "
-            f"{finite.max():.2f} s, trajectory from {span}"
+            f"{n_outside} of {len(time_s)} point times are outside the trajectory: points from {_shown(first)} to "
+            f"{_shown(last)} s, trajectory from {_shown(self.span[0])} to {_shown(self.span[1])} s"
         )
         if len(finite) < len(time_s):
             problem += f" ({len(time_s) - len(finite)} times are NaN or infinite)"
-        return InputError(self.path, problem, self._offset_hint(float(finite.min()), float(finite.max())))
+        return InputError(self.path, problem, self._offset_hint(first, last))
 
     def _offset_hint(self, first: float, last: float) -> str:
         """Suggest the offset if the clocks differ by whole GPS weeks, by 1e9 s, or by both."""
-        start, end = float(self.time_s[0]), float(self.time_s[-1])
+        start, end = self.span
         middle = (first + last - start - end) / 2
+        unknown = "give the trajectory of this drive, or set trajectory_time_offset to what its times lack"
+        if not abs(middle) < _PLAIN_S:
+            return unknown
         slack = max((end - start - (last - first)) / 2, 0.0) + 1.0
         for base in (0.0, -_ADJUSTED_S, _ADJUSTED_S):
             weeks = round((middle - base) / _WEEK_S)
@@ -104,190 +151,72 @@ class Trajectory:
                 known = ((f"{weeks:+d} GPS weeks", weeks), (f"{base:+.0e} s", base))
                 what = " and ".join(text for text, there in known if there)
                 return f"the clocks seem to differ by {what}: try trajectory_time_offset = {offset:.0f}"
-        return "give the trajectory of this drive, or set trajectory_time_offset to what its times lack"
+        return unknown
 
 
-def load_trajectory(path: Path, *, crs: str | None, source_crs_wkt: str | None, time_offset: float) -> Trajectory:
+def _shown(time_s: float, digits: int = 2) -> str:
+    return f"{time_s:.{digits}f}" if abs(time_s) <= _PLAIN_S else f"{time_s:g}"
+
+
+def load_trajectory(
+    path: Path, *, crs: str | None, source_crs_wkt: str | None, time_offset: float, max_gap: float | None = None
+) -> Trajectory:
     """Read a trajectory; ``.sbet`` and ``.out`` are SBET, anything else is text with a header row.
 
     Parameters
     ----------
     path : Path
         Text: columns time (time, gps_time, t), x (x, easting, e), y (y, northing, n) and z (z, height, altitude,
-        alt, h) in the coordinate system of the points, any delimiter. SBET: projected to that system.
+        alt, h) in the coordinate system of the points, any delimiter. SBET: projected to that system; altitudes stay
+        those above the ellipsoid.
     crs : str or None
         Coordinate system of the points (``trajectory_crs``), for SBET.
     source_crs_wkt : str or None
         The same as the points' file says it; used where ``crs`` is None.
     time_offset : float
         Added to the trajectory's times [s].
+    max_gap : float, optional
+        Longest step between positions to interpolate in [s] (``trajectory_max_gap``); ten times the median step,
+        at least 1 s, if None.
 
     Raises
     ------
     InputError
         When the file cannot be read as a trajectory; the message names the row or record.
     ConfigError
-        When an SBET file has no coordinate system to go to, or pyproj is missing.
+        When an SBET file has no coordinate system to go to or one with heights of its own, or pyproj is missing.
     """
     try:
         size = path.stat().st_size
         if size == 0:
             raise InputError(str(path), "empty file, expected a trajectory", "give a CSV or SBET file with positions")
         if path.suffix.lower() in (".sbet", ".out"):
-            time_s, position = _read_sbet(path, size)
-            target = crs or source_crs_wkt
-            xyz_m = _project(path, position, target)
+            time_s, position = read_sbet(path, size)
+            xyz_m = project(path, position, crs or source_crs_wkt)
         else:
-            time_s, xyz_m = _read_text(path)
+            time_s, xyz_m = read_text(path)
+        with path.open("rb") as handle:
+            sha256 = hashlib.file_digest(handle, "sha256").hexdigest()
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check the trajectory's name and permissions") from None
-    _check(path, time_s, xyz_m)
-    return Trajectory(str(path), time_s + time_offset, xyz_m)
+    with np.errstate(over="ignore"):
+        time_s = time_s + time_offset
+    _check(path, time_s)
+    return Trajectory(str(path), time_s, xyz_m, max_gap, sha256)
 
 
-def _check(path: Path, time_s: F64, xyz_m: F64) -> None:
-    """Refuse times that do not increase; finite numbers were checked while reading."""
+def _check(path: Path, time_s: F64) -> None:
+    """Refuse times that do not increase; what was read is finite, but offsets can blur or overflow."""
     if len(time_s) < 2:
         problem = f"{len(time_s)} positions, expected at least 2 to interpolate between"
         raise InputError(str(path), problem, "give the whole trajectory")
-    stuck = np.flatnonzero(np.diff(time_s) <= 0)
+    # compared, not subtracted: infinite times are stuck too
+    stuck = np.flatnonzero(~(time_s[1:] > time_s[:-1]))
     if len(stuck):
         i = int(stuck[0]) + 1
         problem = (
-            f"position {i + 1} (counted from 1) has time {time_s[i]:.6f} s after {time_s[i - 1]:.6f} s, expected times "
-            f"that increase ({len(stuck)} such steps)"
+            f"position {i + 1} (counted from 1) has time {_shown(time_s[i], 6)} s after {_shown(time_s[i - 1], 6)} s, "
+            f"expected times that increase ({len(stuck)} such steps)"
         )
         raise InputError(str(path), problem, "sort the trajectory by time and drop repeated rows")
-
-
-def _read_sbet(path: Path, size: int) -> tuple[F64, F64]:
-    """Return time (n,) [s] and (n, 3) longitude [rad], latitude [rad], altitude [m]."""
-    if size % SBET_BYTES:
-        problem = f"{size} bytes, expected a multiple of {SBET_BYTES} (17 doubles a record)"
-        raise InputError(str(path), problem, "the SBET is cut short, or it is no SBET: give a text file another suffix")
-    parts = []
-    with path.open("rb") as handle:
-        while raw := handle.read(_BATCH * SBET_BYTES):
-            whole = raw[: len(raw) // SBET_BYTES * SBET_BYTES]
-            parts.append(np.frombuffer(whole, "<f8").reshape(-1, 17)[:, :4].astype(np.float64))
-    values = np.concatenate(parts)
-    sane = np.isfinite(values).all(axis=1) & (np.abs(values[:, 1]) <= math.pi / 2) & (np.abs(values[:, 2]) <= math.tau)
-    if not sane.all():
-        i = int(np.argmin(sane))
-        found = ", ".join(f"{value:g}" for value in values[i])
-        problem = f"time, latitude, longitude, altitude are {found}, expected finite numbers, angles in radians"
-        position = f"{path}: record {i} (byte {i * SBET_BYTES})"
-        raise InputError(position, problem, "check that this is an SBET file")
-    return values[:, 0].copy(), values[:, [2, 1, 3]]
-
-
-def _project(path: Path, position: F64, target: str | None) -> F64:
-    """Bring longitude and latitude to the points' system; altitudes are taken as they are."""
-    if target is None:
-        problem = "an SBET trajectory is in latitude and longitude, and the points' coordinate system is not known"
-        raise ConfigError(str(path), problem, "set trajectory_crs, for example EPSG:32635")
-    try:
-        import pyproj
-        import pyproj.exceptions
-    except ImportError:
-        problem = "an SBET trajectory needs pyproj, which is not installed"
-        raise ConfigError(str(path), problem, "pip install prc-cli[crs]") from None
-    shown = target if len(target) <= 40 else f"{target[:40]}..."
-    remedy = "set trajectory_crs to that of the points, for example EPSG:32635"
-    try:
-        crs = pyproj.CRS.from_user_input(target)
-        if crs.is_compound:
-            crs = crs.sub_crs_list[0]
-        if not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info[:2]):
-            problem = f"coordinate system {shown!r} is not a projected one in metres"
-            raise ConfigError(str(path), problem, remedy)
-        transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
-        x, y = transformer.transform(np.degrees(position[:, 0]), np.degrees(position[:, 1]))
-    except pyproj.exceptions.ProjError as error:
-        problem = f"coordinate system {shown!r} cannot be used ({str(error).splitlines()[0]})"
-        raise ConfigError(str(path), problem, remedy) from None
-    xyz_m: F64 = np.stack([x, y, position[:, 2]], axis=1)
-    finite = np.isfinite(xyz_m).all(axis=1)
-    if not finite.all():
-        problem = f"position {int(np.argmin(finite))} lies outside of what {shown!r} can show"
-        raise InputError(str(path), problem, "check trajectory_crs")
-    return xyz_m
-
-
-def _read_text(path: Path) -> tuple[F64, F64]:
-    """Return time (n,) [s] and position (n, 3) [m]."""
-    with path.open("r", encoding="utf-8-sig", errors="replace", newline=None) as handle:
-        rows = _rows(str(path), handle)
-        number, first = next(rows, (1, ""))
-        delimiter = next((mark for mark in ",;\t" if mark in first), None)
-        columns = _find_columns(f"{path}: line {number}", _cells(first.lstrip("#"), delimiter))
-        parts = []
-        while batch := list(islice(rows, _BATCH)):
-            parts.append(_parse(str(path), batch, delimiter, columns))
-    values = np.concatenate(parts) if parts else np.empty((0, 4))
-    return values[:, 0].copy(), values[:, 1:].copy()
-
-
-def _rows(where: str, handle: TextIO) -> Iterator[tuple[int, str]]:
-    """Yield line number and text of every row that holds something; the first may begin with #."""
-    number = 0
-    first = True
-    while row := handle.readline(_MAX_ROW + 1):
-        number += 1
-        if len(row) > _MAX_ROW:
-            problem = f"row of more than {_MAX_ROW} characters, expected time and position"
-            position = f"{where}: line {number}"
-            raise InputError(position, problem, "give a CSV file, or an SBET file ending in .sbet or .out")
-        text = row.strip()
-        if text and (first or not text.startswith("#")):
-            first = False
-            yield number, text
-
-
-def _cells(row: str, delimiter: str | None) -> list[str]:
-    return [cell.strip().strip('"') for cell in row.split(delimiter)]
-
-
-def _find_columns(where: str, cells: list[str]) -> list[int]:
-    """Return the columns of time, x, y and z."""
-    # units in brackets are decoration: "x [m]", "time(s)"
-    names = [cell.lower().partition("[")[0].partition("(")[0].strip() for cell in cells]
-    columns = []
-    for wanted, known in _NAMES.items():
-        found = [names.index(name) for name in known if name in names]
-        if not found:
-            problem = f"no column for {wanted} (one of {', '.join(known)}), found {', '.join(cells)[:200]!r}"
-            raise InputError(where, problem, "name the columns in the first row, for example time,x,y,z")
-        columns.append(found[0])
-    return columns
-
-
-def _parse(where: str, batch: list[tuple[int, str]], delimiter: str | None, columns: list[int]) -> F64:
-    """Return (n, 4) time and position, all finite."""
-    try:
-        cells = [row.split(delimiter) for _, row in batch]
-        values = np.array([[float(row[column]) for column in columns] for row in cells], dtype=np.float64)
-    except (ValueError, IndexError):
-        values = np.empty((0, 4))
-    if len(values) and np.isfinite(values).all():
-        return values
-    # something is wrong in this batch, or quoted: look at it row by row
-    return np.array([_parse_row(f"{where}: line {number}", _cells(row, delimiter), columns) for number, row in batch])
-
-
-def _parse_row(where: str, cells: list[str], columns: list[int]) -> list[float]:
-    if len(cells) <= max(columns):
-        problem = f"{len(cells)} cells, expected at least {max(columns) + 1}"
-        raise InputError(where, problem, "every row needs time, x, y and z")
-    values = []
-    for column in columns:
-        try:
-            value = float(cells[column])
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            problem = f"cell {column + 1} is {cells[column][:40]!r}, expected a finite number"
-            raise InputError(where, problem, "correct or drop the row")
-        values.append(value)
-    return values

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import builtins
+import hashlib
 import math
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,14 @@ from prc_cli.readers.trajectory import Trajectory, load_trajectory
 UTM35 = "EPSG:32635"
 
 
-def load(path: Path, crs: str | None = None, wkt: str | None = None, offset: float = 0.0) -> Trajectory:
-    return load_trajectory(path, crs=crs, source_crs_wkt=wkt, time_offset=offset)
+def load(
+    path: Path,
+    crs: str | None = None,
+    wkt: str | None = None,
+    offset: float = 0.0,
+    max_gap: float | None = None,
+) -> Trajectory:
+    return load_trajectory(path, crs=crs, source_crs_wkt=wkt, time_offset=offset, max_gap=max_gap)
 
 
 def write(path: Path, text: str) -> Path:
@@ -56,7 +63,7 @@ def test_delimiters_and_names(tmp_path: Path, text: str) -> None:
 
 
 def test_many_rows_cross_the_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.readers.trajectory._BATCH", 7)
+    monkeypatch.setattr("prc_cli.readers.trajectory_text._BATCH", 7)
     rows = "".join(f"{t},{2 * t},0,1\n" for t in range(100))
     track = load(write(tmp_path / "drive.csv", "time,x,y,z\n" + rows))
     np.testing.assert_array_equal(track.xyz_m[:, 0], np.arange(100) * 2.0)
@@ -151,8 +158,120 @@ def test_sbet_is_projected_and_keeps_altitudes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(track.xyz_m[:, 2], [31.5, 32.5])
     from_wkt = load(path, wkt=pyproj.CRS(UTM35).to_wkt())
     np.testing.assert_array_equal(from_wkt.xyz_m, track.xyz_m)
-    compound = load(path.rename(tmp_path / "drive.out"), crs="EPSG:32635+5773")
-    np.testing.assert_array_equal(compound.xyz_m, track.xyz_m)
+    of_3d = load(path.rename(tmp_path / "drive.out"), wkt=pyproj.CRS(UTM35).to_3d().to_wkt())
+    np.testing.assert_array_equal(of_3d.xyz_m, track.xyz_m)
+
+
+@pytest.mark.parametrize(
+    ("crs", "heights", "alone"),
+    [("EPSG:3067+5717", "N60 height", "EPSG:3067"), ("EPSG:32635+5773", "EGM96 height", "EPSG:32635")],
+)
+@pytest.mark.parametrize("form", ["code", "wkt1", "wkt2"])
+def test_heights_of_another_kind_never_pass_in_silence(
+    tmp_path: Path, crs: str, heights: str, alone: str, form: str
+) -> None:
+    pyproj = pytest.importorskip("pyproj")
+    path = write_sbet(tmp_path / "drive.sbet", SOUND)
+    given = {"code": crs, "wkt1": pyproj.CRS(crs).to_wkt("WKT1_GDAL"), "wkt2": pyproj.CRS(crs).to_wkt()}[form]
+    for keys in ({"crs": given}, {"wkt": given}):
+        with pytest.raises(ConfigError) as caught:
+            load(path, **keys)
+        assert f"has heights of its own ({heights!r}), expected a horizontal one: the altitudes" in str(caught.value)
+        assert f"set trajectory_crs = {alone} if the points' heights are above the ellipsoid too" in caught.value.hint
+        assert "\n" not in str(caught.value)
+    # what the hint says is enough, although the points' file still says the other
+    np.testing.assert_array_equal(load(path, crs=alone, wkt=given).xyz_m[:, 2], [3.0, 3.0])
+
+
+def test_a_system_whose_heights_are_bound_to_a_geoid(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    crs = "+proj=utm +zone=35 +ellps=GRS80 +geoidgrids=egm96_15.gtx +units=m"
+    with pytest.raises(ConfigError, match=r"heights of its own .* set trajectory_crs = its horizontal part if"):
+        load(write_sbet(tmp_path / "drive.sbet", SOUND), crs=crs)
+
+
+def test_what_is_recorded_of_a_trajectory(tmp_path: Path) -> None:
+    path = write(tmp_path / "drive.csv", "time,x,y,z\n10,0,0,0\n11,0,0,0\n12.5,1,0,0\n")
+    track = load(path, offset=100.0)
+    assert (track.n_positions, track.span) == (3, (110.0, 112.5))
+    assert track.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+GAPPY = "time,x,y,z\n900,0,0,0\n901,1,0,0\n2000,2,0,0\n"
+
+
+def test_a_gap_is_not_crossed_in_a_straight_line(tmp_path: Path) -> None:
+    track = load(write(tmp_path / "drive.csv", GAPPY))
+    with pytest.raises(InputError) as caught:
+        track.positions(np.array([900.5, 1500.0, 1999.0, 2000.0]))
+    assert str(caught.value).removeprefix(f"{tmp_path}/") == (
+        "drive.csv: no position from 901.00 to 2000.00 s, a gap of 1099.00 s that holds the point time 1500.00 s; "
+        "expected gaps of at most 10.00 s (2 of 4 point times are in such gaps); "
+        "give the whole trajectory, or set trajectory_max_gap = 1099 to take straight lines across"
+    )
+
+
+def test_a_gap_without_points_does_not_matter(tmp_path: Path) -> None:
+    track = load(write(tmp_path / "drive.csv", GAPPY))
+    np.testing.assert_array_equal(track.positions(np.array([900.25, 901.0, 2000.0, 900.0]))[:, 0], [0.25, 1.0, 2.0, 0])
+
+
+@pytest.mark.parametrize(("max_gap", "refused"), [(None, True), (1098.9, True), (1099.0, False), (1e9, False)])
+def test_the_longest_gap_is_a_choice(tmp_path: Path, max_gap: float | None, refused: bool) -> None:
+    track = load(write(tmp_path / "drive.csv", GAPPY), max_gap=max_gap)
+    if refused:
+        with pytest.raises(InputError, match="a gap of 1099.00 s"):
+            track.positions(np.array([1450.5]))
+    else:
+        assert track.positions(np.array([1450.5]))[0, 0] == 1.5
+
+
+@pytest.mark.parametrize(("step", "limit"), [(0.005, 1.0), (0.1, 1.0), (0.5, 5.0), (30.0, 300.0)])
+def test_the_default_gap_follows_the_step(step: float, limit: float) -> None:
+    times = np.arange(50, dtype=np.float64) * step
+    times[25:] += limit - step
+    track = Trajectory("drive.csv", times, np.zeros((50, 3)))
+    assert track.gap_limit_s == pytest.approx(limit)
+    between = (times[24] + times[25]) / 2
+    late = times.copy()
+    late[25:] += 0.01 * step
+    longer = Trajectory("drive.csv", late, np.zeros((50, 3)))
+    with pytest.raises(InputError, match=r"\(1 of 1 point times are in such gaps\)"):
+        longer.positions(np.array([between]))
+    exact = Trajectory("drive.csv", times, np.zeros((50, 3)), max_gap_s=float(np.diff(times).max()))
+    assert exact.positions(np.array([between])).shape == (1, 3)
+
+
+def test_every_one_of_many_gaps_is_seen() -> None:
+    times = np.concatenate([np.arange(10.0) + 1000.0 * k for k in range(4)])
+    track = Trajectory("drive.csv", times, np.zeros((40, 3)))
+    for k in range(3):
+        with pytest.raises(InputError, match=rf"no position from {1000 * k + 9}.00 to {1000 * k + 1000}.00 s"):
+            track.positions(np.array([0.0, 3005.5, 1000.0 * k + 500]))
+    assert track.positions(times + np.where(times % 1000 < 9, 0.5, 0.0)).shape == (40, 3)
+
+
+@pytest.mark.parametrize(
+    ("rows", "at", "said"),
+    [
+        (["-1.7e308", "0", "1.7e308"], 1.79e308, "trajectory from -1.7e+308 to 1.7e+308 s; give the trajectory of"),
+        (["1e300", "2e300"], 5.0, "points from 5.00 to 5.00 s, trajectory from 1e+300 to 2e+300 s; give the traj"),
+        (["0", "1", "1e300"], 1e299, "from 1.00 to 1e+300 s, a gap of 1e+300 s that holds the point time 1e+299 s; "),
+    ],
+)
+def test_times_as_large_as_floats_can_be(tmp_path: Path, rows: list[str], at: float, said: str) -> None:
+    path = write(tmp_path / "drive.csv", "time,x,y,z\n" + "".join(f"{t},0,0,0\n" for t in rows))
+    track = load(path)
+    with pytest.raises(InputError) as caught:
+        track.positions(np.array([at, at]))
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(("offset", "times"), [(1e300, ("0", "1")), (1e308, ("1.6e308", "1.7e308"))])
+def test_an_offset_that_swallows_the_times(tmp_path: Path, offset: float, times: tuple[str, str]) -> None:
+    path = write(tmp_path / "drive.csv", "time,x,y,z\n" + "".join(f"{t},0,0,0\n" for t in times))
+    with pytest.raises(InputError, match=r"position 2 \(counted from 1\) has time .* expected times that increase"):
+        load(path, offset=offset)
 
 
 def test_sbet_of_a_wrong_size(tmp_path: Path) -> None:
