@@ -37,7 +37,11 @@ def cli_page() -> str:
 
 
 def _help(command: click.Command, name: str) -> str:
-    with click.Context(command, info_name=name, terminal_width=100, max_content_width=100) as context:
+    settings = cli.context_settings
+    with click.Context(
+        command, info_name=name, terminal_width=100, help_option_names=settings["help_option_names"],
+        max_content_width=settings["max_content_width"],
+    ) as context:  # fmt: skip
         return command.get_help(context).rstrip()
 
 

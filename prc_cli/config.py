@@ -132,7 +132,7 @@ def _from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     rule = inputs.get("range") if isinstance(inputs, Mapping) else None
     if not isinstance(rule, str) or not rule.startswith("trajectory:"):
         return table
-    name = resolve_path(rule.partition(":")[2], folder)
+    name = resolve_path(rule.partition(":")[2], folder).absolute()
     return merge(table, {"input": {"range": f"trajectory:{name}"}})
 
 

@@ -18,7 +18,7 @@ from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import check_output
+from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import I64, U8
 from prc_cli.readers import LAS_SUFFIXES, open_input, suffix_of
@@ -175,6 +175,7 @@ def classify(
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
     for path in (output, record_path(output)):
         check_output(path, overwrite=overwrite, inputs=inputs)
+        remove_stale(path)
     stream = open_stream(source, loaded)
     before = source.stat()
     counts = Counts.none()
@@ -227,7 +228,10 @@ def classify_ranges(range_m: ArrayLike, config: LoadedConfig | RunConfig | None 
     ('NOISE', 'GROUND')
     """
     config = _loaded(config).config
-    ranges, tally = clean_ranges(np.asarray(range_m), config.input.min_range, config.input.max_range)
+    given = np.asarray(range_m)
+    if given.dtype.kind not in "fiu":
+        raise InputError("range_m", f"found values of type {given.dtype}, expected ranges in metres")
+    ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
     if ranges.ndim != 2 or not ranges.size:
         raise InputError("range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)")
     block = ScanBlock(first_line=0, range_m=np.ascontiguousarray(ranges), tally=tally)

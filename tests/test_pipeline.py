@@ -165,3 +165,6 @@ def test_the_public_functions_are_those_of_the_pipeline(tmp_path: Path) -> None:
     assert np.array_equal(ranges, street(), equal_nan=True)
     with pytest.raises(InputError, match="expected \\(lines, points per line\\)"):
         prc_cli.classify_ranges(np.zeros(5))
+    for wrong in ("x", [["a"]], [[1j]], [[object()]]):
+        with pytest.raises(InputError, match="expected ranges in metres"):
+            prc_cli.classify_ranges(wrong)

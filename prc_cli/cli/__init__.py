@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import os
 import signal
 import sys
 import threading
@@ -23,6 +25,10 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
 """Commands by name: where they live (loaded when called) and what ``prc --help`` says of them."""
+
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 
 
 class LazyGroup(click.Group):
@@ -75,13 +81,34 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line; every refusal of the package ends here as one line and an exit code."""
     arguments = sys.argv[1:] if args is None else args
     _leave_on_sigterm()
+    sys.exit(_run(arguments, debug="--debug" in arguments))
+
+
+def _run(arguments: list[str], *, debug: bool) -> int:
+    """Run one command and return its exit code."""
     try:
-        cli.main(args=arguments, prog_name="prc", standalone_mode=True)
+        # without standalone mode click returns the exit code of ``ctx.exit`` and raises the rest
+        code = cli.main(args=arguments, prog_name="prc", standalone_mode=False)
+        sys.stdout.flush()
     except PrcError as error:
-        if "--debug" in arguments:
-            traceback.print_exc()
-        click.echo(f"error: {one_line(error)}", err=True)
-        sys.exit(error.exit_code)
+        message, code = one_line(error), error.exit_code
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        hint = f"; see {context.command_path} --help" if context is not None else ""
+        message, code = one_line(f"{error.format_message()}{hint}"), error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        message, code = "interrupted; no output was left behind", INTERRUPTED
+    except OSError as error:
+        # the package's own files are dealt with where they are used: this is the terminal, the pipe or its disk
+        message, code = f"the result cannot be printed ({error.strerror or error})", 1
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
+    else:
+        return code if isinstance(code, int) else 0
+    if debug:
+        traceback.print_exc()
+    with contextlib.suppress(OSError):
+        click.echo(f"error: {message}", err=True)
+    return code
 
 
 def _leave_on_sigterm() -> None:
@@ -90,7 +117,7 @@ def _leave_on_sigterm() -> None:
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
 
 
-def one_line(error: PrcError) -> str:
+def one_line(error: PrcError | str) -> str:
     r"""Return a message as one printable line, whatever a file name or a cell contained.
 
     >>> one_line(PrcError("a\nb.las", "no such file"))

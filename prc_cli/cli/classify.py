@@ -60,14 +60,13 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     if verbose:
         print_assumptions(record.assumptions, record.tally)
     for warning in _warnings(counts):
-        console().print(f"warning: {warning}", highlight=False, soft_wrap=True)
+        console().print(f"warning: {warning}", soft_wrap=True)
     for notice in record.notices:
-        console().print(f"note: {notice}", highlight=False, soft_wrap=True)
+        console().print(f"note: {notice}", soft_wrap=True)
     rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
     console().print(
         f"{summary.output}: {counts.n_lines:,} lines of {record.points_per_line:,} shots "
         f"in {seconds:.1f} s ({rate:.2g} million shots a second)",
-        highlight=False,
         soft_wrap=True,
     )
 

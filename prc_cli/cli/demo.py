@@ -49,4 +49,4 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
     if not json_wanted:
         print_evaluation(result.matrix, scores(result.matrix))
     for path in result.files:
-        console().print(f"{path} ({path.stat().st_size:,} bytes)", highlight=False, soft_wrap=True)
+        console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)

@@ -33,8 +33,8 @@ _STREAM_OPTIONS = [
     click.option("--return", "return_", help="strongest, first or last."),
     click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line."),
     click.option("--max-range", type=float, metavar="METRES", help="Ranges beyond are missing."),
-    click.option("--sort-by-time", "order", flag_value="sort-time", help="Sort the records by time first."),
-    click.option("--trust-order", "order", flag_value="trust", help="Take the order of the records as it is."),
+    click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first."),
+    click.option("--trust-order", "trust_order", is_flag=True, help="Take the order of the records as it is."),
 ]  # fmt: skip
 
 _OUTPUT_OPTIONS = [
@@ -60,6 +60,10 @@ def output_options(command: CommandT) -> CommandT:
 
 def config_from(options: dict[str, Any]) -> LoadedConfig:
     """Build the configuration from the values of :func:`stream_options` (given as keyword arguments)."""
+    if options["sort_by_time"] and options["trust_order"]:
+        message = "--sort-by-time and --trust-order contradict each other"
+        raise click.UsageError(message)
+    order = "sort-time" if options["sort_by_time"] else "trust" if options["trust_order"] else None
     table: dict[str, Any] = {}
     layout_file: Path | None = options["layout_file"]
     if layout_file is not None:
@@ -75,7 +79,7 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
         "return": options["return_"],
         "points_per_line": options["points_per_line"],
         "max_range": options["max_range"],
-        "order": options["order"],
+        "order": order,
     }
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:

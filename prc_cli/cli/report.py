@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 @cache
 def console() -> Console:
     """Return the console on stderr; stdout is kept for results."""
-    return Console(stderr=True)
+    return Console(stderr=True, markup=False, highlight=False)
 
 
 @cache
 def results() -> Console:
     """Return the console on stdout, for the tables that are the result of a command."""
     # a pipe or a file gets the whole table, not one cut to 80 columns
-    return Console(width=None if sys.stdout.isatty() else 160)
+    return Console(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False)
 
 
 @contextlib.contextmanager
@@ -82,7 +82,7 @@ def print_evaluation(matrix: ConfusionMatrix, found: Scores) -> None:
         table.add_row(item.name, *(_figure(getattr(item, score)) for score in CLASS_SCORES))
     results().print(table)
     overall = ", ".join(f"{name.replace('_', ' ')} {_figure(getattr(found, name))}" for name in OVERALL_SCORES)
-    results().print(f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}: {overall}", highlight=False)
+    results().print(f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}: {overall}")
 
 
 def _figure(value: float) -> str:
@@ -99,4 +99,4 @@ def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> No
     console().print(table)
     met = {name.removeprefix("n_").replace("_", " "): count for name, count in asdict(tally).items() if count}
     for name, count in met.items():
-        console().print(f"{name}: {count:,} records", highlight=False)
+        console().print(f"{name}: {count:,} records")

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import ConfigError
 
 
 class Params(BaseModel):
@@ -21,6 +21,9 @@ class Params(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
 
+
+_EXPECTED = {"model_type": "a table", "missing": "a value, this key is required"}
+"""Messages of the validation library in the words of a configuration file."""
 
 ParamsT = TypeVar("ParamsT", bound=Params)
 
@@ -30,15 +33,13 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    InputError
-        When the file is absent or unreadable.
     ConfigError
-        When the file is not TOML; the message carries line and column.
+        When the file is absent, unreadable, or not TOML (the message carries line and column).
     """
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise InputError(str(path), f"cannot read the configuration ({error.strerror})") from error
+        raise ConfigError(str(path), f"cannot be read ({error.strerror})", "check the name of the file") from error
     except UnicodeDecodeError as error:
         problem = f"byte {error.start} is not UTF-8, expected a TOML text file"
         raise ConfigError(str(path), problem) from error
@@ -110,7 +111,7 @@ def _translate(error: ValidationError, model: type[BaseModel], where: str) -> Co
         near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"
         return ConfigError(where, f"unknown key {key!r}", hint)
-    expected = issue["msg"].removeprefix("Value error, ")
+    expected = _EXPECTED.get(issue["type"], issue["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
     # a check over several keys has a whole table as its input; then, or always, its own message says what it found
     told = issue["type"] == "missing" or isinstance(issue["input"], Mapping | BaseModel) or "found " in expected
     found = "" if told else f"found {issue['input']!r}, "

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import glob
+import hashlib
 import os
+import platform
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,8 +44,44 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
 
 
 def temporary_name(path: Path) -> Path:
-    """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic)."""
-    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic).
+
+    It says which process of which machine is writing, so that what a killed one left can be told.
+    """
+    return path.with_name(f".{path.name}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}.part")
+
+
+def remove_stale(path: Path) -> tuple[Path, ...]:
+    """Remove temporary files of ``path`` whose process on this machine is dead; return what was removed.
+
+    Files of other machines that share the folder, and of processes that still run, stay.
+    """
+    removed = []
+    for part in path.parent.glob(f".{glob.escape(path.name)}.{_machine()}-*.part"):
+        process = part.name.removesuffix(".part").split("-")[-2]
+        if process.isdecimal() and not _is_running(int(process)):
+            with contextlib.suppress(OSError):
+                part.unlink()
+                removed.append(part)
+    return tuple(removed)
+
+
+def _machine() -> str:
+    """Return a short name of this machine that has no folder or glob characters."""
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def _is_running(process: int) -> bool:
+    """Tell whether a process runs; where that cannot be asked without harm (Windows), take it as running."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it runs, but belongs to somebody else
+        return True
+    return True
 
 
 @contextlib.contextmanager

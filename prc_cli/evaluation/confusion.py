@@ -165,7 +165,9 @@ def refuse_poor_match(
         problem = (
             f"{n_predicted} records, but {reference_name} holds {n_reference}; matched by order needs equal counts"
         )
-        raise InputError(predicted_name, problem, "give two label files of the same stream")
+        raise InputError(
+            predicted_name, problem, "give two label files of the same stream (LAS holds no shots without return)"
+        )
 
 
 def shares(counts: I64, sums: I64) -> F64:

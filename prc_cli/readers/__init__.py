@@ -77,13 +77,16 @@ def check_input(path: Path) -> str:
     """
     known = (*READERS, *ARRAY_SUFFIXES)
     suffix = suffix_of(path)
+    if path.is_dir():
+        raise InputError(str(path), "is a folder, expected a file", "name the files in it")
+    if path.exists() and not path.is_file():
+        problem = "not a regular file, expected an archive file (it is read more than once)"
+        raise InputError(str(path), problem, "write the stream to a file first")
     if suffix not in known:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
         raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", "rename the file or convert it")
     if not path.exists():
         raise InputError(str(path), "no such file", "check the name and that the disk is mounted")
-    if not path.is_file():
-        raise InputError(str(path), "not a regular file, expected an archive file")
     try:
         with path.open("rb") as handle:
             empty = not handle.read(1)

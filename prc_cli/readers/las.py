@@ -115,6 +115,8 @@ class LasSource:
         if suffix in (".las", ".laz") and suffix != f".{self.format.lower()}":
             inside = "compressed" if self.header.compressed else "not compressed"
             notes.append(f"the suffix is {suffix} but the records are {inside}: read as {self.format}")
+        if self.header.is_legacy_count:
+            notes.append("the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken")
         if self._time_is_zero:
             notes.append("gps_time is 0 throughout the first chunk: taken as no time")
         if self.header.n_unread_bytes:

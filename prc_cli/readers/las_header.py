@@ -51,6 +51,8 @@ class LasHeader:
     record_bytes: int
     """Bytes of an (uncompressed) record, extra bytes included."""
     n_records: int
+    is_legacy_count: bool
+    """LAS 1.4: whether only the legacy count (byte 107) is set, and was taken."""
     data_offset: int
     """Byte where the records begin."""
     n_unread_bytes: int
@@ -101,9 +103,12 @@ def _read(handle: BinaryIO, where: str, file_bytes: int) -> LasHeader:
         problem = f"header cut short: {len(head)} bytes, expected at least {HEADER_BYTES[minor]}"
         raise InputError(where, problem, DAMAGED)
     header_bytes, data_offset, n_vlrs, format_byte, record_bytes, n_records = struct.unpack_from("<HIIBHI", head, 94)
-    evlr_start, n_evlrs = 0, 0
+    evlr_start, n_evlrs, is_legacy_count = 0, 0, False
     if minor >= 4:
-        evlr_start, n_evlrs, n_records = struct.unpack_from("<QIQ", head, 235)
+        evlr_start, n_evlrs, count = struct.unpack_from("<QIQ", head, 235)
+        # some writers of 1.4 leave the new count empty; formats from 6 on must not use the old one
+        is_legacy_count = count == 0 and n_records > 0 and format_byte & 0x3F < 6
+        n_records = n_records if is_legacy_count else count
     _check_frame(where, file_bytes, (header_bytes, HEADER_BYTES[minor]), data_offset)
     point_format = _check_format(where, format_byte, record_bytes)
     numbers = struct.unpack_from("<12d", head, 131)
@@ -127,6 +132,7 @@ def _read(handle: BinaryIO, where: str, file_bytes: int) -> LasHeader:
         compressed=compressed,
         record_bytes=record_bytes,
         n_records=n_records,
+        is_legacy_count=is_legacy_count,
         data_offset=data_offset,
         n_unread_bytes=n_unread,
         file_bytes=file_bytes,

@@ -15,7 +15,16 @@ from prc_cli.writers.base import LabelWriter
 from prc_cli.writers.options import OutputConfig, check_codes
 from prc_cli.writers.record import Fingerprint, RunRecord, fingerprint, record_path
 
-__all__ = ["SUFFIXES", "Fingerprint", "LabelWriter", "OutputConfig", "RunRecord", "fingerprint", "open_writer", "record_path"]
+__all__ = [
+    "SUFFIXES",
+    "Fingerprint",
+    "LabelWriter",
+    "OutputConfig",
+    "RunRecord",
+    "fingerprint",
+    "open_writer",
+    "record_path",
+]
 
 SUFFIXES = {
     ".las": "point cloud",

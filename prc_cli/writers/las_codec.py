@@ -30,17 +30,17 @@ _COPY_BYTES = 4 << 20
 
 
 class Target:
-    """An output being written; keeps the system's own error, which lazrs would reword."""
+    """An output being written; keeps the system's own error, or an interrupt: lazrs would reword them."""
 
     def __init__(self, handle: BinaryIO) -> None:
         self._handle = handle
-        self.error: OSError | None = None
+        self.error: BaseException | None = None
 
     def write(self, data: Any) -> int:
         """Write all bytes."""
         try:
             return self._handle.write(data)
-        except OSError as error:
+        except BaseException as error:
             self.error = error
             raise
 
@@ -48,7 +48,7 @@ class Target:
         """Go to a position."""
         try:
             return self._handle.seek(position, whence)
-        except OSError as error:  # a seek flushes the buffer, hence may find the disk full
+        except BaseException as error:  # a seek flushes the buffer, hence may find the disk full
             self.error = error
             raise
 
@@ -60,7 +60,7 @@ class Target:
         """Hand the buffer to the system."""
         try:
             self._handle.flush()
-        except OSError as error:
+        except BaseException as error:
             self.error = error
             raise
 

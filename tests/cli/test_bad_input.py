@@ -13,6 +13,7 @@ import laspy
 import numpy as np
 import pytest
 
+from prc_cli.writers.base import StagedWriter
 from tests.cli.test_commands import Prc, prc
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -164,7 +165,7 @@ CASES: list[tuple[Callable[[Path], Path], tuple[str, ...], int, list[str]]] = [
     (npy_one_dimension, (), 1, ["points_per_line"]),
     (unknown_suffix, (), 1, [".xyz", ".laz", ".npz"]),
     (no_file, (), 1, ["no such file"]),
-    (folder_as_file, (), 1, ["not a regular file"]),
+    (folder_as_file, (), 1, ["is a folder"]),
 ]
 
 
@@ -197,7 +198,7 @@ def test_one_clear_line_and_nothing_left(
 def test_wrong_options_are_exit_code_two(prc: Prc, tmp_path: Path, options: tuple[str, ...], words: list[str]) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     result = prc("classify", source, tmp_path / "labels.npy", *options)
-    assert result.code == (1 if "none.toml" in options else 2)
+    assert result.code == 2
     for word in words:
         assert word in result.err
     assert sorted(os.listdir(tmp_path)) == ["drive.npz"]
@@ -263,3 +264,53 @@ def test_names_with_control_characters_stay_on_one_line(prc: Prc, tmp_path: Path
     assert result.code == 1
     assert len(result.err.splitlines()) == 1
     assert "\x1b" not in result.err
+
+
+def test_names_with_brackets_are_printed_as_they_are(prc: Prc, tmp_path: Path) -> None:
+    source = tmp_path / "[red]drive[bold].csv"
+    source.write_text("scan_line,column,range,[/bold]\n0,0,5,1\n0,1,5,1\n1,0,5,1\n1,1,5,1\n")
+    result = prc("info", source)
+    assert result.code == 0
+    assert "[red]drive[bold].csv" in result.out
+    assert "[/bold]" in result.out
+    result = prc("classify", source, tmp_path / "[bold]labels.npy")
+    assert result.code == 0
+    assert "[bold]labels.npy" in result.err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("command", [["config", "show"], ["config", "schema"], ["completion", "bash"], ["--help"]])
+def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        result = subprocess.run(
+            [sys.executable, "-m", "prc_cli", *command], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert result.returncode == 1
+    assert result.stderr == "error: the result cannot be printed (No space left on device)\n"
+
+
+def test_usage_errors_are_one_line(prc: Prc, tmp_path: Path) -> None:
+    for arguments in (["classify", "a"], ["classify", "a", "b", "-M", "x"], ["evaluate", "a"], ["nonsense"]):
+        result = prc(*arguments)
+        assert result.code == 2
+        assert len(result.err.splitlines()) == 1
+        assert result.err.startswith("error: ")
+
+
+@pytest.mark.parametrize("output", ["a.laz", "a.las", "a.npy"])
+def test_interrupting_leaves_nothing_and_says_so(
+    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, output: str
+) -> None:
+    source = write_npz(tmp_path / "drive.npz", street())
+    seen: list[int] = []
+
+    def interrupt(self: object, block: object) -> None:
+        seen.append(1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(StagedWriter, "add", interrupt)
+    result = prc("classify", source, tmp_path / output)
+    assert seen
+    assert result.code == 130
+    assert result.err.strip() == "error: interrupted; no output was left behind"
+    assert sorted(os.listdir(tmp_path)) == ["drive.npz"]

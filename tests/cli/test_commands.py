@@ -151,7 +151,11 @@ def test_evaluate_in_every_form_and_its_gates(prc: Prc, tmp_path: Path) -> None:
     assert "recall.building: found 0.6667, demanded at least 0.9000" in result.err
     assert prc("evaluate", *files, "--fail-under", "recall.stem=0.5").code == 3  # undefined has not reached it
     assert prc("evaluate", *files, "--fail-under", "recall.ground").code == 2
-    assert prc("evaluate", *files, "--fail-under", "recal.ground=0.5").code == 2
+    assert prc("evaluate", *files, "--fail-under", "accuracy=0.8", "--quiet").out == ""
+    for wrong in ("recal.ground=0.5", "recall.grond=0.5", "recall.ground=nan", "recall.ground=95"):
+        result = prc("evaluate", *files, "--fail-under", wrong)
+        assert (result.code, result.out) == (2, "")
+    assert prc("evaluate", *files, "--json", "--format", "csv").code == 2
 
 
 def test_config_commands(prc: Prc, tmp_path: Path) -> None:
@@ -191,6 +195,9 @@ def test_unknown_commands_and_options_are_usage_errors(prc: Prc) -> None:
     assert result.code == 2
     assert "did you mean 'classify'?" in result.err
     assert prc("classify", "--nonsense").code == 2
+    contradiction = prc("classify", "a.las", "b.las", "--sort-by-time", "--trust-order")
+    assert contradiction.code == 2
+    assert "contradict each other" in contradiction.err
     assert prc("--version").out.startswith("prc, version")
 
 
@@ -258,7 +265,7 @@ def test_a_trajectory_starts_where_it_was_named(prc: Prc, tmp_path: Path, monkey
     (tmp_path / "conf" / "run.toml").write_text('[input]\nrange = "trajectory:track.csv"\n')
     monkeypatch.chdir(tmp_path)
     shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json").out)
-    assert Path(shown["config"]["input"]["range"].partition(":")[2]) == Path("conf/track.csv")
+    assert Path(shown["config"]["input"]["range"].partition(":")[2]) == tmp_path / "conf" / "track.csv"
     option = ["--range", "trajectory:track.csv"]
     shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json", *option).out)
     assert shown["config"]["input"]["range"] == "trajectory:track.csv"

@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.config import PRESETS, RunConfig, json_schema, load_config, parse_assignment, to_toml
 from prc_cli.core.config import merge
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import ConfigError
 
 
 def test_layers_override_each_other_and_name_their_source(tmp_path: Path) -> None:
@@ -68,7 +68,7 @@ def test_a_file_that_is_not_toml_names_line_and_column(tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigError, match="byte 0 is not UTF-8"):
         load_config(path)
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(ConfigError, match=r"none.toml: cannot be read \(No such file or directory\); check the name"):
         load_config(tmp_path / "none.toml")
 
 

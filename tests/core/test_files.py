@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -81,3 +83,21 @@ def test_errors_survive_worker_processes(kind: type[PrcError]) -> None:
     assert type(again) is kind
     assert str(again) == "drive.las: found 3, expected 4; look"
     assert again.exit_code in (1, 2, 3)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes can only be asked on POSIX")
+def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    target = tmp_path / "labels[1].npy"
+    code = (
+        "import sys; from pathlib import Path; from prc_cli.core.files import temporary_name\n"
+        "path = temporary_name(Path(sys.argv[1])); path.write_bytes(b'half'); print(path)"
+    )
+    command = [sys.executable, "-c", code, str(target)]
+    dead = Path(subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip())
+    mine = files.temporary_name(target)
+    mine.write_bytes(b"half")
+    other = tmp_path / ".labels[1].npy.0badcafe-1-00000000.part"
+    other.write_bytes(b"another machine's")
+    assert files.remove_stale(tmp_path / "labels1.npy") == ()
+    assert files.remove_stale(target) == (dead,)
+    assert sorted(tmp_path.iterdir()) == sorted([mine, other])

@@ -157,7 +157,7 @@ def test_unknown_preset_names_those_there_are() -> None:
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"none\.toml: cannot read"):
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot be read"):
         load_mapping(tmp_path / "none.toml")
 
 

@@ -327,6 +327,32 @@ def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
         list(chunks)
 
 
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("point_format", range(6))
+def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
+    tmp_path: Path, point_format: int, suffix: str
+) -> None:
+    path = tmp_path / f"a.{suffix}"
+    las = make(path, point_format, version="1.4")
+    assert not any("legacy" in note for note in LasSource(path).notes)
+    patch(path, 107, "<I", 200)
+    patch(path, 247, "<Q", 0)
+    source = LasSource(path)
+    np.testing.assert_array_equal(read(source, "x"), np.asarray(las.x))
+    assert source.notes[0] == "the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken"
+    patch(path, 107, "<I", 201)
+    assert "201 records" in refused(path) or "expected 201" in refused(path)
+    patch(path, 107, "<I", 0)
+    assert refused(path).startswith("byte 247: the header says 0 records")
+
+
+def test_the_legacy_count_is_not_taken_for_formats_that_have_none(tmp_path: Path) -> None:
+    make(tmp_path / "a.las", 6)
+    patch(tmp_path / "a.las", 107, "<I", 200)
+    patch(tmp_path / "a.las", 247, "<Q", 0)
+    assert refused(tmp_path / "a.las").startswith("byte 247: the header says 0 records")
+
+
 def test_more_bytes_than_records_are_noted(tmp_path: Path) -> None:
     path = tmp_path / "a.las"
     las = make(path, 1)
