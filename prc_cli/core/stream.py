@@ -45,6 +45,8 @@ class StreamInfo:
     line_hz: float | None = None
     """Scan lines a second [Hz], None if unknown."""
     assumptions: tuple[Assumption, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,8 @@ class ReadTally:
     """Records that belong to no cell (column outside 0..M-1): stay unclassified."""
     n_time_steps_back: int = 0
     """Times that go back from one record to the next (tolerated when the order is trusted)."""
+    n_records: int = 0
+    """Records read from the input, placed or not."""
 
     def __add__(self, other: ReadTally) -> ReadTally:
         return ReadTally(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))

@@ -155,7 +155,7 @@ class GridStream:
         names = tuple(dict.fromkeys((*self.rules.names, *self._carried())))
         for chunk in self.source.chunks(names):
             table, cleaned = self._prepare(chunk, table_of(chunk, self.rules.names))
-            tally += cleaned
+            tally += cleaned + ReadTally(n_records=chunk.n)
             if watch is not None:
                 tally += see_times(watch, table)
             n_records += chunk.n

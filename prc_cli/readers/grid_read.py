@@ -77,7 +77,8 @@ def whole_lines(
             if rules.has_time:
                 watch = watches.setdefault(scanner, open_watch(source, rules.config))
                 waiting += see_times(watch, records)
-            state, waiting = replace(state, tally=state.tally + waiting), ReadTally()
+            tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
+            state, waiting = replace(state, tally=tally), ReadTally()
             try:
                 whole, states[scanner] = advance(scanner, records, state, line_rules(scanner), final=False)
             except InputError:

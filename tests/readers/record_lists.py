@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -92,6 +92,7 @@ class Whole:
     range_m: F32
     record: I64
     tally: ReadTally
+    """What was met; the number of records is checked by :func:`read` and left out."""
     blocks: list[ScanBlock]
 
     @property
@@ -113,6 +114,9 @@ def read(stream: ScanStream, scanner: int | None = None) -> Whole:
     tally = ReadTally()
     for block in blocks:
         tally = tally + block.tally
+    # every record is counted, placed or not, whatever the rules and chunks
+    assert stream.info.n_records in (None, tally.n_records)
+    tally = replace(tally, n_records=0)
     own = [block for block in blocks if scanner is None or block.scanner == scanner]
     expected = 0
     for block in own:

@@ -483,6 +483,25 @@ def test_nothing_to_place() -> None:
         read(open_records(records, points_per_line=3))
 
 
+@pytest.mark.parametrize("chunk_records", [1, 2, 3, 1000])
+@pytest.mark.parametrize(
+    ("line", "options"),
+    [
+        ([0, 0, 1, 1, 2, np.nan, np.nan], {}),  # the last records have no line
+        ([0, 0, 1, 1, 2, 2, 2], {"points_per_line": 2}),  # the last record has no column
+        ([0, 0, 1, 1, 2, np.nan, np.nan], {"scanner": "user_data", "points_per_line": 4}),
+        ([0, 0, 1, 1, 2, 2, 2], {"lines": "fixed", "points_per_line": 4, "partial_line": "pad"}),
+        ([0, 0, 1, 1, 2, 2, 2], {"lines": "fixed", "points_per_line": 7}),
+    ],
+)
+def test_all_records_are_counted_placed_or_not(line: list[float], options: dict[str, Any], chunk_records: int) -> None:
+    n = len(line)
+    records = {"range": np.ones(n), "scan_line": np.array(line), "column": np.array([0, 1, 0, 1, 0, 1, 2.0])}
+    records["user_data"] = np.array([1, 1, 1, 2, 1, 1, 3])
+    blocks = list(open_records(records, chunk_records, **options).blocks())
+    assert sum((block.tally for block in blocks), ReadTally()).n_records == n
+
+
 def test_a_scanner_without_lines_is_counted() -> None:
     line = np.array([np.nan, 0, np.nan, 0])
     records = {"range": np.ones(4), "scan_line": line, "column": np.arange(4), "user_data": np.array([1, 2, 1, 2])}
