@@ -252,6 +252,7 @@ def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRec
         n_missing=int(counts.labels[Label.MISSING]),
         assumptions=info.assumptions,
         tally=counts.tally,
+        notices=info.notes,
     )
 
 

@@ -168,3 +168,17 @@ def test_the_public_functions_are_those_of_the_pipeline(tmp_path: Path) -> None:
     for wrong in ("x", [["a"]], [[1j]], [[object()]]):
         with pytest.raises(InputError, match="expected ranges in metres"):
             prc_cli.classify_ranges(wrong)
+
+
+def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path: Path) -> None:
+    """A header that promises too few points: the rest is not read, and that is said."""
+    source = write_npz(tmp_path / "drive.npz", street())
+    built = tmp_path / "drive.las"
+    classify(source, built)
+    data = bytearray(built.read_bytes())
+    n_points = int.from_bytes(data[247:255], "little")
+    data[247:255] = (n_points - 1000).to_bytes(8, "little")
+    built.write_bytes(data)
+    summary = classify(built, tmp_path / "labels.npy")
+    assert np.load(tmp_path / "labels.npy").size == n_points - 1000
+    assert any("follow the last record the header counts: not read" in notice for notice in summary.record.notices)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
@@ -129,7 +130,8 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None) ->
         return ArrayStream(path, config)
     from prc_cli.readers.grid import open_grid
 
-    return open_grid(source, config, line_hz=None if layout is None else layout.line_frequency)
+    stream = open_grid(source, config, line_hz=None if layout is None else layout.line_frequency)
+    return replace(stream, info=replace(stream.info, notes=tuple(getattr(source, "notes", ()))))
 
 
 __all__ = [

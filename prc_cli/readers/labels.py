@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.types import I64
+from prc_cli.core.types import F64, I64
 from prc_cli.readers.npy_rows import ArrayFile
 
 NAMES = ("class", "label", "classification", "class_code")
@@ -160,11 +160,25 @@ def _open_text(path: Path, dimension: str | None) -> CodeSource:
 
     source = TextSource(path)
     name = _choose(path, list(source.dimensions), dimension)
+    # label files of this program number their records
+    numbered = {"record", "class", "name"} <= set(source.dimensions)
 
     def read() -> Iterator[NDArray[Any]]:
-        return (chunk.values[name] for chunk in source.chunks((name,)))
+        for chunk in source.chunks((name, "record") if numbered else (name,)):
+            if numbered:
+                _check_numbers(path, np.asarray(chunk.values["record"], np.float64), chunk.first_record)
+            yield chunk.values[name]
 
     return CodeSource(path, None, read, missing=True)
+
+
+def _check_numbers(path: Path, record: F64, first: int) -> None:
+    """Refuse label files whose rows were sorted or filtered: they are matched by order."""
+    wrong = record != np.arange(first, first + len(record))
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        problem = f"row {first + at} holds record {record[at]:g}, expected {first + at}: rows were moved or left out"
+        raise InputError(str(path), problem, "sort the rows by record, all of them")
 
 
 def _open_las(path: Path, dimension: str | None) -> CodeSource:

@@ -72,11 +72,11 @@ class RunRecord:
     classes: tuple[ClassCount, ...] = ()
     """Records by class code as written; filled in by the writer."""
     notices: tuple[str, ...] = ()
-    """What the writer had to decide; filled in by the writer."""
+    """What is unusual about the input; the writer adds what it had to decide."""
 
     def with_written(self, classes: tuple[ClassCount, ...], notices: tuple[str, ...]) -> RunRecord:
         """Return the record completed with what a writer wrote."""
-        return replace(self, classes=classes, notices=notices)
+        return replace(self, classes=classes, notices=(*self.notices, *notices))
 
     def as_dict(self) -> dict[str, Any]:
         """Return the record as nested plain values."""

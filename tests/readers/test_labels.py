@@ -184,3 +184,12 @@ def test_real_labels(real_data: Path) -> None:
     codes = read(real_data / "oakland" / "oakland_1.csv.gz")
     assert len(codes) == 389 * 229
     assert {1200, 1300, -1} <= set(codes)
+
+
+def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")
+    assert np.concatenate(list(open_codes(path).chunks())).tolist() == [2, 6, 7]
+    path.write_text("record,class,name\n0,2,ground\n2,7,noise\n1,6,building\n")
+    with pytest.raises(InputError, match="row 1 holds record 2, expected 1: rows were moved or left out"):
+        list(open_codes(path).chunks())
