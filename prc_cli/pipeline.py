@@ -30,6 +30,9 @@ from prc_cli.writers.record import RunRecord, fingerprint, record_path
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
 
+FAR_M = 20_000.0
+"""Ranges from here on [m] are a sign of a wrong origin, trajectory or coordinate system."""
+
 
 @dataclass(frozen=True, slots=True)
 class Counts:
@@ -37,8 +40,8 @@ class Counts:
 
     n_lines: int
     n_shots: int
-    n_records: int
-    """Records of the input that have a cell or are a further return, counted by the highest index."""
+    n_far: int
+    """Ranges beyond :data:`FAR_M`: no laser scanner on a vehicle or in a forest measures so far."""
     labels: I64
     """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`; MISSING counts shots."""
     tally: ReadTally
@@ -51,16 +54,12 @@ class Counts:
     def add(self, item: LabelledBlock) -> Counts:
         """Return the counts with one more block."""
         block = item.block
-        if block.record is None:
-            highest = self.n_shots + block.range_m.size - 1
-        else:
-            highest = int(max(block.record.max(), block.extra.record.max(initial=-1)))
         labels = np.bincount(item.labels.ravel(), minlength=len(Label))
         extra = np.bincount(item.extra_labels, minlength=len(Label))
         return Counts(
             self.n_lines + block.n_lines,
             self.n_shots + block.range_m.size,
-            max(self.n_records, highest + 1),
+            self.n_far + int(np.count_nonzero(block.range_m > FAR_M)),
             self.labels + labels + extra,
             self.tally + block.tally,
         )
@@ -248,7 +247,7 @@ def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRec
         format=info.format,
         points_per_line=info.points_per_line,
         n_lines=counts.n_lines,
-        n_records=counts.n_records if info.n_records is None else info.n_records,
+        n_records=counts.tally.n_records if info.n_records is None else info.n_records,
         n_missing=int(counts.labels[Label.MISSING]),
         assumptions=info.assumptions,
         tally=counts.tally,

@@ -13,7 +13,7 @@ import click
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_classes
 from prc_cli.core.classes import Label
-from prc_cli.pipeline import Counts, RunSummary
+from prc_cli.pipeline import RunSummary
 from prc_cli.pipeline import classify as classify_file
 
 MANY = 0.01
@@ -59,7 +59,7 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     print_classes(summary)
     if verbose:
         print_assumptions(record.assumptions, record.tally)
-    for warning in _warnings(counts):
+    for warning in _warnings(summary):
         console().print(f"warning: {warning}", soft_wrap=True)
     for notice in record.notices:
         console().print(f"note: {notice}", soft_wrap=True)
@@ -71,13 +71,18 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     )
 
 
-def _warnings(counts: Counts) -> Iterator[str]:
-    tally, n_records = counts.tally, max(counts.n_records, 1)
-    if counts.labels[Label.MISSING] == counts.n_shots:
+def _warnings(summary: RunSummary) -> Iterator[str]:
+    counts, tally = summary.counts, summary.counts.tally
+    n_records, n_returned = summary.record.n_records or 1, counts.n_shots - int(counts.labels[Label.MISSING])
+    if not n_returned:
         yield "no shot has a range: check --range and the layout"
+    if counts.n_far > MANY * n_returned:
+        yield f"{counts.n_far / n_returned:.1%} of the ranges exceed 20 km: check --range and its coordinate system"
     if tally.n_unplaced > MANY * n_records:
         share = tally.n_unplaced / n_records
         yield f"{share:.1%} of the records found no cell and stay unclassified: check --lines, --columns and -M"
     if tally.n_collisions > MANY * n_records:
         share = tally.n_collisions / n_records
         yield f"{share:.1%} of the records met another shot in their cell: check --lines, --columns and -M"
+    if tally.n_time_steps_back:
+        yield f"the time goes back {tally.n_time_steps_back:,} times: see prc info"

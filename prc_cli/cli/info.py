@@ -75,7 +75,11 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     rows.extend(("note", note) for note in inspection.notes)
     if inspection.facts is not None:
         counts = asdict(inspection.facts.tally).items()
-        rows.extend((name.removeprefix("n_").replace("_", " "), f"{n:,}") for name, n in counts if n or verbose)
+        rows.extend(
+            (name.removeprefix("n_").replace("_", " "), f"{n:,}")
+            for name, n in counts
+            if (n or verbose) and name != "n_records"
+        )
     if verbose and inspection.header:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     hint = f"; {inspection.hint}" if inspection.hint else ""

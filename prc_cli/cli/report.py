@@ -97,6 +97,10 @@ def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> No
     for item in assumptions:
         table.add_row(item.key, item.value, item.why)
     console().print(table)
-    met = {name.removeprefix("n_").replace("_", " "): count for name, count in asdict(tally).items() if count}
+    met = {
+        name.removeprefix("n_").replace("_", " "): count
+        for name, count in asdict(tally).items()
+        if count and name != "n_records"
+    }
     for name, count in met.items():
         console().print(f"{name}: {count:,} records")

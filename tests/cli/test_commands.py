@@ -269,3 +269,19 @@ def test_a_trajectory_starts_where_it_was_named(prc: Prc, tmp_path: Path, monkey
     option = ["--range", "trajectory:track.csv"]
     shown = json.loads(prc("config", "show", "--config", "conf/run.toml", "--json", *option).out)
     assert shown["config"]["input"]["range"] == "trajectory:track.csv"
+
+
+def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
+    rows = [f"{line},{column},{5 + column / 100}" for line in range(20) for column in range(30)]
+    source = tmp_path / "drive.csv"
+    source.write_text("\n".join(["scan_line,column,range", *rows]) + "\n")
+    assert "warning" not in prc("classify", source, tmp_path / "a.npy").err
+    err = prc("classify", source, tmp_path / "b.npy", "-M", "20").err
+    assert "33.3% of the records found no cell" in err
+    assert np.load(tmp_path / "b.npy").size == 600
+    source.write_text("\n".join(["scan_line,column,range", *rows, *rows[-60:]]) + "\n")
+    assert "9.1% of the records met another shot" in prc("classify", source, tmp_path / "c.npy", "--trust-order").err
+    source.write_text("scan_line,column,range\n" + "".join(f"{n},0,\n{n},1,\n" for n in range(9)))
+    assert "no shot has a range" in prc("classify", source, tmp_path / "d.npy").err
+    source.write_text("scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(9)))
+    assert "100.0% of the ranges exceed 20 km" in prc("classify", source, tmp_path / "e.npy").err
