@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from rich.table import Table
 
 from prc_cli.cli import one_line
 from prc_cli.cli.options import config_from, output_options, stream_options
-from prc_cli.cli.report import results
+from prc_cli.cli.report import results, tally_rows
 from prc_cli.core.errors import PrcError
 from prc_cli.inspection import Inspection, inspect
 
@@ -74,12 +73,8 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     rows.extend((f"taken: {item.key}", f"{item.value} ({item.why})") for item in inspection.assumptions)
     rows.extend(("note", note) for note in inspection.notes)
     if inspection.facts is not None:
-        counts = asdict(inspection.facts.tally).items()
-        rows.extend(
-            (name.removeprefix("n_").replace("_", " "), f"{n:,}")
-            for name, n in counts
-            if (n or verbose) and name != "n_records"
-        )
+        tally = tally_rows(inspection.facts.tally, everything=verbose)
+        rows.extend((name, f"{count:,}") for name, count in tally)
     if verbose and inspection.header:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     hint = f"; {inspection.hint}" if inspection.hint else ""

@@ -97,10 +97,13 @@ def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> No
     for item in assumptions:
         table.add_row(item.key, item.value, item.why)
     console().print(table)
-    met = {
-        name.removeprefix("n_").replace("_", " "): count
-        for name, count in asdict(tally).items()
-        if count and name != "n_records"
-    }
-    for name, count in met.items():
+    for name, count in tally_rows(tally):
         console().print(f"{name}: {count:,} records")
+
+
+def tally_rows(tally: ReadTally, *, everything: bool = False) -> Iterator[tuple[str, int]]:
+    """Yield what a reader met, in words; what it did not meet only if ``everything`` is asked for."""
+    for name, count in asdict(tally).items():
+        # the number of records is told elsewhere
+        if name != "n_records" and (count or everything):
+            yield name.removeprefix("n_").replace("_", " "), count
