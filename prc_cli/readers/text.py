@@ -60,7 +60,9 @@ class TextSource:
         self._text = find_format(path, layout)
         self._columns = find_columns(path, self._text, layout)
         comment = re.escape(self._text.comment)
-        self._comments = re.compile(rb"^[ \t]*" + comment + rb"[^\n]*\n?", re.MULTILINE) if comment else None
+        # a run of comments is one match, and never tried again from its middle: many short ones would take minutes
+        run = rb"^(?:[ \t]*+" + comment + rb"[^\n]*+(?:\n|\Z))++"
+        self._comments = re.compile(run, re.MULTILINE) if comment else None
 
     @property
     def path(self) -> str:
@@ -139,6 +141,8 @@ class TextSource:
         header = self._text.header_line or 0
         for lines in iter_lines(self._path, self._block_bytes):
             skipped = max(0, header + 1 - lines.first)
+            if skipped > lines.data.count(b"\n"):
+                continue
             end = 0
             for _ in range(skipped):
                 end = lines.data.find(b"\n", end) + 1

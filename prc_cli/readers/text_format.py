@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import cast
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.readers.options import Layout
@@ -93,17 +95,8 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
 
 def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
     """Return number and text of the first rows, comments and blank lines left out."""
-
-    def rows() -> list[tuple[int, bytes]]:
-        numbered = (
-            (block.first + k, line)
-            for block in iter_lines(path, HEAD_BYTES)
-            for k, line in enumerate(block.data.split(b"\n"))
-        )
-        return list(islice(((number, line) for number, line in numbered if draft.is_row(line)), SNIFFED_ROWS))
-
     decoded = []
-    for number, line in rows():
+    for number, line in islice(_rows(path, draft), SNIFFED_ROWS):
         try:
             decoded.append((number, line.decode("utf-8").rstrip("\r")))
         except UnicodeDecodeError as error:
@@ -113,6 +106,23 @@ def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
                 raise InputError(f"{path}: line {number}", problem, _RECODE) from error
             decoded.append((number, line.decode("latin-1").rstrip("\r")))
     return decoded
+
+
+def _rows(path: Path, draft: TextFormat) -> Iterator[tuple[int, bytes]]:
+    """Yield number and bytes of the lines that are rows."""
+    # whole runs of lines are passed over at once: a file may hold a hundred million of them before its first row
+    comment = rb"(?:" + re.escape(draft.comment) + rb"[^\n]*+)?+" if draft.comment else b""
+    passed = re.compile(rb"(?:[ \t\r]*+" + comment + rb"\n)*+")
+    for block in iter_lines(path, HEAD_BYTES):
+        number, data, start = block.first, block.data, 0
+        while start < len(data):
+            end = cast("re.Match[bytes]", passed.match(data, start)).end()
+            number += data.count(b"\n", start, end)
+            start = data.find(b"\n", end) + 1 or len(data) + 1
+            line = data[end : start - 1]
+            if draft.is_row(line):
+                yield number, line
+            number += 1
 
 
 _RECODE = "convert it: iconv -f ISO-8859-1 -t UTF-8 IN > OUT"

@@ -18,6 +18,7 @@ from prc_cli.readers import text_lines
 from prc_cli.readers.options import Layout, LayoutField
 from prc_cli.readers.records import RecordSource
 from prc_cli.readers.text import TextSource
+from prc_cli.readers.text_format import TextFormat, find_format
 
 NAN = math.nan
 
@@ -376,3 +377,38 @@ def test_a_real_file_of_ranges_and_labels(real_data: Path) -> None:
     np.testing.assert_array_equal(found["scan_line"] * 229 + found["column"], np.arange(389 * 229))
     assert 0.14 <= np.isnan(found["range"]).mean() <= 0.18
     np.testing.assert_allclose(np.rad2deg(found["angle"][:229]), 12.5 + 0.5 * np.arange(229))
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    lines=st.lists(
+        st.sampled_from(["", "#", "# a,b", "  ", " \t# c", "\r", "#\r", "\x0b", "\x0c#", "#1,2"]), max_size=9
+    ),
+    ends=st.booleans(),
+    block_bytes=st.integers(1, 60),
+)
+def test_rows_are_found_among_any_lines_that_are_none(
+    tmp_path_factory: pytest.TempPathFactory, lines: list[str], ends: bool, block_bytes: int
+) -> None:
+    every = [*lines, "range,time", *lines, "1,2", *lines, "3,4"]
+    path = write(tmp_path_factory.mktemp("text"), "\n".join(every) + "\n" * ends)
+    text = find_format(path, None)
+    assert (text.header_line, text.names) == (len(lines) + 1, ("range", "time"))
+    found = read(TextSource(path, None, block_bytes), "range", "time")
+    np.testing.assert_array_equal(found["range"], [1.0, 3.0])
+    np.testing.assert_array_equal(found["time"], [2.0, 4.0])
+
+
+def test_lines_that_are_no_rows_are_passed_over_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at: list[bytes] = []
+    plain = TextFormat.is_row
+
+    def is_row(self: TextFormat, line: bytes) -> bool:
+        looked_at.append(line)
+        return plain(self, line)
+
+    monkeypatch.setattr(TextFormat, "is_row", is_row)
+    path = write(tmp_path, "#\n\n # c\n" * 100_000 + "range,time\n1,2\n")
+    assert find_format(path, None).header_line == 300_001
+    assert len(looked_at) < 1000
+    assert values(tmp_path, path.read_bytes()) == [1.0]
