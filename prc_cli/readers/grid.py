@@ -28,7 +28,7 @@ from prc_cli.readers.grid_read import (
     whole_lines,
 )
 from prc_cli.readers.grid_rules import GridRules, given_points_per_line, resolve_rules
-from prc_cli.readers.grid_setup import ScannerSetup, find_setups
+from prc_cli.readers.grid_setup import ScannerSetup, find_setups, given_beat
 from prc_cli.readers.options import InputConfig
 from prc_cli.readers.ranges import RangeRule, measure_ranges, open_ranges
 from prc_cli.readers.ranges_clean import clean_ranges
@@ -93,7 +93,7 @@ def open_grid(
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
         assumptions=(*rules.assumptions, *([assumption] if assumption else []), *found),
     )
-    default = None if m is None else ScannerSetup(m, None, None, None)
+    default = None if m is None else ScannerSetup(m, None, None, None, beat=given_beat(rules, m))
     return GridStream(info, records, rules, ranges, setups, default)
 
 
@@ -123,7 +123,7 @@ class GridStream:
 
     def _line_rules(self, scanner: int) -> LineRules:
         setup = self._setup(scanner)
-        return LineRules(self.rules, setup.points_per_line, setup.sweep)
+        return LineRules(self.rules, setup.points_per_line, setup.sweep, setup.beat)
 
     def _sparse_blocks(self) -> Iterator[ScanBlock]:
         """Bring every record to its cell, whatever is missing between them."""

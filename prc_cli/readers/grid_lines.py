@@ -17,7 +17,8 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.readers import lines as line_rules
-from prc_cli.readers.columns import StampState, spread_stamps
+from prc_cli.readers.beat import UNKNOWN, Beat, time_in_line
+from prc_cli.readers.columns import StampState, columns_by_dimension, spread_stamps
 from prc_cli.readers.grid_rules import GridRules
 from prc_cli.readers.lines import Admission, LineState, Sweep
 from prc_cli.readers.returns import continues_run, mark_shots
@@ -40,6 +41,7 @@ class LineRules:
     rules: GridRules
     points_per_line: int | None
     sweep: Sweep | None
+    beat: Beat = UNKNOWN
 
     @property
     def slack(self) -> int:
@@ -122,7 +124,7 @@ def advance(
     OrderError, InputError
         See :mod:`prc_cli.readers.lines`; also when a line never ends.
     """
-    records, starts, state = _whole_shots(join([state.tail, records]), state, rules, final=final)
+    records, starts, state = whole_shots(join([state.tail, records]), state, rules, final=final)
     if n_rows(records):
         records, state = _find_lines(records, starts, state, rules)
     held = (*state.held, records) if n_rows(records) else state.held
@@ -155,8 +157,21 @@ def _check_open(held: tuple[Table, ...], n_held: int, state: ScanState, rules: L
         raise InputError(rules.rules.path, problem, hint)
 
 
-def _whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
-    """Mark the shots; hold back the last ones if they may go on."""
+def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
+    """Mark the shots; hold back the last ones if they may go on.
+
+    Returns
+    -------
+    records : Table
+    starts : (n,) bool
+        First record of every shot.
+    state : ScanState
+
+    Raises
+    ------
+    InputError
+        When the returns of a shot never end.
+    """
     n = n_rows(records)
     if not rules.rules.has_returns or not n:
         return records, np.ones(n, np.bool_), replace(state, tail={})
@@ -223,8 +238,13 @@ def _lines_of(
         return line_rules.lines_by_dimension(shots[grid.line_dimension], state, f"{grid.path}: {grid.line_dimension}")
     if grid.line_hz is not None:
         time_s = spread if spread is not None else np.asarray(shots["time"], np.float64)
-        half_shot_s = 0.5 / grid.shot_hz if grid.shot_hz is not None else 0.0
-        return line_rules.lines_by_time(time_s, grid.line_hz, half_shot_s, grid.config.time_origin, state)
+        shot_s, since = rules.beat.shot_s, None
+        if grid.shot_hz is not None:
+            shot_s = 1 / grid.shot_hz
+        elif grid.column_dimension is not None and rules.beat.column_s > 0:
+            column = columns_by_dimension(shots[grid.column_dimension])
+            since = time_in_line(column, rules.beat.column_s, 1 / grid.line_hz)
+        return line_rules.lines_by_time(time_s, grid.line_hz, shot_s / 2, grid.config.time_origin, state, since)
     if rules.sweep is not None:
         return line_rules.lines_by_wrap(shots["angle"], rules.sweep, state)
     return line_rules.lines_fixed(n_shots, rules.points_per_line or 1, state)

@@ -15,6 +15,7 @@ from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F64, I64
 from prc_cli.readers import columns as column_rules
 from prc_cli.readers.angles import AngleGrid, column_angles, columns_by_angle, find_angle_grid
+from prc_cli.readers.beat import UNKNOWN, Beat, find_beat
 from prc_cli.readers.grid_lines import (
     LINE,
     ORDINAL,
@@ -27,6 +28,7 @@ from prc_cli.readers.grid_lines import (
     advance,
     n_rows,
     take,
+    whole_shots,
 )
 from prc_cli.readers.grid_read import first_records, nothing_placed, whole_lines
 from prc_cli.readers.grid_rules import GridRules
@@ -51,12 +53,14 @@ class ScannerSetup:
     angle_grid: AngleGrid | None
     angle_rad: F64 | None
     """(M,) float64, angle of every column [rad], None if unknown."""
+    beat: Beat = UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
 class _Estimates:
     sweep: Sweep | None = None
     angle_grid: AngleGrid | None = None
+    beat: Beat = UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +119,7 @@ def find_setups(
             continue
         found = estimates.get(scanner, _Estimates())
         angle = _angles(rules, size, found, probes.get(scanner))
-        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle)
+        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle, found.beat)
     return setups, n_lines, tuple(taken)
 
 
@@ -158,17 +162,43 @@ def _needs_probe(rules: GridRules) -> bool:
     return rules.lines == "angle-wrap" or rules.columns == "angle"
 
 
+def given_beat(rules: GridRules, points_per_line: int | None) -> Beat:
+    """Return the beat as far as nothing needs to be read for it."""
+    if rules.line_hz is None or points_per_line is None:
+        return UNKNOWN
+    return Beat(1 / (rules.line_hz * points_per_line))
+
+
+def _needs_beat(rules: GridRules, points_per_line: int | None) -> bool:
+    """Whether only the first records tell where in its line a shot is."""
+    if rules.line_hz is None or rules.shot_hz is not None:
+        return False
+    return points_per_line is None or rules.column_dimension is not None
+
+
+def _beat(rules: GridRules, records: Table, points_per_line: int | None) -> Beat:
+    """Find the beat of the first records of a scanner."""
+    if rules.line_hz is None or not _needs_beat(rules, points_per_line):
+        return given_beat(rules, points_per_line)
+    records, starts, _ = whole_shots(records, ScanState(), LineRules(rules, points_per_line, None), final=True)
+    shots = take(records, starts)
+    name = rules.column_dimension
+    column = None if name is None else column_rules.columns_by_dimension(shots[name])
+    return find_beat(np.asarray(shots["time"], np.float64), column, rules.line_hz, points_per_line)
+
+
 def _probe(
     source: RecordSource, rules: GridRules, points_per_line: int | None
 ) -> tuple[dict[int, _Estimates], dict[int, Table]]:
     """Read the first records of every scanner and estimate sweep and column angles."""
     for_angles = rules.has_angle and (rules.columns == "dimension" or rules.lines == "fixed")
-    if not _needs_probe(rules) and not for_angles:
-        return ({0: _Estimates()} if rules.scanner is None else {}), {}
-    names = tuple(dict.fromkeys((*rules.names, "angle")))
+    needs_beat = _needs_beat(rules, points_per_line)
+    if not _needs_probe(rules) and not for_angles and not needs_beat:
+        return ({0: _Estimates(beat=given_beat(rules, points_per_line))} if rules.scanner is None else {}), {}
+    names = tuple(dict.fromkeys((*rules.names, *(("angle",) if rules.has_angle else ()))))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
-    # every scanner must be met where the rules depend on its angles
-    to_end = rules.scanner is not None and _needs_probe(rules)
+    # every scanner must be met where the rules depend on its angles or its beat
+    to_end = rules.scanner is not None and (_needs_probe(rules) or needs_beat)
     first = first_records(source, rules, names, limit, to_end=to_end)
     if not first:
         raise nothing_placed(source.path)
@@ -177,13 +207,20 @@ def _probe(
     for scanner, records in first.items():
         where = source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
         sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
+        beat = _beat(rules, records, points_per_line)
+        if not _needs_probe(rules) and not for_angles:
+            estimates[scanner] = _Estimates(beat=beat)
+            continue
         # lines that go back are judged while reading, not here
         lenient = replace(rules, config=rules.config.model_copy(update={"order": "trust"}))
-        whole, _ = advance(scanner, records, ScanState(), LineRules(lenient, points_per_line, sweep), final=True)
+        whole, _ = advance(scanner, records, ScanState(), LineRules(lenient, points_per_line, sweep, beat), final=True)
         grid = None
         if rules.columns == "angle" and whole is not None:
             grid = _angle_grid(rules, take(whole.records, whole.records[START]), where)
-        estimates[scanner] = _Estimates(sweep, grid)
+            if rules.line_hz is not None and points_per_line is None:
+                # where shots are missing the columns tell better how far they are apart
+                beat = replace(beat, shot_s=min(beat.shot_s, 1 / (rules.line_hz * grid.n_columns)))
+        estimates[scanner] = _Estimates(sweep, grid, beat)
         if whole is not None:
             probes[scanner] = whole.records
     return estimates, probes
@@ -226,7 +263,8 @@ def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, _Estima
     """Read the whole input once for the size of the image."""
 
     def line_rules(scanner: int) -> LineRules:
-        return LineRules(rules, None, estimates.get(scanner, _Estimates()).sweep)
+        found = estimates.get(scanner, _Estimates())
+        return LineRules(rules, None, found.sweep, found.beat)
 
     extents: dict[int, _Extent] = {}
     for whole in whole_lines(source, rules, line_rules):

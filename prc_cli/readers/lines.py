@@ -200,7 +200,12 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
 
 
 def lines_by_time(
-    time_s: F64, line_hz: float, half_shot_s: float, origin_s: float | None, state: LineState
+    time_s: F64,
+    line_hz: float,
+    half_shot_s: float,
+    origin_s: float | None,
+    state: LineState,
+    since_s: F64 | None = None,
 ) -> tuple[I64, Mask, LineState]:
     """Count line periods from the origin: ``floor((t - t0) * HZ)``.
 
@@ -214,8 +219,11 @@ def lines_by_time(
         Half the time between shots [s], 0 if unknown: shots are on a beat, so one that seems to come just
         before its line (rounded times) is its column 0.
     origin_s : float or None
-        Time of line 0, column 0 [s]; None = the first known time.
+        Time of line 0, column 0 [s]; None = the first known time, less the time since its line began if known.
     state : LineState
+    since_s : (n,) float64, optional
+        Time since the line of the shot began where its column tells it, else NaN [s]. Then the line is
+        ``rint((t - since - t0) * HZ)``: no rounding of times is near half a line.
 
     Returns
     -------
@@ -225,14 +233,20 @@ def lines_by_time(
     known: Mask = np.isfinite(time_s)
     if state.origin_s is None:
         if origin_s is None and known.any():
-            origin_s = float(time_s[int(np.argmax(known))])
+            i = int(np.argmax(known))
+            origin_s = float(time_s[i])
+            if since_s is not None and np.isfinite(since_s[i]):
+                origin_s -= float(since_s[i])
         state = replace(state, origin_s=origin_s)
     if state.origin_s is None:
         return np.zeros(len(time_s), np.int64), known, state
-    # two steps of the stored number: 1.2e-7 s for times of 5e8 s
-    guard_s = half_shot_s if half_shot_s > 0 else 2 * math.ulp(abs(state.origin_s))
-    turns = (np.where(known, time_s, state.origin_s) - state.origin_s + guard_s) * line_hz
-    return np.floor(np.clip(turns, -MAX_NUMBER, MAX_NUMBER)).astype(np.int64), known, state
+    time_s = np.where(known, time_s, state.origin_s)
+    # two steps of the stored number at least: 1.2e-7 s for times of 5e8 s
+    guard_s = np.maximum(half_shot_s, 2 * np.spacing(np.maximum(np.abs(time_s), abs(state.origin_s))))
+    turns = np.floor((time_s - state.origin_s + guard_s) * line_hz)
+    if since_s is not None:
+        turns = np.where(np.isnan(since_s), turns, np.rint((time_s - since_s - state.origin_s) * line_hz))
+    return np.clip(turns, -MAX_NUMBER, MAX_NUMBER).astype(np.int64), known, state
 
 
 @dataclass(frozen=True, slots=True)

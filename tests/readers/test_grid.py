@@ -515,6 +515,59 @@ def test_streams_can_be_read_again() -> None:
     assert np.array_equal(read(stream).range_m, read(stream).range_m, equal_nan=True)
 
 
+ROUNDED: dict[str, tuple[tuple[str, ...], dict[str, Any], bool]] = {
+    "column": (("column",), {}, True),
+    "column, M given": (("column",), {"points_per_line": 120}, True),
+    "angle": (("angle",), {"columns": "angle"}, True),
+    "angle, M given": (("angle",), {"columns": "angle", "points_per_line": 120}, True),
+    "order": ((), {"columns": "order"}, False),
+    "order, M given": ((), {"columns": "order", "points_per_line": 120}, False),
+}
+"""Dimensions, options, whether shots may be missing."""
+
+
+@pytest.mark.parametrize("rule", ROUNDED)
+@pytest.mark.parametrize("decimals", [5, 6])
+@pytest.mark.parametrize("sparse", [False, True])
+def test_decimal_times_begin_their_lines(rule: str, decimals: int, sparse: bool) -> None:
+    names, options, may_be_sparse = ROUNDED[rule]
+    line, column = np.divmod(np.arange(240 * 120), 120)
+    keep = np.random.default_rng(1).random(len(line)) < (0.3 if sparse and may_be_sparse else 1.0)
+    keep[0] = True
+    line, column = line[keep], column[keep]
+    time_s = np.round(100 + line / 48 + column / (48 * 120), decimals)
+    records = {"range": np.ones(len(line)), "time": time_s, "column": column, "angle": 2 * np.pi * column / 120}
+    for chunk_records in (997, 10_000):
+        stream = open_records(only(records, "range", "time", *names), chunk_records, lines="time:48", **options)
+        whole = read(stream)
+        assert whole.range_m.shape == (240, 120)
+        assert np.array_equal(whole.record[line, column], np.arange(len(line)))
+
+
+@pytest.mark.parametrize("fill", [1.0, 0.3])
+@pytest.mark.parametrize("options", [{}, {"points_per_line": 120}])
+def test_columns_place_their_lines_even_if_the_first_is_missing(fill: float, options: dict[str, Any]) -> None:
+    """Times rounded to a millisecond, six shots; columns that fill a part of the period only."""
+    line, column = np.divmod(np.arange(240 * 120), 120)
+    keep = np.random.default_rng(1).random(len(line)) < 0.5
+    keep[:77] = False
+    line, column = line[keep], column[keep]
+    time_s = np.round(100 + line / 48 + fill * column / (48 * 120), 3)
+    records = {"range": np.ones(len(line)), "time": time_s, "column": column}
+    whole = read(open_records(records, lines="time:48", **options))
+    assert whole.range_m.shape == (240, 120)
+    assert np.array_equal(whole.record[line, column], np.arange(len(line)))
+
+
+def test_a_column_that_no_line_has_room_for_tells_no_line() -> None:
+    line, column = np.divmod(np.arange(20 * 30), 30)
+    records = {"range": np.ones(600), "time": 100 + line / 48 + column / (48 * 30), "column": column}
+    records["column"][[0, 77]] = 9_000_000
+    whole = read(open_records(records, lines="time:48", points_per_line=30))
+    assert whole.range_m.shape == (20, 30)
+    assert whole.tally == ReadTally(n_unplaced=2)
+
+
 def test_times_far_from_zero_keep_their_columns() -> None:
     """An hour of lines at adjusted GPS time (a float64 holds it to 6e-8 s): no drift from rounding."""
     line = np.repeat(np.arange(180_000)[::997], 3)

@@ -1,0 +1,108 @@
+"""The beat of the shots where lines are found by time: how exactly a shot tells the line that it belongs to.
+
+Times in files are rounded, so that the first shot of a line may seem to come just before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from prc_cli.core.types import F64, I64
+
+MAX_FILL = 1.05
+"""Periods of a line that its columns may take up: more, and the column number or the rate is wrong."""
+_MAX_AHEAD = 10
+"""Neighbours further apart than so many typical steps of the column number say nothing."""
+_FEW_EQUAL = 0.995
+"""Share of neighbouring shots of different times from which on times count as finer than the shots."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """Time between shots and between columns."""
+
+    shot_s: float = 0.0
+    """Time from shot to shot [s], 0 = unknown."""
+    column_s: float = 0.0
+    """Time from column to column where the input holds the column of every shot [s], 0 = unknown."""
+
+
+UNKNOWN = Beat()
+
+
+def find_beat(time_s: F64, column: I64 | None, line_hz: float, points_per_line: int | None) -> Beat:
+    """Find the beat from the first shots.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Times of the shots in the order of the input [s].
+    column : (n,) int64 or None
+        Columns of the shots, below 0 = none; None where the input holds none.
+    line_hz : float
+        Lines a second.
+    points_per_line : int or None
+        M where it is given.
+
+    Examples
+    --------
+    >>> find_beat(np.arange(8) * 0.25, np.arange(8) % 4, 1.0, None)
+    Beat(shot_s=0.0, column_s=0.25)
+    >>> find_beat(np.arange(8) * 0.25, None, 1.0, None)
+    Beat(shot_s=0.25, column_s=0.0)
+    """
+    given_s = 0.0 if points_per_line is None else 1 / (line_hz * points_per_line)
+    if column is not None:
+        return Beat(given_s, _column_step(time_s, column, 1 / line_hz) or given_s)
+    return Beat(given_s or _shot_step(time_s, 1 / line_hz))
+
+
+def _column_step(time_s: F64, column: I64, period_s: float) -> float:
+    """Return the time from column to column, 0 if columns do not grow with time."""
+    use = np.isfinite(time_s) & (column >= 0)
+    step = np.diff(time_s[use])
+    ahead = np.diff(column[use])
+    # within a period the column grows within a line only
+    near = (step >= 0) & (step < period_s)
+    forward = near & (ahead > 0)
+    if not forward.any() or np.count_nonzero(forward) < np.count_nonzero(near & (ahead < 0)):
+        return 0.0
+    forward &= ahead <= _MAX_AHEAD * np.median(ahead[forward])
+    return float(step[forward].sum() / ahead[forward].sum())
+
+
+def _shot_step(time_s: F64, period_s: float) -> float:
+    """Return the typical time between neighbouring shots, 0 if unknown; rather too small than too large."""
+    step = np.diff(time_s[np.isfinite(time_s)])
+    step = step[(step >= 0) & (step < period_s)]
+    ahead = step[step > 0]
+    if not len(ahead):
+        return 0.0
+    if len(ahead) < _FEW_EQUAL * len(step):
+        # shots share time stamps: only the mean tells
+        return float(step[step < 2.5 * np.median(ahead)].mean())
+    # shots may be missing between most neighbours: look at the shortest fifth
+    return float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)]))
+
+
+def time_in_line(column: I64, column_s: float, period_s: float) -> F64:
+    """Return when shots were fired after column 0 of their line.
+
+    Parameters
+    ----------
+    column : (n,) int64
+        Columns of the shots, below 0 = none.
+    column_s : float
+        Time from column to column [s].
+    period_s : float
+        Time from line to line [s].
+
+    Returns
+    -------
+    (n,) float64
+        [s], NaN where there is no column, or one that no line has room for.
+    """
+    since: F64 = column * column_s
+    return np.where((column >= 0) & (since < MAX_FILL * period_s), since, np.nan)
