@@ -155,7 +155,7 @@ class TextSource:
     def _parse(self, lines: Lines, columns: list[TextColumn], blank: _BlankWatch) -> list[F64]:
         """Return one array of stored numbers a column, for the rows among the lines."""
         data = self._plain(lines.data)
-        blank_only = not data or data.isspace()
+        blank_only = not self._text.stripped(data)
         if blank.watches and (blank.first is not None or blank_only or _has_blank_line(data)):
             return self._parse_exactly(lines, columns, blank)
         found = [np.empty(0)] * len(columns) if blank_only else self._parse_fast(data, columns)
@@ -196,7 +196,7 @@ class TextSource:
 
     def _quotes_are_closed(self, data: bytes, n_rows: int) -> bool:
         """Whether every line became a row: a quote that is not closed swallows the line ends behind it."""
-        rows = [line for line in data.split(b"\n") if line.strip()]
+        rows = [line for line in data.split(b"\n") if self._text.stripped(line)]
         last = rows[-1].rstrip(b"\r").decode("utf-8", errors="replace")
         return n_rows == len(rows) and try_split(last, self._text.delimiter) is not None
 
@@ -207,7 +207,7 @@ class TextSource:
         all_lines = lines.data.split(b"\n")
         for number, line in enumerate(all_lines if all_lines[-1] else all_lines[:-1], lines.first):
             if not text.is_row(line):
-                if not line.strip():
+                if not text.stripped(line):
                     blank.see(number)
                 continue
             blank.check()

@@ -49,9 +49,13 @@ class TextFormat:
         """Cells in a row."""
         return len(self.names)
 
+    def stripped(self, line: bytes) -> bytes:
+        """Return a line without the blanks around it; tabs between empty cells are no blanks."""
+        return line.strip(b" \r\n" if self.delimiter == "\t" else None)
+
     def is_row(self, line: bytes) -> bool:
         """Whether a line is neither blank nor a comment."""
-        text = line.strip()
+        text = self.stripped(line)
         return bool(text) and not (self.comment and text.startswith(self.comment))
 
 

@@ -412,3 +412,13 @@ def test_lines_that_are_no_rows_are_passed_over_at_once(tmp_path: Path, monkeypa
     assert find_format(path, None).header_line == 300_001
     assert len(looked_at) < 1000
     assert values(tmp_path, path.read_bytes()) == [1.0]
+
+
+@pytest.mark.parametrize("block_bytes", [4, 7, 1 << 20])
+def test_a_row_of_tabs_alone_is_a_row_of_empty_cells(tmp_path: Path, block_bytes: int) -> None:
+    path = tmp_path / "drive.txt"
+    path.write_bytes(b"range\ttime\n1\t2\n\t\n3\t4\n")
+    source = TextSource(path, block_bytes=block_bytes)
+    found = np.concatenate([chunk.values["range"] for chunk in source.chunks(("range",))])
+    assert found.tolist()[::2] == [1.0, 3.0]
+    assert np.isnan(found[1])
