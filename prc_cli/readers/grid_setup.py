@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from prc_cli.core.errors import InputError
 from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F64, I64
 from prc_cli.readers import columns as column_rules
 from prc_cli.readers.angles import AngleGrid, column_angles, columns_by_angle, find_angle_grid
 from prc_cli.readers.beat import UNKNOWN, Beat, find_beat
+from prc_cli.readers.grid_limits import check_found_columns, check_image
 from prc_cli.readers.grid_lines import (
     LINE,
     ORDINAL,
@@ -39,9 +39,6 @@ PROBE_RECORDS = 1 << 18
 """Records at the start that sweep and angles are estimated from."""
 PROBE_RECORDS_EACH = 1 << 16
 """The same for every scanner where several share the input."""
-MAX_CELLS_PER_RECORD = 1000
-"""Cells for every record; an image that is emptier has a wrong column somewhere."""
-_MIN_CELLS = 100_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +51,8 @@ class ScannerSetup:
     angle_rad: F64 | None
     """(M,) float64, angle of every column [rad], None if unknown."""
     beat: Beat = UNKNOWN
+    n_shots: int = 0
+    """Shots of the whole input, if it was read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +98,11 @@ def find_setups(
     InputError
         When the angles do not tell, or the image would be absurdly empty.
     """
+    if points_per_line is not None and rules.config.points_per_line is None:
+        check_found_columns(rules.path, points_per_line, source.n_records)
     estimates, probes = _probe(source, rules, points_per_line)
     n_lines: int | None = None
+    extents: dict[int, _Extent] = {}
     sizes: dict[int, int | None] = dict.fromkeys(estimates, points_per_line)
     taken = _estimate_assumptions(rules, estimates)
     if points_per_line is None:
@@ -110,26 +112,34 @@ def find_setups(
         if None in sizes.values() or not sizes:
             extents = _survey(source, rules, estimates)
             n_lines = sum(extent.n_lines for extent in extents.values())
-            sizes = {scanner: sizes.get(scanner) or _size(rules, extent) for scanner, extent in extents.items()}
-        shown = ", ".join(str(size) for size in sizes.values())
+            sizes = {scanner: sizes.get(scanner) or _size(rules, extents[scanner]) for scanner in sorted(extents)}
+            images = {one: (extent.n_lines, sizes[one] or 1, extent.n_shots) for one, extent in extents.items()}
+            check_image(rules.path, images, rules.scanner or "")
+        shown = _shown_sizes(rules, sizes)
         taken.append(Assumption("input.points_per_line", shown, _size_reason(rules, whole_pass=n_lines is not None)))
     setups = {}
     for scanner, size in sizes.items():
         if size is None:
             continue
+        if points_per_line is None:
+            check_found_columns(rules.path, size, source.n_records)
         found = estimates.get(scanner, _Estimates())
         angle = _angles(rules, size, found, probes.get(scanner))
-        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle, found.beat)
+        n_shots = extents[scanner].n_shots if scanner in extents else 0
+        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle, found.beat, n_shots)
     return setups, n_lines, tuple(taken)
 
 
 def _size(rules: GridRules, extent: _Extent) -> int:
     size = extent.longest if rules.columns == "order" else extent.max_column + 1
-    n_cells = size * extent.n_lines
-    if size > column_rules.MAX_COLUMN or n_cells > max(_MIN_CELLS, MAX_CELLS_PER_RECORD * extent.n_shots):
-        problem = f"{extent.n_lines} lines of {size} columns for {extent.n_shots} shots: a column number is wrong"
-        raise InputError(rules.path, f"{problem}, expected fewer cells", "give the shots in a scan line: -M NUMBER")
     return max(size, 1)
+
+
+def _shown_sizes(rules: GridRules, sizes: dict[int, int | None]) -> str:
+    """Return M for people, scanner by scanner where there are several."""
+    if rules.scanner is None:
+        return ", ".join(str(size) for size in sizes.values())
+    return ", ".join(f"scanner {scanner}: {sizes[scanner]}" for scanner in sorted(sizes))
 
 
 def _size_reason(rules: GridRules, *, whole_pass: bool) -> str:

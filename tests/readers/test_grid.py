@@ -239,6 +239,53 @@ def test_a_wrong_column_does_not_blow_up_the_image() -> None:
     assert read(open_records(records)).tally == ReadTally(n_unplaced=1)
 
 
+def test_a_few_records_do_not_make_a_large_image() -> None:
+    records = {"range": np.ones(10), "scan_line": np.zeros(10), "column": np.arange(10)}
+    records["column"][9] = 9_999_998
+    with pytest.raises(InputError) as caught:
+        open_records(records)
+    assert str(caught.value) == (
+        "drive.bin: 1 lines of 9999999 columns for 10 shots: a column number is wrong, expected fewer cells; "
+        "give the shots in a scan line: -M NUMBER"
+    )
+    records["column"][9] = 999_999
+    assert open_records(records).info.points_per_line == 1_000_000
+
+
+def test_the_images_of_all_scanners_count_together() -> None:
+    n = 200
+    line, scanner = np.divmod(np.arange(2 * n), n)
+    column = np.where(line == 0, 0, 18_000 - (scanner != 77))
+    records = {"range": np.ones(2 * n), "scan_line": line, "column": column, "user_data": scanner}
+    with pytest.raises(InputError) as caught:
+        open_records(records, scanner="user_data")
+    assert str(caught.value).startswith(
+        "drive.bin: user_data 77: 2 lines of 18001 columns for 2 shots: a column number is wrong, expected fewer cells"
+    )
+    few = {name: value[scanner < 9] for name, value in records.items()}
+    assert open_records(few, scanner="user_data").info.points_per_line == 18_000
+
+
+def test_sparse_lines_pass() -> None:
+    """A shot in every thousand cells."""
+    line = np.arange(3000)
+    column = np.random.default_rng(4).integers(0, 1000, 3000)
+    column[1234] = 999
+    records = {"range": np.ones(3000), "scan_line": line, "column": column}
+    for options in ({}, {"points_per_line": 1000}):
+        assert read(open_records(records, **options)).range_m.shape == (3000, 1000)
+
+
+def test_a_recorded_m_is_believed_within_reason() -> None:
+    for options in ({}, {"scanner": "user_data"}):
+        source = MemorySource({**dict.fromkeys(("range", "scan_line", "column", "user_data"), np.ones(4))})
+        source.points_per_line_hint = 1_004_001  # type: ignore[attr-defined]
+        with pytest.raises(InputError, match="lines of 1004001 columns for 4 records, expected at most 1004000; .*-M"):
+            open_grid(source, InputConfig(**options))
+        source.points_per_line_hint = 1_004_000  # type: ignore[attr-defined]
+        assert open_grid(source, InputConfig(**options)).info.points_per_line == 1_004_000
+
+
 SEVERAL = "scanner_channel"
 
 
@@ -274,7 +321,23 @@ def test_scanners_have_their_own_line_length() -> None:
     assert stream.info.points_per_line == 5
     assert read(stream, 3).range_m.shape == (2, 2)
     assert read(stream, 9).range_m.shape == (2, 5)
-    assert {a.key: a.value for a in stream.info.assumptions}["input.points_per_line"] == "2, 5"
+    assert {a.key: a.value for a in stream.info.assumptions}["input.points_per_line"] == "scanner 3: 2, scanner 9: 5"
+
+
+@pytest.mark.parametrize("chunk_records", [1, 3, 40, 1000])
+def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_records: int) -> None:
+    """The scanner with the shortest lines comes last, and ends its first line first."""
+    parts = [(1, 13, 2), (2, 10, 3), (3, 8, 4)]
+    scanner = np.concatenate([np.full(m * n, one) for one, m, n in parts])
+    line = np.concatenate([np.repeat(np.arange(n), m) for _, m, n in parts])
+    column = np.concatenate([np.tile(np.arange(m), n) for _, m, n in parts])
+    mixed = np.lexsort((scanner, column, line))
+    records = {"range": np.ones(len(line)), "scan_line": line, "column": column, "user_data": scanner}
+    stream = open_records(
+        {name: value[mixed] for name, value in records.items()}, chunk_records, scanner="user_data", columns="order"
+    )
+    shown = {item.key: item.value for item in stream.info.assumptions}["input.points_per_line"]
+    assert shown == "scanner 1: 13, scanner 2: 10, scanner 3: 8"
 
 
 def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:

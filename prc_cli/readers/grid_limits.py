@@ -1,0 +1,70 @@
+"""How empty an image may be: a few wrong numbers must not cost gigabytes or hours."""
+
+from __future__ import annotations
+
+from prc_cli.core.errors import InputError
+from prc_cli.readers.columns import MAX_COLUMN
+from prc_cli.readers.options import InputConfig
+
+MAX_CELLS_PER_RECORD = 1000
+"""Cells for every record; an image that is emptier has a wrong line or column somewhere."""
+MIN_CELLS = 1_000_000
+"""Cells that any input may have."""
+USUAL_GAP_LINES: int = InputConfig.model_fields["max_gap_lines"].default
+"""Who allows longer gaps than this means them."""
+
+
+def most_cells(n_records: int) -> int:
+    """Return how many cells an image of so many records may have.
+
+    >>> most_cells(10)
+    1010000
+    """
+    return MIN_CELLS + MAX_CELLS_PER_RECORD * n_records
+
+
+def cells_of_gaps(config: InputConfig, points_per_line: int) -> int:
+    """Return how many cells may be missing beside, because longer gaps than usual are allowed by name."""
+    return config.max_gap_lines * points_per_line if config.max_gap_lines > USUAL_GAP_LINES else 0
+
+
+def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = "") -> None:
+    """Refuse an image that is absurdly empty.
+
+    Parameters
+    ----------
+    path : str
+        Input, for messages.
+    sizes : dict by scanner
+        Lines, columns and shots of every scanner.
+    which : str
+        Dimension that splits the scanners.
+
+    Raises
+    ------
+    InputError
+        When one scanner has too many columns, or all have together more cells than their shots allow.
+    """
+    n_cells = sum(n_lines * n_columns for n_lines, n_columns, _ in sizes.values())
+    is_empty = n_cells > most_cells(sum(n_shots for _, _, n_shots in sizes.values()))
+    # the one that is emptiest is named
+    for scanner in sorted(sizes, key=lambda one: -sizes[one][0] * sizes[one][1] + most_cells(sizes[one][2])):
+        n_lines, n_columns, n_shots = sizes[scanner]
+        if is_empty or n_columns > MAX_COLUMN:
+            where = f"{path}: {which} {scanner}" if which else path
+            problem = f"{n_lines} lines of {n_columns} columns for {n_shots} shots: a column number is wrong"
+            raise InputError(where, f"{problem}, expected fewer cells", "give the shots in a scan line: -M NUMBER")
+
+
+def check_found_columns(path: str, points_per_line: int, n_records: int | None) -> None:
+    """Refuse more columns than the records of the input can mean, where M was found or recorded, not given.
+
+    Raises
+    ------
+    InputError
+    """
+    most = MAX_COLUMN if n_records is None else min(MAX_COLUMN, most_cells(n_records))
+    if points_per_line > most:
+        count = "" if n_records is None else f" for {n_records} records"
+        problem = f"lines of {points_per_line} columns{count}, expected at most {most}"
+        raise InputError(path, problem, "give the shots in a scan line: -M NUMBER")
