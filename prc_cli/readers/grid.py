@@ -17,6 +17,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.readers.grid_cells import INTENSITY, MAX_BLOCK_CELLS, RANGE, XYZ, blocks_of
+from prc_cli.readers.grid_limits import cell_limit
 from prc_cli.readers.grid_lines import RECORD, LineRules, Table
 from prc_cli.readers.grid_read import (
     check_partial_line,
@@ -110,6 +111,11 @@ class GridStream:
     default: ScannerSetup | None
     """For scanners that were not met beforehand; None where that cannot be."""
 
+    @property
+    def n_known(self) -> int:
+        """Records as far as known, 0 if only reading can tell."""
+        return max(self.info.n_records or 0, sum(setup.n_shots for setup in self.setups.values()))
+
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         return self._dense_blocks() if self.rules.is_dense else self._sparse_blocks()
@@ -123,7 +129,10 @@ class GridStream:
 
     def _line_rules(self, scanner: int) -> LineRules:
         setup = self._setup(scanner)
-        return LineRules(self.rules, setup.points_per_line, setup.sweep, setup.beat)
+        m = setup.points_per_line
+        # every shot of fixed lines has its cell
+        cells = None if self.rules.lines == "fixed" else cell_limit(self.rules.config, m, self.n_known)
+        return LineRules(self.rules, m, setup.sweep, setup.beat, cells)
 
     def _sparse_blocks(self) -> Iterator[ScanBlock]:
         """Bring every record to its cell, whatever is missing between them."""

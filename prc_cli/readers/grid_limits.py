@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
+
 from prc_cli.core.errors import InputError
+from prc_cli.core.types import I64
 from prc_cli.readers.columns import MAX_COLUMN
 from prc_cli.readers.options import InputConfig
 
@@ -10,6 +15,8 @@ MAX_CELLS_PER_RECORD = 1000
 """Cells for every record; an image that is emptier has a wrong line or column somewhere."""
 MIN_CELLS = 1_000_000
 """Cells that any input may have."""
+SPARE_CELLS = 20_000_000
+"""The same while lines are read: empty lines cost no memory then, a second of time at most."""
 USUAL_GAP_LINES: int = InputConfig.model_fields["max_gap_lines"].default
 """Who allows longer gaps than this means them."""
 
@@ -23,9 +30,29 @@ def most_cells(n_records: int) -> int:
     return MIN_CELLS + MAX_CELLS_PER_RECORD * n_records
 
 
-def cells_of_gaps(config: InputConfig, points_per_line: int) -> int:
-    """Return how many cells may be missing beside, because longer gaps than usual are allowed by name."""
-    return config.max_gap_lines * points_per_line if config.max_gap_lines > USUAL_GAP_LINES else 0
+@dataclass(frozen=True, slots=True)
+class CellLimit:
+    """Cells that one scanner's lines may have while they are read."""
+
+    points_per_line: int
+    """M."""
+    n_known: int
+    """Records of the whole input as far as known beforehand, else 0."""
+    n_spare: int
+    """Cells beside those that the number of records allows."""
+
+    def most_lines(self, n_seen: I64) -> I64:
+        """Return the lines that so many shots may have, at least one, (n,) int64."""
+        cells: I64 = self.n_spare + MAX_CELLS_PER_RECORD * np.maximum(n_seen, self.n_known)
+        return np.maximum(cells // self.points_per_line, 1)
+
+
+def cell_limit(config: InputConfig, points_per_line: int, n_known: int) -> CellLimit:
+    """Return the limit of one scanner; gaps that are longer than usual and allowed by name come on top."""
+    n_spare = SPARE_CELLS if config.scanner == "none" else MIN_CELLS
+    if config.max_gap_lines > USUAL_GAP_LINES:
+        n_spare += config.max_gap_lines * points_per_line
+    return CellLimit(points_per_line, n_known, n_spare)
 
 
 def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = "") -> None:

@@ -19,6 +19,7 @@ from prc_cli.core.types import F64, I64, Mask
 from prc_cli.readers import lines as line_rules
 from prc_cli.readers.beat import UNKNOWN, Beat, time_in_line
 from prc_cli.readers.columns import StampState, columns_by_dimension, spread_stamps
+from prc_cli.readers.grid_limits import CellLimit
 from prc_cli.readers.grid_rules import GridRules
 from prc_cli.readers.lines import Admission, LineState, Sweep
 from prc_cli.readers.returns import continues_run, mark_shots
@@ -42,6 +43,8 @@ class LineRules:
     points_per_line: int | None
     sweep: Sweep | None
     beat: Beat = UNKNOWN
+    cells: CellLimit | None = None
+    """None = where no cells are made."""
 
     @property
     def slack(self) -> int:
@@ -212,6 +215,7 @@ def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules
         refuse_back=dimension is not None and policy == "require",
         slack=rules.slack,
         begins_with_first=rules.rules.config.time_origin is None or dimension is not None,
+        cells=rules.cells,
     )
     admitted, line_state = line_rules.admit_lines(line, known, shots[RECORD], line_state, admission)
     found[LINE] = line

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import F64, I64, Mask
+from prc_cli.readers.grid_limits import USUAL_GAP_LINES, CellLimit
 
 MAX_NUMBER = 2.0**53
 """Line numbers at or beyond cannot be told apart as float64."""
@@ -262,6 +263,8 @@ class Admission:
     """Lines beside the last that are still open."""
     begins_with_first: bool = True
     """Whether line 0 is that of the first shot; else shots before it are expected, not late."""
+    cells: CellLimit | None = None
+    """How many lines the shots so far may have; None = any number."""
 
 
 def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Admission) -> tuple[Mask, LineState]:
@@ -289,7 +292,7 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
     OrderError
         When lines go back and that is refused.
     InputError
-        When more lines are missing in a row than allowed.
+        When more lines are missing in a row than allowed, or nearly all cells so far.
     """
     floor = np.iinfo(np.int64).min
     seen = np.where(known, line, floor)
@@ -303,8 +306,11 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
         hint = "sort with --sort-by-time, or leave such records unclassified with --trust-order"
         raise OrderError(rule.where, f"{problem}; expected lines in the order they were scanned", hint)
     ahead = known & (seen - before > rule.max_gap_lines + 1)
-    if ahead.any():
-        i = int(np.argmax(ahead))
+    first_ahead = int(np.argmax(ahead)) if ahead.any() else len(ahead)
+    if rule.cells is not None:
+        _check_cells(highest[1 : first_ahead + 1], known, record, state, rule.cells, rule.where)
+    if first_ahead < len(ahead):
+        i = first_ahead
         missing = int(line[i] - before[i] - 1)
         problem = f"{missing} lines are missing before record {record[i]}, expected at most {rule.max_gap_lines}"
         hint = "check the line numbers or times there, or raise max_gap_lines"
@@ -312,3 +318,15 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
     n_late = int(np.count_nonzero(late & ((line >= 0) | rule.begins_with_first)))
     state = replace(state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late)
     return known & ~late, replace(state, top=int(highest[-1]))
+
+
+def _check_cells(top: I64, known: Mask, record: I64, state: LineState, limit: CellLimit, where: str) -> None:
+    """Refuse lines that are nearly all empty: their cells would cost any amount of time."""
+    n_seen = state.n_seen + np.cumsum(known[: len(top)])
+    empty = top >= limit.most_lines(n_seen)
+    if empty.any():
+        i = int(np.argmax(empty))
+        m, most = limit.points_per_line, limit.most_lines(n_seen)[i]
+        problem = f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
+        hint = f"check the line numbers or times there; gaps that are meant: max_gap_lines above {USUAL_GAP_LINES}"
+        raise InputError(where, f"{problem}, expected at most {most} lines", hint)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OrderError
 from prc_cli.core.stream import ReadTally
-from prc_cli.readers import grid_cells, grid_lines, grid_read, grid_rules, grid_setup
+from prc_cli.readers import grid_cells, grid_limits, grid_lines, grid_read, grid_rules, grid_setup
 from prc_cli.readers.grid import open_grid
 from prc_cli.readers.options import InputConfig
+from prc_cli.readers.records import RecordChunk
 from tests.readers.record_lists import (
     LINE_HZ,
     N_LINES,
@@ -274,6 +276,57 @@ def test_sparse_lines_pass() -> None:
     records = {"range": np.ones(3000), "scan_line": line, "column": column}
     for options in ({}, {"points_per_line": 1000}):
         assert read(open_records(records, **options)).range_m.shape == (3000, 1000)
+
+
+class UncountedSource(MemorySource):
+    """As a text file: only reading tells how many records there are."""
+
+    @property
+    def n_records(self) -> int | None:
+        return None
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        return MemorySource(self.values, self.chunk_records).chunks(names)
+
+
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+@pytest.mark.parametrize("kind", [MemorySource, UncountedSource])
+def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: type[MemorySource]) -> None:
+    """3e10 cells for 300 records, every gap allowed by itself."""
+    n = 300
+    records = {"range": np.ones(n), "scan_line": np.arange(n) * 99_000, "column": np.zeros(n)}
+    with pytest.raises(InputError) as caught:
+        read(open_grid(kind(records, chunk_records), InputConfig(points_per_line=1000)))
+    most = 20_300 if kind is MemorySource else 20_002
+    assert str(caught.value) == (
+        f"drive.bin: scan_line: 2 shots lie in 99001 lines of 1000 columns at record 1, expected at most {most} lines; "
+        "check the line numbers or times there; gaps that are meant: max_gap_lines above 100000"
+    )
+    by_time = {"range": np.ones(n), "time": np.arange(n) * 1.0, "column": np.zeros(n)}
+    with pytest.raises(InputError, match=r"lines = time: .* lines of 1000 columns at record \d+, expected at most"):
+        read(open_grid(kind(by_time, chunk_records), InputConfig(points_per_line=1000, lines="time:99000")))
+    two = {name: value[:2] for name, value in records.items()}
+    meant = InputConfig(points_per_line=100, max_gap_lines=100_001)
+    assert read(open_grid(kind(two, chunk_records), meant)).range_m.shape == (99_001, 100)
+
+
+@pytest.mark.parametrize("chunk_records", [1000, 100_000])
+def test_a_gap_early_in_a_long_drive_passes(chunk_records: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid_limits, "SPARE_CELLS", 1_000_000)
+    line = np.arange(6000) // 2 + np.where(np.arange(6000) < 10, 0, 2000)
+    records = {"range": np.ones(6000), "scan_line": line, "column": np.arange(6000) % 2 * 999}
+    for kind in (MemorySource, UncountedSource):
+        assert read(open_grid(kind(records, chunk_records), InputConfig())).range_m.shape == (5000, 1000)
+
+
+def test_the_first_defect_is_the_reason_however_the_input_is_chunked() -> None:
+    records = {"range": np.ones(4), "scan_line": np.array([0, 99_000, 99_001, 500_000]), "column": np.zeros(4)}
+    gap_first = {**records, "scan_line": np.array([0, 200_000, 290_000, 380_000])}
+    for chunk_records in (1, 4):
+        with pytest.raises(InputError, match="2 shots lie in 99001 lines"):
+            read(open_records(records, chunk_records, points_per_line=1000))
+        with pytest.raises(InputError, match="199999 lines are missing before record 1"):
+            read(open_records(gap_first, chunk_records, points_per_line=1000))
 
 
 def test_a_recorded_m_is_believed_within_reason() -> None:
