@@ -86,6 +86,10 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
             _check_dimension(f"input.{key}", "time", source)
     if scanner is not None:
         _check_dimension("input.scanner", scanner, source)
+    if columns.startswith("time:") and not lines.startswith("time:"):
+        # nothing says when a line begins
+        why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
+        taken.append(Assumption("input.columns", "column 0 is the first return of each line", why))
     if config.return_ != "strongest" and "number_of_returns" not in has:
         why = "the input does not say how many returns a shot has: every record is a shot"
         taken.append(Assumption("input.return", "no effect", why))

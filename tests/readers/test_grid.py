@@ -158,6 +158,19 @@ def test_assumptions_say_what_was_taken() -> None:
     assert time_lines.info.line_hz == 50.0
 
 
+def test_columns_by_time_say_where_they_count_from() -> None:
+    _, records = scene()
+    names, options = RULES["line and time"]
+    for more in (options, {**options, "lines": "angle-wrap"}):
+        stream = open_records(only(records, *names, "angle"), **more)
+        [item] = [item for item in stream.info.assumptions if item.key == "input.columns"]
+        assert item.value == "column 0 is the first return of each line"
+        assert item.why == "lines that begin with missing shots shift; with --lines time:HZ they do not"
+    names, options = RULES["time"]
+    stream = open_records(only(records, *names), **options)
+    assert "input.columns" not in [item.key for item in stream.info.assumptions]
+
+
 @given(st.data())
 @settings(deadline=None, max_examples=60)
 def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
