@@ -42,12 +42,14 @@ class Field:
         stored = records[self.column]
         if self.mask is not None:
             return (stored & np.uint8(self.mask)) >> np.uint8((self.mask & -self.mask).bit_length() - 1)
-        if self.scale is not None:
-            values = stored * np.float64(self.scale) + np.float64(self.offset)
-        elif self.as_float or self.no_data is not None:
-            values = stored.astype(np.float64)
-        else:
-            return np.array(stored)
+        # damaged records may hold any bits: what is no number stays NaN or infinite and is counted later
+        with np.errstate(invalid="ignore", over="ignore"):
+            if self.scale is not None:
+                values = stored * np.float64(self.scale) + np.float64(self.offset)
+            elif self.as_float or self.no_data is not None:
+                values = stored.astype(np.float64)
+            else:
+                return np.array(stored)
         if self.no_data is not None:
             values[stored == self.no_data] = np.nan
         return values

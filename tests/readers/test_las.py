@@ -644,3 +644,16 @@ def test_als_strip_has_two_extra_bytes_vlrs_and_a_crs(real_data: Path) -> None:
     assert source.crs_wkt is not None
     assert source.crs_wkt.startswith('PROJCRS["RGF93 / Lambert-93"')
     assert LasSource(real_data / "las" / "three_strips_edge_flags.laz").crs_wkt == "EPSG:3005"
+
+
+def test_a_signalling_nan_is_no_warning(tmp_path: Path) -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.add_extra_dim(laspy.ExtraBytesParams("range", "f4", no_data=[0]))
+    las = laspy.LasData(header)
+    las.x = las.y = las.z = np.zeros(2)
+    las["range"] = np.array([0x7F800001, 0x3F800000], np.uint32).view(np.float32)
+    path = tmp_path / "drive.las"
+    las.write(path)
+    (chunk,) = LasSource(path).chunks(("range",))
+    assert np.isnan(chunk.values["range"][0])
+    assert chunk.values["range"][1] == 1.0
