@@ -35,6 +35,7 @@ from prc_cli.readers.ranges import RangeRule, measure_ranges, open_ranges
 from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.records import RecordChunk, RecordSource
 from prc_cli.readers.sorting import sorted_by_time
+from prc_cli.readers.weeks import WeekSource, times_of_trajectory, week_steps
 
 
 def open_grid(
@@ -73,6 +74,8 @@ def open_grid(
         # a file of no lines is often a tile: then its order is the better reason
         judge_first_records(source, config)
         raise
+    if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
+        records = WeekSource(records)
     crs_wkt: str | None = getattr(source, "crs_wkt", None)
     ranges = open_ranges(rules.range, records.dimensions, source.path, config, base=base, crs_wkt=crs_wkt)
     m, assumption = given_points_per_line(rules, source)
@@ -145,8 +148,13 @@ class GridStream:
 
     def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
         """Add ranges and what goes along with them to the table of a chunk."""
-        found, xyz = measure_ranges(chunk.values, self.ranges)
+        values = chunk.values
+        if self.ranges.trajectory is not None:
+            values = {**values, "time": times_of_trajectory(chunk, self.ranges.trajectory.span[0])}
+        found, xyz = measure_ranges(values, self.ranges)
         table[RANGE], tally = clean_ranges(found, self.rules.config.min_range, self.rules.config.max_range)
+        # what was taken out before the watch could see it
+        tally += ReadTally(n_time_steps_back=week_steps(chunk))
         if xyz is not None:
             table[XYZ] = xyz
         if self.rules.has_intensity:

@@ -79,8 +79,11 @@ def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = 
         n_lines, n_columns, n_shots = sizes[scanner]
         if is_empty or n_columns > MAX_COLUMN:
             where = f"{path}: {which} {scanner}" if which else path
-            problem = f"{n_lines} lines of {n_columns} columns for {n_shots} shots: a column number is wrong"
-            raise InputError(where, f"{problem}, expected fewer cells", "give the shots in a scan line: -M NUMBER")
+            problem = f"{n_lines} lines of {n_columns} columns for {n_shots} shots"
+            cause, hint = "a column number is wrong", "give the shots in a scan line: -M NUMBER"
+            if n_lines > max(n_shots, n_columns):
+                cause, hint = "line numbers or times jump", f"check them, or {hint}"
+            raise InputError(where, f"{problem}: {cause}, expected fewer cells", hint)
 
 
 def check_found_columns(path: str, points_per_line: int, n_records: int | None) -> None:
