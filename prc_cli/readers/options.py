@@ -16,6 +16,10 @@ MAX_RECORD_BYTES = 1 << 20
 """Largest record of a raw dump; LAS allows 65535 bytes, and chunks of records are held in memory."""
 
 
+LEAST_RATE_HZ, MOST_RATE_HZ = 1e-6, 1e12
+"""Line frequencies and shot rates that a scanner may have, with room to spare [Hz]."""
+
+
 def _rule(*patterns: str) -> AfterValidator:
     """Accept a word or ``word:argument`` out of the given patterns (``*`` stands for a non-empty argument)."""
 
@@ -103,8 +107,8 @@ class InputConfig(Params):
             raise ValueError(message)
         for name in ("lines", "columns"):
             rule = getattr(self, name)
-            if rule.startswith("time:") and not 0 < parse_rate(rule) < np.inf:
-                message = f"{name} = time:HZ with a positive number, found {rule!r}"
+            if rule.startswith("time:") and not LEAST_RATE_HZ <= parse_rate(rule) <= MOST_RATE_HZ:
+                message = f"{name} = time:HZ with {LEAST_RATE_HZ:g} to {MOST_RATE_HZ:g} Hz, found {rule!r}"
                 raise ValueError(message)
         return self
 
