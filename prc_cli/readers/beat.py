@@ -104,5 +104,5 @@ def time_in_line(column: I64, column_s: float, period_s: float) -> F64:
     (n,) float64
         [s], NaN where there is no column, or one that no line has room for.
     """
-    since: F64 = column * column_s
+    since: F64 = column.astype(np.float64) * column_s
     return np.where((column >= 0) & (since < MAX_FILL * period_s), since, np.nan)

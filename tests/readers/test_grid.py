@@ -197,6 +197,9 @@ def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
                 {"columns": "order"},
                 {"lines": "time:50", "columns": "time:200"},
                 {"lines": "time:50", "columns": "order", "points_per_line": 3},
+                {"lines": "time:50", "columns": "order"},
+                {"lines": "time:50"},
+                {"lines": "time:50", "points_per_line": 3},
                 {"lines": "fixed", "points_per_line": 4, "partial_line": "pad"},
             ]
         )
