@@ -18,7 +18,7 @@ from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, read_toml
 from prc_cli.core.errors import ConfigError
-from prc_cli.readers.options import InputConfig, Layout, resolve_path
+from prc_cli.readers.options import InputConfig, Layout
 from prc_cli.writers.options import OutputConfig
 
 
@@ -132,7 +132,7 @@ def _from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     rule = inputs.get("range") if isinstance(inputs, Mapping) else None
     if not isinstance(rule, str) or not rule.startswith("trajectory:"):
         return table
-    name = resolve_path(rule.partition(":")[2], folder).absolute()
+    name = (folder / Path(rule.partition(":")[2]).expanduser()).absolute()
     return merge(table, {"input": {"range": f"trajectory:{name}"}})
 
 

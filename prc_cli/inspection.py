@@ -101,10 +101,9 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         return _describe(path, None, stream, _line_order(stream), None)
     order = _time_order(source)
     if stream is None:
-        way, lines_only = _lines_only(source, loaded.config.input, path)
-        # with its lines found, the file may still lack ranges: say both at once
-        further = _try_open(path, _with_input(loaded, way))[1] if way else None
-        inspection = _describe(path, source, lines_only, order, _both(refusal, further), with_ranges=False)
+        inspection = _describe(
+            path, source, _lines_only(source, loaded.config.input), order, refusal, with_ranges=False
+        )
         if "range" in source.dimensions:
             inspection = replace(inspection, period=estimate_points_per_line(_sample(source)))
         return inspection
@@ -124,14 +123,6 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
 def _with_input(loaded: LoadedConfig, update: dict[str, str]) -> LoadedConfig:
     inputs = loaded.config.input.model_copy(update=update)
     return replace(loaded, config=loaded.config.model_copy(update={"input": inputs}))
-
-
-def _both(
-    first: InputError | ConfigError | None, second: InputError | ConfigError | None
-) -> InputError | ConfigError | None:
-    if first is None or second is None or first.problem == second.problem:
-        return first
-    return InputError(first.where, f"{first.problem}, and {second.problem}", f"{first.hint}; {second.hint}")
 
 
 def _describe(
@@ -293,21 +284,14 @@ class _UnitRanges:
             yield replace(chunk, values={**chunk.values, "range": np.ones(chunk.n)})
 
 
-def _lines_only(source: RecordSource, inputs: InputConfig, path: Path) -> tuple[dict[str, str], ScanStream | None]:
-    """Find the lines of an input without ranges, by the configured rule or by the wrap of its scan angle.
-
-    Returns the rule that had to be added to the configuration, empty if none, and the stream of lines.
-    """
-    ways: list[dict[str, str]] = [{}]
-    if inputs.lines == "auto" and "angle" in source.dimensions:
-        ways.append({"lines": "angle-wrap", "columns": "order"})
-    for way in ways:
-        update = {**way, "range": "dimension:range", "order": "trust"}
-        try:
-            return way, open_grid(_UnitRanges(source), inputs.model_copy(update=update), base=path.parent)
-        except (InputError, ConfigError):
-            continue
-    return {}, None
+def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
+    """Find the lines of an input without ranges; None if its lines cannot be found either."""
+    try:
+        return open_grid(
+            _UnitRanges(source), inputs.model_copy(update={"range": "dimension:range", "order": "trust"})
+        )  # fmt: skip
+    except (InputError, ConfigError):
+        return None
 
 
 def _plain(value: Any) -> Any:

@@ -108,12 +108,11 @@ def test_airborne_strip(real_data: Path, tmp_path: Path) -> None:
     assert found.facts is not None
     assert found.facts.n_lines == n_lines
     json.dumps(found.as_dict(), allow_nan=False)
-    wrap = {"lines": "angle-wrap", "columns": "order"}
     with pytest.raises(InputError, match="no slant range"):
-        classify(source, tmp_path / "out.laz", options(**wrap))
+        classify(source, tmp_path / "out.laz", load_config(preset="urban"))
     assert list(tmp_path.iterdir()) == []
     origin = origin_above(las, 1000.0)
-    summary = classify(source, tmp_path / "out.laz", options(**wrap, range=origin))
+    summary = classify(source, tmp_path / "out.laz", options(range=origin))
     assert summary.counts.n_lines == n_lines
     assert_only_classes_differ(source, tmp_path / "out.laz")
 

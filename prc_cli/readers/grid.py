@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.readers.grid_cells import INTENSITY, MAX_BLOCK_CELLS, RANGE, XYZ, blocks_of
 from prc_cli.readers.grid_limits import cell_limit
@@ -38,9 +37,7 @@ from prc_cli.readers.sorting import sorted_by_time
 from prc_cli.readers.weeks import WeekSource, times_of_trajectory, week_steps
 
 
-def open_grid(
-    source: RecordSource, config: InputConfig, *, base: Path | None = None, line_hz: float | None = None
-) -> ScanStream:
+def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | None = None) -> GridStream:
     """Turn a list of records into the stream.
 
     Parameters
@@ -49,8 +46,6 @@ def open_grid(
         Decoded records; read once from the start, or twice where M must be found first.
     config : InputConfig
         How lines, columns and ranges are found; ``auto`` is resolved and reported in ``info.assumptions``.
-    base : Path, optional
-        Folder that relative paths in the configuration start from.
     line_hz : float, optional
         Scan lines a second, where a layout says so [Hz].
 
@@ -77,7 +72,7 @@ def open_grid(
     if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
     crs_wkt: str | None = getattr(source, "crs_wkt", None)
-    ranges = open_ranges(rules.range, records.dimensions, source.path, config, base=base, crs_wkt=crs_wkt)
+    ranges = open_ranges(rules.range, records.dimensions, source.path, config, crs_wkt=crs_wkt)
     m, assumption = given_points_per_line(rules, source)
     if rules.lines == "fixed" and m is not None and not rules.has_returns and source.n_records is not None:
         check_partial_line(source.path, source.n_records, m, config)

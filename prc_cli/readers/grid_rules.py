@@ -8,6 +8,7 @@ from difflib import SequenceMatcher
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption
+from prc_cli.readers.lines import find_sweep
 from prc_cli.readers.options import InputConfig, parse_rate
 from prc_cli.readers.records import RecordSource
 
@@ -125,13 +126,27 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
         why = f"points_per_line = {config.points_per_line} is given and the input has no dimension scan_line"
         taken.append(Assumption("input.lines", "fixed", why))
         return "fixed"
+    if "angle" in source.dimensions and _has_sweeps(source):
+        why = "no dimension scan_line, no points_per_line, but the scan angle runs in sweeps"
+        taken.append(Assumption("input.lines", "angle-wrap", why))
+        return "angle-wrap"
     ways = ["-M NUMBER if no shot is left out (prc info estimates it)", "--lines dimension:NAME"]
-    if "angle" in source.dimensions:
-        ways.append("--lines angle-wrap")
     if "time" in source.dimensions:
         ways.append("--lines time:HZ (scan lines a second)")
     problem = "no scan lines: the file has no dimension scan_line and points_per_line is not given"
     raise InputError(source.path, problem, f"give {_either(ways)}")
+
+
+def _has_sweeps(source: RecordSource) -> bool:
+    """Tell whether the scan angles of the first records jump back from sweep to sweep."""
+    first = next(iter(source.chunks(("angle",))), None)
+    if first is None:
+        return False
+    try:
+        find_sweep(first.values["angle"], source.path)
+    except InputError:
+        return False
+    return True
 
 
 def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> str:
@@ -160,7 +175,8 @@ def _auto_range(source: RecordSource, taken: list[Assumption]) -> str:
     if {"x", "y", "z"} <= set(source.dimensions):
         ways += ["--range trajectory:FILE"] if "time" in source.dimensions else []
         ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
-    problem = f"no slant range: the file has no dimension range, it has {', '.join(source.dimensions) or 'none'}"
+    names = ", ".join(source.dimensions[:12]) + (", ..." if len(source.dimensions) > 12 else "")
+    problem = f"no slant range: the file has no dimension range, it has {names or 'none'}"
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 

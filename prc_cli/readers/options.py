@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -207,9 +206,3 @@ class Layout(Params):
 
 RANGES_ONLY = Layout(fields=(LayoutField(name="range", type="f4"),))
 """The simplest raw dump: little-endian float32 ranges alone."""
-
-
-def resolve_path(value: str, base: Path | None) -> Path:
-    """Return a path from a configuration value, relative to the configuration file's folder if there is one."""
-    path = Path(value).expanduser()
-    return path if path.is_absolute() or base is None else base / path

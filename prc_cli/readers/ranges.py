@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F32, F64
-from prc_cli.readers.options import InputConfig, parse_origin, resolve_path
+from prc_cli.readers.options import InputConfig, parse_origin
 from prc_cli.readers.trajectory import Trajectory, load_trajectory
 
 XYZ = ("x", "y", "z")
@@ -37,7 +37,7 @@ class RangeRule:
 
 
 def open_ranges(
-    rule: str, dimensions: tuple[str, ...], path: str, config: InputConfig, *, base: Path | None, crs_wkt: str | None
+    rule: str, dimensions: tuple[str, ...], path: str, config: InputConfig, *, crs_wkt: str | None
 ) -> RangeRule:
     """Turn a resolved ``input.range`` into what it means; reads the trajectory if there is one.
 
@@ -51,8 +51,6 @@ def open_ranges(
         Input, for messages.
     config : InputConfig
         Coordinate system and time offset of the trajectory.
-    base : Path or None
-        Folder that the trajectory's name starts from.
     crs_wkt : str or None
         Coordinate system of the input.
 
@@ -74,10 +72,11 @@ def open_ranges(
     if kind == "origin":
         return RangeRule(origin_m=parse_origin(rule))
     trajectory = load_trajectory(
-        resolve_path(argument, base),
+        Path(argument).expanduser(),
         crs=config.trajectory_crs,
         source_crs_wkt=crs_wkt,
         time_offset=config.trajectory_time_offset,
+        max_gap=config.trajectory_max_gap,
     )
     return RangeRule(trajectory=trajectory)
 

@@ -432,18 +432,27 @@ def test_too_many_scanners(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_missing_lines_say_what_would_do() -> None:
     _, records = scene()
+    still = {**only(records, "range", "time", "angle"), "angle": np.zeros_like(records["angle"])}
     with pytest.raises(InputError) as caught:
-        open_records(only(records, "range", "time", "angle"))
+        open_records(still)
     assert caught.value.where == "drive.bin"
     assert caught.value.problem == "no scan lines: the file has no dimension scan_line and points_per_line is not given"
     assert caught.value.hint == (
-        "give -M NUMBER if no shot is left out (prc info estimates it), --lines dimension:NAME, --lines angle-wrap or "
+        "give -M NUMBER if no shot is left out (prc info estimates it), --lines dimension:NAME or "
         "--lines time:HZ (scan lines a second)"
     )
     with pytest.raises(InputError) as caught:
         open_records(only(records, "range"))
     assert "angle-wrap" not in caught.value.hint
     assert "time:HZ" not in caught.value.hint
+
+
+def test_lines_are_found_by_the_sweeps_of_the_scan_angle_where_nothing_else_tells() -> None:
+    _, records = scene()
+    found = open_records(only(records, "range", "angle"))
+    told = open_records(only(records, "range", "angle"), lines="angle-wrap")
+    assert found.info.n_lines == told.info.n_lines
+    assert next(item.value for item in found.info.assumptions if item.key == "input.lines") == "angle-wrap"
 
 
 def test_missing_ranges_say_what_would_do() -> None:

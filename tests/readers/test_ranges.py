@@ -18,8 +18,8 @@ from tests.readers.record_lists import MemorySource, open_records, read
 ALL = ("range", "x", "y", "z", "time")
 
 
-def opened(rule: str, dimensions: tuple[str, ...] = ALL, base: Path | None = None) -> RangeRule:
-    return open_ranges(rule, dimensions, "drive.laz", InputConfig(), base=base, crs_wkt=None)
+def opened(rule: str, dimensions: tuple[str, ...] = ALL) -> RangeRule:
+    return open_ranges(rule, dimensions, "drive.laz", InputConfig(), crs_wkt=None)
 
 
 def test_a_dimension_is_left_untouched() -> None:
@@ -65,7 +65,7 @@ def test_along_a_trajectory() -> None:
         measure_ranges({**values, "time": np.array([1.0, 11.0])}, rule)
 
 
-def test_a_trajectory_file_is_found_from_the_folder_of_the_configuration(tmp_path: Path) -> None:
+def test_ranges_from_a_trajectory_file(tmp_path: Path) -> None:
     (tmp_path / "drive.csv").write_text("time,x,y,z\n0,0,0,2\n10,100,0,2\n")
     records = {
         "x": np.array([0.0, 50.0, 100.0]),
@@ -73,15 +73,22 @@ def test_a_trajectory_file_is_found_from_the_folder_of_the_configuration(tmp_pat
         "z": np.full(3, 2.0),
         "time": np.array([0.0, 5.0, 10.0]),
     }
-    config = InputConfig(range="trajectory:drive.csv", points_per_line=3)
-    whole = read(open_grid(MemorySource(records), config, base=tmp_path))
+    config = InputConfig(range=f"trajectory:{tmp_path / 'drive.csv'}", points_per_line=3, trajectory_max_gap=20.0)
+    whole = read(open_grid(MemorySource(records), config))
     np.testing.assert_allclose(whole.range_m, [[5, 6, 7]])
     assert whole.blocks[0].xyz_m is not None
-    shifted = InputConfig(range="trajectory:drive.csv", points_per_line=3, trajectory_time_offset=5.0)
+    shifted = InputConfig(
+        range=f"trajectory:{tmp_path / 'drive.csv'}",
+        points_per_line=3,
+        trajectory_time_offset=5.0,
+        trajectory_max_gap=20.0,
+    )
     with pytest.raises(InputError, match="outside the trajectory"):
-        read(open_grid(MemorySource(records), shifted, base=tmp_path))
+        read(open_grid(MemorySource(records), shifted))
+    with pytest.raises(InputError, match="gap"):
+        read(open_grid(MemorySource(records), config.model_copy(update={"trajectory_max_gap": 9.0})))
     with pytest.raises(InputError, match="cannot be read"):
-        open_grid(MemorySource(records), config)
+        open_grid(MemorySource(records), config.model_copy(update={"range": "trajectory:none.csv"}))
 
 
 @pytest.mark.parametrize(
