@@ -21,7 +21,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import I64, U8
-from prc_cli.readers import LAS_SUFFIXES, open_input, suffix_of
+from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
 from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.regroup import regroup
 from prc_cli.writers import open_writer
@@ -120,8 +120,7 @@ def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[Lab
         state = states.get(block.scanner)
         if state is None:
             state = initial_state(block.points_per_line)
-        following = np.empty((0, block.points_per_line), np.float32) if block.next_m is None else block.next_m
-        result = classify_block(block.range_m, following, state, params)
+        result = classify_block(block.range_m, block.next_m, state, params)
         states[block.scanner] = result.state
         extra = label_extra_returns(
             block.range_m,
@@ -175,8 +174,9 @@ def classify(
     for path in (output, record_path(output)):
         check_output(path, overwrite=overwrite, inputs=inputs)
         remove_stale(path)
-    stream = open_stream(source, loaded)
+    check_input(source)
     before = source.stat()
+    stream = open_stream(source, loaded)
     counts = Counts.none()
     with open_writer(
         output,
