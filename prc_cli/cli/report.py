@@ -91,12 +91,13 @@ def _figure(value: float) -> str:
 
 def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:
     """Print what the reader took for granted and what it met."""
-    table = Table(title="taken for granted")
-    for heading in ("key", "value", "why"):
-        table.add_column(heading)
-    for item in assumptions:
-        table.add_row(item.key, item.value, item.why)
-    console().print(table)
+    if assumptions:
+        table = Table(title="taken for granted")
+        for heading in ("key", "value", "why"):
+            table.add_column(heading)
+        for item in assumptions:
+            table.add_row(item.key, item.value, item.why)
+        console().print(table)
     for name, count in tally_rows(tally):
         console().print(f"{name}: {count:,} records")
 

@@ -90,7 +90,7 @@ def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | Non
         n_lines=n_lines,
         angle_rad=next(iter(setups.values())).angle_rad if len(setups) == 1 else None,
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
-        assumptions=(*rules.assumptions, *([assumption] if assumption else []), *found),
+        assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
     )
     default = None if m is None else ScannerSetup(m, None, None, None, beat=given_beat(rules, m))
     return GridStream(info, records, rules, ranges, setups, default)

@@ -91,6 +91,9 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         # nothing says when a line begins
         why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
         taken.append(Assumption("input.columns", "column 0 is the first return of each line", why))
+    if lines.startswith("time:") and config.time_origin is None:
+        why = "line 0, column 0 is taken to be fired then: the phase of the mirror is not in the input"
+        taken.append(Assumption("input.time_origin", "time of the first record", why))
     if config.return_ != "strongest" and "number_of_returns" not in has:
         why = "the input does not say how many returns a shot has: every record is a shot"
         taken.append(Assumption("input.return", "no effect", why))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64
 from prc_cli.readers.options import InputConfig, parse_origin
 from prc_cli.readers.trajectory import Trajectory, load_trajectory
@@ -27,6 +28,16 @@ class RangeRule:
     """Fixed position of the sensor in the coordinates of the input [m]; zeros = they are the sensor's own."""
     trajectory: Trajectory | None = None
     """Position of the sensor over time."""
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """What measuring ranges takes for granted."""
+        if self.trajectory is None:
+            return ()
+        first, last = self.trajectory.span
+        value = f"{self.trajectory.n_positions} positions from {first:.3f} to {last:.3f} s"
+        why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
+        return (Assumption("input.range", value, why),)
 
     @property
     def names(self) -> tuple[str, ...]:
