@@ -80,15 +80,16 @@ class OrderEvidence:
         >>> watch.evidence().sentence()
         'gps_time decreases in 33.3 % of 3 steps, first at record 2: 1.50 s after 2.00 s'
         """
+        unknown = f"; {_grouped(self.n_not_finite)} records have none" if self.n_not_finite else ""
         if self.first is None or self.largest is None:
-            return f"{self.what} never decreases in {_grouped(self.n_steps)} steps"
+            return f"{self.what} never decreases in {_grouped(self.n_steps)} steps{unknown}"
         if self.share_back >= 1e-3:
             share, place, step = f"{100 * self.share_back:.1f} %", "first", self.first
         else:
             share, place, step = _grouped(self.n_back), "largest", self.largest
         return (
             f"{self.what} decreases in {share} of {_grouped(self.n_steps)} steps, {place} at record {step.record}: "
-            f"{_shown(step.value, step)} s after {_shown(step.before, step)} s"
+            f"{_shown(step.value, step)} s after {_shown(step.before, step)} s{unknown}"
         )
 
 

@@ -180,3 +180,8 @@ def test_range_correlation_of_too_little() -> None:
     for flat in (np.full(500, np.nan, np.float32), np.full(500, 3.0, np.float32), np.ones(4, np.float32)):
         assert "too few, or too alike" in range_correlation(flat).verdict
     assert "loosely" in RangeCorrelation(0.5, 1000).verdict
+
+
+def test_records_without_a_time_are_told() -> None:
+    sentence = watch_in_chunks(np.array([1.0, np.nan, 2.0, np.inf]), 5).evidence().sentence()
+    assert sentence == "gps_time never decreases in 1 steps; 2 records have none"
