@@ -20,7 +20,7 @@ from prc_cli.readers.grid import open_grid
 from prc_cli.readers.options import InputConfig
 from prc_cli.readers.order import OrderEvidence, OrderWatch, RangeCorrelation, range_correlation
 from prc_cli.readers.periodicity import PeriodEstimate, estimate_line_frequency, estimate_points_per_line
-from prc_cli.readers.records import RecordChunk, RecordSource
+from prc_cli.readers.records import DerivedSource, RecordChunk, RecordSource
 
 SAMPLE_SHOTS = 4_000_000
 """Ranges kept from the start of a file for the median, the correlation and the estimate of M."""
@@ -257,23 +257,8 @@ def _sample(source: RecordSource) -> F32:
     return np.where(np.isfinite(flat) & (flat > 0), flat, np.float32(np.nan))
 
 
-@dataclass(frozen=True, slots=True)
-class _UnitRanges:
+class _UnitRanges(DerivedSource):
     """A source whose ranges are all 1: for finding lines where ranges are not known."""
-
-    source: RecordSource
-
-    @property
-    def path(self) -> str:
-        return self.source.path
-
-    @property
-    def format(self) -> str:
-        return self.source.format
-
-    @property
-    def n_records(self) -> int | None:
-        return self.source.n_records
 
     @property
     def dimensions(self) -> tuple[str, ...]:

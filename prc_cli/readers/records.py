@@ -66,3 +66,30 @@ class RecordSource(Protocol):
         InputError
             When the file is damaged; the message names the position, what was found and what was expected.
         """
+
+
+@dataclass(frozen=True)
+class DerivedSource:
+    """A source that gives the records of another one in another way; subclasses say how in ``chunks``."""
+
+    source: RecordSource
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return self.source.path
+
+    @property
+    def format(self) -> str:
+        """Reader name."""
+        return self.source.format
+
+    @property
+    def n_records(self) -> int | None:
+        """Number of records; None if only reading can tell."""
+        return self.source.n_records
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that the source can deliver, standard names first."""
+        return self.source.dimensions

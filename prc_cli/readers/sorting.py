@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError, OutputError
-from prc_cli.readers.records import RecordChunk, RecordSource
+from prc_cli.readers.records import DerivedSource, RecordChunk, RecordSource
 
 RUN_RECORDS = 1 << 19
 """Records sorted in memory at a time."""
@@ -55,27 +55,10 @@ def sorted_by_time(
     return _SortedSource(source, max(run_records, 1), max(merge_records, 1))
 
 
-class _SortedSource:
-    def __init__(self, source: RecordSource, run_records: int, merge_records: int) -> None:
-        self._source = source
-        self._run_records = run_records
-        self._merge_records = merge_records
-
-    @property
-    def path(self) -> str:
-        return self._source.path
-
-    @property
-    def format(self) -> str:
-        return self._source.format
-
-    @property
-    def n_records(self) -> int | None:
-        return self._source.n_records
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        return self._source.dimensions
+@dataclass(frozen=True)
+class _SortedSource(DerivedSource):
+    run_records: int
+    merge_records: int
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode, sort and deliver; see :func:`sorted_by_time`.
@@ -104,9 +87,9 @@ class _SortedSource:
             runs.append(_Run(None, 0, len(pending), pending.dtype, pending))
             del records, pending
             first = 0
-            for merged in _merge(runs, self._merge_records):
-                for start in range(0, len(merged), self._run_records):
-                    part = merged[start : start + self._run_records]
+            for merged in _merge(runs, self.merge_records):
+                for start in range(0, len(merged), self.run_records):
+                    part = merged[start : start + self.run_records]
                     values = {name: np.array(part[name]) for name in names}
                     yield RecordChunk(first, values, len(part), np.array(part[_RECORD]))
                     first += len(part)
@@ -115,11 +98,11 @@ class _SortedSource:
         """Yield sorted runs as structured arrays."""
         parts: list[NDArray[np.void]] = []
         held = 0
-        for chunk in self._source.chunks(tuple(dict.fromkeys((*names, "time")))):
+        for chunk in self.source.chunks(tuple(dict.fromkeys((*names, "time")))):
             records = self._pack(chunk, names)
-            for start in range(0, len(records), self._run_records):
-                part = records[start : start + self._run_records]
-                if held + len(part) > self._run_records:
+            for start in range(0, len(records), self.run_records):
+                part = records[start : start + self.run_records]
+                if held + len(part) > self.run_records:
                     yield _sort(parts)
                     parts, held = [], 0
                 parts.append(part)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prc_cli.core.types import F64, Mask
-from prc_cli.readers.records import RecordChunk, RecordSource
+from prc_cli.readers.records import DerivedSource, RecordChunk
 
 WEEK_S = 604_800.0
 TOLERANCE = 0.01
@@ -71,31 +71,8 @@ def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
     return np.where(added, time_s + WEEK_S, time_s), added, replace(state, last_s=float(seen[-1]))
 
 
-@dataclass(frozen=True, slots=True)
-class WeekSource:
+class WeekSource(DerivedSource):
     """A source whose times go on over the end of a week; see :func:`unwrap_week`."""
-
-    source: RecordSource
-
-    @property
-    def path(self) -> str:
-        """File name, for messages."""
-        return self.source.path
-
-    @property
-    def format(self) -> str:
-        """Reader name."""
-        return self.source.format
-
-    @property
-    def n_records(self) -> int | None:
-        """Number of records; None if only reading can tell."""
-        return self.source.n_records
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver."""
-        return self.source.dimensions
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode; chunks of a later week hold :data:`ADDED` beside, the one in which it ends :data:`STEPS`."""
