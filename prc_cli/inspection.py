@@ -112,17 +112,13 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
 
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
     """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them."""
-    if loaded.config.input.order == "require":
-        loaded = _with_input(loaded, {"order": "trust"})
+    inputs = loaded.config.input
+    if inputs.order == "require":
+        inputs = inputs.model_copy(update={"order": "trust"})
     try:
-        return open_stream(path, loaded), None
+        return open_stream(path, loaded.config.model_copy(update={"input": inputs})), None
     except (InputError, ConfigError) as refusal:
         return None, refusal
-
-
-def _with_input(loaded: LoadedConfig, update: dict[str, str]) -> LoadedConfig:
-    inputs = loaded.config.input.model_copy(update=update)
-    return replace(loaded, config=loaded.config.model_copy(update={"input": inputs}))
 
 
 def _describe(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from pathlib import Path
@@ -16,7 +17,7 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputExistsError
 from prc_cli.pipeline import classify, classify_ranges, open_stream
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_npz, write_raw
 
 WITH_M = {"input": {"points_per_line": POINTS_PER_LINE}}
 CODES = ClassCodes().lookup()
@@ -84,6 +85,19 @@ def test_the_run_is_recorded(tmp_path: Path) -> None:
     assert stored["config"]["prc"]["support"]["zeta_s"] == 1.0
     assert str(tmp_path) not in json.dumps(stored)
     assert summary.counts.labels[Label.MISSING] == np.isnan(image).sum()
+
+
+def test_the_trajectory_of_a_run_is_recorded(tmp_path: Path) -> None:
+    np.savez(tmp_path / "drive.npz", range_m=street(), angle_deg=np.rad2deg(angles()), time_s=np.arange(N_LINES) / 48)
+    classify(tmp_path / "drive.npz", tmp_path / "drive.las")
+    track = tmp_path / "track.csv"
+    track.write_text("time,x,y,z\n-1,0,0,0\n2,0,0,0\n5,0,0,0\n")
+    # the scan-plane coordinates of the built file lie around the scanner
+    loaded = load_config(preset="urban", options={"input": {"range": f"trajectory:{track}"}})
+    stored = classify(tmp_path / "drive.las", tmp_path / "labels.npy", loaded).record.as_dict()
+    digest = hashlib.sha256(track.read_bytes()).hexdigest()
+    assert stored["trajectory"] == {"name": "track.csv", "size": track.stat().st_size, "sha256": digest}
+    assert str(tmp_path) not in json.dumps(stored)
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,8 +38,6 @@ class Trajectory:
     """(n, 3) float64, in the coordinate system of the points [m]."""
     max_gap_s: float | None = None
     """Longest step between positions that is interpolated [s]; None = ten median steps, at least 1 s."""
-    sha256: str = ""
-    """Of the file, in hexadecimal digits; empty if there is none."""
     gap_limit_s: float = field(init=False)
     """The same, with its default resolved [s]."""
     _gaps: I64 = field(init=False, repr=False)
@@ -195,15 +192,13 @@ def load_trajectory(
             xyz_m = project(path, position, crs or source_crs_wkt)
         else:
             time_s, xyz_m = read_text(path)
-        with path.open("rb") as handle:
-            sha256 = hashlib.file_digest(handle, "sha256").hexdigest()
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check the trajectory's name and permissions") from None
     with np.errstate(over="ignore"):
         time_s = time_s + time_offset
     _check(path, time_s)
-    return Trajectory(str(path), time_s, xyz_m, max_gap, sha256)
+    return Trajectory(str(path), time_s, xyz_m, max_gap)
 
 
 def _check(path: Path, time_s: F64) -> None:
