@@ -14,8 +14,27 @@ import platform
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
-from prc_cli.core.errors import OutputError, OutputExistsError
+from prc_cli.core.errors import InputError, OutputError, OutputExistsError
+
+
+@contextlib.contextmanager
+def open_to_read(path: Path) -> Iterator[IO[bytes]]:
+    """Open an input file.
+
+    Raises
+    ------
+    InputError
+        When it cannot be opened.
+    """
+    try:
+        handle = path.open("rb")
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror or error})"
+        raise InputError(str(path), problem, "check the name and its permissions") from error
+    with handle:
+        yield handle
 
 
 def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:

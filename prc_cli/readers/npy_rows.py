@@ -21,6 +21,7 @@ from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.files import open_to_read
 
 MAX_MEMBERS = 1000
 """Most arrays in an archive."""
@@ -156,7 +157,7 @@ class ArrayFile:
         self.headers: dict[str, NpyHeader] = {}
         """By name, in the order of the file."""
         if not self.is_archive:
-            with _opened(path) as handle:
+            with open_to_read(path) as handle:
                 size = handle.seek(0, 2)
                 handle.seek(0)
                 self.headers[""] = _read_header(str(path), handle, size)
@@ -185,7 +186,7 @@ class ArrayFile:
             for name in names:
                 header = self.headers[name]
                 if archive is None:
-                    handle = stack.enter_context(_opened(self.path))
+                    handle = stack.enter_context(open_to_read(self.path))
                     size = handle.seek(0, 2)
                     handle.seek(0)
                 else:
@@ -210,19 +211,8 @@ def _where(path: Path, name: str) -> str:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[IO[bytes]]:
-    try:
-        handle = path.open("rb")
-    except OSError as error:
-        problem = f"cannot be read ({error.strerror or error})"
-        raise InputError(str(path), problem, "check the name and its permissions") from error
-    with handle:
-        yield handle
-
-
-@contextmanager
 def _archive(path: Path) -> Iterator[zipfile.ZipFile]:
-    with _opened(path) as handle:
+    with open_to_read(path) as handle:
         try:
             archive = zipfile.ZipFile(handle)
         except _DAMAGED as error:

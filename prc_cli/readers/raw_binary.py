@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import open_to_read
 from prc_cli.readers.layout import decode, record_dtype
 from prc_cli.readers.options import Layout
 from prc_cli.readers.records import STANDARD_NAMES, RecordChunk
@@ -53,7 +54,7 @@ class RawBinarySource:
 
     def _count(self) -> int:
         """Return the number of records behind the header; anything but whole records is an error."""
-        with self._open() as handle:
+        with open_to_read(self._path) as handle:
             size = handle.seek(0, 2)
         header, each = self._header_bytes, self._dtype.itemsize
         if not size:
@@ -102,14 +103,14 @@ class RawBinarySource:
         if unknown:
             hint = f"the layout has: {', '.join(self.dimensions)}"
             raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the layout", hint)
-        with self._open() as handle:
+        with open_to_read(self._path) as handle:
             handle.seek(self._header_bytes)
             for first in range(0, self._n_records, self._chunk_records):
                 records = self._read(handle, first, min(self._chunk_records, self._n_records - first))
                 values = {name: decode(records[name], self._fields[name]) for name in names}
                 yield RecordChunk(first, values, len(records))
 
-    def _read(self, handle: BinaryIO, first: int, wanted: int) -> NDArray[Any]:
+    def _read(self, handle: IO[bytes], first: int, wanted: int) -> NDArray[Any]:
         try:
             records = np.fromfile(handle, dtype=self._dtype, count=wanted)
         except OSError as error:
@@ -121,13 +122,6 @@ class RawBinarySource:
             problem = f"byte {at} (record {found}): the file ends, expected {self._n_records} records as when opened"
             raise InputError(self.path, problem, "it was cut while being read; wait until its writer is done")
         return records
-
-    def _open(self) -> BinaryIO:
-        try:
-            return self._path.open("rb")
-        except OSError as error:
-            problem = f"cannot be read ({error.strerror or error})"
-            raise InputError(self.path, problem, "check the name and its permissions") from error
 
     def describe(self) -> dict[str, Any]:
         """Return the layout in use, ready for JSON, for ``prc info``."""

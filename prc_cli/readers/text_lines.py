@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol, cast
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.files import open_to_read
 
 BLOCK_BYTES = 4 << 20
 """Bytes of text read at a time."""
@@ -79,12 +80,7 @@ def too_long(path: Path, line: int) -> InputError:
 @contextmanager
 def _open(path: Path) -> Iterator[_Readable]:
     codec = _CODECS.get(path.suffix.lower())
-    try:
-        handle = path.open("rb")
-    except OSError as error:
-        problem = f"cannot be read ({error.strerror or error})"
-        raise InputError(str(path), problem, "check the name and its permissions") from error
-    with handle:
+    with open_to_read(path) as handle:
         if codec is None:
             yield handle
             return
