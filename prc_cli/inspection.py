@@ -95,19 +95,20 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     """
     source = open_source(path, loaded.config.layout)
     stream, refusal = _try_open(path, loaded)
+    judged = loaded.config.input.order == "require"
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
-        return _describe(path, None, stream, _line_order(stream), None)
+        return _describe(path, None, stream, _line_order(stream), None, judged=judged)
     order = _time_order(source)
     if stream is None:
         inspection = _describe(
-            path, source, _lines_only(source, loaded.config.input), order, refusal, with_ranges=False
+            path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
         )
         if "range" in source.dimensions:
             inspection = replace(inspection, period=estimate_points_per_line(_sample(source)))
         return inspection
-    return _describe(path, source, stream, order, None)
+    return _describe(path, source, stream, order, None, judged=judged)
 
 
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
@@ -128,8 +129,10 @@ def _describe(
     order: OrderEvidence | None,
     refusal: InputError | ConfigError | None,
     *,
+    judged: bool,
     with_ranges: bool = True,
 ) -> Inspection:
+    """Measure a stream; its order is told in any case, and judged where ``prc classify`` would judge it."""
     facts, sample = None, None
     if stream is not None:
         try:
@@ -138,7 +141,7 @@ def _describe(
             # records out of order make lines that are not whole: then the order is the news, not the line
             if order is None or order.is_chronological:
                 raise
-    problem, hint = _verdict(order, facts, refusal)
+    problem, hint = _verdict(order, facts, refusal, judged=judged)
     info = None if stream is None else stream.info
     n_records = None if source is None else source.n_records
     return Inspection(
@@ -160,9 +163,13 @@ def _describe(
 
 
 def _verdict(
-    order: OrderEvidence | None, facts: StreamFacts | None, refusal: InputError | ConfigError | None
+    order: OrderEvidence | None,
+    facts: StreamFacts | None,
+    refusal: InputError | ConfigError | None,
+    *,
+    judged: bool,
 ) -> tuple[str, str]:
-    if order is not None and not order.is_chronological:
+    if judged and order is not None and not order.is_chronological:
         hint = "sort with --sort-by-time if every record is there, or insist with --trust-order"
         if order.what == "time_s":  # lines of a range image are not sorted
             hint = "insist with --trust-order"
@@ -170,7 +177,7 @@ def _verdict(
     if refusal is not None:
         return refusal.problem, refusal.hint
     correlation = None if facts is None else facts.correlation
-    if order is None and correlation is not None and correlation.ratio >= RANDOM_ORDER:
+    if judged and order is None and correlation is not None and correlation.ratio >= RANDOM_ORDER:
         return f"not in the order the shots were fired: {correlation.verdict}", "insist with --trust-order"
     return "", ""
 

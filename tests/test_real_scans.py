@@ -139,6 +139,12 @@ def test_the_mobile_file_is_accepted_sorted_by_time(real_data: Path, tmp_path: P
     assert_only_classes_differ(source, tmp_path / "out.las")
     trusted = classify(source, tmp_path / "trusted.las", options(**inputs, order="trust"))
     assert trusted.record.tally.n_time_steps_back == 9941
+    # and info says so, with the evidence still told
+    for order, problem in (("require", True), ("sort-time", False), ("trust", False)):
+        found = inspect(source, options(**inputs, order=order))
+        assert bool(found.problem) is problem
+        assert found.order is not None
+        assert not found.order.is_chronological
 
 
 def test_park_with_the_forest_preset(real_data: Path, tmp_path: Path) -> None:

@@ -117,6 +117,9 @@ def test_info_tells_a_shuffled_stream(prc: Prc, tmp_path: Path) -> None:
     found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
     assert found["classifiable"] is False
     assert "not in the order the shots were fired" in found["problem"]
+    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE, "--trust-order").out)
+    assert found["classifiable"] is True
+    assert found["facts"]["correlation"]["ratio"] > 0.7
 
 
 def test_info_tells_an_array_whose_lines_are_out_of_order(prc: Prc, tmp_path: Path) -> None:
