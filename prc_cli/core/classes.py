@@ -31,6 +31,21 @@ class Label(IntEnum):
     HORIZONTAL = 10
 
 
+class Surface(IntEnum):
+    """Coarse classification of the sequential-angle method (Stamos et al. 2012, sec. 4)."""
+
+    MISSING = 0
+    """M, no return."""
+    VEGETATION = 1
+    """T, or T' in the layer of the car algorithm (sec. 7.1)."""
+    HORIZONTAL = 2
+    """H."""
+    VERTICAL = 3
+    """V."""
+    UNDECIDED = 4
+    """A return on a line without a single angle: fewer than two returns, or all of them at one place."""
+
+
 LABEL_NAMES: tuple[str, ...] = tuple(label.name.lower() for label in Label)
 """Lower-case name of every label, by index."""
 

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I32, I64, U8
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +44,8 @@ class StreamInfo:
     """(M,) float64, scan angle of every column [rad], None if unknown."""
     line_hz: float | None = None
     """Scan lines a second [Hz], None if unknown."""
+    nadir_rad: float | None = None
+    """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad]; None if unknown."""
     assumptions: tuple[Assumption, ...] = ()
     notes: tuple[str, ...] = ()
     """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""
@@ -120,6 +122,9 @@ class ScanBlock:
     """(lines, M) float32, raw units of the input; NaN = missing."""
     angle_rad: F64 | None = None
     """(M,) float64, scan angle per column [rad]."""
+    beam_rad: F64 | None = None
+    """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi], its sign the side of the scan
+    plane; unwrapped it rises or falls with the column throughout. None = not known, or not asked for."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
     tally: ReadTally = ReadTally()
     next_m: F32 | None = None
@@ -161,6 +166,18 @@ class ScanStream(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class StageLabels:
+    """What the sequential-angle classifier found on the way (Stamos et al. 2012)."""
+
+    surface: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`: the coarse classification (sec. 4)."""
+    dense_vegetation: Mask
+    """(lines, M) bool, T', vegetation of the less sensitive test (sec. 7.1)."""
+    ground_height_m: F32
+    """(lines, M) float32, z_g, the height of the ground relative to the scanner at that line [m]; NaN = unknown."""
+
+
+@dataclass(frozen=True, slots=True)
 class LabelledBlock:
     """A block with one label a shot; what writers take."""
 
@@ -171,3 +188,5 @@ class LabelledBlock:
     """(n,) uint8, labels of ``block.extra``, in its order."""
     segments: I64 | None = None
     """(lines, M) int64, segment id R_b (Lehtola et al. 2019, II-E); 0 = none."""
+    stages: StageLabels | None = None
+    """What the sequential-angle classifier found on the way."""

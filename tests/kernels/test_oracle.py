@@ -20,6 +20,8 @@ from numpy.random import Generator
 from prc_cli import kernels
 from prc_cli.core.types import F32, I32, Mask
 from prc_cli.kernels import KERNELS, load_kernels, oracle, oracle_prc
+from tests.kernels import cases_angles, cases_car, cases_ground
+from tests.kernels.twins import assert_equal_bits, twin
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (7, 1), (1, 9), (3, 2), (4, 3), (5, 5), (2, 17), (9, 40)]
 
@@ -85,15 +87,11 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "fill_holes": fill_case,
     "label_components": label_case,
     "support_mask": support_case,
+    **cases_angles.CASES,
+    **cases_ground.CASES,
+    **cases_car.CASES,
 }
-
-
-def assert_equal_bits(found: Any, expected: Any) -> None:
-    found, expected = (value if isinstance(value, tuple) else (value,) for value in (found, expected))
-    assert len(found) == len(expected)
-    for one, other in zip(found, expected, strict=True):
-        assert np.asarray(one).dtype == np.asarray(other).dtype
-        np.testing.assert_array_equal(one, other)
+TOLERANCES = {**cases_angles.TOLERANCES, **cases_ground.TOLERANCES, **cases_car.TOLERANCES}
 
 
 @pytest.mark.parametrize("name", sorted(CASES))
@@ -103,7 +101,7 @@ def test_kernel_equals_its_twin(name: str) -> None:
     for _ in range(400):
         case = CASES[name](rng)
         found = getattr(kernels, name)(*case)
-        assert_equal_bits(found, getattr(oracle, name)(*case))
+        assert_equal_bits(found, twin(name)(*case), TOLERANCES.get(name, 0.0))
         results.add(np.asarray(found[0] if isinstance(found, tuple) else found).any())
     assert results == {False, True}, "the data shows only one side"
 
@@ -113,7 +111,7 @@ def test_kernel_equals_its_twin(name: str) -> None:
 @given(seed=st.integers(0, 2**32))
 def test_kernel_equals_its_twin_on_any_seed(name: str, seed: int) -> None:
     case = CASES[name](np.random.default_rng(seed))
-    assert_equal_bits(getattr(kernels, name)(*case), getattr(oracle, name)(*case))
+    assert_equal_bits(getattr(kernels, name)(*case), twin(name)(*case), TOLERANCES.get(name, 0.0))
 
 
 @settings(deadline=None, max_examples=60)
@@ -139,7 +137,7 @@ def test_every_kernel_has_a_twin_of_the_same_arguments() -> None:
     for name, module in KERNELS.items():
         function = getattr(import_module(module), name)
         plain = getattr(function, "py_func", function)
-        assert inspect.signature(plain) == inspect.signature(getattr(oracle, name)), name
+        assert inspect.signature(plain) == inspect.signature(twin(name)), name
 
 
 def test_every_compiled_function_is_in_the_table() -> None:

@@ -1,0 +1,157 @@
+"""Vertical scan lines from low to high, which all stages work on (Stamos et al. 2012, sec. 3).
+
+A line of a static scanner is one vertical line. A line of a profiler that sees the whole circle is split at nadir and
+zenith into two half-lines, one a side. Rows are half-lines: ``row = line * n_sides + side``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, F64, I32
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sides:
+    """Which columns of a scan line are the beams of its half-lines, from low to high."""
+
+    columns: I32
+    """(n_sides, n) int32, column of every beam; -1 fills the shorter side up."""
+    n_beams: I32
+    """(n_sides,) int32, beams of every side."""
+    beam_rad: F64
+    """(n_sides, n) float64, angle of every beam from straight down [rad], 0 to pi, rising; NaN = fill."""
+
+    @property
+    def n_sides(self) -> int:
+        """1 or 2."""
+        return len(self.n_beams)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VerticalLines:
+    """Half-lines of consecutive scan lines, their beams from low to high; R rows of n beams."""
+
+    range_m: F32
+    """(R, n) float32, slant range [m]; NaN = missing, also beyond the scanner's reach."""
+    xyz_m: F32
+    """(R, n, 3) float32, relative to the scanner, z up [m]; NaN = missing."""
+    horizontal_m: F32
+    """(R, n) float32, horizontal distance from the scanner [m]; NaN = missing."""
+    n_beams: I32
+    """(R,) int32, beams of every row; what comes after them is fill, not missing."""
+    beam_rad: F64
+    """(n_sides, n) float64, angle of every beam from straight down [rad], rising; NaN = fill."""
+
+    @property
+    def n_sides(self) -> int:
+        """Half-lines of a scan line, 1 or 2."""
+        return len(self.beam_rad)
+
+
+def split_sides(beam_rad: F64) -> Sides:
+    """Split the columns of a scan line at nadir and zenith.
+
+    Parameters
+    ----------
+    beam_rad : (M,) float64
+        Angle of every column's beam from straight down, in (-pi, pi] [rad]; unwrapped it is monotone.
+
+    Returns
+    -------
+    Sides
+        A side without columns is left out.
+
+    Examples
+    --------
+    >>> split_sides(np.deg2rad([-100.0, -50.0, 0.0, 50.0, 100.0])).columns
+    array([[ 2,  3,  4],
+           [ 1,  0, -1]], dtype=int32)
+    """
+    along = np.unwrap(beam_rad)
+    # columns in the order in which the beam turns towards growing angles, so that equal angles keep their order
+    turning = np.arange(len(beam_rad)) if along[-1] >= along[0] else np.arange(len(beam_rad))[::-1]
+    angle = beam_rad[turning]
+    halves = (turning[angle >= 0], turning[angle < 0][::-1])
+    found = [half[np.argsort(np.abs(beam_rad[half]), kind="stable")] for half in halves if len(half)]
+    n = max(len(columns) for columns in found)
+    order = np.full((len(found), n), -1, np.int32)
+    angles = np.full((len(found), n), np.nan)
+    for side, columns in enumerate(found):
+        order[side, : len(columns)] = columns
+        angles[side, : len(columns)] = np.abs(beam_rad[columns])
+    return Sides(order, np.array([len(columns) for columns in found], np.int32), angles)
+
+
+def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides, max_range_m: float) -> VerticalLines:
+    """Arrange a block of scan lines as half-lines.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32
+        Slant range [m]; NaN = missing.
+    xyz_m : (lines, M, 3) float32 or None
+        Relative to the scanner, z up [m]. None: coordinates in the scan plane, x to the side, y = 0.
+    beam_rad : (M,) float64
+        As for :func:`split_sides`.
+    sides : Sides
+        From :func:`split_sides`.
+    max_range_m : float
+        What lies beyond is missing [m].
+    """
+    column = np.where(sides.columns < 0, 0, sides.columns)
+    fill = sides.columns < 0
+    ranges = _gather(range_m, column)
+    with np.errstate(invalid="ignore"):
+        ranges[(ranges > max_range_m) | np.tile(fill, (len(range_m), 1))] = np.nan
+    if xyz_m is None:
+        angle = np.where(fill, 0.0, beam_rad[column])
+        n_lines = len(range_m)
+        x = ranges * np.tile(np.sin(angle), (n_lines, 1))
+        z = ranges * np.tile(-np.cos(angle), (n_lines, 1))
+        xyz = np.stack([x, np.where(np.isnan(ranges), np.nan, 0.0), z], axis=-1).astype(np.float32)
+    else:
+        xyz = _gather(xyz_m, column)
+        gone = np.isnan(ranges) | np.isnan(xyz).any(axis=-1)
+        xyz[gone] = np.nan
+        ranges[gone] = np.nan
+    return VerticalLines(
+        range_m=ranges,
+        xyz_m=xyz,
+        horizontal_m=np.hypot(xyz[..., 0], xyz[..., 1]),
+        n_beams=np.tile(sides.n_beams, len(range_m)),
+        beam_rad=sides.beam_rad,
+    )
+
+
+def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArray[Any]:
+    """Bring a value per beam back to the columns of the scan lines.
+
+    Parameters
+    ----------
+    rows : (R, n) array
+    sides : Sides
+    points_per_line : int
+        M.
+
+    Returns
+    -------
+    (lines, M) array of the same dtype
+    """
+    n_lines = len(rows) // sides.n_sides
+    image = np.zeros((n_lines, points_per_line), rows.dtype)
+    by_side = rows.reshape(n_lines, sides.n_sides, -1)
+    for side in range(sides.n_sides):
+        n = int(sides.n_beams[side])
+        image[:, sides.columns[side, :n]] = by_side[:, side, :n]
+    return image
+
+
+def _gather(image: NDArray[Any], column: I32) -> NDArray[Any]:
+    """Pick columns, (lines, M, ...) to (lines * n_sides, n, ...)."""
+    picked = image[:, column]
+    return np.ascontiguousarray(picked.reshape(-1, *picked.shape[2:]))

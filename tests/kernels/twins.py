@@ -1,0 +1,36 @@
+"""How a kernel finds its slow twin, and how the two are compared."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from prc_cli.kernels import KERNELS
+
+
+def twin_module(name: str) -> ModuleType:
+    """Return the module of a kernel's twin: ``oracle_X`` for ``kernels.X`` if there is one, else ``oracle``."""
+    home, _, module = KERNELS[name].rpartition(".")
+    own = f"{home}.oracle_{module}"
+    return import_module(own if find_spec(own) else f"{home}.oracle")
+
+
+def twin(name: str) -> Any:
+    """Return the slow twin of a kernel."""
+    return getattr(twin_module(name), name)
+
+
+def assert_equal_bits(found: Any, expected: Any, tolerance: float = 0.0) -> None:
+    """Compare results, one array or a tuple of them, dtypes included; a tolerance is for floats alone, absolute."""
+    found, expected = (value if isinstance(value, tuple) else (value,) for value in (found, expected))
+    assert len(found) == len(expected)
+    for one, other in zip(found, expected, strict=True):
+        assert np.asarray(one).dtype == np.asarray(other).dtype
+        if tolerance and np.asarray(one).dtype.kind == "f":
+            np.testing.assert_allclose(one, other, rtol=0, atol=tolerance)
+        else:
+            np.testing.assert_array_equal(one, other)
