@@ -60,6 +60,18 @@ def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
     return compiled
 
 
+def helper(function: FunctionT) -> FunctionT:
+    """Let kernels call a private function of their module; it is compiled with, and as, the kernel that calls it.
+
+    No signature and no cache file of its own: it takes the types it is called with and is kept inside the compiled
+    kernels, which are compiled anew when their module changes. Hence never share one between modules.
+    The compiler inlines what is small or called once.
+    """
+    jit: Any = numba.njit  # typed by some versions of numba and not by others
+    compiled: FunctionT = jit(nogil=True, error_model="numpy")(function)
+    return compiled
+
+
 @lru_cache(maxsize=1)
 def _writable_cache() -> Path | None:
     """Folder for compiled kernels: the user's choice, the user's cache folder, a private temporary one, or none."""
