@@ -127,6 +127,8 @@ class ScanBlock:
     plane; unwrapped it rises or falls with the column throughout. None = not known, or not asked for."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
     tally: ReadTally = ReadTally()
+    is_last: bool = False
+    """The scanner has no more lines: what waits for them need not wait for the end of the input."""
     next_m: F32 | None = None
     """(lines <= look-ahead, M) float32, the lines that follow the block [m]; set by regrouping only."""
 

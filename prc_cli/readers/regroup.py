@@ -42,32 +42,41 @@ def regroup(blocks: Iterator[ScanBlock], lines_per_block: int) -> Iterator[ScanB
     ScanBlock
         With ``next_m`` set. What the result holds does not depend on how the input was cut.
     """
-    buffers: dict[int, _Buffer] = {}
+    buffers: dict[int, LineBuffer] = {}
     for block in blocks:
-        buffer = buffers.setdefault(block.scanner, _Buffer())
+        buffer = buffers.setdefault(block.scanner, LineBuffer())
         buffer.add(block)
         ahead = look_ahead_lines(block.points_per_line)
         while buffer.n_lines >= lines_per_block + ahead:
             yield buffer.take(lines_per_block, ahead)
+        if block.is_last:
+            yield from _rest(buffers.pop(block.scanner), lines_per_block)
     for scanner in sorted(buffers):
-        buffer = buffers[scanner]
-        while buffer.n_lines:
-            ahead = look_ahead_lines(buffer.parts[0].points_per_line)
-            yield buffer.take(min(lines_per_block, buffer.n_lines), ahead)
+        yield from _rest(buffers[scanner], lines_per_block)
+
+
+def _rest(buffer: LineBuffer, lines_per_block: int) -> Iterator[ScanBlock]:
+    """Give out the last lines of a scanner; the last of them says so."""
+    while buffer.n_lines:
+        ahead = look_ahead_lines(buffer.parts[0].points_per_line)
+        block = buffer.take(min(lines_per_block, buffer.n_lines), ahead)
+        yield replace(block, is_last=not buffer.n_lines)
 
 
 @dataclass(slots=True)
-class _Buffer:
-    """Lines of one scanner that wait for their block; never more than a block, its look-ahead and a chunk."""
+class LineBuffer:
+    """Lines of one scanner that wait, in order: for their block, or for their labels."""
 
     parts: list[ScanBlock] = field(default_factory=list)
     n_lines: int = 0
 
     def add(self, block: ScanBlock) -> None:
-        self.parts.append(block)
-        self.n_lines += block.n_lines
+        """Append lines."""
+        if block.n_lines:
+            self.parts.append(block)
+            self.n_lines += block.n_lines
 
-    def take(self, n_lines: int, ahead: int) -> ScanBlock:
+    def take(self, n_lines: int, ahead: int = 0) -> ScanBlock:
         """Remove ``n_lines`` lines; the ``ahead`` lines after them are shown but stay."""
         taken: list[ScanBlock] = []
         left = n_lines
@@ -111,6 +120,7 @@ def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
         intensity=None if block.intensity is None else block.intensity[lines],
         extra=extra,
         tally=block.tally if start == 0 else ReadTally(),
+        is_last=block.is_last and stop == block.n_lines,
     )
 
 
@@ -138,6 +148,7 @@ def join(parts: list[ScanBlock]) -> ScanBlock:
         intensity=_join_field([part.intensity for part in parts]),
         extra=extra,
         tally=tally,
+        is_last=parts[-1].is_last,
     )
 
 
