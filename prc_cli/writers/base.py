@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import repeat
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -20,12 +19,10 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.files import commit, output_errors, temporary_name
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import I64, U8
+from prc_cli.writers.columns import OptionalColumn, Values
 from prc_cli.writers.options import HIGH_NOISE_CODE, OutputConfig, class_names
 from prc_cli.writers.record import ClassCount, RunRecord, record_path
 from prc_cli.writers.spool import Spool
-
-SEGMENT_LIMIT = 1 << 32
-"""Segment ids are written as uint32."""
 
 CHUNK_RECORDS = 400_000
 """Records handled together when an output is written."""
@@ -37,10 +34,8 @@ class Columns:
 
     codes: U8
     """(n,) uint8, class codes."""
-    segments: NDArray[np.uint32] | None
-    """(n,) uint32, segment ids, if asked for."""
-    ranges: NDArray[np.float32] | None
-    """(n,) float32, ranges [m], NaN = none, if asked for."""
+    values: dict[str, Values]
+    """(n,) arrays of the optional columns, by name."""
 
 
 class LabelWriter(Protocol):
@@ -80,12 +75,21 @@ class LabelWriter(Protocol):
 
 
 class StagedWriter(ABC):
-    """A :class:`LabelWriter` that fills temporary files and renames them at the end."""
+    """A :class:`LabelWriter` that fills temporary files and renames them at the end.
 
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig) -> None:
+    Parameters
+    ----------
+    columns : sequence of OptionalColumn
+        What is asked for and the output can hold. The first block tells what the method of the run finds; the rest is
+        left out with a notice.
+    """
+
+    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, columns: Sequence[OptionalColumn]) -> None:
         self.path = path
         self._codes = codes
         self._options = options
+        self._optional = tuple(columns)
+        self._settled = False
         self._names = class_names(codes, options)
         self._lookup = codes.lookup()
         self._counts = np.zeros(256, np.int64)
@@ -118,11 +122,13 @@ class StagedWriter(ABC):
     def add(self, block: LabelledBlock) -> None:
         """Take the labels of a block (see :class:`LabelWriter`)."""
         with output_errors(self.path):
+            self._settle(block)
             self._add(block)
 
     def finish(self, record: RunRecord) -> RunRecord:
         """Write and name the output (see :class:`LabelWriter`)."""
         with output_errors(self.path):
+            self._settle(None)
             record = self._write(record)
             self._record_temporary.write_bytes(record.to_json())
             self._commit()
@@ -131,6 +137,10 @@ class StagedWriter(ABC):
     @abstractmethod
     def _start(self) -> None:
         """Open temporary files; what must be closed or removed goes on ``self._stack``."""
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Prepare for the first block; ``self._optional`` is final now."""
 
     @abstractmethod
     def _add(self, block: LabelledBlock) -> None: ...
@@ -161,16 +171,31 @@ class StagedWriter(ABC):
             codes[(labels == Label.NOISE) & (range_m > np.float64(beyond))] = HIGH_NOISE_CODE
         return codes
 
-    def _segments(self, block: LabelledBlock) -> NDArray[np.uint32]:
-        """Segment ids of the cells, (lines, M) uint32; 0 = none."""
-        if block.segments is None:
-            return np.zeros(block.labels.shape, np.uint32)
-        if block.segments.size:
-            low, high = int(block.segments.min()), int(block.segments.max())
-            if low < 0 or high >= SEGMENT_LIMIT:
-                problem = f"segment id {low if low < 0 else high} does not fit uint32 (0 to {SEGMENT_LIMIT - 1})"
-                raise OutputError(str(self.path), problem, "set [output] segment_ids = false")
-        return block.segments.astype(np.uint32)
+    def _settle(self, block: LabelledBlock | None) -> None:
+        """Settle the optional columns, once, by the first block; without any block all stay."""
+        if self._settled:
+            return
+        self._settled = True
+        if block is not None:
+            found = {column.name: column.of_shots(block) is not None for column in self._optional}
+            for column in self._optional:
+                if not found[column.name]:
+                    self._notice(f"output.{column.option} needs the {column.needs}; nothing was added")
+            self._optional = tuple(column for column in self._optional if found[column.name])
+        self._begin()
+
+    def _cells(self, column: OptionalColumn, block: LabelledBlock) -> Values:
+        """Values of an optional column for the cells of a block, (lines, M) of its type."""
+        values = column.of_shots(block)
+        if values is None:
+            return np.full(block.labels.shape, column.fill, column.dtype)
+        if values.size and values.dtype != column.dtype and column.dtype.kind == "u":
+            limit = np.iinfo(column.dtype).max
+            low, high = int(values.min()), int(values.max())
+            if low < 0 or high > limit:
+                problem = f"{column.what} {low if low < 0 else high} does not fit {column.dtype.name} (0 to {limit})"
+                raise OutputError(str(self.path), problem, f"set [output] {column.option} = false")
+        return values.astype(column.dtype, copy=False)
 
     def _count(self, codes: U8) -> None:
         self._counts += np.bincount(codes, minlength=256)
@@ -205,34 +230,37 @@ class ScatterWriter(StagedWriter):
         Records of the input; None if only reading could tell.
     """
 
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, n_records: int | None) -> None:
-        super().__init__(path, codes, options)
+    def __init__(
+        self,
+        path: Path,
+        codes: ClassCodes,
+        options: OutputConfig,
+        columns: Sequence[OptionalColumn],
+        n_records: int | None,
+    ) -> None:
+        super().__init__(path, codes, options, columns)
         self._n_records = n_records
-        self._with_range = False  # label files have no range column
-        self._with_segments = options.segment_ids
+        self._spools: dict[str, Spool] = {}
 
     def _start(self) -> None:
-        n = self._n_records
-        self._code_spool = self._spool(np.uint8, self._codes.unclassified, n)
-        self._segment_spool = self._spool(np.uint32, 0, n) if self._with_segments else None
-        self._range_spool = self._spool(np.float32, np.nan, n) if self._with_range else None
+        self._code_spool = self._spool(np.uint8, self._codes.unclassified, self._n_records)
+
+    def _begin(self) -> None:
+        for column in self._optional:
+            self._spools[column.name] = self._spool(column.dtype, column.fill, self._n_records)
 
     def _add(self, block: LabelledBlock) -> None:
         scan = block.block
         codes = self._encode(block.labels, scan.range_m)
-        segments = self._segments(block).ravel() if self._segment_spool is not None else None
-        self._put(scan.records().ravel(), codes.ravel(), segments, scan.range_m.ravel())
+        values = {column.name: self._cells(column, block).ravel() for column in self._optional}
+        self._put(scan.records().ravel(), codes.ravel(), values)
         if len(scan.extra):
             codes = self._encode(block.extra_labels, scan.extra.range_m)
-            self._put(scan.extra.record, codes, None, scan.extra.range_m)
+            # what has no value of its own is the fill value already
+            own = {column.name: column.of_extra(block) for column in self._optional if column.of_extra is not None}
+            self._put(scan.extra.record, codes, own)
 
-    def _put(
-        self,
-        record: I64,
-        codes: U8,
-        segments: NDArray[np.uint32] | None,
-        range_m: NDArray[np.float32],
-    ) -> None:
+    def _put(self, record: I64, codes: U8, values: dict[str, Values]) -> None:
         keep = record >= 0
         if self._n_records is not None:
             outside = record >= self._n_records
@@ -244,10 +272,8 @@ class ScatterWriter(StagedWriter):
         whole = bool(keep.all())
         record = record if whole else record[keep]
         self._code_spool.put(record, codes if whole else codes[keep])
-        if self._segment_spool is not None and segments is not None:
-            self._segment_spool.put(record, segments if whole else segments[keep])
-        if self._range_spool is not None:
-            self._range_spool.put(record, range_m if whole else range_m[keep])
+        for name, column in values.items():
+            self._spools[name].put(record, column if whole else column[keep])
 
     def _total(self, record: RunRecord) -> int:
         """Entries of the output: the records that were read, as far as the reader could tell."""
@@ -261,15 +287,12 @@ class ScatterWriter(StagedWriter):
         return n
 
     def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
-        """Codes, segment ids and ranges in record order, in chunks."""
+        """Codes and optional columns in record order, in chunks."""
         n = chunk or CHUNK_RECORDS
-
-        def read(spool: Spool | None) -> Iterator[Any]:
-            return repeat(None) if spool is None else spool.chunks(n, stop=total)
-
-        columns = zip(read(self._code_spool), read(self._segment_spool), read(self._range_spool), strict=False)
-        for codes, segments, ranges in columns:
-            yield Columns(codes, segments, ranges)
+        names = list(self._spools)
+        columns = [spool.chunks(n, stop=total) for spool in self._spools.values()]
+        for codes, *values in zip(self._code_spool.chunks(n, stop=total), *columns, strict=True):
+            yield Columns(codes, dict(zip(names, values, strict=True)))
 
 
 def _remove(path: Path) -> None:

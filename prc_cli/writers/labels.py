@@ -13,6 +13,7 @@ import numpy as np
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import OutputError
 from prc_cli.writers.base import Columns, ScatterWriter
+from prc_cli.writers.columns import Values, asked_columns
 from prc_cli.writers.options import OutputConfig
 from prc_cli.writers.record import RunRecord
 
@@ -21,17 +22,21 @@ class LabelFileWriter(ScatterWriter):
     """Writer of class codes by record; a missing shot has code 0.
 
     ``.npy`` holds (n_records,) uint8 codes; ``.csv`` and ``.parquet`` the columns ``record`` (int64), ``class``
-    (uint8 code), ``name`` and, if asked for, ``segment`` (uint32).
+    (uint8 code), ``name`` and, if asked for, ``segment`` (uint32), ``surface`` and ``dense_vegetation`` (uint8) and
+    ``ground_height`` (float32, ``nan`` = unknown).
     """
 
     def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, n_records: int | None) -> None:
-        super().__init__(path, codes, options, n_records)
         self._kind = path.suffix.lower()
-        if self._kind == ".npy" and options.segment_ids:
-            self._with_segments = False
-            self._notice("a .npy output holds class codes only; segment ids need .csv, .parquet, .las or .laz")
-        if options.range:
-            self._notice("label files hold no ranges; [output] range needs .las or .laz")
+        asked = asked_columns(options)
+        held = [column for column in asked if column.heading is not None and self._kind != ".npy"]
+        super().__init__(path, codes, options, held, n_records)
+        for column in asked:
+            if column.heading is None:
+                self._notice(f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz")
+            elif column not in held:
+                needs = f"{column.what}s need .csv, .parquet, .las or .laz"
+                self._notice(f"a .npy output holds class codes only; {needs}")
 
     def _write(self, record: RunRecord) -> RunRecord:
         total = self._total(record)
@@ -60,12 +65,13 @@ class LabelFileWriter(ScatterWriter):
         # text of everything but the record number, by code: the loop only joins
         tails = [f"{code},{_cell(self._name(code))}" for code in range(256)]
         with self._temporary.open("w", encoding="utf-8", newline="") as handle:
-            handle.write("record,class,name" + (",segment\n" if self._segment_spool is not None else "\n"))
+            handle.write(",".join(["record", "class", "name", *self._headings()]) + "\n")
             for first, item in _numbered(columns):
                 numbers = range(first, first + len(item.codes))
                 ends: Any = [tails[code] for code in item.codes.tolist()]
-                if item.segments is not None:
-                    ends = (f"{end},{segment}" for end, segment in zip(ends, item.segments.tolist(), strict=True))
+                for column in self._optional:
+                    texts = _texts(item.values[column.name])
+                    ends = [f"{end},{text}" for end, text in zip(ends, texts, strict=True)]
                 handle.writelines(f"{number},{end}\n" for number, end in zip(numbers, ends, strict=True))
 
     def _write_parquet(self, columns: Iterator[Columns]) -> None:
@@ -74,8 +80,8 @@ class LabelFileWriter(ScatterWriter):
 
         names = pa.array([self._name(code) for code in range(256)])
         fields = [("record", pa.int64()), ("class", pa.uint8()), ("name", pa.dictionary(pa.uint8(), pa.string()))]
-        if self._segment_spool is not None:
-            fields.append(("segment", pa.uint32()))
+        types = [pa.from_numpy_dtype(column.dtype) for column in self._optional]
+        fields += zip(self._headings(), types, strict=True)
         schema = pa.schema(fields)
         try:
             # the file stays ours, so that a failed write shows the system's own error
@@ -87,11 +93,13 @@ class LabelFileWriter(ScatterWriter):
                         codes,
                         pa.DictionaryArray.from_arrays(codes, names),
                     ]
-                    if item.segments is not None:
-                        table.append(pa.array(item.segments))
+                    table += [pa.array(item.values[column.name]) for column in self._optional]
                     writer.write_table(pa.Table.from_arrays(table, schema=schema))
         except pa.ArrowException as error:
             raise OutputError(str(self.path), f"cannot be written as Parquet ({error})", "try .csv or .npy") from error
+
+    def _headings(self) -> list[str]:
+        return [column.heading or column.name for column in self._optional]
 
     def _name(self, code: int) -> str:
         return self._names.get(code, f"class {code}")
@@ -103,6 +111,11 @@ def _numbered(columns: Iterator[Columns]) -> Iterator[tuple[int, Columns]]:
     for item in columns:
         yield first, item
         first += len(item.codes)
+
+
+def _texts(values: Values) -> list[Any]:
+    """Values as they stand in a table: whole numbers, or the shortest text that gives the same float32 again."""
+    return list((values.astype(str) if values.dtype.kind == "f" else values).tolist())
 
 
 def _cell(text: str) -> str:

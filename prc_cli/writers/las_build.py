@@ -19,6 +19,7 @@ from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.writers.base import StagedWriter
+from prc_cli.writers.columns import asked_columns
 from prc_cli.writers.las_codec import (
     LASZIP_KEY,
     LasSink,
@@ -34,7 +35,6 @@ from prc_cli.writers.las_vlrs import (
     COLUMN,
     RANGE,
     SCAN_LINE,
-    SEGMENT_ID,
     WKT_BIT,
     extra_bytes_vlr,
     make_vlr,
@@ -72,10 +72,11 @@ class LasBuilder(StagedWriter):
     """
 
     def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, points_per_line: int) -> None:
-        super().__init__(path, codes, options)
+        # the range is in every built file
+        columns = [column for column in asked_columns(options) if column.dimension is not RANGE]
+        super().__init__(path, codes, options, columns)
         self._points_per_line = points_per_line
         self._compress = path.suffix.lower() == ".laz"
-        self._dtype = np.dtype([*_FIELDS, *([("segment_id", "<u4")] if options.segment_ids else [])])
         self._by_return = np.zeros(15, np.int64)
         self._low = np.full(3, np.iinfo(np.int64).max, np.int64)
         self._high = np.full(3, np.iinfo(np.int64).min, np.int64)
@@ -84,7 +85,12 @@ class LasBuilder(StagedWriter):
         self._n_timed = 0
 
     def _start(self) -> None:
-        dimensions = [RANGE, SCAN_LINE, COLUMN, *([SEGMENT_ID] if self._options.segment_ids else [])]
+        self._handle = self._temporary.open("w+b")
+        self._stack.callback(_close_quietly, self._handle)
+
+    def _begin(self) -> None:
+        self._dtype = np.dtype([*_FIELDS, *((column.name, column.dtype) for column in self._optional)])
+        dimensions = [RANGE, SCAN_LINE, COLUMN, *(column.dimension for column in self._optional)]
         vlrs = [extra_bytes_vlr(dimensions)]
         n_extra = self._dtype.itemsize - POINT_SIZES[6]
         if self._compress:
@@ -92,10 +98,7 @@ class LasBuilder(StagedWriter):
         self._header = _empty_header(self._dtype.itemsize, vlrs_size=sum(len(vlr.raw) for vlr in vlrs))
         self._header.set("n_vlrs", len(vlrs))
         self._header.set("point_format", 6 | (0x80 if self._compress else 0))
-        handle = self._temporary.open("w+b")
-        self._stack.callback(_close_quietly, handle)
-        self._handle = handle
-        self._target = Target(handle)
+        self._target = Target(self._handle)
         self._target.write(self._header.data)
         for vlr in vlrs:
             self._target.write(vlr.raw)
@@ -106,7 +109,7 @@ class LasBuilder(StagedWriter):
         scan = block.block
         codes = self._encode(block.labels, scan.range_m)
         extra_codes = self._encode(block.extra_labels, scan.extra.range_m)
-        segments = self._segments(block) if self._options.segment_ids else None
+        cells = {column.name: self._cells(column, block) for column in self._optional}
         lines = max(1, batch_records(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
         for first in range(0, scan.n_lines, lines):
             rows = slice(first, first + lines)
@@ -116,14 +119,15 @@ class LasBuilder(StagedWriter):
             points["classification"] = np.where(
                 own, codes[shots.line, shots.column], extra_codes[shots.extra] if len(scan.extra) else 0
             )
-            if segments is not None:
-                points["segment_id"] = np.where(own, segments[shots.line, shots.column], 0)
+            for column in self._optional:
+                values = cells[column.name][shots.line, shots.column]
+                points[column.name] = np.where(own, values, column.dtype.type(column.fill))
             self._fill(points, scan, shots)
             self._count(points["classification"])
             self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
 
     def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: _Returns) -> None:
-        """Set everything but class and segment, and add to the header's counts and bounds."""
+        """Set everything but class and optional columns, and add to the header's counts and bounds."""
         steps = self._steps(scan, shots)
         points["xyz"] = steps
         if len(steps):

@@ -17,6 +17,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.types import U8
 from prc_cli.writers.base import Columns, ScatterWriter
+from prc_cli.writers.columns import OptionalColumn, asked_columns
 from prc_cli.writers.las_codec import (
     LASZIP_KEY,
     LasSink,
@@ -46,11 +47,8 @@ from prc_cli.writers.las_points import FORMAT_FOR_CODES, append_bytes, count_ret
 from prc_cli.writers.las_tail import Tail, plan_tail
 from prc_cli.writers.las_vlrs import (
     COPC_USER,
-    RANGE,
     RECORD_KEY,
-    SEGMENT_ID,
     WKT_BIT,
-    ExtraDimension,
     find_dimension,
     make_vlr,
     record_vlr,
@@ -69,10 +67,15 @@ class Plan:
     """Point format written."""
     compress: bool
     """LAZ."""
-    appended: tuple[ExtraDimension, ...] = ()
-    """Dimensions appended to every record, in order."""
-    segment_at: int | None = None
-    """Byte of a segment id that the records have already, to be replaced."""
+    appended: tuple[OptionalColumn, ...] = ()
+    """Columns appended to every record, in order."""
+    replaced: tuple[tuple[OptionalColumn, int], ...] = ()
+    """Columns that the records have already and that are replaced, each with its first byte."""
+
+    @property
+    def n_appended(self) -> int:
+        """Bytes appended to every record."""
+        return sum(column.dtype.itemsize for column in self.appended)
 
 
 class LasRewriter(ScatterWriter):
@@ -81,9 +84,8 @@ class LasRewriter(ScatterWriter):
     def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, source: Path) -> None:
         self._source_path = source
         las = self._structure()
-        super().__init__(path, codes, options, las.n_points)
+        super().__init__(path, codes, options, asked_columns(options), las.n_points)
         self._las = las
-        self._with_range = options.range
         self._compress = path.suffix.lower() == ".laz"
 
     def _structure(self) -> LasFile:
@@ -115,30 +117,29 @@ class LasRewriter(ScatterWriter):
             form = FORMAT_FOR_CODES[las.point_format]
             lost = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}.get(las.point_format, "")
             self._notice(f"point format {las.point_format} cannot hold code {highest}; upgraded to {form}{lost}")
-        appended = []
-        segment_at = None
-        for dimension, asked in ((SEGMENT_ID, self._options.segment_ids), (RANGE, self._options.range)):
+        moved = POINT_SIZES[form] - POINT_SIZES[las.point_format]
+        appended, replaced = [], []
+        for column in self._optional:
+            dimension = column.dimension
             found = find_dimension(las, dimension.name)
-            if not asked:
-                continue
             if found is None:
-                appended.append(dimension)
+                appended.append(column)
             elif found[1] != dimension.data_type:
                 problem = f"the input has extra bytes named {dimension.name!r} of type {found[1]}, expected none"
                 problem += f" or type {dimension.data_type}"
-                key = "segment_ids" if dimension is SEGMENT_ID else "range"
-                raise OutputError(str(las.path), problem, f"set [output] {key} = false")
-            elif dimension is SEGMENT_ID:
-                self._notice("the input has segment_id already; its values were replaced")
-                segment_at = found[0] + POINT_SIZES[form] - POINT_SIZES[las.point_format]
+                raise OutputError(str(las.path), problem, f"set [output] {column.option} = false")
+            elif column.keep:
+                self._notice(f"the input has {column.name} already; it was kept as it is")
             else:
-                self._notice("the input has range already; it was kept as it is")
-        length = las.record_length + POINT_SIZES[form] - POINT_SIZES[las.point_format] + 4 * len(appended)
+                self._notice(f"the input has {column.name} already; its values were replaced")
+                replaced.append((column, found[0] + moved))
+        plan = Plan(form, self._compress, tuple(appended), tuple(replaced))
+        length = las.record_length + moved + plan.n_appended
         if length > 65_535:
             raise OutputError(
                 str(las.path), f"records would take {length} bytes, LAS allows 65535", "add no extra bytes"
             )
-        return Plan(form, self._compress, tuple(appended), segment_at)
+        return plan
 
     def _vlrs(self, las: LasFile, plan: Plan) -> tuple[list[Vlr], int]:
         """VLRs of the output, the run record still the old one; and the global encoding bits to add."""
@@ -152,7 +153,9 @@ class LasRewriter(ScatterWriter):
         if any(vlr.key[0] == "lascompatible" for vlr in vlrs):
             problem = "found LAS 1.4 points in LASzip's compatibility mode, whose classes lie in extra bytes"
             raise InputError(str(las.path), problem, "write it again as plain LAS 1.4, e.g. with las2las or PDAL")
-        vlrs = with_extra_dimensions(las, vlrs, plan.appended)
+        options = dict.fromkeys(column.option for column in plan.appended)
+        hint = "set [output] " + " and ".join(f"{option} = false" for option in options)
+        vlrs = with_extra_dimensions(las, vlrs, [column.dimension for column in plan.appended], hint)
         if plan.point_format != las.point_format:
             bits = WKT_BIT
             vlrs, notice = with_wkt(vlrs, plan.point_format)
@@ -168,7 +171,7 @@ class LasRewriter(ScatterWriter):
         if not plan.compress:
             return [vlr for vlr in vlrs if vlr.key != LASZIP_KEY]
         same = plan.point_format == las.point_format and not plan.appended
-        extra = las.n_extra_bytes + 4 * len(plan.appended)
+        extra = las.n_extra_bytes + plan.n_appended
         payload = laszip_payload(las, plan.point_format, extra, keep=same)
         old = las.vlr(*LASZIP_KEY)
         if old is None:
@@ -233,13 +236,11 @@ def changed(records: U8, columns: Columns, las: LasFile, plan: Plan) -> U8:
     if plan.point_format != las.point_format:
         records = upgrade(records, las.point_format)
     set_classes(records, plan.point_format, columns.codes)
-    if plan.segment_at is not None and columns.segments is not None:
-        ids = columns.segments.astype("<u4").view(np.uint8).reshape(-1, 4)
-        records[:, plan.segment_at : plan.segment_at + 4] = ids
+    for column, at in plan.replaced:
+        values = columns.values[column.name].view(np.uint8).reshape(len(records), -1)
+        records[:, at : at + column.dtype.itemsize] = values
     if plan.appended:
-        values = {SEGMENT_ID.name: columns.segments, RANGE.name: columns.ranges}
-        found = [values[item.name] for item in plan.appended]
-        records = append_bytes(records, [item for item in found if item is not None])
+        records = append_bytes(records, [columns.values[column.name] for column in plan.appended])
     return records
 
 
@@ -253,7 +254,7 @@ def new_header(las: LasFile, plan: Plan, vlrs: list[Vlr], bits: int) -> Header:
         header.set("global_encoding", header.get("global_encoding") | bits)
     if plan.point_format != las.point_format or plan.compress != las.compressed:
         header.set("point_format", plan.point_format | (0x80 if plan.compress else 0))
-    added = POINT_SIZES[plan.point_format] - POINT_SIZES[las.point_format] + 4 * len(plan.appended)
+    added = POINT_SIZES[plan.point_format] - POINT_SIZES[las.point_format] + plan.n_appended
     header.set("record_length", las.record_length + added)
     header.set("n_vlrs", len(vlrs))
     user_bytes = las.point_offset - las.vlr_end

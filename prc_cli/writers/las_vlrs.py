@@ -5,6 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from prc_cli.core.errors import OutputError
 from prc_cli.writers.las_file import EVLR_HEADER, VLR_HEADER, LasFile, Vlr
@@ -22,6 +25,7 @@ WKT_BIT = 16
 
 _RECORD_TEXT = "prc run record"
 _DESCRIPTOR = struct.Struct("<2xBB32s124x32s")
+_DTYPES: dict[int, np.dtype[Any]] = {1: np.dtype("u1"), 5: np.dtype("<u4"), 9: np.dtype("<f4")}
 _SIZES = (0, 1, 1, 2, 2, 4, 4, 8, 8, 4, 8)  # bytes by data type 1-10; 11-20 two, 21-30 three of them
 
 
@@ -31,15 +35,20 @@ class ExtraDimension:
 
     name: str
     data_type: int
-    """Type number of LAS 1.4 table 24: 5 uint32, 9 float32."""
+    """Type number of LAS 1.4 table 24: 1 uint8, 5 uint32, 9 float32."""
     description: str
+    """At most 32 characters."""
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of a value."""
+        return _DTYPES[self.data_type]
 
     def descriptor(self) -> bytes:
         """Return the 192 bytes that describe the dimension."""
         return _DESCRIPTOR.pack(self.data_type, 0, self.name.encode("ascii"), self.description.encode("ascii"))
 
 
-SEGMENT_ID = ExtraDimension("segment_id", 5, "segment R_b, 0 = none")
 RANGE = ExtraDimension("range", 9, "slant range [m]")
 SCAN_LINE = ExtraDimension("scan_line", 5, "scan line in the stream")
 COLUMN = ExtraDimension("column", 5, "shot in the scan line")
@@ -77,10 +86,11 @@ def find_dimension(las: LasFile, name: str) -> tuple[int, int] | None:
     return None
 
 
-def with_extra_dimensions(las: LasFile, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension]) -> list[Vlr]:
+def with_extra_dimensions(las: LasFile, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension], hint: str) -> list[Vlr]:
     """Return the VLRs with dimensions described behind those that the records have already.
 
-    Bytes of the record that no VLR describes get an undocumented entry, so that the new ones are found.
+    Bytes of the record that no VLR describes get an undocumented entry, so that the new ones are found. ``hint`` says
+    what to do about an error.
 
     Raises
     ------
@@ -95,7 +105,7 @@ def with_extra_dimensions(las: LasFile, vlrs: list[Vlr], dimensions: Sequence[Ex
     if hidden < 0 or elsewhere:
         found = "in an EVLR" if elsewhere else f"as {described} bytes for the {las.n_extra_bytes} that records have"
         problem = f"found the extra bytes described {found}, expected an Extra Bytes VLR that can be extended"
-        raise OutputError(str(las.path), problem, "set [output] segment_ids = false and range = false")
+        raise OutputError(str(las.path), problem, hint)
     new = b""
     while hidden > 0:
         new += _DESCRIPTOR.pack(0, min(hidden, 255), b"", b"not described in the input")
@@ -107,7 +117,7 @@ def with_extra_dimensions(las: LasFile, vlrs: list[Vlr], dimensions: Sequence[Ex
     last = vlrs[places[-1]]
     if len(last.payload) + len(new) > VLR_LIMIT:
         problem = f"the Extra Bytes VLR is full ({len(last.payload)} of {VLR_LIMIT} bytes)"
-        raise OutputError(str(las.path), problem, "set [output] segment_ids = false and range = false")
+        raise OutputError(str(las.path), problem, hint)
     grown = last.with_payload(last.payload + new)
     return [*vlrs[: places[-1]], grown, *vlrs[places[-1] + 1 :]]
 

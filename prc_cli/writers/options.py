@@ -25,6 +25,12 @@ class OutputConfig(Params):
         description="add the segment id R_b of every shot: extra bytes uint32 `segment_id`, or a column `segment`",
     )
     range: bool = Field(False, description="add the range of every shot [m]: extra bytes float32 `range` (LAS, LAZ)")
+    stages: bool = Field(
+        False,
+        description="add what the classifier found on the way, sequential-angle only: extra bytes uint8 `surface` "
+        "(coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 undecided), uint8 `dense_vegetation` (T'), float32 "
+        "`ground_height` [m, relative to the scanner; NaN unknown], or columns of these names",
+    )
     codes: Literal["upgrade", "below-32"] = Field(
         "upgrade",
         description="codes above 31 in LAS point formats 0-5: upgrade = write the matching format 6-10 when such a "

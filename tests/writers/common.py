@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ReadTally, ScanBlock
+from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ReadTally, ScanBlock, StageLabels
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.writers import Fingerprint, LabelWriter, OutputConfig, RunRecord, open_writer
 
@@ -37,6 +37,7 @@ def labelled(
     segments: I64 | None = None,
     extra: ExtraReturns | None = None,
     extra_labels: U8 | None = None,
+    stages: StageLabels | None = None,
     **fields: Any,
 ) -> LabelledBlock:
     """A block; ranges are 10 m where the label is not MISSING unless given."""
@@ -45,7 +46,8 @@ def labelled(
     block = ScanBlock(
         first_line=first_line, range_m=range_m, record=record, extra=extra or ExtraReturns.none(), **fields
     )
-    return LabelledBlock(block, labels, np.empty(0, np.uint8) if extra_labels is None else extra_labels, segments)
+    extra_labels = np.empty(0, np.uint8) if extra_labels is None else extra_labels
+    return LabelledBlock(block, labels, extra_labels, segments, stages)
 
 
 def record_blocks(labels: U8, m: int = 20, *, order: I64 | None = None, **fields: Any) -> list[LabelledBlock]:
