@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,8 +25,11 @@ MAX_POINTS_PER_LINE = 10_000_000
 """Longest line, as for ``input.points_per_line``."""
 
 RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
-ANGLES = ("angle_deg", "zenith_deg")
+ZENITH = "zenith_deg"
+ANGLES = ("angle_deg", ZENITH)
 """Names of the scan angles [deg]; the first one present is taken."""
+XYZ_DIMENSIONS = 3
+"""Lines, columns and axes."""
 _RECORD_LISTS = ("line", "scan_line", "column", "record")
 
 
@@ -34,8 +38,8 @@ class ArrayStream:
 
     ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as ``range_m`` or
     the only array of two dimensions, and, where present, ``angle_deg`` or ``zenith_deg`` (M,), ``time_s``
-    (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
-    Integers are taken as metres. A line's only time is given to each of its shots.
+    (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M). Without an array of
+    ranges they are the length of ``xyz``. Integers are taken as metres. A line's only time is given to each of its shots.
 
     Parameters
     ----------
@@ -83,6 +87,7 @@ class ArrayStream:
             n_lines=self._n_lines,
             angle_rad=angle_rad,
             line_hz=self._find_line_hz(),
+            nadir_rad=math.pi if self._angles == ZENITH else None,
             assumptions=tuple(assumed),
         )
 
@@ -103,7 +108,7 @@ class ArrayStream:
             XYZ: ((*image, 3),),
             INTENSITY: (image,),
         }
-        present = tuple(name for name in shapes if name in self._file.headers and name != self._range)
+        present = tuple(name for name in shapes if name in self._file.headers and (name != self._range or name == XYZ))
         for name in present:
             header = self._file.headers[name]
             header.check_numbers()
@@ -165,7 +170,7 @@ class ArrayStream:
             When ``time_s`` goes back and the order is not trusted.
         """
         watch = OrderWatch(self._info.path, self._config.order, TIME, can_sort=False)
-        names = (self._range, *self._names)
+        names = tuple(dict.fromkeys((self._range, *self._names)))
         with self._file.open(*names) as rows:
             opened = dict(zip(names, rows, strict=True))
             for first in range(0, self._n_lines, self._chunk_lines):
@@ -176,7 +181,12 @@ class ArrayStream:
             watch.finish()
 
     def _block(self, rows: dict[str, Rows], watch: OrderWatch, first: int, n: int) -> ScanBlock:
-        ranges, tally = self._read_ranges(rows[self._range], first, n)
+        stored_xyz = _to_float32(rows[XYZ].read(n)) if XYZ in rows else None
+        if self._range == XYZ and stored_xyz is not None:
+            length = np.sqrt((stored_xyz.astype(np.float64) ** 2).sum(axis=-1))
+            ranges, tally = clean_ranges(length, self._config.min_range, self._config.max_range)
+        else:
+            ranges, tally = self._read_ranges(rows[self._range], first, n)
         block = ScanBlock(first, ranges, angle_rad=self._info.angle_rad, tally=tally)
         if self._is_padded:
             record = np.arange(first * self._m, (first + n) * self._m, dtype=np.int64)
@@ -190,10 +200,9 @@ class ArrayStream:
             every = np.repeat(times[:, None], self._m, axis=1) if times.ndim == 1 else times
             tally = tally + ReadTally(n_time_steps_back=watch.n_back - before)
             block = replace(block, time_s=every, tally=tally)
-        if XYZ in rows:
-            xyz = _to_float32(rows[XYZ].read(n))
-            xyz[np.isnan(ranges)] = np.nan
-            block = replace(block, xyz_m=xyz)
+        if stored_xyz is not None:
+            stored_xyz[np.isnan(ranges)] = np.nan
+            block = replace(block, xyz_m=stored_xyz)
         if INTENSITY in rows:
             block = replace(block, intensity=_to_float32(rows[INTENSITY].read(n)))
         return block
@@ -241,6 +250,8 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
     images = [name for name, header in file.headers.items() if len(header.shape) == 2 and name not in (TIME, INTENSITY)]
     if len(images) == 1:
         return images[0], "it is the only array of two dimensions"
+    if not images and len(file.headers[XYZ].shape if XYZ in file.headers else ()) == XYZ_DIMENSIONS:
+        return XYZ, "the length of xyz, which is taken to be relative to the scanner"
     problem = f"no array {RANGE!r} and not just one of two dimensions, the file has: {shown}"
     raise InputError(str(file.path), problem, f"name the ranges {RANGE}, or set input.range to dimension:NAME")
 
@@ -248,6 +259,8 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
 def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tuple[int, int, int]:
     """Return lines, points per line and shots of the ranges."""
     shape, wanted = header.shape, config.points_per_line
+    if header is file.headers.get(XYZ) and len(shape) == XYZ_DIMENSIONS:
+        shape = shape[:2]
     if len(shape) not in (1, 2):
         problem = f"found ranges of shape {shape}, expected (lines, points per line)"
         raise InputError(header.where, problem, "save the ranges alone, one row a scan line")

@@ -28,7 +28,7 @@ from prc_cli.readers.grid_read import (
     whole_lines,
 )
 from prc_cli.readers.grid_rules import GridRules, given_points_per_line, resolve_rules
-from prc_cli.readers.grid_setup import ScannerSetup, find_setups, given_beat
+from prc_cli.readers.grid_setup import ScannerSetup, find_setups, given_angles, given_beat
 from prc_cli.readers.options import InputConfig
 from prc_cli.readers.ranges import RangeRule, measure_ranges, open_ranges
 from prc_cli.readers.ranges_clean import clean_ranges
@@ -90,9 +90,10 @@ def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | Non
         n_lines=n_lines,
         angle_rad=next(iter(setups.values())).angle_rad if len(setups) == 1 else None,
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
+        nadir_rad=next(iter(setups.values())).nadir_rad if len(setups) == 1 else None,
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
     )
-    default = None if m is None else ScannerSetup(m, None, None, None, beat=given_beat(rules, m))
+    default = None if m is None else ScannerSetup(m, None, None, given_angles(config, m), beat=given_beat(rules, m))
     return GridStream(info, records, rules, ranges, setups, default)
 
 

@@ -38,6 +38,8 @@ class GridRules:
     """Whether the input says how many returns a shot has."""
     has_return_number: bool
     has_intensity: bool
+    has_heights: bool
+    """Whether registered coordinates stand beside ranges and scan angles."""
     config: InputConfig
     assumptions: tuple[Assumption, ...]
 
@@ -54,6 +56,11 @@ class GridRules:
             (self.scanner, True),
         )
         return tuple(dict.fromkeys(name for name, is_wanted in wanted if name is not None and is_wanted))
+
+    @property
+    def height_names(self) -> tuple[str, ...]:
+        """Dimensions beside the scan angle that tell where down is: the range and registered heights, or none."""
+        return (self.range.partition(":")[2], "z") if self.has_heights and self.config.nadir is None else ()
 
     @property
     def is_dense(self) -> bool:
@@ -112,6 +119,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         has_returns="number_of_returns" in has,
         has_return_number="return_number" in has,
         has_intensity="intensity" in has,
+        has_heights=range_.startswith("dimension:") and {"angle", "x", "y", "z"} <= set(has),
         config=config,
         assumptions=tuple(taken),
     )

@@ -33,12 +33,17 @@ from prc_cli.readers.grid_lines import (
 from prc_cli.readers.grid_read import first_records, nothing_placed, whole_lines
 from prc_cli.readers.grid_rules import GridRules
 from prc_cli.readers.lines import Sweep, find_sweep
+from prc_cli.readers.nadir import NoDirectionError, fit_heights
+from prc_cli.readers.options import InputConfig
+from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.records import RecordSource
 
 PROBE_RECORDS = 1 << 18
 """Records at the start that sweep and angles are estimated from."""
 PROBE_RECORDS_EACH = 1 << 16
 """The same for every scanner where several share the input."""
+NADIR_LINES = 64
+"""Lines with returns that the direction of down is found in."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +55,8 @@ class ScannerSetup:
     angle_grid: AngleGrid | None
     angle_rad: F64 | None
     """(M,) float64, angle of every column [rad], None if unknown."""
+    nadir_rad: float | None = None
+    """Scan angle that points straight down [rad], None if unknown."""
     beat: Beat = UNKNOWN
     n_shots: int = 0
     """Shots of the whole input, if it was read."""
@@ -125,8 +132,12 @@ def find_setups(
             check_found_columns(rules.path, size, source.n_records)
         found = estimates.get(scanner, _Estimates())
         angle = _angles(rules, size, found, probes.get(scanner))
+        nadir_rad = None
+        if angle is not None and rules.height_names and scanner in probes:
+            nadir_rad, assumption = _nadir(rules, probes[scanner], scanner)
+            taken.append(assumption)
         n_shots = extents[scanner].n_shots if scanner in extents else 0
-        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle, found.beat, n_shots)
+        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle, nadir_rad, found.beat, n_shots)
     return setups, n_lines, tuple(taken)
 
 
@@ -172,6 +183,13 @@ def _needs_probe(rules: GridRules) -> bool:
     return rules.lines == "angle-wrap" or rules.columns == "angle"
 
 
+def given_angles(config: InputConfig, points_per_line: int) -> F64 | None:
+    """Return the scan angle of every column as the configuration says it, (M,) float64 [rad]."""
+    if config.angle_start is None or config.angle_step is None:
+        return None
+    return np.deg2rad(config.angle_start + config.angle_step * np.arange(points_per_line, dtype=np.float64))
+
+
 def given_beat(rules: GridRules, points_per_line: int | None) -> Beat:
     """Return the beat as far as nothing needs to be read for it."""
     if rules.line_hz is None or points_per_line is None:
@@ -205,7 +223,8 @@ def _probe(
     needs_beat = _needs_beat(rules, points_per_line)
     if not _needs_probe(rules) and not for_angles and not needs_beat:
         return ({0: _Estimates(beat=given_beat(rules, points_per_line))} if rules.scanner is None else {}), {}
-    names = tuple(dict.fromkeys((*rules.names, *(("angle",) if rules.has_angle else ()))))
+    beside = ("angle", *rules.height_names) if rules.has_angle else ()
+    names = tuple(dict.fromkeys((*rules.names, *beside)))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
     # every scanner must be met where the rules depend on its angles or its beat
     to_end = rules.scanner is not None and (_needs_probe(rules) or needs_beat)
@@ -295,9 +314,25 @@ def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, _Estima
     return extents
 
 
+def _nadir(rules: GridRules, probe: Table, scanner: int) -> tuple[float | None, Assumption]:
+    """Find the scan angle that points straight down in the registered heights of the first lines."""
+    key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
+    range_m = clean_ranges(probe[rules.height_names[0]], rules.config.min_range, rules.config.max_range)[0]
+    lines = np.unique(probe[LINE][np.isfinite(range_m)])[:NADIR_LINES]
+    first = np.isin(probe[LINE], lines)
+    try:
+        fit = fit_heights(probe["angle"][first], range_m[first], probe["z"][first], probe[LINE][first])
+    except NoDirectionError as error:
+        return None, Assumption(key, "not found", f"z is there beside range and scan angle, but {error}")
+    why = f"found from z, range and scan angle of {fit.n_shots} shots, heights within {fit.off_m:.3f} m in the middle"
+    return fit.nadir_rad, Assumption(key, f"{math.degrees(fit.nadir_rad):.2f} deg", why)
+
+
 def _angles(rules: GridRules, size: int, found: _Estimates, probe: Table | None) -> F64 | None:
     if found.angle_grid is not None:
         return found.angle_grid.angles(size)
+    if (given := given_angles(rules.config, size)) is not None:
+        return given
     if probe is None or "angle" not in probe or rules.columns not in ("dimension", "order"):
         return None
     if rules.columns == "order" and rules.lines != "fixed":

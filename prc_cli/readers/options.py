@@ -34,7 +34,7 @@ def _rule(*patterns: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#")]
+LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#", "rings")]
 ColumnRule = Annotated[str, _rule("auto", "dimension:*", "angle", "time:#", "order")]
 RangeRule = Annotated[str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz")]
 
@@ -45,7 +45,7 @@ class InputConfig(Params):
     lines: LineRule = Field(
         "auto",
         description="where scan lines begin: dimension:NAME, fixed (every points_per_line records), angle-wrap, "
-        "or time:HZ (line frequency)",
+        "time:HZ (line frequency), or rings (x, y, z of a frame, ring after ring: lines are azimuths)",
     )
     columns: ColumnRule = Field(
         "auto",
@@ -79,6 +79,12 @@ class InputConfig(Params):
     )
     angle_start: float | None = Field(None, description="scan angle of column 0 [deg]; default: found in the input")
     angle_step: float | None = Field(None, description="scan angle between columns [deg], signed; default: found")
+    nadir: float | None = Field(
+        None, description="scan angle of the beam that points straight down [deg]; default: found in the input"
+    )
+    azimuth_step: float | None = Field(
+        None, ge=0.001, le=90.0, description="lines = rings: azimuth between lines [deg]; default: found"
+    )
     trajectory_time_offset: float = Field(0.0, description="added to the trajectory's times to match gps_time [s]")
     trajectory_max_gap: float | None = Field(
         None,

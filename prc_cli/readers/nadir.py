@@ -1,0 +1,339 @@
+"""Where is down: the angle of every column's beam from straight down, found in coordinates.
+
+Two kinds of coordinates tell. Those relative to the scanner are directions: the scan plane of every line and the
+angle of every shot in it follow at once. Registered ones (of a map) beside range and scan angle tell by their
+height alone: it falls with the cosine of the angle from straight down.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from prc_cli.core.types import F64, I64, Mask
+
+MIN_RISE_RAD = math.radians(10.0)
+"""Planes closer to the horizontal than this do not rise: no shot in them looks up or down by more."""
+MAX_SCATTER_RAD = math.radians(5.0)
+"""Median deviation of a column's directions from line to line; where there is more, columns share no direction."""
+BACKWARD_RAD = math.radians(10.0)
+"""Steps back of up to this are scatter; larger ones are the long way round."""
+MAX_TURNS = 1.1
+"""Turns that a line may make."""
+MIN_ARC_RAD = math.radians(0.5)
+"""Lines that span less do not tell their plane."""
+MAX_HEIGHT_OFF_M = 0.25
+"""Median deviation of registered heights from the fit; where there is more, height and angle do not belong together."""
+MIN_SHOTS = 32
+"""Shots beyond the lines that a fit of heights needs."""
+MAX_FALL = 1.05
+"""Metres that a height may fall a metre of range; rounding leaves a little over 1."""
+MIN_SPREAD = 1e-3
+"""Least ratio of the two extents of a fit of heights."""
+N_TRIMS = 5
+
+_TURN = 2 * math.pi
+
+
+class NoDirectionError(ValueError):
+    """The coordinates do not tell where down is; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """Directions of the columns of a scanner."""
+
+    beam_rad: F64
+    """(M,) float64, angle from straight down [rad], in (-pi, pi]; unwrapped it is strictly monotone."""
+    is_straight: bool
+    """Whether the angles are a straight line in the column."""
+    n_lines: int
+    """Lines that they were found in."""
+
+
+def wrap(angle: F64) -> F64:
+    """Bring angles into (-pi, pi].
+
+    >>> np.rad2deg(wrap(np.deg2rad([190.0, -180.0]))).round(6)
+    array([-170.,  180.])
+    """
+    # what rounds to -pi is pi
+    wrapped: F64 = angle - _TURN * np.ceil((angle - math.pi) / _TURN)
+    wrapped[wrapped <= -math.pi] = math.pi
+    return wrapped
+
+
+def fit_beams(xyz: NDArray[Any]) -> Beams:
+    """Find the angle of every column's beam from straight down in coordinates relative to the scanner.
+
+    The scan plane of a line is fitted through the scanner; angles are measured in it, from its lowest direction. The
+    side of the plane that counts as positive is the one that makes the angles grow with the column. A column
+    has the median of its lines. Where a straight line in the column is within half a step of nearly all
+    of them it is taken (profilers turn evenly), else the medians themselves, made monotone.
+
+    Parameters
+    ----------
+    xyz : (lines, M, 3) float
+        Relative to the scanner, z up [m]; NaN = missing.
+
+    Returns
+    -------
+    Beams
+        Growing with the column.
+
+    Raises
+    ------
+    NoDirectionError
+        When there are too few returns, the planes are horizontal, or the columns share no direction.
+
+    Examples
+    --------
+    >>> angle = np.deg2rad([20.0, 50.0, 80.0])
+    >>> line = 5.0 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
+    >>> np.rad2deg(fit_beams(line[None]).beam_rad).round(6)
+    array([20., 50., 80.])
+    """
+    unit, seen = _directions(xyz)
+    n_columns = int(np.count_nonzero(seen.any(axis=0)))
+    if n_columns < 2:
+        shown = "no shot has a return" if not n_columns else "only one column has returns"
+        message = f"{shown} in the first lines, two columns are needed"
+        raise NoDirectionError(message)
+    enough = seen.sum(axis=1) >= 2
+    unit, seen = unit[enough], seen[enough]
+    normal, arc = _planes(unit, seen)
+    wide = arc >= MIN_ARC_RAD
+    if not wide.any():
+        message = f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions"
+        raise NoDirectionError(message)
+    unit, seen, normal = unit[wide], seen[wide], normal[wide]
+    rise = np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0))
+    if float(np.median(rise)) < MIN_RISE_RAD:
+        message = (
+            f"the lines do not rise: their planes are {math.degrees(float(np.median(rise))):.1f} deg from horizontal, "
+            f"expected at least {math.degrees(MIN_RISE_RAD):g}"
+        )
+        raise NoDirectionError(message)
+    steep = rise >= MIN_RISE_RAD
+    angle, seen = _angles_in_plane(unit[steep], seen[steep], normal[steep]), seen[steep]
+    return _columns(angle, seen)
+
+
+def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
+    """Return unit vectors and where there are any."""
+    wide = np.asarray(xyz, np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        length = np.sqrt((wide * wide).sum(axis=-1))
+        seen: Mask = np.isfinite(length) & (length > 0)
+        unit = np.where(seen[..., None], wide / length[..., None], 0.0)
+    return unit, seen
+
+
+def _planes(unit: F64, seen: Mask) -> tuple[F64, F64]:
+    """Fit a plane through the scanner to every line, outliers trimmed; return normals and spanned arcs [rad]."""
+    weight = seen.astype(np.float64)
+    for _ in range(N_TRIMS):
+        moments = np.einsum("lm,lmi,lmj->lij", weight, unit, unit)
+        values, vectors = np.linalg.eigh(moments)
+        normal: F64 = vectors[:, :, 0]
+        off = np.where(seen, np.abs(np.einsum("lmi,li->lm", unit, normal)), np.nan)
+        # a share of the shots may lie anywhere; what is within 0.5 deg never hurts
+        limit = np.maximum(3 * 1.4826 * np.nanmedian(off, axis=1), math.radians(0.5))
+        weight = (seen & (off <= limit[:, None])).astype(np.float64)
+    total = np.maximum(values.sum(axis=1), np.finfo(float).tiny)
+    # the standard deviation of directions that fill an arc evenly is the arc over the root of 12
+    arc = np.sqrt(12 * np.maximum(values[:, 1], 0.0) / total)
+    return normal, arc
+
+
+def _angles_in_plane(unit: F64, seen: Mask, normal: F64) -> F64:
+    """Return the angle from the lowest direction of the plane, (lines, M), growing with the column; NaN = none."""
+    flat = np.hypot(normal[:, 0], normal[:, 1])
+    side = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1) / flat[:, None]
+    down = normal * normal[:, 2:3]
+    down[:, 2] -= 1.0
+    down /= flat[:, None]
+    angle: F64 = np.arctan2(np.einsum("lmi,li->lm", unit, side), np.einsum("lmi,li->lm", unit, down))
+    angle[~seen] = np.nan
+    for row, has in zip(angle, seen, strict=True):
+        step = wrap(np.diff(row[has]))
+        if np.sign(step[np.abs(step) < math.pi / 2]).sum() < 0:
+            np.negative(row, out=row)
+    return angle
+
+
+def _columns(angle: F64, seen: Mask) -> Beams:
+    """Return the beams of all columns from the angles of some lines."""
+    m = angle.shape[1]
+    columns = np.flatnonzero(seen.any(axis=0))
+    angle, seen = angle[:, columns], seen[:, columns]
+    filled = np.where(seen, angle, 0.0)
+    middle = np.arctan2((np.sin(filled) * seen).sum(axis=0), (np.cos(filled) * seen).sum(axis=0))
+    for _ in range(2):
+        middle = wrap(middle + np.nanmedian(wrap(angle - middle), axis=0))
+    scatter = float(np.nanmedian(np.abs(wrap(angle - middle))))
+    if scatter > MAX_SCATTER_RAD:
+        message = f"the shots of a column look different ways, {math.degrees(scatter):.1f} deg apart in the middle"
+        raise NoDirectionError(message)
+    beam_rad, is_straight = turn_evenly(columns, middle, seen.sum(axis=0).astype(np.float64), m)
+    return Beams(beam_rad, is_straight, len(angle))
+
+
+def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
+    """Return an angle for every column out of those of some, growing with the column.
+
+    Parameters
+    ----------
+    columns : (n,) int64
+        Columns that have an angle, ascending; at least two.
+    angle : (n,) float64
+        Their angles, modulo a turn, growing with the column but for scatter [rad].
+    weight : (n,) float64
+        How much each counts.
+    points_per_line : int
+        M.
+
+    Returns
+    -------
+    beam_rad : (M,) float64
+        In (-pi, pi]; unwrapped it is strictly growing.
+    is_straight : bool
+        Whether they are a straight line in the column.
+
+    Raises
+    ------
+    NoDirectionError
+        When the angles do not grow, or turn more than once around.
+    """
+    step = wrap(np.diff(angle))
+    step[step < -BACKWARD_RAD] += _TURN
+    along = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
+    if along[-1] - along[0] > MAX_TURNS * _TURN:
+        turns = (along[-1] - along[0]) / _TURN
+        message = f"the directions do not turn with the column: {turns:.1f} turns in a line, expected one at most"
+        raise NoDirectionError(message)
+    every = np.arange(points_per_line, dtype=np.float64)
+    slope, start = _straight(columns.astype(np.float64), along, weight)
+    off = np.abs(along - (start + slope * columns))
+    if slope > 0 and float(np.percentile(off, 99)) <= 0.5 * slope:
+        return wrap(start + slope * every), True
+    at, value = _monotone(columns.astype(np.float64), along, weight)
+    if len(at) < 2:
+        message = "the directions do not turn with the column"
+        raise NoDirectionError(message)
+    beam = np.interp(every, at, value)
+    slope = float((value[-1] - value[0]) / (at[-1] - at[0]))
+    before, after = every < at[0], every > at[-1]
+    beam[before] = value[0] + slope * (every[before] - at[0])
+    beam[after] = value[-1] + slope * (every[after] - at[-1])
+    return wrap(beam), False
+
+
+def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
+    """Return slope and start of a straight line, columns far off it trimmed."""
+    use = weight
+    for _ in range(N_TRIMS):
+        total = use.sum()
+        x, y = column - (use * column).sum() / total, angle - (use * angle).sum() / total
+        square = (use * x * x).sum()
+        slope = float((use * x * y).sum() / square) if square > 0 else 0.0
+        off = np.abs(y - slope * x)
+        use = np.where(off <= max(3 * 1.4826 * float(np.median(off)), 1e-9), weight, 0.0)
+        if not use.any():
+            break
+    return slope, float((angle - y).flat[0] - slope * (column - x).flat[0])
+
+
+def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
+    """Return knots, strictly growing, of the growing function closest to the angles."""
+    fitted = isotonic_regression(angle, weights=weight)
+    first = fitted.blocks[:-1]
+    total = np.add.reduceat(weight, first)
+    return np.add.reduceat(weight * column, first) / total, fitted.x[first]
+
+
+@dataclass(frozen=True, slots=True)
+class HeightFit:
+    """What registered heights say of the scan angle."""
+
+    nadir_rad: float
+    """Scan angle of the beam that points straight down [rad]."""
+    off_m: float
+    """Median deviation of the heights from the fit [m]."""
+    n_shots: int
+
+
+def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], line: I64) -> HeightFit:
+    """Find the scan angle that points straight down in registered heights.
+
+    Down in the scan plane, ``z = height of the scanner - range cos(angle - nadir) cos(tilt)``, which is linear in
+    ``range cos(angle)`` and ``range sin(angle)``; every line has a height of its own, so that neither hills nor the
+    path of the scanner matter. Shots far off the fit are trimmed.
+
+    Parameters
+    ----------
+    angle, range_m, z : (n,) float
+        Scan angle [rad], range [m] and height [m] of every shot; what is not finite is left out.
+    line : (n,) int64
+        Its line.
+
+    Raises
+    ------
+    NoDirectionError
+        When too few shots have all three, or the fit does not explain the heights.
+
+    Examples
+    --------
+    >>> angle, range_m = np.deg2rad([60.0, 80.0, 100.0, 120.0] * 10), np.arange(2.0, 42.0)
+    >>> z = 100 - range_m * np.cos(angle - np.deg2rad(90.0))
+    >>> bool(abs(np.rad2deg(fit_heights(angle, range_m, z, np.zeros(40, int)).nadir_rad) - 90) < 1e-6)
+    True
+    """
+    angle, range_m, z = (np.asarray(values, np.float64) for values in (angle, range_m, z))
+    use: Mask = np.isfinite(angle) & np.isfinite(range_m) & np.isfinite(z) & (range_m > 0)
+    angle, range_m, z, line = angle[use], range_m[use], z[use], line[use]
+    _, row = np.unique(line, return_inverse=True)
+    system = np.stack([range_m * np.cos(angle), range_m * np.sin(angle)], axis=1)
+    keep = np.ones(len(z), np.bool_)
+    solution: F64 = np.zeros(2)
+    off: F64 = np.zeros(len(z))
+    for _ in range(N_TRIMS + 1):
+        n = np.bincount(row[keep], minlength=int(row.max(initial=-1)) + 1)
+        # every line brings an unknown of its own
+        if np.count_nonzero(keep) - np.count_nonzero(n) < MIN_SHOTS:
+            message = f"too few shots have range, scan angle and height ({np.count_nonzero(keep)})"
+            raise NoDirectionError(message)
+        centred = [_centre(values, row, keep, n) for values in (system[:, 0], system[:, 1], z)]
+        matrix = np.stack(centred[:2], axis=1)
+        solution = np.asarray(np.linalg.lstsq(matrix[keep], centred[2][keep], rcond=None)[0], np.float64)
+        off = np.abs(centred[2] - matrix @ solution)
+        keep = off <= max(3 * 1.4826 * float(np.median(off[keep])), 1e-3)
+    _check_heights(solution, float(np.median(off)), matrix[keep])
+    return HeightFit(math.atan2(-solution[1], -solution[0]), float(np.median(off)), len(z))
+
+
+def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:
+    """Subtract the mean of every line, of the shots that are kept."""
+    mean = np.bincount(row[keep], values[keep], len(n)) / np.maximum(n, 1)
+    centred: F64 = values - mean[row]
+    return centred
+
+
+def _check_heights(solution: F64, off_m: float, matrix: F64) -> None:
+    fall = math.hypot(*solution)
+    if off_m > MAX_HEIGHT_OFF_M:
+        message = f"the heights lie {off_m:.2f} m off what range and scan angle say, in the middle"
+        raise NoDirectionError(message)
+    # a plane closer to the horizontal than MIN_RISE_RAD hardly falls; more than the range no height can fall
+    if not math.sin(MIN_RISE_RAD) < fall < MAX_FALL:
+        message = f"the heights fall {fall:.2f} m a metre of range straight down, expected about 1"
+        raise NoDirectionError(message)
+    values = np.linalg.svd(matrix, compute_uv=False)
+    if values[-1] < MIN_SPREAD * values[0]:
+        message = "the scan angles of the first lines span too little"
+        raise NoDirectionError(message)
