@@ -50,6 +50,22 @@ READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
 }
 """Readers of record lists by suffix."""
 
+
+def _ptx(path: Path, config: InputConfig) -> ScanStream:
+    from prc_cli.readers.ptx import PtxStream
+
+    return PtxStream(path, config)
+
+
+def _e57(path: Path, config: InputConfig) -> ScanStream:
+    from prc_cli.readers.e57 import E57Stream
+
+    return E57Stream(path, config)
+
+
+SCAN_READERS: dict[str, Callable[[Path, InputConfig], ScanStream]] = {".ptx": _ptx, ".e57": _e57}
+"""Readers of organised scans by suffix: they are blocks of the stream already."""
+
 ARRAY_SUFFIXES = (".npy", ".npz")
 """Range images, which are blocks of the stream already."""
 
@@ -76,7 +92,7 @@ def check_input(path: Path) -> str:
     InputError
         When it is absent, not a file, empty, or of a suffix that no reader takes.
     """
-    known = (*READERS, *ARRAY_SUFFIXES)
+    known = (*READERS, *ARRAY_SUFFIXES, *SCAN_READERS)
     suffix = suffix_of(path)
     if path.is_dir():
         raise InputError(str(path), "is a folder, expected a file", "name the files in it")
@@ -99,9 +115,9 @@ def check_input(path: Path) -> str:
 
 
 def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:
-    """Open an input as a list of records; None for range images."""
+    """Open an input as a list of records; None for range images and organised scans."""
     suffix = check_input(path)
-    return None if suffix in ARRAY_SUFFIXES else READERS[suffix](path, layout)
+    return READERS[suffix](path, layout) if suffix in READERS else None
 
 
 def open_input(path: Path, config: InputConfig, layout: Layout | None = None) -> ScanStream:
@@ -124,6 +140,8 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None) ->
     source = open_source(path, layout)
     if layout is not None and config.points_per_line is None and layout.points_per_line is not None:
         config = config.model_copy(update={"points_per_line": layout.points_per_line})
+    if source is None and (scans := SCAN_READERS.get(suffix_of(path))) is not None:
+        return scans(path, config)
     if source is None:
         from prc_cli.readers.arrays import ArrayStream
 
@@ -138,6 +156,7 @@ __all__ = [
     "ARRAY_SUFFIXES",
     "LAS_SUFFIXES",
     "READERS",
+    "SCAN_READERS",
     "check_input",
     "open_input",
     "open_source",
