@@ -12,18 +12,28 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from prc_cli.kernels.angles import angle_differences as angle_differences
+    from prc_cli.kernels.angles import line_angles as line_angles
+    from prc_cli.kernels.angles import signed_angles as signed_angles
+    from prc_cli.kernels.coarse import surface_image as surface_image
     from prc_cli.kernels.components import fill_holes as fill_holes
     from prc_cli.kernels.components import label_components as label_components
+    from prc_cli.kernels.markov import hmm_cusum as hmm_cusum
     from prc_cli.kernels.support import background_mask as background_mask
     from prc_cli.kernels.support import support_mask as support_mask
     from prc_cli.kernels.surfaces import dilate as dilate
 
 KERNELS: dict[str, str] = {
+    "angle_differences": "prc_cli.kernels.angles",
     "background_mask": "prc_cli.kernels.support",
     "dilate": "prc_cli.kernels.surfaces",
     "fill_holes": "prc_cli.kernels.components",
+    "hmm_cusum": "prc_cli.kernels.markov",
     "label_components": "prc_cli.kernels.components",
+    "line_angles": "prc_cli.kernels.angles",
+    "signed_angles": "prc_cli.kernels.angles",
     "support_mask": "prc_cli.kernels.support",
+    "surface_image": "prc_cli.kernels.coarse",
 }
 """Module of every kernel, by name."""
 

@@ -5,9 +5,124 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numpy.random import Generator
 
-CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {}
+from prc_cli.core.types import F32, I32
 
-TOLERANCES: dict[str, float] = {}
+SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
+
+
+def shape(rng: Generator) -> tuple[int, int]:
+    return SHAPES[rng.integers(len(SHAPES))]
+
+
+def lengths(rng: Generator, n_rows: int, n: int) -> I32:
+    """Beams of every row: all, none, or some."""
+    some = rng.integers(0, n + 1, n_rows)
+    return np.where(rng.random(n_rows) < 0.6, n, some).astype(np.int32)
+
+
+def points(rng: Generator, n_rows: int, n: int) -> tuple[F32, F32]:
+    """Shots on a grid of 1/8 m, so that chords are exactly as long as the shortest allowed, or turn by 90 deg."""
+    kind = rng.integers(3)
+    if kind == 0:
+        xyz = rng.integers(-3, 4, (n_rows, n, 3)) / 8 + [4.0, 0.0, 0.0]
+    elif kind == 1:  # a walk that stands still now and then
+        xyz = np.cumsum(rng.integers(-1, 2, (n_rows, n, 3)), axis=1) / 8 + [4.0, 0.0, 0.0]
+    else:
+        xyz = rng.normal([5.0, 0.0, -1.0], [1.0, 0.01, 1.0], (n_rows, n, 3))
+    xyz[rng.random((n_rows, n)) < rng.choice([0.0, 0.1, 0.6, 1.0], p=[0.5, 0.2, 0.2, 0.1])] = np.nan
+    found = xyz.astype(np.float32)
+    return np.linalg.norm(found, axis=-1).astype(np.float32), found
+
+
+def chord_case(rng: Generator) -> tuple[Any, ...]:
+    n_rows, n = shape(rng)
+    ranges, xyz = points(rng, n_rows, n)
+    min_chord_m = float(rng.choice([0.0, 0.125, 0.25, 0.3, 1.0]))
+    return ranges, xyz, lengths(rng, n_rows, n), min_chord_m, int(rng.choice([1, 2, 5, 256]))
+
+
+def signed(rng: Generator, n_rows: int, n: int) -> F32:
+    """Signed angles that wander between surfaces and foliage, some of them missing, some exactly half way."""
+    changes = np.cumsum(rng.random((n_rows, n)) < rng.choice([0.02, 0.1, 0.5]), axis=1)
+    kinds = rng.integers(0, 4, (n_rows, n + 1))
+    kind = np.take_along_axis(kinds, changes, axis=1)
+    foliage = rng.choice([-150.0, -90.0, -45.0, 0.0, 45.0, 90.0, 150.0], (n_rows, n))
+    values = np.choose(kind, [np.full((n_rows, n), 90.0), np.zeros((n_rows, n)), foliage, np.full((n_rows, n), 45.0)])
+    if rng.random() < 0.5:
+        values = np.clip(values + rng.normal(0, 15, (n_rows, n)), -180, 180)
+    else:
+        values = values + rng.choice([-15.0, 0.0, 15.0], (n_rows, n))
+    values[rng.random((n_rows, n)) < rng.choice([0.0, 0.1, 0.7, 1.0], p=[0.5, 0.2, 0.2, 0.1])] = np.nan
+    return values.astype(np.float32)
+
+
+def difference_case(rng: Generator) -> tuple[Any, ...]:
+    return (signed(rng, *shape(rng)),)
+
+
+def line_angle_case(rng: Generator) -> tuple[Any, ...]:
+    n_sides = int(rng.integers(1, 3))
+    n_rows, n = shape(rng)
+    n_rows *= n_sides
+    ranges = rng.choice([1.0, 1.5, 2.0, 40.0], (n_rows, n)).astype(np.float32)
+    ahead = np.arange(n) + rng.integers(1, 4, (n_rows, n))
+    ahead[(ahead >= n) | (rng.random((n_rows, n)) < 0.2)] = -1
+    surface = rng.choice([0, 1, 2, 3, 4], p=[0.05, 0.1, 0.7, 0.1, 0.05], size=(n_rows, n)).astype(np.uint8)
+    surface[rng.random(n_rows) < 0.2] = 3
+    steps = rng.choice([0.0, 0.002, 0.1], (n_sides, n))
+    return ranges, ahead.astype(np.int32), surface, np.minimum(np.cumsum(steps, axis=1), np.pi)
+
+
+FAST = np.full((3, 3), 1 / 3)
+MODELS = [
+    ([-90, 0, 90], [30, 30, 30], [[0.05, 0.475, 0.475], [0.05, 0.875, 0.075], [0.05, 0.075, 0.875]]),
+    ([-150, 0, 150], [30, 30, 30], [[0.1, 0.8, 0.1]] * 3),
+    ([90, 15, -90], [12, 2, 2], [[0.9, 0.1, 0], [0.1, 0.9, 0], [0, 0, 1]]),
+    ([-90, 0, 90], [20, 25, 30], [[0.9, 0.05, 0.05], [0.05, 0.9, 0.05], [0.05, 0.05, 0.9]]),
+]
+
+
+def hmm_case(rng: Generator) -> tuple[Any, ...]:
+    means, sigmas, h0 = MODELS[rng.integers(len(MODELS))]
+    initial = [[1 / 3, 1 / 3, 1 / 3], [0.2, 0.3, 0.5]][rng.integers(2)]
+    return (
+        signed(rng, *shape(rng)),
+        *(np.array(value, np.float64) for value in (means, sigmas, h0, FAST, initial)),
+        float(rng.choice([0.5, 2.5, 10.0])),
+        float(rng.choice([0.5, 2.5, 10.0])),
+        bool(rng.random() < 0.5),
+        bool(rng.random() < 0.5),
+        float(rng.choice([1.0, 3.0, 10.0])),
+        float(rng.choice([-1.0, -2.5, -5.0])),
+        int(rng.choice([0, 1, 5, 20])),
+    )
+
+
+def surface_case(rng: Generator) -> tuple[Any, ...]:
+    n_rows, n = shape(rng)
+    angles = signed(rng, n_rows, n)
+    vegetation = np.cumsum(rng.random((n_rows, n)) < 0.1, axis=1) % 2 == 1
+    ranges = np.where(np.isnan(angles) & (rng.random((n_rows, n)) < 0.5), np.nan, 5.0).astype(np.float32)
+    drifts = rng.choice([30.0, 45.0, 60.0], 2)
+    thresholds = rng.choice([0.0, 15.0, 30.0, 45.0, 90.0], 2)
+    flags = (bool(flag) for flag in rng.random(3) < 0.5)
+    cusum = (float(drifts[0]), float(thresholds[0]), float(drifts[1]), float(thresholds[1]))
+    return angles, vegetation, ranges, lengths(rng, n_rows, n), *cusum, *flags
+
+
+CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "angle_differences": difference_case,
+    "hmm_cusum": hmm_case,
+    "line_angles": line_angle_case,
+    "signed_angles": chord_case,
+    "surface_image": surface_case,
+}
+
+TOLERANCES: dict[str, float] = {
+    "line_angles": 2e-5,  # one step of float32 at 180 deg
+    "signed_angles": 2e-5,
+}
 """Kernels whose floats may differ from the twin's by this much, absolute; all others are equal bit for bit."""

@@ -1,0 +1,133 @@
+"""Signed angles and line angles (Stamos et al. 2012, sec. 3), what all later stages decide by.
+
+The signed angle of a shot is the angle of the chord to a later shot with the vertical: 0 deg up a wall, 90 deg along
+the ground, 180 deg down; negative where the line turns back on itself, as it does in foliage. The line angle of a
+shot is the angle of the chord with the beam, plus the beam's angle, and stays the same along a straight line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.core.config import Params
+from prc_cli.core.types import F32, I32, U8
+
+
+class AnglesParams(Params):
+    """Which shots are joined by the chords that angles are measured on (``[sequential-angle.angles]``)."""
+
+    range_noise_m: float = Field(
+        0.005, ge=0, le=10, description="standard deviation of the range noise of the scanner [m] (published)"
+    )
+    min_chord_sigmas: float = Field(
+        4.0,
+        ge=0,
+        le=1000,
+        description="shortest chord that an angle is measured on [standard deviations of the range noise]; below "
+        "about 3 noise turns chords round and looks like foliage; 0 takes successive shots (published)",
+    )
+    max_chord_shots: int = Field(
+        256,
+        ge=1,
+        le=100_000,
+        description="valid shots before and after a shot among which its chords may end; bounds the time on lines "
+        "whose shots lie all at one place",
+    )
+
+    @property
+    def min_chord_m(self) -> float:
+        """Shortest chord [m]."""
+        return self.min_chord_sigmas * self.range_noise_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignedAngles:
+    """The chord that begins at every shot."""
+
+    signed_deg: F32
+    """(R, n) float32, sV, signed angle of the chord with the vertical, -180 to 180 [deg]; NaN where the shot is
+    missing or no chord begins."""
+    ahead: I32
+    """(R, n) int32, beam that the chord ends at; -1 = no chord."""
+
+
+def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
+    """Measure the signed angle of every shot.
+
+    The chord of a shot goes to the first later valid shot that is at least the shortest chord away; missing shots
+    between them are bridged, crowns being full of gaps. The chord before a shot comes from the last earlier valid
+    shot as far away. Where the two point against each other the angle is negative; where there is none before, as at
+    the first shots of a line, it is positive. Shots at the very same place never make a chord, which has no angle.
+
+    Parameters
+    ----------
+    lines : VerticalLines
+    params : AnglesParams
+
+    Returns
+    -------
+    SignedAngles
+        The last shots of a line, where no chord begins, have none.
+
+    Examples
+    --------
+    Two shots on the ground, then up a wall; the last one has nothing to be joined with:
+
+    >>> import numpy as np
+    >>> xyz = np.array([[[4, 0, -2], [5, 0, -2], [6, 0, -2], [6, 0, -1], [6, 0, 0]]], np.float32)
+    >>> ranges = np.linalg.norm(xyz, axis=-1)
+    >>> lines = VerticalLines(ranges, xyz, xyz[..., 0], np.array([5], np.int32), np.linspace(1.1, 1.6, 5)[None])
+    >>> found = signed_angles(lines, AnglesParams())
+    >>> found.signed_deg
+    array([[90., 90.,  0.,  0., nan]], dtype=float32)
+    >>> found.ahead
+    array([[ 1,  2,  3,  4, -1]], dtype=int32)
+    """
+    signed_deg, ahead = kernels.signed_angles(
+        lines.range_m, lines.xyz_m, lines.n_beams, params.min_chord_m, params.max_chord_shots
+    )
+    return SignedAngles(signed_deg, ahead)
+
+
+def angle_differences(signed_deg: F32) -> F32:
+    """Subtract from every signed angle the one before it in its row, sD (sec. 7.1).
+
+    Parameters
+    ----------
+    signed_deg : (R, n) float32, degrees
+        NaN = no angle; such shots are skipped.
+
+    Returns
+    -------
+    (R, n) float32, degrees
+        0 at the first angle of a row, NaN where there is no angle.
+    """
+    return kernels.angle_differences(signed_deg)
+
+
+def line_angles(lines: VerticalLines, ahead: I32, surface: U8) -> F32:
+    """Measure the line angle of every horizontal shot (eq. 2).
+
+    With beams an angle ``a`` apart and ranges r and r', the angle of the chord with the beam to its first shot is
+    ``atan2(sin a, cos a - r / r')``: the arc tangent of eq. 2 with its quadrant, without which every chord that comes
+    towards the scanner would be wrong. The angle of the beam is added, so that level ground gives 90 deg whatever its
+    height, ground that rises by 3 deg gives 93 deg, and a wall 180 deg. It sees slope, not height.
+
+    Parameters
+    ----------
+    lines : VerticalLines
+    ahead : (R, n) int32
+        From :func:`signed_angles`.
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+
+    Returns
+    -------
+    (R, n) float32, degrees
+        NaN where the shot is not horizontal or begins no chord.
+    """
+    return kernels.line_angles(lines.range_m, ahead, surface, lines.beam_rad)

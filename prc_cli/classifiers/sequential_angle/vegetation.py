@@ -1,0 +1,71 @@
+"""Vegetation for the car algorithm, T', by a less sensitive test (Stamos et al. 2012, sec. 7.1).
+
+It is the test of the coarse classification on the differences of successive signed angles. The rows of both its
+matrices are alike, so that the models have no memory and the test is Page's on a mixture of Gaussians: a difference
+clearly above 75 deg counts +1.204, one clearly below -0.875. It misses much vegetation and takes little else for it.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from prc_cli.classifiers.sequential_angle.coarse import TiltParams, surface_image
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.classifiers.sequential_angle.markov import Angles, HmmParams, Matrix, Row, Spreads, hmm_cusum
+from prc_cli.core.types import F32, U8, Mask
+
+_CALM: Row = (0.1, 0.8, 0.1)
+
+
+class DenseVegetationParams(HmmParams):
+    """The less sensitive test for vegetation (``[sequential-angle.dense_vegetation]``)."""
+
+    means_deg: Angles = Field((-150.0, 0.0, 150.0), description="mean of every state [deg] (published)")
+    sigmas_deg: Spreads = Field((30.0, 30.0, 30.0), description="standard deviation of every state [deg]")
+    h0: Matrix = Field(
+        (_CALM, _CALM, _CALM),
+        description="transition probabilities of model 0, no vegetation; row = from, each adds up to 1 (published)",
+    )
+    threshold: float = Field(
+        10.0, gt=0, le=100, description="log-likelihood ratio that vegetation begins at [nats] (published)"
+    )
+
+
+def dense_vegetation(differences_deg: F32, params: DenseVegetationParams) -> Mask:
+    """Mark vegetation by the less sensitive test.
+
+    Parameters
+    ----------
+    differences_deg : (R, n) float32, degrees
+        sD, from :func:`prc_cli.classifiers.sequential_angle.angles.angle_differences`; NaN = no angle.
+    params : DenseVegetationParams
+
+    Returns
+    -------
+    (R, n) bool
+        T' of the shots with an angle; those without get it in :func:`car_surface`.
+    """
+    return hmm_cusum(differences_deg, params)
+
+
+def car_surface(signed_deg: F32, dense: Mask, lines: VerticalLines, params: TiltParams) -> U8:
+    """Classify every shot for the car algorithm: as the coarse classification does, with T' as the vegetation.
+
+    Shots of T that are not T' thus carry a label of their own, horizontal or vertical.
+
+    Parameters
+    ----------
+    signed_deg : (R, n) float32, degrees
+        sV, NaN = no angle.
+    dense : (R, n) bool
+        From :func:`dense_vegetation`.
+    lines : VerticalLines
+    params : TiltParams
+
+    Returns
+    -------
+    (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`; shots without an angle inherit T' like the other labels, so that
+        ``car_surface == Surface.VEGETATION`` is T' of every shot.
+    """
+    return surface_image(signed_deg, dense, lines, params)

@@ -1,0 +1,152 @@
+"""Loops over the shots of vertical lines: signed angles, their differences, line angles (Stamos et al. 2012).
+
+Valid shots of a row are gathered first, so that missing ones cost nothing in the searches.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, U8
+from prc_cli.kernels.cache import helper, kernel
+
+_HORIZONTAL = 2
+"""H as :class:`prc_cli.core.classes.Surface` numbers it."""
+
+
+@kernel("Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], float64, int64)")
+def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, max_beams: int) -> tuple[F32, I32]:
+    """Measure the signed angle of every chord with the vertical, sV.
+
+    Parameters
+    ----------
+    range_m : (R, n) float32, metres
+        NaN = missing.
+    xyz_m : (R, n, 3) float32, metres
+        Relative to the scanner, z up; finite where the range is.
+    n_beams : (R,) int32
+        Beams of every row; what comes after them is not looked at.
+    min_chord_m : float, metres
+        Shots nearer than this to each other make no chord; shots at the same place never do.
+    max_beams : int
+        Valid shots looked at on either side of a shot.
+
+    Returns
+    -------
+    signed_deg : (R, n) float32, degrees
+        In [-180, 180]; NaN where the shot is missing or no chord begins.
+    ahead : (R, n) int32
+        Beam at the end of the chord, -1 = no chord.
+    """
+    n_rows, n = range_m.shape
+    signed_deg = np.full((n_rows, n), np.nan, np.float32)
+    ahead = np.full((n_rows, n), -1, np.int32)
+    least = min_chord_m * min_chord_m
+    x = np.empty(n, np.float64)
+    y = np.empty(n, np.float64)
+    z = np.empty(n, np.float64)
+    beam = np.empty(n, np.int32)
+    for row in range(n_rows):
+        m = 0
+        for k in range(min(np.int64(n_beams[row]), n)):
+            x[m] = xyz_m[row, k, 0]
+            y[m] = xyz_m[row, k, 1]
+            z[m] = xyz_m[row, k, 2]
+            beam[m] = k
+            m += not math.isnan(range_m[row, k])
+        for i in range(m):
+            dx = dy = dz = square = 0.0
+            end = -1
+            for j in range(i + 1, min(i + 1 + max_beams, m)):
+                dx = x[j] - x[i]
+                dy = y[j] - y[i]
+                dz = z[j] - z[i]
+                square = dx * dx + dy * dy + dz * dz
+                if square >= least and square > 0.0:
+                    end = j
+                    break
+            if end < 0:
+                continue
+            sign = 1.0
+            for j in range(i - 1, max(i - 1 - max_beams, -1), -1):
+                bx = x[i] - x[j]
+                by = y[i] - y[j]
+                bz = z[i] - z[j]
+                back = bx * bx + by * by + bz * bz
+                if back >= least and back > 0.0:
+                    if dx * bx + dy * by + dz * bz < 0.0:
+                        sign = -1.0
+                    break
+            cosine = min(max(dz / math.sqrt(square), -1.0), 1.0)
+            signed_deg[row, beam[i]] = sign * math.degrees(math.acos(cosine))
+            ahead[row, beam[i]] = beam[end]
+    return signed_deg, ahead
+
+
+@kernel("float32[:, ::1](float32[:, ::1])")
+def angle_differences(signed_deg: F32) -> F32:
+    """Subtract from every signed angle the one before it, sD.
+
+    Parameters
+    ----------
+    signed_deg : (R, n) float32, degrees
+        NaN = no angle.
+
+    Returns
+    -------
+    (R, n) float32, degrees
+        0 at the first angle of a row, NaN where there is no angle.
+    """
+    n_rows, n = signed_deg.shape
+    differences = np.empty((n_rows, n), np.float32)
+    for row in range(n_rows):
+        before = np.float32(np.nan)
+        for k in range(n):
+            angle = signed_deg[row, k]
+            if math.isnan(angle):
+                differences[row, k] = np.nan
+                continue
+            differences[row, k] = np.float32(0.0) if math.isnan(before) else angle - before
+            before = angle
+    return differences
+
+
+@helper
+def _line_angle(step_rad: float, near_m: float, far_m: float) -> float:
+    """Angle of a chord with the beam to its beginning [rad], 0 to pi (eq. 2 with atan2)."""
+    return math.atan2(math.sin(step_rad), math.cos(step_rad) - near_m / far_m)
+
+
+@kernel("float32[:, ::1](float32[:, ::1], int32[:, ::1], uint8[:, ::1], float64[:, ::1])")
+def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
+    """Measure the line angle of every horizontal shot that begins a chord (eq. 2).
+
+    Parameters
+    ----------
+    range_m : (R, n) float32, metres
+    ahead : (R, n) int32
+        From :func:`signed_angles`.
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    beam_rad : (n_sides, n) float64
+        Angle of every beam from straight down [rad]; row ``r`` belongs to side ``r % n_sides``.
+
+    Returns
+    -------
+    (R, n) float32, degrees
+        Chord angle plus beam angle; NaN elsewhere.
+    """
+    n_rows, n = range_m.shape
+    n_sides = len(beam_rad)
+    found = np.full((n_rows, n), np.nan, np.float32)
+    for row in range(n_rows):
+        beams = beam_rad[row % n_sides]
+        for k in range(n):
+            far = ahead[row, k]
+            if surface[row, k] != _HORIZONTAL or far < 0:
+                continue
+            phi = _line_angle(beams[far] - beams[k], np.float64(range_m[row, k]), np.float64(range_m[row, far]))
+            found[row, k] = math.degrees(phi + beams[k])
+    return found

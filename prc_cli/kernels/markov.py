@@ -1,0 +1,193 @@
+"""CUSUM test between two hidden Markov models (Chen and Willett 2000, eqs. 23 to 28)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, Mask
+from prc_cli.kernels.cache import helper, kernel
+
+_SMALL = 2.0**-500
+_LARGE = 2.0**500
+"""Likelihoods that become small are scaled by a power of two, which rounds nothing."""
+
+_Three = tuple[float, float, float]
+
+
+@helper
+def _densities(value: float, means: F64, half_precision: F64, log_sigma: F64) -> _Three:
+    """Densities of a value in the three states, divided by the largest: the ratio of likelihoods stays the same."""
+    d0 = value - means[0]
+    d1 = value - means[1]
+    d2 = value - means[2]
+    l0 = -(d0 * d0) * half_precision[0] - log_sigma[0]
+    l1 = -(d1 * d1) * half_precision[1] - log_sigma[1]
+    l2 = -(d2 * d2) * half_precision[2] - log_sigma[2]
+    # of the three exponentials the largest is exp(0)
+    if l0 >= l1 and l0 >= l2:
+        return 1.0, math.exp(l1 - l0), math.exp(l2 - l0)
+    if l1 >= l2:
+        return math.exp(l0 - l1), 1.0, math.exp(l2 - l1)
+    return math.exp(l0 - l2), math.exp(l1 - l2), 1.0
+
+
+@helper
+def _forward(state: _Three, transition: F64, density: F64) -> _Three:
+    """One step of the forward recursion, unscaled."""
+    a, b, c = state
+    return (
+        (a * transition[0, 0] + b * transition[1, 0] + c * transition[2, 0]) * density[0],
+        (a * transition[0, 1] + b * transition[1, 1] + c * transition[2, 1]) * density[1],
+        (a * transition[0, 2] + b * transition[1, 2] + c * transition[2, 2]) * density[2],
+    )
+
+
+@helper
+def _sequential_test(
+    density: F64, begin: int, end: int, h0: F64, h1: F64, initial: F64, lower: float, upper: float, restart: bool
+) -> tuple[int, int, int]:
+    """Follow the ratio of likelihoods until it leaves [lower, upper].
+
+    The log-likelihood ratio S is kept as the two likelihoods themselves: S > h is L1 > exp(h) L0. Between two
+    restarts their ratio stays in bounds, so that only their common size has to be looked after, and no logarithm and
+    no division is needed.
+
+    With ``restart`` (CUSUM) falling below the lower bound, or a sample that neither model can explain, forgets all
+    and begins anew at the next sample; without it (SPRT) it ends the test.
+
+    Returns
+    -------
+    verdict : int
+        1 above, -1 below, 0 = samples ran out.
+    last : int
+        Sample that decided, ``end`` if none did.
+    onset : int
+        First sample after the last restart.
+    """
+    p = (0.0, 0.0, 0.0)
+    q = (0.0, 0.0, 0.0)
+    onset = begin
+    for t in range(begin, end):
+        d = density[t]
+        if t == onset:
+            p = (initial[0] * d[0], initial[1] * d[1], initial[2] * d[2])
+            q = p
+        else:
+            p = _forward(p, h1, d)
+            q = _forward(q, h0, d)
+        l1 = p[0] + p[1] + p[2]
+        l0 = q[0] + q[1] + q[2]
+        if l1 > upper * l0:
+            return 1, t, onset
+        if l1 < lower * l0 or l1 == 0.0:
+            if not restart:
+                return -1, t, onset
+            onset = t + 1
+        elif l0 < _SMALL:
+            p = (p[0] * _LARGE, p[1] * _LARGE, p[2] * _LARGE)
+            q = (q[0] * _LARGE, q[1] * _LARGE, q[2] * _LARGE)
+    return 0, end, onset
+
+
+@kernel(
+    "boolean[:, ::1](float32[:, ::1], float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1],"
+    "float64, float64, boolean, boolean, float64, float64, int64)"
+)
+def hmm_cusum(
+    values: F32,
+    means: F64,
+    sigmas: F64,
+    h0: F64,
+    h1: F64,
+    initial: F64,
+    threshold: float,
+    threshold_back: float,
+    backdate: bool,
+    sprt: bool,
+    accept: float,
+    reject: float,
+    merge_gap: int,
+) -> Mask:
+    """Mark the samples of every row that belong to model 1.
+
+    Parameters
+    ----------
+    values : (R, n) float32
+        NaN = no sample; it is skipped.
+    means, sigmas : (3,) float64
+        Gaussian of every state, in the unit of the values.
+    h0, h1 : (3, 3) float64
+        Transition probabilities, row = from.
+    initial : (3,) float64
+        Probabilities of the states at the first sample after a restart.
+    threshold, threshold_back : float, nats
+        Of the test of model 1 against model 0, and of 0 against 1.
+    backdate : bool
+        A region begins (and ends) at the onset rather than at the alarm.
+    sprt : bool
+        End regions, after confirming them, by tests between two bounds.
+    accept, reject : float, nats
+        Bounds of those tests, positive and negative.
+    merge_gap : int, samples
+        Regions found with ``sprt`` that are closer than this become one.
+
+    Returns
+    -------
+    (R, n) bool
+        False where there is no sample.
+    """
+    n_rows, n = values.shape
+    marked = np.zeros((n_rows, n), np.bool_)
+    half_precision = 0.5 / (sigmas * sigmas)
+    log_sigma = np.log(sigmas)
+    upper = math.exp(threshold)
+    upper_back = math.exp(threshold_back)
+    highest = math.exp(accept)
+    lowest = math.exp(reject)
+    density = np.empty((n, 3), np.float64)
+    beam = np.empty(n, np.int64)
+    for row in range(n_rows):
+        m = 0
+        for k in range(n):
+            value = np.float64(values[row, k])
+            if not math.isnan(value):
+                density[m, 0], density[m, 1], density[m, 2] = _densities(value, means, half_precision, log_sigma)
+                beam[m] = k
+                m += 1
+        begin = 0
+        previous = -1
+        while begin < m:
+            verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, initial, 1.0, upper, True)
+            if verdict == 0:
+                break
+            first = onset if backdate else alarm
+            if not sprt:
+                verdict, alarm, onset = _sequential_test(density, alarm + 1, m, h1, h0, initial, 1.0, upper_back, True)
+                last = m - 1
+                if verdict != 0:
+                    last = (onset if backdate else alarm) - 1
+                begin = alarm + 1
+            else:
+                # the region has to be confirmed once before it may end
+                verdict, t, _ = _sequential_test(density, alarm + 1, m, h0, h1, initial, lowest, highest, False)
+                begin = t + 1
+                if verdict == 0:
+                    break
+                if verdict < 0:
+                    continue
+                while verdict > 0:
+                    verdict, t, _ = _sequential_test(density, t + 1, m, h0, h1, initial, lowest, highest, False)
+                last = min(t, m - 1)
+                for back in range(last, alarm, -1):
+                    if values[row, beam[back]] < 0.0:
+                        last = min(back + 1, m - 1)
+                        break
+                begin = last + 1
+                if previous >= 0 and first - previous - 1 < merge_gap:
+                    first = min(first, previous + 1)
+                previous = last
+            for i in range(first, last + 1):
+                marked[row, beam[i]] = True
+    return marked
