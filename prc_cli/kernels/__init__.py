@@ -18,20 +18,42 @@ if TYPE_CHECKING:
     from prc_cli.kernels.coarse import surface_image as surface_image
     from prc_cli.kernels.components import fill_holes as fill_holes
     from prc_cli.kernels.components import label_components as label_components
+    from prc_cli.kernels.curb import connect_verticals as connect_verticals
+    from prc_cli.kernels.curb import possible_curbs as possible_curbs
+    from prc_cli.kernels.dividers import car_intervals as car_intervals
+    from prc_cli.kernels.dividers import cut_verticals as cut_verticals
+    from prc_cli.kernels.fourier import stable_intervals as stable_intervals
+    from prc_cli.kernels.ground import find_modes as find_modes
+    from prc_cli.kernels.ground import ground_rows as ground_rows
+    from prc_cli.kernels.ground import main_height as main_height
+    from prc_cli.kernels.ground import potential_heights as potential_heights
     from prc_cli.kernels.markov import hmm_cusum as hmm_cusum
     from prc_cli.kernels.support import background_mask as background_mask
     from prc_cli.kernels.support import support_mask as support_mask
     from prc_cli.kernels.surfaces import dilate as dilate
+    from prc_cli.kernels.suspicious import first_triggers as first_triggers
+    from prc_cli.kernels.verticals import first_high_verticals as first_high_verticals
 
 KERNELS: dict[str, str] = {
     "angle_differences": "prc_cli.kernels.angles",
     "background_mask": "prc_cli.kernels.support",
+    "car_intervals": "prc_cli.kernels.dividers",
+    "connect_verticals": "prc_cli.kernels.curb",
+    "cut_verticals": "prc_cli.kernels.dividers",
     "dilate": "prc_cli.kernels.surfaces",
     "fill_holes": "prc_cli.kernels.components",
+    "find_modes": "prc_cli.kernels.ground",
+    "first_high_verticals": "prc_cli.kernels.verticals",
+    "first_triggers": "prc_cli.kernels.suspicious",
+    "ground_rows": "prc_cli.kernels.ground",
     "hmm_cusum": "prc_cli.kernels.markov",
     "label_components": "prc_cli.kernels.components",
     "line_angles": "prc_cli.kernels.angles",
+    "main_height": "prc_cli.kernels.ground",
+    "possible_curbs": "prc_cli.kernels.curb",
+    "potential_heights": "prc_cli.kernels.ground",
     "signed_angles": "prc_cli.kernels.angles",
+    "stable_intervals": "prc_cli.kernels.fourier",
     "support_mask": "prc_cli.kernels.support",
     "surface_image": "prc_cli.kernels.coarse",
 }

@@ -1,0 +1,372 @@
+"""Loops that cut lines into intervals which may be cars (Stamos et al. 2012, sec. 7.3)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli.core.classes import Surface
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.kernels.cache import kernel
+
+_HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
+
+
+_Z, _RANGE, _DISTANCE = 2, 3, 4
+"""Columns of the points of a row: x, y, z, range, horizontal distance [m]."""
+
+
+@kernel(
+    "int64(uint8[::1], float32[::1], float32[:, ::1], float32[::1], int64, float64, int32[::1], uint8[::1], "
+    "float64[:, ::1])"
+)
+def _gather(
+    surface: U8,
+    range_m: F32,
+    xyz_m: F32,
+    horizontal_m: F32,
+    n: int,
+    limit_m: float,
+    beam: I32,
+    code: U8,
+    points: F64,
+) -> int:
+    """Put the returns of a row together up to the first one that is neither H nor V, or too high; count them."""
+    size = 0
+    for k in range(n):
+        if range_m[k] != range_m[k]:
+            continue
+        if (surface[k] != _HORIZONTAL and surface[k] != _VERTICAL) or xyz_m[k, 2] > limit_m:
+            break
+        beam[size] = k
+        code[size] = surface[k]
+        points[size, 0], points[size, 1], points[size, _Z] = xyz_m[k, 0], xyz_m[k, 1], xyz_m[k, 2]
+        points[size, _RANGE], points[size, _DISTANCE] = range_m[k], horizontal_m[k]
+        size += 1
+    return size
+
+
+@kernel("float64(float64[:, ::1], int64, int64, float64, int64)")
+def _change_angle(points: F64, size: int, j: int, chord_m: float, reach: int) -> float:
+    """Return the signed angle of the chord that begins at a point [deg]; NaN when no point is far enough away."""
+    x, y, z = points[j, 0], points[j, 1], points[j, _Z]
+    for after in range(j + 1, min(j + reach, size - 1) + 1):
+        dx, dy, dz = points[after, 0] - x, points[after, 1] - y, points[after, 2] - z
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        if length >= chord_m and length > 0.0:
+            angle = math.degrees(math.acos(max(-1.0, min(1.0, dz / length))))
+            for before in range(j - 1, max(j - reach, 0) - 1, -1):
+                bx, by, bz = x - points[before, 0], y - points[before, 1], z - points[before, 2]
+                back = math.sqrt(bx * bx + by * by + bz * bz)
+                if back >= chord_m and back > 0.0:
+                    return angle if dx * bx + dy * by + dz * bz >= 0.0 else -angle
+            return angle
+    return math.nan
+
+
+@kernel("boolean(float64[:, ::1], int64, int64, float64)")
+def _is_under(points: F64, j: int, n_before: int, threshold_m: float) -> bool:
+    """Tell whether one of the points before lies farther away (TestUnder)."""
+    farthest = points[j, _RANGE]
+    for before in range(max(0, j - n_before), j):
+        farthest = max(farthest, points[before, _RANGE])
+    return bool(farthest - points[j, _RANGE] > threshold_m)
+
+
+@kernel("boolean(float64[:, ::1], int64, int64, float64, float64)")
+def _is_flat(sums: F64, first: int, last: int, residual_m: float, slope: float) -> bool:
+    """Tell whether the straight line through the heights of successive points is near them and not steep.
+
+    ``sums`` holds the running sums of h, z, h², hz and z² of the points before each.
+    """
+    n = last + 1 - first
+    mean_h = (sums[last + 1, 0] - sums[first, 0]) / n
+    mean_z = (sums[last + 1, 1] - sums[first, 1]) / n
+    hh = (sums[last + 1, 2] - sums[first, 2]) / n - mean_h * mean_h
+    hz = (sums[last + 1, 3] - sums[first, 3]) / n - mean_h * mean_z
+    zz = (sums[last + 1, 4] - sums[first, 4]) / n - mean_z * mean_z
+    return bool(abs(hz) <= slope * hh and zz - hz * hz / hh <= residual_m * residual_m)
+
+
+@kernel("UniTuple(int64, 2)(float64[:, ::1], int64, int64, float64, float64, float64, float64[:, ::1], float64[::1])")
+def _flat_stretch(
+    points: F64,
+    first: int,
+    last: int,
+    length_m: float,
+    residual_m: float,
+    slope: float,
+    sums: F64,
+    farthest: F64,
+) -> tuple[int, int]:
+    """Find the first long flat stretch of a horizontal run; (-1, -1) = none.
+
+    The points from K to the first one that lies ``length_m`` farther must be flat; then the stretch is drawn out point
+    by point for as long as it stays flat. That first point is sought from where it was for the K before.
+    """
+    size = last + 1 - first
+    farthest[size] = -np.inf
+    for i in range(size - 1, -1, -1):
+        farthest[i] = max(farthest[i + 1], points[first + i, _DISTANCE])
+    sums[0, :] = 0.0
+    for i in range(size):  # from the first point on, so that little is lost to rounding
+        h = points[first + i, _DISTANCE] - points[first, _DISTANCE]
+        z = points[first + i, _Z] - points[first, _Z]
+        sums[i + 1, 0] = sums[i, 0] + h
+        sums[i + 1, 1] = sums[i, 1] + z
+        sums[i + 1, 2] = sums[i, 2] + h * h
+        sums[i + 1, 3] = sums[i, 3] + h * z
+        sums[i + 1, 4] = sums[i, 4] + z * z
+    end = 0
+    for begin in range(size):
+        end = max(end, begin)
+        if farthest[end] - points[first + begin, _DISTANCE] < length_m:
+            continue
+        while points[first + end, _DISTANCE] - points[first + begin, _DISTANCE] < length_m:
+            end += 1
+        if not _is_flat(sums, begin, end, residual_m, slope):
+            continue
+        while end + 1 < size and _is_flat(sums, begin, end + 1, residual_m, slope):
+            end += 1
+        return first + begin, first + end
+    return -1, -1
+
+
+@kernel(
+    "UniTuple(int64, 2)(uint8[::1], float64[:, ::1], int64, int64, float64, float64, float64, float64[:, ::1], "
+    "float64[::1])"
+)
+def _first_flat(
+    code: U8,
+    points: F64,
+    begin: int,
+    end: int,
+    length_m: float,
+    residual_m: float,
+    slope: float,
+    sums: F64,
+    farthest: F64,
+) -> tuple[int, int]:
+    """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
+    i = begin
+    while i <= end:
+        first = i
+        while i <= end and code[i] == _HORIZONTAL:
+            i += 1
+        if i > first:
+            stretch = _flat_stretch(points, first, i - 1, length_m, residual_m, slope, sums, farthest)
+            if stretch[0] >= 0:
+                return stretch
+        i += 1
+    return -1, -1
+
+
+@kernel("void(float64[:, ::1], int64, float64, int32[::1])")
+def _find_jumps(points: F64, size: int, separation_m: float, next_jump: I32) -> None:
+    """Find for every point the first one from it on that a jump away from the scanner follows, or the last one."""
+    next_jump[size - 1] = size - 1
+    for j in range(size - 2, -1, -1):
+        next_jump[j] = next_jump[j + 1]
+        dx, dy = points[j + 1, 0] - points[j, 0], points[j + 1, 1] - points[j, 1]
+        dz = points[j + 1, 2] - points[j, 2]
+        ahead = dx * points[j, 0] + dy * points[j, 1] > 0.0
+        if ahead and math.sqrt(dx * dx + dy * dy + dz * dz) > separation_m:
+            next_jump[j] = j
+
+
+@kernel("int32[:, ::1](int32[:, ::1], int64)")
+def _with_room(found: I32, size: int) -> I32:
+    """Return the list itself, or a copy of twice its length when it is full."""
+    if size < len(found):
+        return found
+    larger = np.empty((2 * size, 3), np.int32)
+    for i in range(size):
+        larger[i, 0], larger[i, 1], larger[i, 2] = found[i, 0], found[i, 1], found[i, 2]
+    return larger
+
+
+@kernel(
+    "int32[:, ::1](uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], int32[::1], "
+    "boolean[::1], float32[::1], float64, float64, float64, float64, int64, int64, float64, float64, float64, float64, "
+    "float64)"
+)
+def car_intervals(
+    surface: U8,
+    range_m: F32,
+    xyz_m: F32,
+    horizontal_m: F32,
+    signed_deg: F32,
+    n_beams: I32,
+    triggered: Mask,
+    ground_m: F32,
+    height_m: float,
+    sudden_from_deg: float,
+    sudden_to_deg: float,
+    chord_m: float,
+    chord_reach: int,
+    under_points: int,
+    under_m: float,
+    separation_m: float,
+    flat_length_m: float,
+    flat_residual_m: float,
+    flat_slope: float,
+) -> I32:
+    """Cut the triggered rows into intervals that may be cars.
+
+    Parameters
+    ----------
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`; the search ends at the first return that is neither H nor V.
+    range_m, horizontal_m : (R, n) float32, metres
+        NaN range = missing.
+    xyz_m : (R, n, 3) float32, metres
+    signed_deg : (R, n) float32, degrees
+        Signed angles, for changes that no chord can be laid at; NaN = none.
+    n_beams : (R,) int32
+    triggered : (R,) bool
+        Rows to look at.
+    ground_m : (R,) float32, metres
+        Height of the ground; rows where it is NaN are not looked at.
+    height_m : float, metres
+        The search ends at the first return higher above the ground.
+    sudden_from_deg, sudden_to_deg : float, degrees
+        A change from H to V at an angle between them is sudden.
+    chord_m : float, metres
+        Least length of the chord that the angle is measured on; 0 or below = ``signed_deg``.
+    chord_reach : int
+        Returns that are looked at for either end of the chord.
+    under_points : int
+        Returns before a sudden change of which one must be ...
+    under_m : float, metres
+        ... this much farther away.
+    separation_m : float, metres
+        Successive returns farther apart, the second one not nearer to the scanner, belong to two intervals.
+    flat_length_m, flat_residual_m, flat_slope : float, metres, metres, tangent
+        Horizontal length at least, residual of the heights at most and slope at most of a stretch of ground.
+
+    Returns
+    -------
+    (K, 3) int32
+        Row, first beam, last beam; in order.
+    """
+    n_rows, n = surface.shape
+    beam = np.empty(n, np.int32)
+    code = np.empty(n, np.uint8)
+    points = np.empty((n, 5), np.float64)
+    next_jump = np.empty(n, np.int32)
+    sums = np.empty((n + 1, 5), np.float64)
+    farthest = np.empty(n + 1, np.float64)
+    found = np.empty((64, 3), np.int32)
+    n_found = 0
+    for row in range(n_rows):
+        ground = np.float64(ground_m[row])
+        if not triggered[row] or ground != ground:
+            continue
+        size = _gather(
+            surface[row],
+            range_m[row],
+            xyz_m[row],
+            horizontal_m[row],
+            n_beams[row],
+            ground + height_m,
+            beam,
+            code,
+            points,
+        )
+        if size > 0:
+            _find_jumps(points, size, separation_m, next_jump)
+        j = 1
+        while j < size:
+            if code[j - 1] != _HORIZONTAL or code[j] != _VERTICAL:
+                j += 1
+                continue
+            angle = math.nan
+            if chord_m > 0.0:
+                angle = _change_angle(points, size, j, chord_m, chord_reach)
+            if angle != angle:
+                angle = signed_deg[row, beam[j]]
+            gradual = angle < sudden_from_deg or angle > sudden_to_deg
+            if not gradual and not _is_under(points, j, under_points, under_m):
+                j += 1
+                continue
+            begin = j
+            j = size
+            while begin < size:  # one interval after the other, as far as jumps alone divide them
+                last = next_jump[begin]
+                flat_from, flat_to = _first_flat(
+                    code, points, begin, last, flat_length_m, flat_residual_m, flat_slope, sums, farthest
+                )
+                found = _with_room(found, n_found)
+                found[n_found, 0], found[n_found, 1] = row, beam[begin]
+                found[n_found, 2] = beam[last if flat_from < 0 else flat_from]
+                n_found += 1
+                begin = last + 1
+                if flat_from >= 0:
+                    j = flat_to + 1
+                    break
+    return found[:n_found].copy()
+
+
+@kernel("int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], int32[:, ::1], float64)")
+def cut_verticals(surface: U8, xyz_m: F32, intervals: I32, extent_m: float) -> I32:
+    """Take long vertical runs out of intervals.
+
+    Parameters
+    ----------
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`; missing beams do not end a run.
+    xyz_m : (R, n, 3) float32, metres
+    intervals : (K, 3) int32
+        Row, first beam, last beam, both of them returns.
+    extent_m : float, metres
+        Runs from this difference between their highest and lowest point up are taken out.
+
+    Returns
+    -------
+    (L, 3) int32
+        What is left, in the same order, from the first return to the last.
+    """
+    n_most = 0
+    for i in range(len(intervals)):
+        n_most += (intervals[i, 2] - intervals[i, 1]) // 2 + 1
+    left = np.empty((n_most, 3), np.int32)
+    n_left = 0
+    for i in range(len(intervals)):
+        row = intervals[i, 0]
+        codes = surface[row]
+        points = xyz_m[row]
+        begin = -1  # first and last return of the piece that is being put together
+        end = -1
+        first = -1  # first and last return of the vertical run, not in the piece yet
+        last = -1
+        lowest = np.inf
+        highest = -np.inf
+        for k in range(intervals[i, 1], intervals[i, 2] + 2):
+            inside = k <= intervals[i, 2]
+            if inside and points[k, 2] != points[k, 2]:
+                continue
+            if inside and codes[k] == _VERTICAL:
+                if first < 0:
+                    first = k
+                last = k
+                lowest = min(lowest, np.float64(points[k, 2]))
+                highest = max(highest, np.float64(points[k, 2]))
+                continue
+            if first >= 0 and highest - lowest < extent_m:
+                begin = first if begin < 0 else begin
+                end = last
+            elif first >= 0 and begin >= 0:
+                left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+                n_left += 1
+                begin = -1
+            first = -1
+            lowest = np.inf
+            highest = -np.inf
+            if inside:
+                begin = k if begin < 0 else begin
+                end = k
+        if begin >= 0:
+            left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+            n_left += 1
+    return left[:n_left].copy()
