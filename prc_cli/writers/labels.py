@@ -115,7 +115,10 @@ def _numbered(columns: Iterator[Columns]) -> Iterator[tuple[int, Columns]]:
 
 def _texts(values: Values) -> list[Any]:
     """Values as they stand in a table: whole numbers, or the shortest text that gives the same float32 again."""
-    return list((values.astype(str) if values.dtype.kind == "f" else values).tolist())
+    if values.dtype.kind != "f":
+        return list(values.tolist())
+    different, index = np.unique(values, return_inverse=True)  # a height stands for a whole line
+    return list(different.astype(str).astype(object)[index].tolist())
 
 
 def _cell(text: str) -> str:
