@@ -146,6 +146,11 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None) ->
         from prc_cli.readers.arrays import ArrayStream
 
         return ArrayStream(path, config)
+    if config.lines == "rings":
+        from prc_cli.readers.rings import open_rings
+
+        rings = open_rings(source, config)
+        return replace(rings, info=replace(rings.info, notes=tuple(getattr(source, "notes", ()))))
     from prc_cli.readers.grid import open_grid
 
     stream = open_grid(source, config, line_hz=None if layout is None else layout.line_frequency)

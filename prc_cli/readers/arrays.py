@@ -38,8 +38,9 @@ class ArrayStream:
 
     ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as ``range_m`` or
     the only array of two dimensions, and, where present, ``angle_deg`` or ``zenith_deg`` (M,), ``time_s``
-    (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M). Without an array of
-    ranges they are the length of ``xyz``. Integers are taken as metres. A line's only time is given to each of its shots.
+    (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
+    Without an array of ranges they are the length of ``xyz``. Integers are taken as metres. A line's only time is
+    given to each of its shots.
 
     Parameters
     ----------

@@ -80,6 +80,9 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         When a named dimension does not exist; the hint lists what there is, nearest name first.
     """
     has = source.dimensions
+    if config.lines == "rings":
+        problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
+        raise ConfigError("input.lines", problem, "find lines in another way: --lines")
     taken: list[Assumption] = []
     lines = _auto_lines(source, config, taken) if config.lines == "auto" else config.lines
     columns = _auto_columns(source, lines, taken) if config.columns == "auto" else config.columns

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import open_to_read
 from prc_cli.core.types import F64, I64
 from prc_cli.readers.npy_rows import ArrayFile
 
@@ -23,6 +24,11 @@ BUFFER_BYTES = 1 << 20
 """Bytes of a Parquet column read at a time."""
 MAX_POINTS_PER_LINE = 10_000_000
 """Longest row of a label image."""
+
+LABEL_BYTES = 4
+"""Bytes of a SemanticKITTI label."""
+SEMANTIC_BITS = 0xFFFF
+"""Its bits that hold the class."""
 
 _DAMAGED = (OSError, ValueError, LookupError, MemoryError)
 _WHOLE = float(1 << 53)
@@ -89,7 +95,7 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     ----------
     path : Path
         ``.npy`` (any whole numbers, 1-D or 2-D), ``.npz``, ``.csv`` or ``.txt`` (``.gz``, ``.zst``),
-        ``.parquet``, ``.las`` or ``.laz``.
+        ``.parquet``, ``.las``, ``.laz``, or ``.label`` (SemanticKITTI: uint32, the low 16 bits are the class).
     dimension : str, optional
         Array, column or dimension that holds the codes. Default: ``classification`` for LAS; elsewhere the only
         one there is, else the first of ``class``, ``label``, ``classification``, ``class_code``.
@@ -233,6 +239,30 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
     return CodeSource(path, n, read)
 
 
+def _open_semantic(path: Path, dimension: str | None) -> CodeSource:
+    """Open the labels of SemanticKITTI: little-endian uint32, class in the low 16 bits, instance in the high ones."""
+    if dimension is not None:
+        raise ConfigError(str(path), f"no dimension {dimension!r} in a .label file", "leave it out")
+    with open_to_read(path) as handle:
+        size = handle.seek(0, 2)
+    if not size or size % LABEL_BYTES:
+        problem = f"found {size} bytes, expected {LABEL_BYTES} a record"
+        raise InputError(str(path), problem, "copy it from the archive again")
+
+    def read() -> Iterator[NDArray[Any]]:
+        with open_to_read(path) as handle:
+            left = size // LABEL_BYTES
+            while left:
+                labels = np.fromfile(handle, "<u4", min(left, CHUNK_RECORDS))
+                if not len(labels):
+                    problem = f"the file ends {left} records early"
+                    raise InputError(str(path), problem, "it was cut while being read; run again")
+                left -= len(labels)
+                yield (labels & SEMANTIC_BITS).astype(np.uint16)
+
+    return CodeSource(path, size // LABEL_BYTES, read)
+
+
 def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:160]
 
@@ -242,6 +272,7 @@ _OPENERS: dict[str, Callable[[Path, str | None], CodeSource]] = {
     ".npz": _open_arrays,
     **{f"{text}{packed}": _open_text for text in (".csv", ".txt") for packed in ("", ".gz", ".zst")},
     ".parquet": _open_parquet,
+    ".label": _open_semantic,
     ".las": _open_las,
     ".laz": _open_las,
 }

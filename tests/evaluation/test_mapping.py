@@ -14,7 +14,17 @@ from prc_cli.evaluation.mapping import ClassMapping, load_mapping, preset_names
 
 PACKAGED = Path(module.__file__).parent / "presets"
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "classes"
-PRESETS = ("asprs", "lehtola_forest", "lehtola_urban", "oakland", "prc", "semantic_kitti")
+STREET_SCAN = ("street_scan", "street_scan_kitti", "street_scan_oakland")
+PRESETS = (
+    "asprs",
+    "lehtola_forest",
+    "lehtola_urban",
+    "oakland",
+    "prc",
+    "semantic_kitti",
+    "sequential_angle",
+    *STREET_SCAN,
+)
 
 
 def made(**table: Any) -> ClassMapping:
@@ -49,9 +59,25 @@ def test_every_preset_takes_every_code_that_prc_predicts(name: str) -> None:
     assert (indices[1:] >= 0).all()
 
 
+@pytest.mark.parametrize("name", STREET_SCAN)
+def test_street_scan_presets_take_every_code_of_either_classifier(name: str) -> None:
+    indices = load_mapping(name).class_indices(ClassCodes().lookup(), "predicted")
+    assert indices[0] == -1
+    assert (indices[1:] >= 0).all()
+
+
 @pytest.mark.parametrize(
     ("name", "code", "expected"),
     [
+        ("street_scan", 66, "vertical"),
+        ("street_scan", 2, "horizontal"),
+        ("street_scan", 7, "other"),
+        ("street_scan_kitti", 252, "car"),
+        ("street_scan_kitti", 71, "vertical"),
+        ("street_scan_kitti", 254, "other"),
+        ("street_scan_oakland", 1501, "car"),
+        ("street_scan_oakland", 1303, "vertical"),
+        ("street_scan_oakland", 1306, "vegetation"),
         ("oakland", 1203, "ground"),
         ("oakland", 1301, "ground"),
         ("oakland", 1306, "vegetation"),
