@@ -41,6 +41,8 @@ _ROW_BYTES = 64
 """Bytes of a row, about: how far a short scan is looked ahead for its end."""
 _LOOKED_AT = 1000
 """Points of a scan whose intensities are looked at for their scale."""
+_SAME_PLACE_M = 1e-3
+"""Translation and scanner position of a header that are no farther apart are the same [m]."""
 _N_CELLS = (3, 4, 7)
 """x y z, with intensity, with colour."""
 _COUNT = re.compile(rb"\d{1,18}", re.ASCII)
@@ -119,7 +121,7 @@ class PtxStream:
         return found
 
     def _notes(self) -> list[str]:
-        moved = [scan.shape.scanner for scan in self._scans if np.abs(scan.pose.offset_m).max() > 1e-3]
+        moved = [scan.shape.scanner for scan in self._scans if scan.pose.offset_m.any()]
         if not moved:
             return []
         some = ", ".join(map(str, moved[:10])) + (", ..." if len(moved) > 10 else "")
@@ -162,7 +164,9 @@ class PtxStream:
         m = shape.points_per_line
         xyz = scan.pose.apply(rows[:, :3])
         missing = ~rows[:, :3].any(axis=1)
-        length = lengths(xyz)
+        # a rotation changes no range: not even one that the header rounds to a few digits
+        length = lengths(xyz if scan.pose.offset_m.any() else rows)
+        length[np.isinf(rows[:, :3]).any(axis=1)] = np.inf
         length[missing] = np.nan
         ranges, tally = clean_ranges(length, self._config.min_range, self._config.max_range)
         placed = to_float32(xyz)
@@ -413,7 +417,9 @@ class _Survey:
                 "the transformation is no rotation with a translation, expected four rows x x x 0 and last t t t 1"
             )
             raise InputError(where, problem, "correct the header or export the scan again")
-        return Pose(rotation, matrix[3, :3] - np.array(position))
+        offset = matrix[3, :3] - np.array(position)
+        # the two are written with different numbers of digits
+        return Pose(rotation, offset if np.abs(offset).max() > _SAME_PLACE_M else np.zeros(3))
 
     def _read_line(self) -> bytes:
         line = self._handle.readline(MAX_LINE_BYTES + 1)
