@@ -379,8 +379,11 @@ class _IndexTally:
         self._last = column[-1]
 
     def _span(self, name: str, index: F64, before: tuple[int, int]) -> tuple[int, int]:
-        low, high = float(index.min()), float(index.max())
-        if not (abs(low) < 2**52 and abs(high) < 2**52 and (index == np.rint(index)).all()):
+        # a NaN can be one that signals
+        with np.errstate(invalid="ignore"):
+            low, high = float(index.min()), float(index.max())
+            is_whole = abs(low) < 2**52 and abs(high) < 2**52 and (index == np.rint(index)).all()
+        if not is_whole:
             problem = f"found {name} from {low:g} to {high:g}, expected whole numbers"
             raise InputError(self._where, problem, "export the scan again")
         return (int(low), int(high)) if before[1] < before[0] else (min(before[0], int(low)), max(before[1], int(high)))
@@ -391,7 +394,7 @@ def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple
     if cartesian:
         xyz = np.stack([chunk[name] for name in CARTESIAN], axis=1)
         length = lengths(xyz)
-        length[~xyz.any(axis=1)] = np.nan
+        length[(xyz == 0).all(axis=1)] = np.nan
         return pose.apply(xyz), length
     length, azimuth, elevation = (chunk[name] for name in SPHERICAL)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -105,9 +105,14 @@ def _check_xml(path: Path, parts: Iterator[bytes]) -> None:
     def declaration(*_: object) -> None:
         raise _RefusedError("a document type declaration, expected none")
 
-    # the standard allows UTF-8 alone; another encoding could hide a declaration from this check
+    def encoding(_version: str, name: str | None, _standalone: int) -> None:
+        # the standard allows UTF-8 alone; another encoding could hide a declaration from this check
+        if name is not None and name.upper() != "UTF-8":
+            raise _RefusedError(f"the encoding {name[:20]!r}, expected UTF-8")
+
     parser = expat.ParserCreate("UTF-8")
     parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.XmlDeclHandler = encoding
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = declaration
     try:
         for part in parts:

@@ -23,6 +23,9 @@ CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 CARTESIAN_STATE, SPHERICAL_STATE = "cartesianInvalidState", "sphericalInvalidState"
 
+_NOT_AS_EXPECTED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+"""What nodes of another kind than the standard has them raise on the way to a value."""
+
 
 @dataclass(frozen=True, slots=True)
 class E57Scan:
@@ -75,7 +78,7 @@ class E57File:
         """Turn the library's exceptions into one line each."""
         try:
             yield
-        except (self._library.E57Exception, RuntimeError, KeyError, IndexError, ValueError, TypeError) as error:
+        except (self._library.E57Exception, *_NOT_AS_EXPECTED) as error:
             text = (str(error).strip().splitlines() or [type(error).__name__])[0].strip(" *")
             where = f"{self._path}: {what}" if what else str(self._path)
             problem = f"the E57 structure is damaged or not as the standard has it ({text})"
@@ -180,7 +183,7 @@ def _bounds(node: Any) -> tuple[tuple[int, int], tuple[int, int]] | None:
     if not all(table.isDefined(name) for name in names):
         return None
     values = [_value(table[name]) for name in names]
-    if not all(np.isfinite(value) and abs(value) < 2**53 for value in values):
+    if not np.isfinite(values).all():
         return None
     row_low, row_high, column_low, column_high = (int(value) for value in values)
     return (row_low, row_high), (column_low, column_high)
