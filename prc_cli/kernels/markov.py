@@ -45,10 +45,23 @@ def _forward(state: _Three, transition: F64, density: F64) -> _Three:
 
 
 @helper
+def _first(initial: F64, density: F64) -> _Three:
+    """Begin the forward recursion."""
+    return initial[0] * density[0], initial[1] * density[1], initial[2] * density[2]
+
+
+@helper
 def _sequential_test(
-    density: F64, begin: int, end: int, h0: F64, h1: F64, initial: F64, lower: float, upper: float, restart: bool
+    density: F64,
+    begin: int,
+    end: int,
+    zero: tuple[F64, F64],
+    one: tuple[F64, F64],
+    lower: float,
+    upper: float,
+    restart: bool,
 ) -> tuple[int, int, int]:
-    """Follow the ratio of likelihoods until it leaves [lower, upper].
+    """Follow the ratio of likelihoods of two models, transition and initial probabilities, until it leaves its bounds.
 
     The log-likelihood ratio S is kept as the two likelihoods themselves: S > h is L1 > exp(h) L0. Between two
     restarts their ratio stays in bounds, so that only their common size has to be looked after, and no logarithm and
@@ -72,11 +85,11 @@ def _sequential_test(
     for t in range(begin, end):
         d = density[t]
         if t == onset:
-            p = (initial[0] * d[0], initial[1] * d[1], initial[2] * d[2])
-            q = p
+            p = _first(one[1], d)
+            q = _first(zero[1], d)
         else:
-            p = _forward(p, h1, d)
-            q = _forward(q, h0, d)
+            p = _forward(p, one[0], d)
+            q = _forward(q, zero[0], d)
         l1 = p[0] + p[1] + p[2]
         l0 = q[0] + q[1] + q[2]
         if l1 > upper * l0:
@@ -93,7 +106,7 @@ def _sequential_test(
 
 @kernel(
     "boolean[:, ::1](float32[:, ::1], float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1],"
-    "float64, float64, boolean, boolean, float64, float64, int64)"
+    "float64[::1], float64, float64, boolean, boolean, float64, float64, int64)"
 )
 def hmm_cusum(
     values: F32,
@@ -101,7 +114,8 @@ def hmm_cusum(
     sigmas: F64,
     h0: F64,
     h1: F64,
-    initial: F64,
+    initial_h0: F64,
+    initial_h1: F64,
     threshold: float,
     threshold_back: float,
     backdate: bool,
@@ -120,7 +134,7 @@ def hmm_cusum(
         Gaussian of every state, in the unit of the values.
     h0, h1 : (3, 3) float64
         Transition probabilities, row = from.
-    initial : (3,) float64
+    initial_h0, initial_h1 : (3,) float64
         Probabilities of the states at the first sample after a restart.
     threshold, threshold_back : float, nats
         Of the test of model 1 against model 0, and of 0 against 1.
@@ -146,6 +160,8 @@ def hmm_cusum(
     upper_back = math.exp(threshold_back)
     highest = math.exp(accept)
     lowest = math.exp(reject)
+    zero = (h0, initial_h0)
+    one = (h1, initial_h1)
     density = np.empty((n, 3), np.float64)
     beam = np.empty(n, np.int64)
     for row in range(n_rows):
@@ -159,26 +175,26 @@ def hmm_cusum(
         begin = 0
         previous = -1
         while begin < m:
-            verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, initial, 1.0, upper, True)
+            verdict, alarm, onset = _sequential_test(density, begin, m, zero, one, 1.0, upper, True)
             if verdict == 0:
                 break
             first = onset if backdate else alarm
             if not sprt:
-                verdict, alarm, onset = _sequential_test(density, alarm + 1, m, h1, h0, initial, 1.0, upper_back, True)
+                verdict, alarm, onset = _sequential_test(density, alarm + 1, m, one, zero, 1.0, upper_back, True)
                 last = m - 1
                 if verdict != 0:
                     last = (onset if backdate else alarm) - 1
                 begin = alarm + 1
             else:
                 # the region has to be confirmed once before it may end
-                verdict, t, _ = _sequential_test(density, alarm + 1, m, h0, h1, initial, lowest, highest, False)
+                verdict, t, _ = _sequential_test(density, alarm + 1, m, zero, one, lowest, highest, False)
                 begin = t + 1
                 if verdict == 0:
                     break
                 if verdict < 0:
                     continue
                 while verdict > 0:
-                    verdict, t, _ = _sequential_test(density, t + 1, m, h0, h1, initial, lowest, highest, False)
+                    verdict, t, _ = _sequential_test(density, t + 1, m, zero, one, lowest, highest, False)
                 last = min(t, m - 1)
                 for back in range(last, alarm, -1):
                     if values[row, beam[back]] < 0.0:

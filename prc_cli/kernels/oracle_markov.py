@@ -8,6 +8,9 @@ from scipy.stats import norm
 
 from prc_cli.core.types import F32, F64, Mask
 
+Model = tuple[F64, F64]
+"""Transition probabilities (3, 3), row = from, and initial probabilities (3,)."""
+
 
 def hmm_cusum(
     values: F32,
@@ -15,7 +18,8 @@ def hmm_cusum(
     sigmas: F64,
     h0: F64,
     h1: F64,
-    initial: F64,
+    initial_h0: F64,
+    initial_h1: F64,
     threshold: float,
     threshold_back: float,
     backdate: bool,
@@ -30,8 +34,8 @@ def hmm_cusum(
         there = np.flatnonzero(~np.isnan(line))
         samples = line[there].astype(np.float64)
         log_density = norm.logpdf(samples[:, None], means, sigmas)
-        forward = (log_density, h0, h1, initial)
-        backward = (log_density, h1, h0, initial)
+        forward = (log_density, (h0, initial_h0), (h1, initial_h1))
+        backward = (log_density, (h1, initial_h1), (h0, initial_h0))
         regions: list[tuple[int, int]] = []
         now = 0
         while (change := page_test(*forward, now, threshold)) is not None:
@@ -66,14 +70,14 @@ def hmm_cusum(
     return marked
 
 
-def page_test(log_density: F64, h0: F64, h1: F64, initial: F64, begin: int, threshold: float) -> tuple[int, int] | None:
+def page_test(log_density: F64, zero: Model, one: Model, begin: int, threshold: float) -> tuple[int, int] | None:
     """Return alarm and onset of the first change from model 0 to model 1, None if there is none."""
     s, onset = 0.0, begin
     state_0: F64 | None = None
     state_1: F64 | None = None
     for t in range(begin, len(log_density)):
-        state_0 = step(state_0, h0, initial, log_density[t])
-        state_1 = step(state_1, h1, initial, log_density[t])
+        state_0 = step(state_0, *zero, log_density[t])
+        state_1 = step(state_1, *one, log_density[t])
         s += logsumexp(state_1) - logsumexp(state_0)
         if s > threshold:
             return t, onset
@@ -83,15 +87,15 @@ def page_test(log_density: F64, h0: F64, h1: F64, initial: F64, begin: int, thre
 
 
 def wald_test(
-    log_density: F64, h0: F64, h1: F64, initial: F64, begin: int, reject: float, accept: float
+    log_density: F64, zero: Model, one: Model, begin: int, reject: float, accept: float
 ) -> tuple[bool | None, int]:
     """Return the decision for model 1 and the sample after it; None if the samples run out before."""
     s = 0.0
     state_0: F64 | None = None
     state_1: F64 | None = None
     for t in range(begin, len(log_density)):
-        state_0 = step(state_0, h0, initial, log_density[t])
-        state_1 = step(state_1, h1, initial, log_density[t])
+        state_0 = step(state_0, *zero, log_density[t])
+        state_1 = step(state_1, *one, log_density[t])
         s += logsumexp(state_1) - logsumexp(state_0)
         if s > accept:
             return True, t + 1

@@ -87,10 +87,11 @@ MODELS = [
 
 def hmm_case(rng: Generator) -> tuple[Any, ...]:
     means, sigmas, h0 = MODELS[rng.integers(len(MODELS))]
-    initial = [[1 / 3, 1 / 3, 1 / 3], [0.2, 0.3, 0.5]][rng.integers(2)]
+    starts = [[1 / 3, 1 / 3, 1 / 3], [0.2, 0.3, 0.5], [0.05, 0.475, 0.475]]
+    initial_h0, initial_h1 = (starts[i] for i in rng.integers(3, size=2))
     return (
         signed(rng, *shape(rng)),
-        *(np.array(value, np.float64) for value in (means, sigmas, h0, FAST, initial)),
+        *(np.array(value, np.float64) for value in (means, sigmas, h0, FAST, initial_h0, initial_h1)),
         float(rng.choice([0.5, 2.5, 10.0])),
         float(rng.choice([0.5, 2.5, 10.0])),
         bool(rng.random() < 0.5),

@@ -45,7 +45,14 @@ class HmmParams(Params):
         (UNIFORM, UNIFORM, UNIFORM),
         description="transition probabilities of model 1, vegetation; row = from, each adds up to 1",
     )
-    initial: Row = Field(UNIFORM, description="probabilities of the states at the first sample after a restart")
+    initial_h0: Row = Field(
+        (0.05, 0.475, 0.475),
+        description="probabilities of the states of model 0 at the first sample of a start: stationary, so that this "
+        "sample tells something too; with 1/3 each it does not, and strictly alternating foliage is never found",
+    )
+    initial_h1: Row = Field(
+        UNIFORM, description="probabilities of the states of model 1 at the first sample of a start"
+    )
     threshold: float = Field(10.0, gt=0, le=100, description="log-likelihood ratio that vegetation begins at [nats]")
     threshold_back: float = Field(
         10.0, gt=0, le=100, description='log-likelihood ratio that vegetation ends at, with end = "cusum" [nats]'
@@ -69,7 +76,7 @@ class HmmParams(Params):
     def _rows_are_distributions(self) -> HmmParams:
         rows = [(f"h0 row {i + 1}", row) for i, row in enumerate(self.h0)]
         rows += [(f"h1 row {i + 1}", row) for i, row in enumerate(self.h1)]
-        for name, row in [*rows, ("initial", self.initial)]:
+        for name, row in [*rows, ("initial_h0", self.initial_h0), ("initial_h1", self.initial_h1)]:
             if abs(sum(row) - 1.0) > 1e-6:
                 msg = f"probabilities of {name} that add up to 1, found {sum(row):g}"
                 raise ValueError(msg)
@@ -104,7 +111,7 @@ def hmm_cusum(values: F32, params: HmmParams) -> Mask:
     >>> values = np.array([[90.0] * 20 + foliage + [0.0] * 20], np.float32)
     >>> found = np.flatnonzero(hmm_cusum(values, HmmParams())[0])
     >>> int(found[0]), int(found[-1])
-    (22, 49)
+    (20, 49)
     """
     return kernels.hmm_cusum(
         values,
@@ -112,7 +119,8 @@ def hmm_cusum(values: F32, params: HmmParams) -> Mask:
         _array(params.sigmas_deg),
         _array(params.h0),
         _array(params.h1),
-        _array(params.initial),
+        _array(params.initial_h0),
+        _array(params.initial_h1),
         params.threshold,
         params.threshold_back,
         params.backdate,

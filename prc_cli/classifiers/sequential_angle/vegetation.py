@@ -26,6 +26,9 @@ class DenseVegetationParams(HmmParams):
         (_CALM, _CALM, _CALM),
         description="transition probabilities of model 0, no vegetation; row = from, each adds up to 1 (published)",
     )
+    initial_h0: Row = Field(
+        _CALM, description="probabilities of the states of model 0 at the first sample of a start: those of its rows"
+    )
     threshold: float = Field(
         10.0, gt=0, le=100, description="log-likelihood ratio that vegetation begins at [nats] (published)"
     )
