@@ -5,9 +5,142 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from numpy.random import Generator
 
-CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {}
+from prc_cli.kernels import oracle_curb
+from prc_cli.kernels.ground import N_HEIGHTS
+
+
+def modes_case(rng: Generator) -> tuple[Any, ...]:
+    """Values on and beside the bins of a bandwidth of 1 or another one, in groups that just part, or just do not."""
+    bandwidth = float(rng.choice([1.0, 8.0, 0.3]))
+    n = int(rng.choice([0, 0, 1, 2, 3, 9, 30]))
+    centres = rng.choice([0.0, 1.0, 2.0, 2.125, 2.25, 4.0, 9.0, -3.0], n)
+    spread = rng.choice([0.0, 0.5, 2.0, 6.0])
+    values = centres * bandwidth + rng.integers(-16, 17, n) / 16 * spread * bandwidth
+    return values.astype(np.float64), bandwidth
+
+
+def histogram(rng: Generator, n: int) -> Any:
+    """Heights of a road, of car roofs, at the ends of the histogram, and on the edges of its coarse bins."""
+    level = rng.choice([-1.8, -1.8, -10.0, -0.01, 0.3])
+    z = (
+        level
+        + rng.choice([0.0, 0.0, 1.5, 0.15, 70.0, -70.0], n) * (rng.random(n) < 0.4)
+        + rng.integers(-30, 31, n) / 1e3
+    )
+    place = np.clip(np.floor((z + 60) * 1000), 0, N_HEIGHTS - 1).astype(int)
+    return np.bincount(place, minlength=N_HEIGHTS).astype(np.int64)
+
+
+def height_case(rng: Generator) -> tuple[Any, ...]:
+    return histogram(rng, int(rng.choice([0, 1, 2, 7, 60]))), float(rng.choice([0.05, 0.0, 0.5]))
+
+
+def rows(rng: Generator) -> tuple[Any, ...]:
+    """Rows with roads at several heights and slopes, line angles in groups, runs broken by other surfaces."""
+    n_rows, n = int(rng.integers(1, 4)), int(rng.choice([1, 5, 14, 30, 70]))
+    shape = (n_rows, n)
+    kinds = rng.choice([0, 2, 3, 1, 4], p=[0.1, 0.75, 0.1, 0.03, 0.02], size=shape)
+    step = int(rng.choice([1, 8]))
+    surface = np.where(rng.random() < 0.3, 2, np.repeat(kinds[:, ::step], step, axis=1)[:, :n]).astype(np.uint8)
+    surface[rng.random(shape) < rng.choice([0.0, 0.1])] = 0
+    x = np.cumsum(rng.choice([0.02, 0.05, 0.5], shape), axis=1) + 1.0
+    level = np.repeat(rng.choice([-1.8, -1.8, -1.75, -1.6, -0.3], shape)[:, ::15], 15, axis=1)[:, :n]
+    z = level + rng.integers(-5, 6, shape) / 1000 + rng.choice([0.0, 0.05, -0.05]) * x
+    xyz = np.stack([x, np.zeros(shape), z], axis=-1).astype(np.float32)
+    xyz[surface == 0] = np.nan
+    far = float(rng.choice([0.0, 5.0, 10.3125, 20.0]))
+    groups = np.repeat(rng.choice([90.0, 90.0, 90.0 + far], shape)[:, ::7], 7, axis=1)[:, :n]
+    phihat = (groups + rng.integers(-8, 9, shape) / 8 * rng.choice([0.0, 2.5, 5.0])).astype(np.float32)
+    ahead = np.full(shape, -1, np.int32)
+    for row in range(n_rows):
+        valid = np.flatnonzero(surface[row] != 0)
+        ahead[row, valid[:-1]] = valid[1:]
+    phihat[(surface != 2) | (ahead < 0) | (rng.random(shape) < rng.choice([0.0, 0.3]))] = np.nan
+    n_beams = rng.integers(max(n - 3, 1), n + 1, n_rows).astype(np.int32)
+    first_run = int(rng.choice([3, 4, 10]))
+    rules = (first_run, int(rng.choice([1, 5])), int(rng.choice([2, 3])), float(rng.choice([5.0, 2.0])), 3.0)
+    noise = float(rng.choice([0.0, 0.001, 0.005]))
+    horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
+    return surface, xyz, horizontal, phihat, ahead, n_beams, (*rules, noise)
+
+
+def potential_case(rng: Generator) -> tuple[Any, ...]:
+    surface, xyz, _, phihat, ahead, n_beams, rules = rows(rng)
+    return surface, xyz, phihat, ahead, n_beams, *rules
+
+
+def ground_case(rng: Generator) -> tuple[Any, ...]:
+    surface, xyz, horizontal, phihat, ahead, n_beams, rules = rows(rng)
+    known = histogram(rng, int(rng.choice([0, 3, 20])))
+    z_g = float(rng.choice([-1.8, -1.8, np.nan, -1.62, 0.0]))
+    state = (known, z_g, int(rng.integers(0, 3)), int(rng.choice([0, 5, 50])))
+    growth = (int(rng.choice([2, 10])), float(rng.choice([0.1, 0.01])))
+    count_all = bool(rng.random() < 0.5)
+    return surface, xyz, horizontal, phihat, ahead, n_beams, *rules, *state, 0.05, count_all, 0.1, *growth
+
+
+def possible_case(rng: Generator) -> tuple[Any, ...]:
+    shape = (int(rng.integers(1, 4)), int(rng.choice([1, 4, 20, 60])))
+    surface = rng.choice([0, 1, 2, 3, 4], p=[0.2, 0.1, 0.2, 0.45, 0.05], size=shape).astype(np.uint8)
+    range_m = (5.0 + rng.integers(-2, 3, shape) * rng.choice([0.0, 0.0078125, 0.5]) - np.arange(shape[1]) / 64).astype(
+        np.float32
+    )
+    z = np.where(rng.random(shape) < 0.05, 0.5, -1.8 + np.arange(shape[1]) * 0.05)
+    xyz = np.stack([range_m, range_m, z], axis=-1).astype(np.float32)
+    range_m[surface == 0] = np.nan
+    xyz[surface == 0] = np.nan
+    ground = (surface == 2) & (np.arange(shape[1]) < rng.integers(0, shape[1] + 1, (shape[0], 1)))
+    z_g = np.full(shape[0], rng.choice([-1.8, -2.5]), np.float32)
+    return surface, range_m, xyz, ground, z_g, int(rng.choice([1, 5, 30])), float(rng.choice([0.01, 0.0078125])), 2.0
+
+
+def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tuple[Any, ...]:
+    """Low steps, walls and single points on a grid of 0.1 m or 0.25 m, so that distances and heights tie."""
+    shape = (n_lines * n_sides, n)
+    surface = np.where(rng.random(shape) < rng.choice([0.2, 0.5, 0.8]), 3, rng.choice([0, 2], shape)).astype(np.uint8)
+    step = rng.choice([0.0625, 0.125, 0.25])
+    z = rng.integers(0, 3, shape) * rng.choice([0.0625, 0.125]) - 1.75
+    lines = np.repeat(np.arange(n_lines), n_sides)[:, None]
+    xyz = np.stack([5 + np.arange(n) * step + 0 * lines, lines * step + np.zeros(n), z], axis=-1).astype(np.float32)
+    xyz[surface == 0] = np.nan
+    signed = rng.choice([0.0, 10.0, 20.0, 40.0, np.nan], shape, p=[0.3, 0.3, 0.2, 0.1, 0.1]).astype(np.float32)
+    possible = rng.integers(-n, n, shape[0]).clip(-1).astype(np.int32)
+    return surface, xyz, signed, possible
+
+
+def connect_case(rng: Generator) -> tuple[Any, ...]:
+    """A call in the middle of a stream: what came before is what the twin itself carried over."""
+    n_sides, n = int(rng.integers(1, 3)), int(rng.choice([1, 3, 8, 16]))
+    min_lines = int(rng.choice([1, 2, 3, 5]))
+    rules = (
+        float(rng.choice([0.3, 0.25, 0.125])), float(rng.choice([0.2, 0.125])), min_lines, 20.0,
+        int(rng.choice([1, 2, 4, 200])), bool(rng.random() < 0.5),
+    )  # fmt: skip
+    state: tuple[Any, ...] = (
+        np.zeros((n_sides, n), np.int32), 1, np.full((n_sides, n, 3), np.nan, np.float32),
+        np.full(((min_lines - 1) * n_sides, n), np.nan, np.float32), np.zeros((0, 4), np.int32),
+        np.zeros((0, 2), np.float32),
+    )  # fmt: skip
+    for _ in range(rng.integers(0, 3)):
+        surface, xyz, signed, possible = lines_of_verticals(rng, int(rng.integers(1, 4)), n_sides, n)
+        _, *left = oracle_curb.connect_verticals(surface, xyz, signed, possible, n_sides, *state, *rules, False)
+        angles = np.concatenate([state[3], signed])
+        state = (left[0], left[1], xyz[-n_sides:].copy(), angles[len(angles) - len(state[3]) :], left[2], left[3])
+    new = lines_of_verticals(rng, int(rng.integers(0, 6)), n_sides, n)
+    return *new, n_sides, *state, *rules, bool(rng.random() < 0.3)
+
+
+CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "connect_verticals": connect_case,
+    "find_modes": modes_case,
+    "ground_rows": ground_case,
+    "main_height": height_case,
+    "possible_curbs": possible_case,
+    "potential_heights": potential_case,
+}
 
 TOLERANCES: dict[str, float] = {}
 """Kernels whose floats may differ from the twin's by this much, absolute; all others are equal bit for bit."""

@@ -1,0 +1,699 @@
+"""Loops over rows: modes of samples, the ground within a row and its height across rows (Stamos et al. 2012, sec. 5).
+
+The ground algorithm asks after every point whether the line angles so far have one mode. Mean shift from every sample
+would make that cubic in the points of a row. Here samples fall into bins of an eighth of a bandwidth, the density of
+a bin is a sum of whole numbers from one table, and a sample that is added changes it by additions alone: exact, in any
+order, hence equal to the density computed anew. Its maxima are the points where mean shift ends, the minima between
+them part their samples.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+from prc_cli.kernels.cache import helper, kernel
+
+PER_BANDWIDTH = 8
+"""Bins of a bandwidth."""
+HALF = 43
+"""Bins on either side beyond which the table is zero, 5.4 bandwidths."""
+WEIGHT = np.rint(2.0**20 * np.exp(-0.5 * (np.arange(-HALF, HALF + 2) / PER_BANDWIDTH) ** 2)).astype(np.int64)
+"""Gaussian kernel in whole numbers, one entry a bin, and a zero at the end."""
+CLEAR = 2 * PER_BANDWIDTH - 1
+"""Samples that span at most this many bins have one mode: means within two standard deviations give a density whose
+logarithm is concave, since the variance of what lies in an interval is at most the square of half its length."""
+LARGEST_DEG = 360.0
+"""Line angles lie between 0 and this."""
+N_HEIGHTS = 120_000
+"""Bins of the histogram of heights, 1 mm each."""
+LOWEST_M = -60.0
+"""Height where its first bin begins."""
+
+_HORIZONTAL = 2
+_MISSING = 0
+
+# slots of a set of binned samples
+_N, _LO, _HI, _BUILT, _PEAK = 0, 1, 2, 3, 4
+# further slots of the heights
+_MEDIAN, _BELOW, _WIDTH, _FIRST, _LAST = 5, 6, 7, 8, 9
+_SLOTS = 10
+
+
+@helper
+def _walk(hist: I64, density: I64, lo: int, hi: int, tops: I64, counts: I64) -> int:
+    """List the maxima of a density from low to high: twice their place, and the samples between the minima around."""
+    n = 0
+    last = 0
+    best = 0
+    k = lo
+    while k <= hi:
+        count = 0
+        while k < hi and density[k + 1] >= density[k]:
+            count += hist[k]
+            k += 1
+        height = density[k]
+        first = k
+        while first > lo and density[first - 1] == height:
+            first -= 1
+        top = first + k
+        count += hist[k]
+        while k < hi and density[k + 1] <= density[k]:
+            k += 1
+            count += hist[k]
+        k += 1
+        if n > 0 and top - last < PER_BANDWIDTH:  # twice a place against twice half a bandwidth
+            counts[n - 1] += count
+            if height > best:
+                tops[n - 1] = top
+                best = height
+        else:
+            tops[n] = top
+            counts[n] = count
+            best = height
+            n += 1
+        last = top
+    return n
+
+
+@helper
+def _build(hist: I64, density: I64, lo: int, hi: int) -> None:
+    """Compute the density of binned samples; it must be zero before."""
+    for q in range(lo, hi + 1):
+        if hist[q] > 0:
+            for j in range(2 * HALF + 1):
+                density[q - HALF + j] += hist[q] * WEIGHT[j]
+
+
+@helper
+def _clear(hist: I64, density: I64, state: I64) -> None:
+    """Forget all samples."""
+    if state[_N] > 0:
+        hist[state[_LO] : state[_HI] + 1] = 0
+        if state[_BUILT]:
+            density[state[_LO] - HALF : state[_HI] + HALF + 1] = 0
+    state[_N] = 0
+    state[_BUILT] = 0
+    state[_PEAK] = -1
+
+
+@helper
+def _add(hist: I64, density: I64, state: I64, q: int) -> None:
+    """Add a sample to a bin."""
+    hist[q] += 1
+    if state[_N] == 0:
+        state[_LO] = q
+        state[_HI] = q
+    else:
+        state[_LO] = min(state[_LO], q)
+        state[_HI] = max(state[_HI], q)
+    state[_N] += 1
+    if state[_BUILT]:
+        for j in range(2 * HALF + 1):
+            density[q - HALF + j] += WEIGHT[j]
+
+
+@helper
+def _has_one_mode(hist: I64, density: I64, state: I64, q: int, least: int, tops: I64, counts: I64) -> bool:
+    """Tell whether just one mode has enough samples; ``q`` is the bin of the sample that was added last."""
+    lo, hi = state[_LO], state[_HI]
+    if state[_N] < least:
+        return False
+    if hi - lo <= CLEAR:
+        return True
+    if not state[_BUILT]:
+        _build(hist, density, lo, hi)
+        state[_BUILT] = 1
+        state[_PEAK] = -1
+    if state[_PEAK] >= 0:
+        # one maximum before: a second one can only arise between it and the new sample, on either side of which both
+        # parts of the density rise, or fall, together
+        k = min(state[_PEAK], q)
+        end = max(state[_PEAK], q)
+        while k < end and density[k + 1] >= density[k]:
+            k += 1
+        peak = k
+        while k < end and density[k + 1] <= density[k]:
+            k += 1
+        if k == end:
+            state[_PEAK] = peak
+            return True
+    n = _walk(hist, density, lo, hi, tops, counts)
+    state[_PEAK] = tops[0] // 2 if n == 1 else -1
+    enough = 0
+    for i in range(n):
+        enough += counts[i] >= least
+    return enough == 1
+
+
+@kernel("Tuple((float64[::1], int64[::1]))(float64[::1], float64)")
+def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
+    """Find the modes of samples by mean shift with a Gaussian kernel (Comaniciu and Meer 2002), on a grid.
+
+    Parameters
+    ----------
+    values : (n,) float64
+        Finite.
+    bandwidth : float
+        Standard deviation of the kernel, in the unit of the values.
+
+    Returns
+    -------
+    places : (m,) float64
+        Modes that have samples, rising; to an eighth of a bandwidth.
+    counts : (m,) int64
+        Samples of every mode.
+    """
+    width = bandwidth / PER_BANDWIDTH
+    if len(values) == 0:
+        return np.empty(0, np.float64), np.empty(0, np.int64)
+    base = int(np.floor(values.min() / width))
+    size = int(np.floor(values.max() / width)) - base + 1
+    hist = np.zeros(size + 2 * HALF, np.int64)
+    density = np.zeros(size + 2 * HALF, np.int64)
+    for value in values:
+        hist[int(np.floor(value / width)) - base + HALF] += 1
+    _build(hist, density, HALF, HALF + size - 1)
+    tops = np.empty(size, np.int64)
+    counts = np.empty(size, np.int64)
+    n = _walk(hist, density, HALF, HALF + size - 1, tops, counts)
+    kept = counts[:n] > 0
+    return (tops[:n][kept] / 2.0 - HALF + base + 0.5) * width, counts[:n][kept]
+
+
+@helper
+def _bandwidth(xyz: F32, one: int, other: int, least: float, sigmas: float, noise: float) -> float:
+    """Return the bandwidth for line angles [deg] at a point with a chord to another one.
+
+    The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from the cross product.
+    """
+    x, y, z = np.float64(xyz[one, 0]), np.float64(xyz[one, 1]), np.float64(xyz[one, 2])
+    dx, dy, dz = np.float64(xyz[other, 0]) - x, np.float64(xyz[other, 1]) - y, np.float64(xyz[other, 2]) - z
+    cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+    cross = np.sqrt(cx * cx + cy * cy + cz * cz)
+    chord_2 = dx * dx + dy * dy + dz * dz
+    sigma = 57.29577951308232 * 1.4142135623730951 * noise * cross / (chord_2 * np.sqrt(x * x + y * y + z * z))
+    found = max(least, sigmas * sigma)
+    return found if found < 180.0 else 180.0  # also where there is no chord
+
+
+@helper
+def _bin(angle: float, width: float, size: int) -> int:
+    """Return the bin of a line angle."""
+    return min(max(int(np.floor(angle / width)), 0), size - 1) + HALF
+
+
+@helper
+def _collect(phihat: F32, beams: I32, first: int, end: int, sampled: I32, n_samples: int) -> int:
+    """Append those of some points that have a line angle to the samples; returns how many samples there are then."""
+    for i in range(first, end):
+        if phihat[beams[i]] == phihat[beams[i]]:
+            sampled[n_samples] = beams[i]
+            n_samples += 1
+    return n_samples
+
+
+@helper
+def _potential(
+    surface: U8,
+    xyz: F32,
+    phihat: F32,
+    ahead: I32,
+    n: int,
+    start: int,
+    first_run: int,
+    least: int,
+    smallest: float,
+    sigmas: float,
+    noise: float,
+    beams: I32,
+    sampled: I32,
+    hist: I64,
+    density: I64,
+    state: I64,
+    tops: I64,
+    counts: I64,
+) -> tuple[int, float]:
+    """Find potential ground in a row from a beam on: how many points, left in ``beams``, and the bandwidth (part a)."""
+    size = len(hist) - 2 * HALF
+    n_samples = 0
+    n_points = 0
+    renew_at = 0
+    b = width = 0.0
+    k = start
+    growing = False
+    while True:
+        # the next horizontal point; anything else than a missing shot ends the run
+        while k < n and surface[k] == _MISSING:
+            k += 1
+        if k >= n or surface[k] != _HORIZONTAL:
+            if growing:
+                return n_points - 2, b
+            if k >= n:
+                return 0, b
+            n_points = 0
+            k += 1
+            continue
+        beams[n_points] = k
+        n_points += 1
+        k += 1
+        if n_points < first_run:
+            continue
+        one_mode = True
+        before = n_samples
+        if not growing:
+            n_samples = _collect(phihat, beams, 0, n_points - 1, sampled, 0)
+            renew_at = n_samples
+            one_mode = n_samples >= least
+        else:
+            n_samples = _collect(phihat, beams, n_points - 2, n_points - 1, sampled, before)
+            if before < n_samples < renew_at:
+                q = _bin(phihat[sampled[before]], width, size)
+                _add(hist, density, state, q)
+                one_mode = _has_one_mode(hist, density, state, q, least, tops, counts)
+        if one_mode and n_samples >= renew_at:
+            # the bandwidth follows the middle of the set whenever the set has grown by a quarter: that keeps the
+            # work proportional to the number of points, whatever the bandwidth does
+            renew_at = n_samples + n_samples // 4 + 1
+            middle = sampled[n_samples // 2]
+            b = _bandwidth(xyz, middle, ahead[middle], smallest, sigmas, noise)
+            width = b / PER_BANDWIDTH
+            _clear(hist, density, state)
+            q = 0
+            for i in range(n_samples):
+                q = _bin(phihat[sampled[i]], width, size)
+                _add(hist, density, state, q)
+            one_mode = _has_one_mode(hist, density, state, q, least, tops, counts)
+        if growing and not one_mode:
+            return n_points - 2, b
+        if one_mode:
+            growing = True
+        else:  # no ground at this start: go one point on
+            for i in range(n_points - 1):
+                beams[i] = beams[i + 1]
+            n_points -= 1
+
+
+@helper
+def _lowest_mean(xyz: F32, beams: I32, n_points: int, lowest: int) -> float:
+    """Return the mean height of the lowest points."""
+    heights = np.empty(lowest, np.float64)
+    kept = 0
+    for i in range(n_points):
+        z = np.float64(xyz[beams[i], 2])
+        if kept == lowest and z >= heights[kept - 1]:
+            continue
+        j = kept if kept < lowest else kept - 1
+        while j > 0 and heights[j - 1] > z:
+            heights[j] = heights[j - 1]
+            j -= 1
+        heights[j] = z
+        kept = min(kept + 1, lowest)
+    total = 0.0
+    for i in range(kept):
+        total += heights[i]
+    return total / kept
+
+
+@helper
+def _main(counts: I64, n: int) -> int:
+    """Return the mode with most samples, of equals the lowest."""
+    best = 0
+    for i in range(1, n):
+        if counts[i] > counts[best]:
+            best = i
+    return best
+
+
+@helper
+def _extend(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    phihat: F32,
+    n: int,
+    beams: I32,
+    n_points: int,
+    mode: float,
+    b: float,
+    n_fit: int,
+    guard: float,
+) -> int:
+    """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
+    k = beams[n_points - 1] + 1
+    while k < n:
+        if surface[k] == _MISSING:
+            k += 1
+            continue
+        if surface[k] != _HORIZONTAL or abs(np.float64(phihat[k]) - mode) > b:
+            break
+        first = max(n_points - n_fit, 0)
+        count = n_points - first
+        mean_x = 0.0
+        mean_z = 0.0
+        for i in range(first, n_points):
+            mean_x += np.float64(horizontal[beams[i]])
+            mean_z += np.float64(xyz[beams[i], 2])
+        mean_x /= count
+        mean_z /= count
+        sxx = 0.0
+        sxz = 0.0
+        for i in range(first, n_points):
+            dx = np.float64(horizontal[beams[i]]) - mean_x
+            sxx += dx * dx
+            sxz += dx * (np.float64(xyz[beams[i], 2]) - mean_z)
+        slope = sxz / (sxx + count * guard * guard)
+        expected = mean_z + slope * (np.float64(horizontal[k]) - mean_x)
+        if not abs(np.float64(xyz[k, 2]) - expected) <= guard:
+            break
+        beams[n_points] = k
+        n_points += 1
+        k += 1
+    return n_points
+
+
+@helper
+def _height_bin(z: float) -> int:
+    """Return the millimetre of a height; what lies outside counts in the end bins."""
+    return int(min(max(np.floor((z - LOWEST_M) * 1000.0), 0.0), N_HEIGHTS - 1.0))
+
+
+@helper
+def _coarse(histogram: I64, hist: I64, density: I64, state: I64, width: int) -> None:
+    """Bin the histogram of heights in an eighth of the bandwidth."""
+    _clear(hist, density, state)
+    state[_WIDTH] = width
+    for i in range(state[_FIRST], state[_LAST] + 1):
+        if histogram[i] > 0:
+            hist[i // width + HALF] += histogram[i]
+            state[_N] += histogram[i]
+    state[_LO] = state[_FIRST] // width + HALF
+    state[_HI] = state[_LAST] // width + HALF
+    state[_BUILT] = 1
+    _build(hist, density, state[_LO], state[_HI])
+
+
+@helper
+def _height_width(median: int, share: float) -> int:
+    """Return an eighth of the bandwidth of heights [mm], rounded up."""
+    return max(1, int(np.ceil(share * abs(median + 0.5 + 1000.0 * LOWEST_M) / PER_BANDWIDTH)))
+
+
+@helper
+def _open_heights(histogram: I64, hist: I64, density: I64, state: I64, share: float) -> None:
+    """Take a histogram of heights up: its ends, its (lower) median, its density."""
+    n = 0
+    for i in range(N_HEIGHTS):
+        if histogram[i] > 0:
+            if n == 0:
+                state[_FIRST] = i
+            state[_LAST] = i
+            n += histogram[i]
+    if n == 0:
+        return
+    below = 0
+    median = state[_FIRST]
+    while below + histogram[median] <= (n - 1) // 2:
+        below += histogram[median]
+        median += 1
+    state[_MEDIAN] = median
+    state[_BELOW] = below
+    _coarse(histogram, hist, density, state, _height_width(median, share))
+
+
+@helper
+def _add_height(histogram: I64, hist: I64, density: I64, state: I64, z: float, share: float) -> None:
+    """Add a height to histogram, median and density."""
+    new = _height_bin(z)
+    histogram[new] += 1
+    if state[_N] == 0:
+        _open_heights(histogram, hist, density, state, share)
+        return
+    state[_FIRST] = min(state[_FIRST], new)
+    state[_LAST] = max(state[_LAST], new)
+    median, below = state[_MEDIAN], state[_BELOW]
+    if new < median:
+        below += 1
+    rank = state[_N] // 2  # of n + 1 heights
+    while below > rank:
+        median -= 1
+        below -= histogram[median]
+    while below + histogram[median] <= rank:
+        below += histogram[median]
+        median += 1
+    state[_MEDIAN] = median
+    state[_BELOW] = below
+    width = _height_width(median, share)
+    if width == state[_WIDTH]:
+        _add(hist, density, state, new // width + HALF)
+    else:
+        _coarse(histogram, hist, density, state, width)
+
+
+@helper
+def _main_height(histogram: I64, hist: I64, density: I64, state: I64, tops: I64, counts: I64) -> tuple[int, float]:
+    """Return the samples of the main mode of the heights, and its place [m] after mean shift on the millimetres."""
+    if state[_N] == 0:
+        return 0, np.nan
+    width = state[_WIDTH]
+    best = _main(counts, _walk(hist, density, state[_LO], state[_HI], tops, counts))
+    place = ((tops[best] - 2 * HALF) * width + width) // 2
+    shift = 0.0
+    for _ in range(20):
+        moment = 0
+        mass = 0
+        reach = (HALF + 1) * width - 1
+        for i in range(max(state[_FIRST], place - reach), min(state[_LAST], place + reach) + 1):
+            if histogram[i] > 0:
+                away = abs(i - place)
+                j = away // width
+                rest = away - j * width
+                weight = (WEIGHT[HALF + j] * (width - rest) + WEIGHT[HALF + j + 1] * rest) // width
+                moment += weight * histogram[i] * (i - place)
+                mass += weight * histogram[i]
+        if mass == 0:
+            break
+        shift = moment / mass
+        step = int(np.floor(shift + 0.5))
+        if step == 0:
+            break
+        place += step
+        shift = 0.0
+    return counts[best], (place + 0.5 + shift) / 1000.0 + LOWEST_M
+
+
+@kernel("Tuple((int64, float64))(int64[::1], float64)")
+def main_height(histogram: I64, share: float) -> tuple[int, float]:
+    """Find the main mode of heights.
+
+    Parameters
+    ----------
+    histogram : (N_HEIGHTS,) int64
+        Heights, in millimetres from :data:`LOWEST_M`.
+    share : float
+        Bandwidth as a share of the median height; rounded up to a multiple of 8 mm.
+
+    Returns
+    -------
+    count : int
+        Heights of the main mode, 0 if there are none at all.
+    height : float
+        Its place [m], NaN if there are none.
+    """
+    hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
+    density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
+    tops = np.empty(N_HEIGHTS, np.int64)
+    counts = np.empty(N_HEIGHTS, np.int64)
+    state = np.zeros(_SLOTS, np.int64)
+    _open_heights(histogram, hist, density, state, share)
+    return _main_height(histogram, hist, density, state, tops, counts)
+
+
+@kernel(
+    "Tuple((int32[::1], float64[::1]))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[:, ::1], int32[::1], "
+    "int64, int64, int64, float64, float64, float64)"
+)
+def potential_heights(
+    surface: U8,
+    xyz: F32,
+    phihat: F32,
+    ahead: I32,
+    n_beams: I32,
+    first_run: int,
+    lowest: int,
+    least: int,
+    smallest: float,
+    sigmas: float,
+    noise: float,
+) -> tuple[I32, F64]:
+    """Find the first potential ground of every row and its height (part a).
+
+    Parameters
+    ----------
+    surface : (R, n) uint8
+    xyz : (R, n, 3) float32, metres
+    phihat : (R, n) float32, degrees
+        Line angles, NaN where there is none.
+    ahead : (R, n) int32
+        Beam that the line angle was measured to.
+    n_beams : (R,) int32
+    first_run : int
+        Horizontal points in a row to begin with, at least 3.
+    lowest : int
+        Points whose mean height is the height of potential ground.
+    least : int
+        Samples that make a mode.
+    smallest, sigmas, noise : float
+        Bandwidth: the larger of ``smallest`` [deg] and so many standard deviations at a range noise [m].
+
+    Returns
+    -------
+    n_points : (R,) int32
+        Points of potential ground, 0 = none.
+    height : (R,) float64
+        Its height [m], NaN = none.
+    """
+    n_rows, n = surface.shape
+    size = int(np.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest)) + 1
+    hist = np.zeros(size + 2 * HALF, np.int64)
+    density = np.zeros(size + 2 * HALF, np.int64)
+    tops = np.empty(size, np.int64)
+    counts = np.empty(size, np.int64)
+    state = np.zeros(_SLOTS, np.int64)
+    beams = np.empty(n + 1, np.int32)
+    sampled = np.empty(n + 1, np.int32)
+    n_found = np.zeros(n_rows, np.int32)
+    height = np.full(n_rows, np.nan)
+    for row in range(n_rows):
+        n_points, _ = _potential(
+            surface[row], xyz[row], phihat[row], ahead[row], n_beams[row], 0, first_run, least, smallest, sigmas,
+            noise, beams, sampled, hist, density, state, tops, counts,
+        )  # fmt: skip
+        if n_points > 0:
+            n_found[row] = n_points
+            height[row] = _lowest_mean(xyz[row], beams, n_points, lowest)
+    return n_found, height
+
+
+@kernel(
+    "Tuple((boolean[:, ::1], float32[::1], int64[::1], float64))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
+    "float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64[::1], float64, "
+    "int64, int64, float64, boolean, float64, int64, float64)"
+)
+def ground_rows(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    phihat: F32,
+    ahead: I32,
+    n_beams: I32,
+    first_run: int,
+    lowest: int,
+    least: int,
+    smallest: float,
+    sigmas: float,
+    noise: float,
+    histogram: I64,
+    z_g: float,
+    n_counted: int,
+    n_start: int,
+    share: float,
+    count_all: bool,
+    tolerance: float,
+    n_fit: int,
+    guard: float,
+) -> tuple[Mask, F32, I64, float]:
+    """Verify and grow the ground of every row and follow its height (part b).
+
+    Parameters
+    ----------
+    surface, xyz, phihat, ahead, n_beams, first_run, lowest, least, smallest, sigmas, noise
+        As in :func:`potential_heights`.
+    horizontal : (R, n) float32, metres
+        Horizontal distance from the scanner.
+    histogram : (N_HEIGHTS,) int64
+        Heights so far, in millimetres from :data:`LOWEST_M`; not changed.
+    z_g : float, metres
+        Height of the ground so far, NaN = unknown.
+    n_counted : int
+        Rows at the beginning whose heights the histogram holds already.
+    n_start : int
+        Heights that a first estimate of the ground needs.
+    share : float
+        As in :func:`main_height`.
+    count_all : bool
+        Count heights of rows without ground too.
+    tolerance : float
+        Difference between a row's height and ``z_g``, as a share of ``z_g``, below which it is ground.
+    n_fit : int
+        Ground points that the local line is laid through.
+    guard : float, metres
+        Height above or below the local line up to which ground grows.
+
+    Returns
+    -------
+    ground : (R, n) bool
+    z_g : (R,) float32
+        Height of the ground after every row [m].
+    histogram : (N_HEIGHTS,) int64
+    z_g : float
+        After the last row.
+    """
+    n_rows, n = surface.shape
+    size = int(np.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest)) + 1
+    hist = np.zeros(size + 2 * HALF, np.int64)
+    density = np.zeros(size + 2 * HALF, np.int64)
+    tops = np.empty(max(size, N_HEIGHTS), np.int64)
+    counts = np.empty(max(size, N_HEIGHTS), np.int64)
+    state = np.zeros(_SLOTS, np.int64)
+    beams = np.empty(n + 1, np.int32)
+    sampled = np.empty(n + 1, np.int32)
+    heights = histogram.copy()
+    z_hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
+    z_density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
+    z_state = np.zeros(_SLOTS, np.int64)
+    _open_heights(heights, z_hist, z_density, z_state, share)
+    ground = np.zeros((n_rows, n), np.bool_)
+    z_rows = np.empty(n_rows, np.float32)
+    for row in range(n_rows):
+        counted = row < n_counted
+        start = 0
+        height = np.nan
+        accepted = False
+        while not accepted:
+            n_points, b = _potential(
+                surface[row], xyz[row], phihat[row], ahead[row], n_beams[row], start, first_run, least, smallest,
+                sigmas, noise, beams, sampled, hist, density, state, tops, counts,
+            )  # fmt: skip
+            if n_points == 0:
+                break
+            height = _lowest_mean(xyz[row], beams, n_points, lowest)
+            if not counted and z_state[_N] < n_start:  # too few to begin with: caught up on the way
+                _add_height(heights, z_hist, z_density, z_state, height, share)
+                counted = True
+                _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
+            accepted = abs(height - z_g) / abs(z_g) < tolerance
+            start = beams[n_points - 1] + 1
+            if accepted:
+                # the main mode of the points that are ground now
+                _clear(hist, density, state)
+                for i in range(n_points):
+                    angle = phihat[row, beams[i]]
+                    if angle == angle:
+                        _add(hist, density, state, _bin(angle, b / PER_BANDWIDTH, size))
+                _build(hist, density, state[_LO], state[_HI])
+                state[_BUILT] = 1
+                best = tops[_main(counts, _walk(hist, density, state[_LO], state[_HI], tops, counts))]
+                mode = (best / 2.0 - HALF + 0.5) * (b / PER_BANDWIDTH)
+                n_points = _extend(
+                    surface[row], xyz[row], horizontal[row], phihat[row], n_beams[row], beams, n_points, mode, b,
+                    n_fit, guard,
+                )  # fmt: skip
+                for i in range(n_points):
+                    ground[row, beams[i]] = True
+        if not counted and height == height and (accepted or count_all):
+            _add_height(heights, z_hist, z_density, z_state, height, share)
+            if accepted:
+                _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
+        z_rows[row] = z_g
+    return ground, z_rows, heights, z_g
