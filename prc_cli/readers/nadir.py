@@ -35,6 +35,8 @@ MAX_FALL = 1.05
 """Metres that a height may fall a metre of range; rounding leaves a little over 1."""
 MIN_SPREAD = 1e-3
 """Least ratio of the two extents of a fit of heights."""
+LEAST_STEP_RAD = 1e-9
+"""Angles closer than this are equal."""
 N_TRIMS = 5
 
 _TURN = 2 * math.pi
@@ -251,10 +253,11 @@ def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
 
 def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
     """Return knots, strictly growing, of the growing function closest to the angles."""
-    fitted = isotonic_regression(angle, weights=weight)
-    first = fitted.blocks[:-1]
+    value = isotonic_regression(angle, weights=weight).x
+    # sums of equal angles differ in their last bits
+    first = np.flatnonzero(np.diff(value, prepend=-np.inf) > LEAST_STEP_RAD)
     total = np.add.reduceat(weight, first)
-    return np.add.reduceat(weight * column, first) / total, fitted.x[first]
+    return np.add.reduceat(weight * column, first) / total, value[first]
 
 
 @dataclass(frozen=True, slots=True)
