@@ -1,0 +1,211 @@
+"""Curbs: where one may begin in a row, and their proof across lines (Stamos et al. 2012, sec. 6).
+
+The first vertical point after the ground that nothing lies under is a possible curb point. Vertical points that are
+neighbours on the grid of lines and beams and close in space form regions. A region that is complete, has a possible
+curb point and is low is a curb when it spans three lines, or when it is straight.
+
+Readings where the text is silent or can be read in two ways:
+
+- Neighbours are the eight around a point, closer than 0.3 m.
+- A region is complete when a line of its side adds nothing to it. One that goes on for very many lines is decided as
+  it is, which bounds the memory; what follows it is a new region.
+- "Vertical curvature" is the change of the signed angle between neighbouring points of the region in a line. A region
+  without such a pair is not shown to be straight.
+- What lies behind a curb is measured horizontally.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.core.config import Params
+from prc_cli.core.types import F32, I32, U8, Mask
+
+
+class CurbParams(Params):
+    """How curbs are found and proven (``[sequential_angle.curb]``)."""
+
+    under_points: int = Field(
+        30, ge=1, le=100_000, description="points before a point that are looked at for something under it (published)"
+    )
+    under_m: float = Field(
+        0.01, ge=0, le=100, description="something lies under a point when it is farther away by more than this "
+        "(published) [m]"
+    )  # fmt: skip
+    search_height_m: float = Field(
+        2.0, ge=0, le=1000, description="height above the ground where the search for a curb ends (published) [m]"
+    )
+    grouping_m: float = Field(
+        0.3, gt=0, le=100, description="neighbouring vertical points closer than this belong to one region [m]"
+    )
+    max_height_m: float = Field(0.2, gt=0, le=100, description="a higher region is not a curb (published) [m]")
+    height: Literal["region", "line"] = Field(
+        "region",
+        description='the height of a region is that of the whole "region", or the largest within one "line", which '
+        "does not grow along a street that is not level",
+    )
+    min_lines: int = Field(
+        3, ge=1, le=1000, description="lines that make a curb of a region with a possible curb point (published)"
+    )
+    curvature_deg: float = Field(
+        20.0, ge=0, le=360, description="with fewer lines, the median change of angle must be less than this [deg]"
+    )
+    max_lines: int = Field(
+        200, ge=1, le=100_000, description="a region of so many lines is decided as it is: bounds memory and delay"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurbState:
+    """The regions that are not decided, between two calls; P lines at most ``max_lines``."""
+
+    labels: I32
+    """(P * n_sides, n) int32, regions in the lines that are not final, at least in the last line."""
+    n_given: int
+    """1 when that last line is final already, else 0."""
+    xyz_m: F32
+    """(n_sides, n, 3) float32, points of the last line [m]."""
+    signed_deg: F32
+    """((min_lines - 1) * n_sides, n) float32, signed angles of the last lines [deg]."""
+    regions: I32
+    """(C, 4) int32, side, first and last line, and whether there is a possible curb point."""
+    extents_m: F32
+    """(C, 2) float32, lowest and highest z [m]."""
+
+    @classmethod
+    def start(cls, n_sides: int, n: int, params: CurbParams) -> CurbState:
+        """Return the state before the first line.
+
+        Parameters
+        ----------
+        n_sides : int
+        n : int
+            Beams of a row, fill included.
+        params : CurbParams
+        """
+        return cls(
+            labels=np.zeros((n_sides, n), np.int32),
+            n_given=1,
+            xyz_m=np.full((n_sides, n, 3), np.nan, np.float32),
+            signed_deg=np.full(((params.min_lines - 1) * n_sides, n), np.nan, np.float32),
+            regions=np.empty((0, 4), np.int32),
+            extents_m=np.empty((0, 2), np.float32),
+        )
+
+    @property
+    def n_waiting(self) -> int:
+        """Lines that were taken but not returned yet."""
+        return len(self.labels) // len(self.xyz_m) - self.n_given
+
+
+def possible_curbs(lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, params: CurbParams) -> I32:
+    """Find the possible curb point of every row.
+
+    The first vertical point after the last ground point where nothing lies under it: none of the points before it is
+    farther from the scanner, as the road under a car would be. The search ends at the first point 2 m above the ground.
+
+    Parameters
+    ----------
+    lines : VerticalLines
+        R rows of n beams.
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    ground : (R, n) bool
+        Ground points.
+    z_g : (R,) float32
+        Height of the ground [m].
+    params : CurbParams
+
+    Returns
+    -------
+    (R,) int32
+        Beam, -1 = none.
+    """
+    beams: I32
+    _, beams = kernels.possible_curbs(
+        surface, lines.range_m, lines.xyz_m, ground, z_g, params.under_points, params.under_m, params.search_height_m
+    )
+    return beams
+
+
+def curbs(
+    lines: VerticalLines,
+    surface: U8,
+    signed_deg: F32,
+    possible: I32,
+    state: CurbState,
+    params: CurbParams,
+    *,
+    last: bool,
+) -> tuple[Mask, CurbState]:
+    """Connect vertical points to regions, and return the rows whose regions are all decided.
+
+    Parameters
+    ----------
+    lines : VerticalLines
+        R rows of n beams, whole lines, following those before; may be none.
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    signed_deg : (R, n) float32
+        Signed angles [deg], NaN where there is none.
+    possible : (R,) int32
+        Of :func:`possible_curbs`.
+    state : CurbState
+    params : CurbParams
+    last : bool
+        No more lines will come: everything is decided.
+
+    Returns
+    -------
+    curb : (F, n) bool
+        Curb points of the rows that became final, in order, whole lines; how the rows were cut into calls changes
+        which call returns them and nothing else.
+    state : CurbState
+    """
+    curb, labels, n_given, regions, extents = kernels.connect_verticals(
+        surface, lines.xyz_m, signed_deg, possible, lines.n_sides, state.labels, state.n_given, state.xyz_m,
+        state.signed_deg, state.regions, state.extents_m, params.grouping_m, params.max_height_m, params.min_lines,
+        params.curvature_deg, params.max_lines, params.height == "line", last,
+    )  # fmt: skip
+    return curb, CurbState(
+        labels=labels,
+        n_given=n_given,
+        xyz_m=_tail(state.xyz_m, lines.xyz_m),
+        signed_deg=_tail(state.signed_deg, signed_deg),
+        regions=regions,
+        extents_m=extents,
+    )
+
+
+def behind_curbs(horizontal_m: F32, curb: Mask) -> Mask:
+    """Tell which points lie behind the curb of their row.
+
+    Parameters
+    ----------
+    horizontal_m : (F, n) float32
+        Horizontal distance from the scanner [m]; NaN = missing.
+    curb : (F, n) bool
+
+    Returns
+    -------
+    (F, n) bool
+        True where a point is farther away than the nearest curb point of its row.
+    """
+    behind = np.zeros(curb.shape, dtype=np.bool_)
+    rows = np.flatnonzero(curb.any(axis=1))
+    distances = horizontal_m[rows]
+    nearest = np.min(np.where(curb[rows], distances, np.float32(np.inf)), axis=1, keepdims=True, initial=np.inf)
+    behind[rows] = distances > nearest
+    return behind
+
+
+def _tail(before: F32, new: F32) -> F32:
+    """Return the last rows of both, as many as there were before; a copy."""
+    n = len(before)
+    return np.concatenate([before[min(len(new), n) :], new[max(len(new) - n, 0) :]])

@@ -1,0 +1,197 @@
+"""Ground points and the height of the ground (Stamos et al. 2012, sec. 5).
+
+Part a looks at one row alone: the first horizontal points in succession whose line angles have one mode, so that they
+lie on one straight line, are potential ground. Part b runs across rows: potential ground whose height agrees with the
+dominant height so far is ground, and grows over the horizontal points that follow; otherwise the row is searched on.
+
+Readings where the text is silent or can be read in two ways:
+
+- The line angles of ten points and more are taken as one set; a mode counts when it has two samples, so that a single
+  outlier ends nothing. Where the first ten points have several modes, the search goes one point on instead of taking
+  eight of them.
+- The bandwidth of the line angles follows their noise, three standard deviations in the middle of the set, but at
+  least 5 degrees: with a fixed bandwidth the noise near the scanner would part the ground in pieces. It is renewed
+  whenever the set has grown by a quarter.
+- "Almost collinear" takes a limit in height as well as one in angle, since the line angle sees the slope of a surface
+  and not its height: without it ground would climb a curb that one shot alone shows. The local line is drawn level
+  where its points span less than that limit, where a slope would be that of the noise.
+- The dominant height is the main mode of the heights of all rows, whether they were accepted or not (an option), and
+  is computed anew after a row that has ground.
+- Where the first estimate had to be made from less than the wanted number of heights, the missing ones count as they
+  come, and the dominant height follows at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.core.config import Params
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+
+LOWEST_M = -60.0
+"""Where the histogram of heights begins; heights beyond its ends count in its end bins."""
+N_HEIGHTS = 120_000
+"""Bins of the histogram of heights, 1 mm each."""
+
+
+class GroundParams(Params):
+    """How ground is found and followed (``[sequential_angle.ground]``)."""
+
+    first_run: int = Field(
+        10, ge=3, le=1000, description="horizontal points in succession that potential ground begins with (published)"
+    )
+    lowest_points: int = Field(
+        5, ge=1, le=1000, description="points, the lowest ones, whose mean z is the height of a line (published)"
+    )
+    start_heights: int = Field(
+        50, ge=1, le=100_000, description="heights of lines that the first estimate of the ground needs (published)"
+    )
+    height_tolerance: float = Field(
+        0.10,
+        gt=0,
+        le=10,
+        description="potential ground is ground when its height differs from the dominant height by less than this "
+        "share of it (published); heights are counted from the scanner",
+    )
+    bandwidth_deg: float = Field(
+        5.0, ge=0.5, le=90, description="smallest bandwidth of the mean shift over line angles [deg]"
+    )
+    bandwidth_sigmas: float = Field(
+        3.0,
+        ge=0,
+        le=100,
+        description="bandwidth of the mean shift over line angles, in standard deviations of a line angle; "
+        "0 keeps it at its smallest",
+    )
+    range_noise_m: float = Field(
+        0.005, ge=0, le=1, description="standard deviation of a range, for the noise of line angles [m]"
+    )
+    mode_samples: int = Field(2, ge=2, le=1000, description="line angles that make a mode")
+    height_bandwidth: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="bandwidth of the mean shift over heights, as a share of the median height; rounded up to a "
+        "multiple of 8 mm",
+    )
+    heights: Literal["all", "accepted"] = Field(
+        "all",
+        description='heights that the dominant height comes from: those of "all" lines, or of lines whose height was '
+        '"accepted" as that of ground',
+    )
+    growth_points: int = Field(
+        10, ge=2, le=1000, description="ground points behind that the local line is laid through when ground grows"
+    )
+    growth_height_m: float = Field(
+        0.10, gt=0, le=100, description="height above or below the local line up to which ground grows [m]"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundState:
+    """What is known of the ground between two calls."""
+
+    histogram: I64
+    """(120 000,) int64, heights of the rows so far, in millimetres from -60 m on."""
+    z_g: float
+    """Height of the ground relative to the scanner [m], NaN = unknown."""
+    n_in_histogram_ahead: int
+    """Rows to come whose heights the histogram holds already."""
+
+
+def start_heights(lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, params: GroundParams) -> F64:
+    """Return the height of the first potential ground of every row (part a).
+
+    Parameters
+    ----------
+    lines : VerticalLines
+        R rows of n beams.
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    phihat : (R, n) float32
+        Line angles [deg], NaN where there is none.
+    ahead : (R, n) int32
+        Beam that every line angle was measured to.
+    params : GroundParams
+
+    Returns
+    -------
+    (R,) float64
+        z_i relative to the scanner [m], NaN = none.
+    """
+    heights: F64
+    _, heights = kernels.potential_heights(surface, lines.xyz_m, phihat, ahead, lines.n_beams, *_rules(params))
+    return heights
+
+
+def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
+    """Estimate the height of the ground from the first rows of a stream (part b, first half).
+
+    Parameters
+    ----------
+    heights_m : (R,) float64
+        z_i of the rows from the first one on, NaN = none [m].
+    params : GroundParams
+
+    Returns
+    -------
+    GroundState
+        From the first 50 heights, or from what there is; with unknown height if there is none. The rows they come from
+        are the first ones that :func:`ground` has to be given.
+
+    Examples
+    --------
+    >>> round(initial_ground(np.array([-1.80, -1.81, np.nan, -0.3, -1.79]), GroundParams()).z_g, 2)
+    -1.8
+    """
+    rows = np.flatnonzero(~np.isnan(heights_m))[: params.start_heights]
+    n_rows = int(rows[-1]) + 1 if len(rows) == params.start_heights else len(heights_m)
+    bins = np.clip(np.floor((heights_m[rows] - LOWEST_M) * 1000.0), 0, N_HEIGHTS - 1).astype(np.int64)
+    histogram = np.bincount(bins, minlength=N_HEIGHTS).astype(np.int64)
+    _, z_g = kernels.main_height(histogram, params.height_bandwidth)
+    return GroundState(histogram, z_g, n_rows)
+
+
+def ground(
+    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, state: GroundState, params: GroundParams
+) -> tuple[Mask, F32, GroundState]:
+    """Find the ground of every row (part b).
+
+    Parameters
+    ----------
+    lines, surface, phihat, ahead
+        As for :func:`start_heights`.
+    state : GroundState
+        After the rows before, or of :func:`initial_ground` for the first rows.
+    params : GroundParams
+
+    Returns
+    -------
+    ground : (R, n) bool
+        Ground points G.
+    z_g : (R,) float32
+        Height of the ground after every row, relative to the scanner [m]; NaN = unknown.
+    state : GroundState
+        After these rows.
+    """
+    points, z_rows, histogram, z_g = kernels.ground_rows(
+        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params), state.histogram,
+        state.z_g, state.n_in_histogram_ahead, params.start_heights, params.height_bandwidth,
+        params.heights == "all", params.height_tolerance, params.growth_points, params.growth_height_m,
+    )  # fmt: skip
+    ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
+    return points, z_rows, replace(state, histogram=histogram, z_g=z_g, n_in_histogram_ahead=ahead_still)
+
+
+def _rules(params: GroundParams) -> tuple[int, int, int, float, float, float]:
+    """Return the rules of potential ground, as the kernels take them."""
+    return (
+        params.first_run, params.lowest_points, params.mode_samples, params.bandwidth_deg, params.bandwidth_sigmas,
+        params.range_noise_m,
+    )  # fmt: skip
