@@ -308,8 +308,12 @@ def car_intervals(
     return found[:n_found].copy()
 
 
-@kernel("int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], int32[:, ::1], float64)")
-def cut_verticals(surface: U8, xyz_m: F32, intervals: I32, extent_m: float) -> I32:
+@kernel(
+    "int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int32[:, ::1], float64, float64)"
+)
+def cut_verticals(
+    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, extent_m: float, break_m: float
+) -> I32:
     """Take long vertical runs out of intervals.
 
     Parameters
@@ -317,10 +321,16 @@ def cut_verticals(surface: U8, xyz_m: F32, intervals: I32, extent_m: float) -> I
     surface : (R, n) uint8
         :class:`prc_cli.core.classes.Surface`; missing beams do not end a run.
     xyz_m : (R, n, 3) float32, metres
+    horizontal_m : (R, n) float32, metres
+        NaN = missing.
+    n_beams : (R,) int32
     intervals : (K, 3) int32
         Row, first beam, last beam, both of them returns.
     extent_m : float, metres
-        Runs from this difference between their highest and lowest point up are taken out.
+        Runs from this difference between their highest and lowest point up are taken out; points behind the interval
+        count in a run that goes on there.
+    break_m : float, metres
+        A larger change of horizontal distance from one return to the next ends a run.
 
     Returns
     -------
@@ -333,39 +343,46 @@ def cut_verticals(surface: U8, xyz_m: F32, intervals: I32, extent_m: float) -> I
     left = np.empty((n_most, 3), np.int32)
     n_left = 0
     for i in range(len(intervals)):
-        row = intervals[i, 0]
-        codes = surface[row]
-        points = xyz_m[row]
+        row, stop = intervals[i, 0], intervals[i, 2] + 1
+        n = n_beams[row]
         begin = -1  # first and last return of the piece that is being put together
         end = -1
-        first = -1  # first and last return of the vertical run, not in the piece yet
-        last = -1
-        lowest = np.inf
-        highest = -np.inf
-        for k in range(intervals[i, 1], intervals[i, 2] + 2):
-            inside = k <= intervals[i, 2]
-            if inside and points[k, 2] != points[k, 2]:
+        k = intervals[i, 1]
+        while k < stop:
+            before = horizontal_m[row, k]
+            if before != before:
+                k += 1
                 continue
-            if inside and codes[k] == _VERTICAL:
-                if first < 0:
-                    first = k
-                last = k
-                lowest = min(lowest, np.float64(points[k, 2]))
-                highest = max(highest, np.float64(points[k, 2]))
-                continue
-            if first >= 0 and highest - lowest < extent_m:
-                begin = first if begin < 0 else begin
+            last = -1  # last return of the run inside the interval
+            long = False
+            lowest = np.inf
+            highest = -np.inf
+            j = k
+            while j < n and (j < stop or not long):
+                here = horizontal_m[row, j]
+                if here == here:
+                    if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > break_m:
+                        break
+                    height = np.float64(xyz_m[row, j, 2])
+                    lowest = min(lowest, height)
+                    highest = max(highest, height)
+                    long = highest - lowest >= extent_m
+                    before = here
+                    if j < stop:
+                        last = j
+                j += 1
+            if last < 0:  # no vertical point here
+                begin = k if begin < 0 else begin
+                end = k
+                j = k + 1
+            elif not long:
+                begin = k if begin < 0 else begin
                 end = last
-            elif first >= 0 and begin >= 0:
+            elif begin >= 0:
                 left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
                 n_left += 1
                 begin = -1
-            first = -1
-            lowest = np.inf
-            highest = -np.inf
-            if inside:
-                begin = k if begin < 0 else begin
-                end = k
+            k = j
         if begin >= 0:
             left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
             n_left += 1

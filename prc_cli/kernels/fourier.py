@@ -98,7 +98,7 @@ def stable_intervals(
         Fewer angles decide against the interval.
     window_points : int
         Longer intervals are cut into the least number of windows of nearly equal size that are not larger than this;
-        more than half of them must be without high frequencies.
+        at least half of them must be without high frequencies.
 
     Returns
     -------
@@ -121,5 +121,5 @@ def stable_intervals(
         for window in range(n_windows):
             part = values[window * n // n_windows : (window + 1) * n // n_windows]
             n_stable += _is_stable(part, band, ratio)
-        stable[i] = 2 * n_stable > n_windows
+        stable[i] = 2 * n_stable >= n_windows
     return stable

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 
@@ -138,13 +138,24 @@ def car_intervals(
     return np.array(found, np.int32).reshape(-1, 3)
 
 
-def cut_verticals(surface: U8, xyz_m: F32, intervals: I32, extent_m: float) -> I32:
+def cut_verticals(
+    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, extent_m: float, break_m: float
+) -> I32:
     """Take long vertical runs out; see :func:`prc_cli.kernels.dividers.cut_verticals`."""
     left: list[tuple[int, int, int]] = []
     for row, first, last in intervals.tolist():
-        beams = [k for k in range(first, last + 1) if not np.isnan(xyz_m[row, k, 2])]
-        keep = [True] * len(beams)
-        for begin, end in runs([int(surface[row, k]) for k in beams], V):
+        beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
+        codes = [int(surface[row, k]) for k in beams]
+        distance = horizontal_m[row, beams].astype(np.float64)
+        # the same number as far as nothing breaks
+        part = np.cumsum([0] + [abs(b - a) > break_m for a, b in pairwise(distance)])
+        keep = [k <= last for k in beams]
+        vertical = [
+            run
+            for one in set(part.tolist())
+            for run in runs([code if here == one else -1 for code, here in zip(codes, part, strict=True)], V)
+        ]
+        for begin, end in vertical:
             heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
             if heights.max() - heights.min() >= extent_m:
                 keep[begin : end + 1] = [False] * (end + 1 - begin)

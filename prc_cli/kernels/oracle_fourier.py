@@ -32,5 +32,5 @@ def stable_intervals(
         n_windows = -(-n // window_points)
         edges = [window * n // n_windows for window in range(n_windows + 1)]
         empty = [not high_frequencies(angles[a:b], band, ratio) for a, b in pairwise(edges)]
-        decisions.append(sum(empty) > n_windows / 2)
+        decisions.append(sum(empty) >= n_windows / 2)
     return np.array(decisions, dtype=np.bool_)

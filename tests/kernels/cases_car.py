@@ -97,8 +97,10 @@ def intervals(rng: Generator, surface: U8) -> I32:
 
 
 def cut_case(rng: Generator) -> tuple[Any, ...]:
-    surface, _ = surfaces(rng, *size(rng))
-    return surface, geometry(rng, surface)[1], intervals(rng, surface), float(rng.choice([0.0, 0.25, 1.25]))
+    surface, n_beams = surfaces(rng, *size(rng))
+    _, xyz, horizontal = geometry(rng, surface)
+    limits = float(rng.choice([0.0, 0.25, 1.25])), float(rng.choice([0.0, 0.25, 1.0]))
+    return surface, xyz, horizontal, n_beams, intervals(rng, surface), *limits
 
 
 def high_case(rng: Generator) -> tuple[Any, ...]:

@@ -1,0 +1,90 @@
+"""Cars (Stamos et al. 2012, sec. 7): suspicious lines, their intervals, and what keeps an interval from being a car."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli.classifiers.sequential_angle.dividers import DividersParams, dividers
+from prc_cli.classifiers.sequential_angle.fourier import FourierParams, fourier
+from prc_cli.classifiers.sequential_angle.high_verticals import HighVerticalsParams, high_verticals
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.classifiers.sequential_angle.suspicious import SuspiciousParams, suspicious
+from prc_cli.core.config import Params
+from prc_cli.core.types import F32, I32, U8, Mask
+
+
+class CarParams(Params):
+    """The car algorithm (``[sequential-angle.car]``)."""
+
+    suspicious: SuspiciousParams = Field(SuspiciousParams(), description="which lines may hold a car")
+    dividers: DividersParams = Field(DividersParams(), description="where on a line a car may be")
+    high_verticals: HighVerticalsParams = Field(HighVerticalsParams(), description="what no car lies behind")
+    fourier: FourierParams = Field(FourierParams(), description="car or vegetation")
+
+
+def cars(
+    lines: VerticalLines,
+    surface: U8,
+    car_surface: U8,
+    signed_deg: F32,
+    z_g: F32,
+    params: CarParams,
+    *,
+    range_noise_m: float,
+) -> Mask:
+    """Mark the points of cars.
+
+    Parameters
+    ----------
+    lines : VerticalLines
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`, the coarse layer of T, H and V; high verticals are sought in it.
+    car_surface : (R, n) uint8
+        The layer of T', H and V; everything else works on it.
+    signed_deg : (R, n) float32, degrees
+        Signed angles.
+    z_g : (R,) float32, metres
+        Height of the ground relative to the scanner; NaN = unknown: no cars.
+    params : CarParams
+    range_noise_m : float, metres
+        Standard deviation of the range.
+
+    Returns
+    -------
+    (R, n) bool
+        C: returns of the intervals that pass, not farther than the first high vertical; none of T', since intervals
+        end before it.
+    """
+    trigger = suspicious(car_surface, lines.n_beams, params.suspicious)
+    intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, params.dividers, range_noise_m=range_noise_m)
+    intervals = intervals[fourier(signed_deg, intervals, params.fourier)]
+    limit = high_verticals(lines, surface, z_g, params.high_verticals)
+    found = paint(intervals, surface.shape)
+    found &= lines.horizontal_m <= limit[:, None]  # false where there is no return
+    return found
+
+
+def paint(intervals: I32, shape: tuple[int, ...]) -> Mask:
+    """Mark the beams of intervals.
+
+    Parameters
+    ----------
+    intervals : (K, 3) int32
+        Row, first beam, last beam.
+    shape : (R, n)
+
+    Returns
+    -------
+    (R, n) bool
+
+    Examples
+    --------
+    >>> paint(np.array([[0, 1, 2], [0, 3, 3]], dtype=np.int32), (2, 5)).astype(int)
+    array([[0, 1, 1, 1, 0],
+           [0, 0, 0, 0, 0]])
+    """
+    marks = np.zeros(shape, np.bool_)
+    for row, first, last in intervals.tolist():
+        marks[row, first : last + 1] = True
+    return marks

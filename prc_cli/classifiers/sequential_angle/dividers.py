@@ -1,0 +1,159 @@
+"""Intervals of a line that may be cars (Stamos et al. 2012, sec. 7.3)."""
+
+from __future__ import annotations
+
+import math
+
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.core.config import Params
+from prc_cli.core.types import F32, I32, U8
+
+
+class DividersParams(Params):
+    """Where a car begins and ends along a line (``[sequential-angle.dividers]``)."""
+
+    sudden_from_deg: float = Field(
+        -5.0,
+        ge=-180,
+        le=180,
+        description="l1: a change from H to V at a signed angle below this is gradual [deg] (published)",
+    )
+    sudden_to_deg: float = Field(
+        20.0,
+        ge=-180,
+        le=180,
+        description="l2: so is one above this; gradual changes begin an interval [deg] (published)",
+    )
+    change_chord_m: float = Field(
+        0.08, ge=0, le=10, description="that angle is measured to the first return at least this far away, ... [m]"
+    )
+    change_chord_sigmas: float = Field(
+        8.0,
+        ge=0,
+        le=1000,
+        description="... and at least this many times the range noise; both 0 = the signed angle of the point itself "
+        "(published)",
+    )
+    change_reach: int = Field(
+        200, ge=1, le=100_000, description="returns that are looked at for either end of that chord [returns]"
+    )
+    under_points: int = Field(
+        30,
+        ge=1,
+        le=10_000,
+        description="L: returns before a sudden change among which TestUnder looks [returns] (published)",
+    )
+    under_m: float = Field(
+        0.01,
+        ge=0,
+        le=100,
+        description="a return before that is farther away by more than this lies under the point, which then begins an "
+        "interval [m] (published); without back-dated labels take 4 times the range noise or more",
+    )
+    separation_m: float = Field(
+        4.0, gt=0, le=1e4, description="t_sep: successive returns farther apart are two objects [m] (published)"
+    )
+    flat_length_m: float = Field(
+        3.0, gt=0, le=1e4, description="horizontal length from which a flat stretch is ground [m] (published)"
+    )
+    flat_residual_m: float = Field(
+        0.05, gt=0, le=10, description="largest rms distance of its heights from a straight line [m]"
+    )
+    flat_slope_deg: float = Field(10.0, gt=0, lt=90, description="largest slope of that line [deg]")
+    height_m: float = Field(
+        2.0,
+        gt=0,
+        le=1e3,
+        description="t_height: cars are not sought above the first return this high over the ground [m] (published)",
+    )
+    vertical_extent_m: float = Field(
+        1.2, gt=0, le=1e3, description="runs of vertical points of this height or more are cut out [m]"
+    )
+    vertical_break_m: float = Field(
+        0.5,
+        ge=0,
+        le=1e4,
+        description="a change of horizontal distance from one return to the next that ends such a run [m]",
+    )
+
+
+def dividers(
+    lines: VerticalLines,
+    car_surface: U8,
+    signed_deg: F32,
+    trigger: I32,
+    z_g: F32,
+    params: DividersParams,
+    *,
+    range_noise_m: float,
+) -> I32:
+    """Cut suspicious lines into intervals that may be cars.
+
+    The search goes through the whole line, not only from the trigger on: the trigger often comes late on the car. It
+    ends before the first point of T' (or without an angle), before the first one that is too high, or with the line.
+
+    1. An interval begins at the first change from H to V that is gradual (a tyre), or sudden with something farther
+       away under it (bumper, side; not a wall, curb or pole that stands on the ground).
+    2. A jump of more than ``separation_m`` away from the scanner ends it, and begins the next one behind.
+    3. If a long flat stretch lies in an interval, within one run of H, the interval ends at its first point instead,
+       and the next one is sought as in 1. after its last point. A stretch is flat if a straight line fits its heights,
+       so that ground on a slope counts, and the line is not steep, so that a roof and the ground behind it do not count
+       as one. It may be a part of the run, since nothing but a jump divides that roof from that ground.
+    4. Runs of V that are as high as ``vertical_extent_m`` are cut out. Their height counts as far as they go on above
+       the end of the search: of a wall behind a car the interval holds but what shows between roof and ``height_m``. A
+       run ends where the distance changes: the side of a car and the wall behind it are not one surface.
+
+    Parameters
+    ----------
+    lines : VerticalLines
+    car_surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`, the layer of T', H and V, changes dated back to where they began.
+    signed_deg : (R, n) float32, degrees
+        Signed angles.
+    trigger : (R,) int32
+        From :func:`prc_cli.classifiers.sequential_angle.suspicious.suspicious`; -1 = not a suspicious line.
+    z_g : (R,) float32, metres
+        Height of the ground relative to the scanner; NaN = unknown, which gives no interval.
+    params : DividersParams
+    range_noise_m : float, metres
+        Standard deviation of the range.
+
+    Returns
+    -------
+    (K, 3) int32
+        Row, first beam, last beam, both of them returns; by row and beam.
+    """
+    intervals = kernels.car_intervals(
+        car_surface,
+        lines.range_m,
+        lines.xyz_m,
+        lines.horizontal_m,
+        signed_deg,
+        lines.n_beams,
+        trigger >= 0,
+        z_g,
+        params.height_m,
+        params.sudden_from_deg,
+        params.sudden_to_deg,
+        max(params.change_chord_m, params.change_chord_sigmas * range_noise_m),
+        params.change_reach,
+        params.under_points,
+        params.under_m,
+        params.separation_m,
+        params.flat_length_m,
+        params.flat_residual_m,
+        math.tan(math.radians(params.flat_slope_deg)),
+    )
+    left: I32 = kernels.cut_verticals(
+        car_surface,
+        lines.xyz_m,
+        lines.horizontal_m,
+        lines.n_beams,
+        intervals,
+        params.vertical_extent_m,
+        params.vertical_break_m,
+    )
+    return left

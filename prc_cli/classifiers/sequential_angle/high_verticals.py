@@ -1,0 +1,49 @@
+"""High verticals, which no car lies behind (Stamos et al. 2012, sec. 7.4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.core.config import Params
+from prc_cli.core.types import F32, U8
+
+
+class HighVerticalsParams(Params):
+    """What is too high for a car (``[sequential-angle.high_verticals]``)."""
+
+    height_m: float = Field(
+        2.5,
+        gt=0,
+        le=1e3,
+        description="vertical surfaces that reach this far above the ground hide all cars behind [m] (published)",
+    )
+
+
+def high_verticals(lines: VerticalLines, surface: U8, z_g: F32, params: HighVerticalsParams) -> F32:
+    """Find the horizontal distance beyond which there is no car.
+
+    It is that of the last point of the first sequence of vertical points that ends higher above the ground than the
+    limit. A sequence is of successive shots: a missing one ends it, so that a tower seen far behind a wall, over it,
+    does not prolong the wall.
+
+    Parameters
+    ----------
+    lines : VerticalLines
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    z_g : (R,) float32, metres
+        Height of the ground relative to the scanner; NaN = unknown.
+    params : HighVerticalsParams
+
+    Returns
+    -------
+    (R,) float32
+        d_h [m]; infinite where there is no such sequence, or no ground.
+    """
+    found, beam = kernels.first_high_verticals(surface, lines.xyz_m, lines.n_beams, z_g, params.height_m)
+    distance = np.full(len(beam), np.inf, np.float32)
+    distance[found] = lines.horizontal_m[found, beam[found]]
+    return distance
