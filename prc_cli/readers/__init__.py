@@ -29,6 +29,13 @@ def _text(path: Path, layout: Layout | None) -> RecordSource:
     return TextSource(path, layout)
 
 
+def _uos(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.readers.text import TextSource
+    from prc_cli.readers.uos import uos_layout
+
+    return TextSource(path, uos_layout(layout))
+
+
 def _las(path: Path, layout: Layout | None) -> RecordSource:
     from prc_cli.readers.las import LasSource
 
@@ -45,6 +52,7 @@ READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
     ".txt": _text,
     ".txt.gz": _text,
     ".txt.zst": _text,
+    ".3d": _uos,
     ".las": _las,
     ".laz": _las,
 }
@@ -151,9 +159,15 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None) ->
 
         rings = open_rings(source, config)
         return replace(rings, info=replace(rings.info, notes=tuple(getattr(source, "notes", ()))))
+    from prc_cli.readers.elevation import has_lines_by_elevation, tell_elevation, with_elevation
     from prc_cli.readers.grid import open_grid
 
+    line_rule, by_elevation = config.lines, has_lines_by_elevation(config)
+    if by_elevation:
+        source, config = with_elevation(source, config)
     stream = open_grid(source, config, line_hz=None if layout is None else layout.line_frequency)
+    if by_elevation:
+        stream = tell_elevation(stream, line_rule)
     return replace(stream, info=replace(stream.info, notes=tuple(getattr(source, "notes", ()))))
 
 

@@ -34,7 +34,7 @@ def _rule(*patterns: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#", "rings")]
+LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#", "rings", "elevation:#")]
 ColumnRule = Annotated[str, _rule("auto", "dimension:*", "angle", "time:#", "order")]
 RangeRule = Annotated[str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz")]
 
@@ -45,7 +45,8 @@ class InputConfig(Params):
     lines: LineRule = Field(
         "auto",
         description="where scan lines begin: dimension:NAME, fixed (every points_per_line records), angle-wrap, "
-        "time:HZ (line frequency), or rings (x, y, z of a frame, ring after ring: lines are azimuths)",
+        "time:HZ (line frequency), rings (x, y, z of a frame, ring after ring: lines are azimuths), "
+        "or elevation:DEG (x, y, z alone: lines end where the elevation drops by more)",
     )
     columns: ColumnRule = Field(
         "auto",
