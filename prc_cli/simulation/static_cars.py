@@ -1,7 +1,8 @@
 """Parked and passing cars of the static street scan: rounded bodies on wheels, with a gap below and glass above.
 
 Measures are those of the common size classes: 3.8 to 4.8 m long, 1.75 m wide, 1.45 to 1.6 m high, 16 to 20 cm of
-ground clearance, tyres of 62 cm; vans 5 m long and up to 2.3 m high.
+ground clearance, tyres of 62 cm on 20 cm, 2 cm within the body (a Volkswagen Golf is 1.79 m wide, its tyres reach to
+1.75 m); vans 5 m long and up to 2.3 m high. The roundness of tyres is not decoration: the classifier knows cars by it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,11 @@ from prc_cli.core.types import F64
 from prc_cli.simulation.furniture import Body, Solid
 from prc_cli.simulation.rays import Bounds
 from prc_cli.simulation.static_bodies import Painted
+
+_TYRE_M = 0.31
+"""Radius of a tyre [m]."""
+_FLAT_M = _TYRE_M * float(np.cos(np.pi / 14))
+"""The same to the middle of a facet of its outline [m]."""
 
 Outline = Sequence[tuple[float, float]]
 """Corners of a convex outline seen from the side, (forward, up), counter-clockwise [m]."""
@@ -49,10 +55,34 @@ def car(rng: np.random.Generator, place: tuple[float, float, float], heading: in
     yield Painted(_prism(cabin, placed, _tumblehome(width, cabin[0][1], steep=van), glass), lost)
     for axle in (-0.58 * half, 0.62 * half):
         for outer in (1, -1):
-            wheel = [(axle + 0.31 * np.cos(a), 0.31 + 0.31 * np.sin(a)) for a in np.arange(14) * (2 * np.pi / 14)]
-            low, high = (width - 0.2, width + 0.005) if outer > 0 else (-width - 0.005, 0.2 - width)
-            sides = [(0.0, 1.0, 0.0, high), (0.0, -1.0, 0.0, -low)]
-            yield Painted(_prism(wheel, placed, sides, None), 0.1)
+            yield Painted(_wheel(axle, outer * (width - 0.02), outer, placed), 0.1)
+
+
+def _wheel(axle: float, face: float, outer: int, placed: tuple[float, float, float, int]) -> Solid:
+    """Wheel of 62 cm: its sidewall bulges 2 cm over the tread, as seen from above it leans towards the scanner.
+
+    Parameters
+    ----------
+    axle, face : float
+        Middle of the wheel and its outer side, forward and left of the car's middle [m].
+    outer : int
+        1 = on the left, -1 = on the right.
+    placed : four numbers
+        Place and heading of the car.
+    """
+    around = np.arange(14) * (2 * np.pi / 14)
+    outline = [(axle + _TYRE_M * np.cos(a), _TYRE_M + _TYRE_M * np.sin(a)) for a in around]
+    low, high = sorted((face, face - outer * 0.2))
+    sides = [(0.0, 1.0, 0.0, high), (0.0, -1.0, 0.0, -low)]
+    # from the edge of the tread to the widest place, where the sidewall faces down: the rest is inside the car
+    rise, bulge = 0.05, 0.02
+    length = np.hypot(rise, bulge)
+    for a in around[7:] + np.pi / 14:
+        forward, up = np.cos(a) * bulge / length, np.sin(a) * bulge / length
+        tread = forward * (axle + _FLAT_M * np.cos(a)) + up * (_TYRE_M + _FLAT_M * np.sin(a))
+        for sign, edge in ((1.0, high), (-1.0, -low)):
+            sides.append((forward, sign * rise / length, up, tread + (edge - bulge) * rise / length))
+    return _prism(outline, placed, sides, None)
 
 
 def _saloon(
@@ -142,7 +172,8 @@ def _prism(
     normals = planes[:, :3] * (heading, 1.0, 1.0)
     low, high = float(corners[:, 1].min()), float(corners[:, 1].max())
     # every side plane bounds the body at the height where it reaches farthest out
-    reach = [(left, (offset - (low if lift > 0 else high) * lift) / abs(left)) for _, left, lift, offset in sides]
+    level = [(left, lift, offset) for forward, left, lift, offset in sides if forward == 0]
+    reach = [(left, (offset - (low if lift > 0 else high) * lift) / abs(left)) for left, lift, offset in level]
     wide = min(far for left, far in reach if left > 0)
     narrow = -min(far for left, far in reach if left < 0)
     ends = sorted(x + heading * end for end in (corners[:, 0].min(), corners[:, 0].max()))
