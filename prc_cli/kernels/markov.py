@@ -55,8 +55,10 @@ def _sequential_test(
     density: F64,
     begin: int,
     end: int,
-    zero: tuple[F64, F64],
-    one: tuple[F64, F64],
+    h0: F64,
+    initial_0: F64,
+    h1: F64,
+    initial_1: F64,
     lower: float,
     upper: float,
     restart: bool,
@@ -85,11 +87,11 @@ def _sequential_test(
     for t in range(begin, end):
         d = density[t]
         if t == onset:
-            p = _first(one[1], d)
-            q = _first(zero[1], d)
+            p = _first(initial_1, d)
+            q = _first(initial_0, d)
         else:
-            p = _forward(p, one[0], d)
-            q = _forward(q, zero[0], d)
+            p = _forward(p, h1, d)
+            q = _forward(q, h0, d)
         l1 = p[0] + p[1] + p[2]
         l0 = q[0] + q[1] + q[2]
         if l1 > upper * l0:
@@ -160,8 +162,6 @@ def hmm_cusum(
     upper_back = math.exp(threshold_back)
     highest = math.exp(accept)
     lowest = math.exp(reject)
-    zero = (h0, initial_h0)
-    one = (h1, initial_h1)
     density = np.empty((n, 3), np.float64)
     beam = np.empty(n, np.int64)
     for row in range(n_rows):
@@ -175,26 +175,34 @@ def hmm_cusum(
         begin = 0
         previous = -1
         while begin < m:
-            verdict, alarm, onset = _sequential_test(density, begin, m, zero, one, 1.0, upper, True)
+            verdict, alarm, onset = _sequential_test(
+                density, begin, m, h0, initial_h0, h1, initial_h1, 1.0, upper, True
+            )
             if verdict == 0:
                 break
             first = onset if backdate else alarm
             if not sprt:
-                verdict, alarm, onset = _sequential_test(density, alarm + 1, m, one, zero, 1.0, upper_back, True)
+                verdict, alarm, onset = _sequential_test(
+                    density, alarm + 1, m, h1, initial_h1, h0, initial_h0, 1.0, upper_back, True
+                )
                 last = m - 1
                 if verdict != 0:
                     last = (onset if backdate else alarm) - 1
                 begin = alarm + 1
             else:
                 # the region has to be confirmed once before it may end
-                verdict, t, _ = _sequential_test(density, alarm + 1, m, zero, one, lowest, highest, False)
+                verdict, t, _ = _sequential_test(
+                    density, alarm + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, False
+                )
                 begin = t + 1
                 if verdict == 0:
                     break
                 if verdict < 0:
                     continue
                 while verdict > 0:
-                    verdict, t, _ = _sequential_test(density, t + 1, m, zero, one, lowest, highest, False)
+                    verdict, t, _ = _sequential_test(
+                        density, t + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, False
+                    )
                 last = min(t, m - 1)
                 for back in range(last, alarm, -1):
                     if values[row, beam[back]] < 0.0:

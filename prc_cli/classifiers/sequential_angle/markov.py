@@ -35,7 +35,7 @@ UNIFORM: Row = (1 / 3, 1 / 3, 1 / 3)
 class HmmParams(Params):
     """Two hidden Markov models of three states with common Gaussians, and how the test between them ends."""
 
-    means_deg: Angles = Field((-90.0, 0.0, 90.0), description="mean of every state [deg]")
+    means_deg: Angles = Field((-90.0, 0.0, 90.0), description="mean of every state [deg] (published)")
     sigmas_deg: Spreads = Field((30.0, 30.0, 30.0), description="standard deviation of every state [deg]")
     h0: Matrix = Field(
         ((0.05, 0.475, 0.475), (0.05, 0.875, 0.075), (0.05, 0.075, 0.875)),

@@ -88,7 +88,7 @@ def test_street(rng: Generator) -> None:
     dense = dense_vegetation(angle_differences(signed), PARAMS)
     image = car_surface(signed, dense, lines, TiltParams())
     found, vegetation = image == Surface.VEGETATION, truth == Surface.VEGETATION
-    # measured: precision .92, recall .69, false positives 2 %
+    # measured on 100 lines: precision .93, recall .74, false positives 1.1 %
     assert (found & vegetation).sum() / found.sum() > 0.88
     assert 0.55 < (found & vegetation).sum() / vegetation.sum() < 0.85
     assert found[~vegetation].mean() < 0.03
