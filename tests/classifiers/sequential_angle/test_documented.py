@@ -1,0 +1,74 @@
+"""``docs/sequential_angle.md`` names every parameter of the stages, with its default."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from prc_cli.classifiers.sequential_angle.angles import AnglesParams
+from prc_cli.classifiers.sequential_angle.coarse import CoarseParams
+from prc_cli.classifiers.sequential_angle.curb import CurbParams
+from prc_cli.classifiers.sequential_angle.dividers import DividersParams
+from prc_cli.classifiers.sequential_angle.fourier import FourierParams
+from prc_cli.classifiers.sequential_angle.ground import GroundParams
+from prc_cli.classifiers.sequential_angle.high_verticals import HighVerticalsParams
+from prc_cli.classifiers.sequential_angle.suspicious import SuspiciousParams
+from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams
+from prc_cli.core.config import Params
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "sequential_angle.md").read_text(encoding="utf-8")
+STAGES: dict[str, Params] = {
+    "angles": AnglesParams(),
+    "coarse": CoarseParams(),
+    "vegetation": DenseVegetationParams(),
+    "ground": GroundParams(),
+    "curb": CurbParams(),
+    "suspicious": SuspiciousParams(),
+    "dividers": DividersParams(),
+    "high_verticals": HighVerticalsParams(),
+    "fourier": FourierParams(),
+}
+
+
+def values(prefix: str, params: Params) -> Iterator[tuple[str, Any]]:
+    for name in type(params).model_fields:
+        value = getattr(params, name)
+        if isinstance(value, Params):
+            yield from values(f"{prefix}.{name}", value)
+        else:
+            yield f"{prefix}.{name}", value
+
+
+VALUES = dict(item for name, params in STAGES.items() for item in values(name, params))
+
+
+def documented() -> dict[str, str]:
+    """Keys and defaults of the table of constants."""
+    table = PAGE[PAGE.index("## Constants") :]
+    rows = re.findall(r"^\|[^|\n]*\| `([a-z0-9_.]+)` \|([^|\n]*)\|", table, re.MULTILINE)
+    return {key: default.strip().replace("−", "-") for key, default in rows}
+
+
+def test_every_table_has_its_section() -> None:
+    for name in STAGES:
+        assert f"`[sequential_angle.{name}]`" in PAGE
+
+
+@pytest.mark.parametrize("key", documented())
+def test_defaults_in_the_table(key: str) -> None:
+    if key.split(".")[0] not in STAGES:  # of the whole method
+        return
+    value, written = VALUES[key], documented()[key]
+    if isinstance(value, tuple) and isinstance(value[0], float) and "/" not in written:
+        assert written == ", ".join(f"{number:g}" for number in value)
+    elif isinstance(value, int | float):
+        assert float(written) == value
+
+
+@pytest.mark.parametrize("key", VALUES)
+def test_every_parameter_is_on_the_page(key: str) -> None:
+    assert key in documented() or f"`{key.split('.')[-1]}" in PAGE
