@@ -47,8 +47,9 @@ class HmmParams(Params):
     )
     initial_h0: Row = Field(
         (0.05, 0.475, 0.475),
-        description="probabilities of the states of model 0 at the first sample of a start: stationary, so that this "
-        "sample tells something too; with 1/3 each it does not, and strictly alternating foliage is never found",
+        description="probabilities of the states of model 0 at the first sample of a start: stationary, so that a "
+        "region begins with a value near -90 deg; with 1/3 each this sample tells nothing, values that alternate "
+        "between -90 and 90 are never found, and stairs are",
     )
     initial_h1: Row = Field(
         UNIFORM, description="probabilities of the states of model 1 at the first sample of a start"
@@ -91,6 +92,11 @@ def hmm_cusum(values: F32, params: HmmParams) -> Mask:
     after that alarm: every sample is used once in either direction. The end of a row closes an open region; with
     ``end = "sprt"`` a row that ends before a region is confirmed has none there. A sample that neither model can
     explain (zero probability in both) restarts the test.
+
+    Every start forgets the state before it, so that the first sample of a start is judged by the initial
+    probabilities alone. With the stationary ones of both models (Chen and Willett) it counts like any other; a change
+    from 0 to 90 deg, as on stairs, then begins no region, but counts within one. With equal ones in both models it is
+    neutral.
 
     Parameters
     ----------

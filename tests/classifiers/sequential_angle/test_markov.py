@@ -140,11 +140,14 @@ def test_regions_are_dated_back_to_the_onset_at_both_ends() -> None:
     assert quick[-1] < alarms[-1]
 
 
-def test_alternating_foliage_is_found_when_the_first_sample_of_a_start_counts() -> None:
+def test_alternating_foliage_is_found_and_stairs_are_not_when_the_first_sample_of_a_start_counts() -> None:
     """With 1/3 each it is neutral, the second speaks against foliage and restarts, and so on for ever."""
     values = np.array([[90.0] * 20 + [-90.0, 90.0] * 20], np.float32)
     assert hmm_cusum(values, HmmParams())[0, 20:].all()
     assert not hmm_cusum(values, HmmParams(initial_h0=UNIFORM)).any()
+    stairs = np.array([[90.0] * 20 + [0.0, 90.0] * 20], np.float32)
+    assert not hmm_cusum(stairs, HmmParams()).any()
+    assert hmm_cusum(stairs, HmmParams(initial_h0=UNIFORM)).any()
 
 
 def test_missing_samples_are_skipped_and_the_end_closes_a_region() -> None:
