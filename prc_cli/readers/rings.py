@@ -41,6 +41,8 @@ BACKWARD_RAD = math.radians(20.0)
 """Steps back of up to this are shots out of order; larger ones are the long way round."""
 MAX_RING_ORDER_RAD = math.radians(0.5)
 """Rings may lie this much against the order of the others."""
+MIN_RING = 0.01
+"""Share of the middle ring that the first and last one must have: less are shots across the border."""
 WINDOW = 64
 """Neighbours that the step of azimuth is measured over."""
 NEIGHBOUR = 1.5
@@ -242,17 +244,33 @@ def _find_turns(frame: _Frame, path: str) -> _Turns:
     elevation = _elevation(frame)
     best: tuple[float, _Turns] | None = None
     for cut in _cuts(along, float(np.median(step[step > 0]))):
-        turn = np.floor((along - cut) / _TURN)
-        # shots out of order around the cut belong to the ring that has begun
-        ring = np.maximum.accumulate(turn - turn[0]).astype(np.int64)
+        ring, within = _cut_turns(along - cut)
         n = np.bincount(ring)
         total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
         spread = float((square - total**2 / np.maximum(n, 1)).sum())
         if best is None or spread < best[0]:
-            best = (spread, _Turns(ring, np.remainder(along - cut, _TURN), float(wrap(np.array([way * cut]))[0]), way))
+            best = (spread, _Turns(ring, within, float(wrap(np.array([way * cut]))[0]), way))
     if best is None:
         raise InputError(path, "no ring begins", "check x, y, z")
     return best[1]
+
+
+def _cut_turns(along: F64) -> tuple[I64, F64]:
+    """Return ring and azimuth within it of shots whose rings begin at multiples of a turn."""
+    turn = np.floor(along / _TURN)
+    # shots out of order around the cut belong to the ring that has begun
+    ring: I64 = np.maximum.accumulate(turn - turn[0]).astype(np.int64)
+    within: F64 = np.remainder(along, _TURN)
+    n = np.bincount(ring)
+    few = MIN_RING * float(np.median(n))
+    # the same at both ends of the frame, where there is no ring for them
+    if n[-1] < few:
+        last = ring == len(n) - 1
+        ring[last], within[last] = len(n) - 2, np.nextafter(_TURN, 0)
+    if n[0] < few:
+        within[ring == 0] = 0.0
+        ring = np.maximum(ring - 1, 0)
+    return ring, within
 
 
 def _cuts(along: F64, step: float) -> Iterator[float]:

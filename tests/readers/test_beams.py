@@ -190,6 +190,7 @@ def test_registered_coordinates_are_refused_or_used_for_their_heights() -> None:
     assert "xyz is not relative to the scanner" in found.info.assumptions[-1].why
     assert next(iter(found.blocks())).xyz_m is None
     wrong = registered(with_angle=True)
+    assert wrong.angle_rad is not None
     wrong = replace(wrong, angle_rad=np.random.default_rng(0).permutation(wrong.angle_rad))
     with pytest.raises(InputError, match="xyz is not relative to the scanner: .*, and the heights"):
         with_beams(stream(wrong), AUTO)
@@ -198,6 +199,7 @@ def test_registered_coordinates_are_refused_or_used_for_their_heights() -> None:
 def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
     true = GEOMETRIES["low to high"]
     block = lines(true, 30)
+    assert block.xyz_m is not None
     path = tmp_path / "scan.npz"
     np.savez(path, range_m=block.range_m, zenith_deg=180.0 - np.rad2deg(true))
     info = open_input(path, AUTO).info
@@ -267,9 +269,7 @@ def test_registered_coordinates_that_do_not_fit_are_told_and_refused() -> None:
 def test_sensor_coordinates_of_records() -> None:
     _, records = scene()
     del records["range"], records["angle"]
-    keys = {"range": "sensor-xyz", "points_per_line": M}
-    config = InputConfig(**keys)
-    found = with_beams(open_records(records, **keys), config)
+    found = with_beams(open_records(records, range="sensor-xyz", points_per_line=M), AUTO)
     for block in found.blocks():
         assert block.beam_rad is not None
         assert worst_deg(block.beam_rad, np.arange(M) * 2 * np.pi / M) < 1e-3

@@ -193,3 +193,26 @@ def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
     path.write_text("record,class,name\n0,2,ground\n2,7,noise\n1,6,building\n")
     with pytest.raises(InputError, match="row 1 holds record 2, expected 1: rows were moved or left out"):
         list(open_codes(path).chunks())
+
+
+def test_semantic_kitti_labels(tmp_path: Path) -> None:
+    path = tmp_path / "000000.label"
+    labels = np.array([40, 252 | 7 << 16, 0, 65_535 << 16 | 99], "<u4")
+    labels.tofile(path)
+    assert open_codes(path).n == 4
+    # the high bits number the objects
+    assert read(path) == [40, 252, 0, 99]
+    assert "no dimension 'class' in a .label file" in refused(path, "class")
+    path.write_bytes(labels.tobytes()[:-1])
+    assert refused(path) == "000000.label: found 15 bytes, expected 4 a record; copy it from the archive again"
+    path.write_bytes(b"")
+    assert "found 0 bytes" in refused(path)
+
+
+def test_semantic_kitti_labels_cut_while_read(tmp_path: Path) -> None:
+    path = tmp_path / "000000.label"
+    np.zeros(100, "<u4").tofile(path)
+    source = open_codes(path)
+    np.zeros(60, "<u4").tofile(path)
+    with pytest.raises(InputError, match="the file ends 40 records early"):
+        list(source.chunks())
