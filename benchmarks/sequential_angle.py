@@ -1,0 +1,336 @@
+"""Figures of the sequential-angle classifier: simulated static scans beside the paper's Table 1, real scans, speed.
+
+    python -m benchmarks.sequential_angle > docs/sequential_angle_figures.md     # everything, minutes
+    python -m benchmarks.sequential_angle simulated speed                        # some of the parts
+
+Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the same figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prc_cli.classifiers.sequential_angle.angles import (
+    AnglesParams,
+    angle_differences,
+    line_angles,
+    signed_angles,
+)
+from prc_cli.classifiers.sequential_angle.car import CarParams, cars
+from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
+from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
+from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, start_heights
+from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lines
+from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
+from prc_cli.comparison import evaluate
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.errors import PrcError
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.reports import as_markdown
+from prc_cli.evaluation.scores import scores
+from prc_cli.pipeline import classify, label_blocks
+from prc_cli.simulation.static_scan import StaticScan, StaticScanParams, simulate_static_scan
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
+SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
+KITTI = ROOT / "sample_configs" / "kitti_frame.toml"
+
+PAPER = {
+    "vegetation": (0.900, 0.789),
+    "vertical": (0.851, 0.980),
+    "car": (0.867, 0.962),
+    "horizontal": (0.976, 0.631),
+}
+"""Recall and precision, Stamos et al. (2012), Table 1."""
+
+SEEDS = 11
+"""Streets of the first row: as many as the paper has scans."""
+MORE_SEEDS = 4
+"""Streets of the other rows."""
+COARSE = {"azimuth_step_deg": 0.46}
+"""Every fourth line: as many different streets in a quarter of the time."""
+SETTINGS: dict[str, dict[str, Any]] = {
+    "scanner on the road": COARSE,
+    "scanner on the sidewalk": COARSE | {"across_m": -7.0},
+    "scanner on the road, every shot a leaf of its own": COARSE | {"leaf_m": 0.0},
+    "steps of 0.06°": COARSE | {"elevation_step_deg": 0.06},
+    "steps of 0.23°": COARSE | {"elevation_step_deg": 0.23},
+    "10 mm noise": COARSE | {"noise_m": 0.01},
+    "10 mm noise, told so": COARSE | {"noise_m": 0.01},
+}
+TOLD = {"10 mm noise, told so": 0.01}
+"""Range noise that the classifier is told [m], where it is not the preset's."""
+
+CHILD = """
+import resource, sys
+from prc_cli.cli import main
+try:
+    main(sys.argv[1:])
+except SystemExit as stop:
+    code = stop.code or 0
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(peak / 1024 if sys.platform != "darwin" else peak / 1024**2)
+sys.exit(code)
+"""
+
+
+def street_scan(path: Path | None = None, range_noise_m: float | None = None, **inputs: Any) -> LoadedConfig:
+    """The preset of the classifier, for a scanner with other noise, for inputs that need options."""
+    options: dict[str, Any] = {"input": inputs} if inputs else {}
+    if range_noise_m is not None:
+        options["sequential_angle"] = {"angles": {"range_noise_m": range_noise_m}}
+    return load_config(path, preset="street-scan", options=options)
+
+
+def write_scan(folder: Path, scan: StaticScan) -> tuple[Path, Path]:
+    """Write a simulated scan, and the class codes of its reference."""
+    items = list(scan.labelled_blocks())
+    source, reference = folder / "scan.npz", folder / "reference.npy"
+    with source.open("wb") as handle:
+        np.savez(
+            handle,
+            range_m=np.concatenate([item.block.range_m for item in items]),
+            xyz=np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None]),
+            zenith_deg=90.0 - np.rad2deg(scan.elevation_rad),
+        )
+    np.save(reference, ClassCodes().lookup()[np.concatenate([item.labels for item in items])].ravel())
+    return source, reference
+
+
+def print_scores(rows: dict[str, ConfusionMatrix], names: tuple[str, ...]) -> None:
+    """Recall and precision of every class, a row a run."""
+    print("| | " + " | ".join(f"{name} recall | precision" for name in names) + " | all |")
+    print("|---|" + "---:|---:|" * len(names) + "---:|")
+    for title, matrix in rows.items():
+        found = scores(matrix)
+        by_name = {item.name: item for item in found.classes}
+        cells = [f"{number:.3f}" for name in names for number in (by_name[name].recall, by_name[name].precision)]
+        print(f"| {title} | {' | '.join(cells)} | {found.accuracy:.3f} |".replace("nan", "-"))
+
+
+def simulated(folder: Path) -> None:
+    """Simulated static scans beside Table 1."""
+    names = tuple(PAPER)
+    sums: dict[str, ConfusionMatrix] = {}
+    each: dict[str, ConfusionMatrix] = {}
+    fine: ConfusionMatrix | None = None
+    for title, options in SETTINGS.items():
+        first = not sums
+        for seed in range(1, (SEEDS if first else MORE_SEEDS) + 1):
+            scan = simulate_static_scan(StaticScanParams.model_validate({"seed": seed} | options))
+            source, reference = write_scan(folder, scan)
+            labels = folder / "labels.npy"
+            classify(source, labels, street_scan(range_noise_m=TOLD.get(title)), overwrite=True)
+            matrix = evaluate(labels, reference, "street_scan")
+            sums[title] = sums[title] + matrix if title in sums else matrix
+            if first:
+                each[f"street {seed}"] = matrix
+                own = evaluate(labels, reference, "sequential_angle")
+                fine = own if fine is None else fine + own
+    print("## Simulated static street scans\n")
+    print(f"{SEEDS} streets in the first row, {MORE_SEEDS} in the others, never used to choose a parameter. Last row:")
+    print("Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n")
+    print("```console\n$ prc classify scan.npz labels.npy --preset street-scan")
+    print("$ prc evaluate labels.npy reference.npy --mapping street_scan --format markdown\n```\n")
+    print_scores(sums, names)
+    cells = " | ".join(f"{recall:.3f} | {precision:.3f}" for recall, precision in PAPER.values())
+    print(f"| *the paper* | {cells} | 0.876 |\n\n### Street by street, scanner on the road\n")
+    print_scores(each, names)
+    print("\n### Confusion, scanner on the road\n")
+    print(as_markdown(next(iter(sums.values()))))
+    if fine is not None:
+        print("### The same with every class by itself\n\n" + as_markdown(fine))
+
+
+def kitti(folder: Path) -> None:
+    """The labelled frame of a scanner with 64 rings."""
+    source, labels = DATA / "kitti" / "000000.bin", folder / "kitti.npy"
+    # the scanner's data sheet says 2 cm
+    classify(source, labels, street_scan(KITTI, range_noise_m=0.02), overwrite=True)
+    print("## KITTI frame\n\n```console")
+    print(f"$ prc classify {source.name} kitti.npy --preset street-scan --config sample_configs/{KITTI.name} \\")
+    print("      --set sequential_angle.angles.range_noise_m=0.02")
+    print("$ prc evaluate kitti.npy 000000.label --mapping street_scan_kitti --format markdown\n```\n")
+    print(as_markdown(evaluate(labels, source.with_suffix(".label"), "street_scan_kitti")))
+
+
+def oakland(folder: Path) -> None:
+    """The strips of a push-broom scanner, beside PRC."""
+    runs = {
+        "sequential-angle, 1 cm noise": street_scan(nadir=0.0, range_noise_m=0.01),
+        "PRC, published": load_config(preset="urban"),
+        "PRC, for this sensor": load_config(SICK),
+    }
+    print("## Oakland strips, beside PRC\n")
+    print("Ground counts as horizontal, PRC's buildings as vertical. PRC has no cars.\n\n```console")
+    print("$ prc classify oakland_1.csv.gz labels.npy --preset street-scan --set input.nadir=0 \\")
+    print("      --set sequential_angle.angles.range_noise_m=0.01")
+    print("$ prc classify oakland_1.csv.gz labels.npy --preset urban")
+    print("$ prc classify oakland_1.csv.gz labels.npy --config sample_configs/sick_push_broom.toml")
+    print("$ prc evaluate labels.npy oakland_1.csv.gz --mapping street_scan_oakland --format markdown\n```\n")
+    for strip in (1, 2, 3):
+        source, labels = DATA / "oakland" / f"oakland_{strip}.csv.gz", folder / "oakland.npy"
+        rows = {}
+        for title, config in runs.items():
+            classify(source, labels, config, overwrite=True)
+            rows[title] = evaluate(labels, source, "street_scan_oakland")
+        print(f"### Strip {strip}\n")
+        print_scores(rows, tuple(PAPER))
+        print("\n" + as_markdown(rows["sequential-angle, 1 cm noise"]))
+
+
+def organised(folder: Path) -> None:
+    """Every organised file: lines, shots, class shares."""
+    names = ("ground", "horizontal", "curb", "vertical", "vegetation", "car", "unclassified")
+    print("## Organised scans\n\n```console\n$ prc classify FILE out.npy --preset street-scan\n```\n")
+    print("| file | lines | shots | missing | " + " | ".join(names) + " |")
+    print("|---|---:|---:|---:|" + "---:|" * len(names))
+    codes = {name: code for code, name in ClassCodes().names().items()}
+    for source in sorted((DATA / "organised").iterdir()):
+        if source.suffix not in {".e57", ".ptx", ".csv"}:
+            continue
+        try:
+            summary = classify(source, folder / "organised.npy", street_scan(), overwrite=True)
+        except PrcError as error:
+            print(f"| {source.name} | refused: {str(error).replace(str(source), 'file')} |" + " |" * (len(names) + 2))
+            continue
+        counts = np.bincount(np.load(folder / "organised.npy").ravel(), minlength=256)
+        returned = max(int(counts[1:].sum()), 1)
+        cells = " | ".join(f"{counts[codes[name]] / returned:.1%}" for name in names)
+        n = summary.counts
+        missing = n.labels[0] / max(n.n_shots, 1)
+        print(f"| {source.name} | {n.n_lines:,} | {n.n_shots:,} | {missing:.1%} | {cells} |")
+    print()
+
+
+def rate(job: Callable[[], object], runs: int = 3) -> float:
+    """Shortest time of a job [s], after one run that is not counted: other load only ever adds."""
+    job()
+    seconds = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        job()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
+
+
+def speed(folder: Path) -> None:
+    """Rates on one core, in memory, and of the whole command."""
+    scan = simulate_static_scan(StaticScanParams(seed=3))
+    blocks = list(scan.blocks())
+    n_lines, n_shots = scan.params.n_lines, scan.info.n_records or 1
+    config = street_scan()
+    times = dict(stage_times(scan))
+    times["all stages, in memory"] = rate(lambda: list(label_blocks(iter(blocks), config.config)))
+    source, _ = write_scan(folder, scan)
+    times["from .npz to .npy"] = rate(lambda: classify(source, folder / "speed.npy", config, overwrite=True))
+    times["from .npz to .laz"] = rate(lambda: classify(source, folder / "speed.laz", config, overwrite=True))
+    print(f"## Speed\n\n{n_lines:,} lines of {scan.params.points_per_line:,} shots, one core.\n")
+    print("| work | lines a second | million shots a second |\n|---|---:|---:|")
+    for name, seconds in times.items():
+        print(f"| {name} | {n_lines / seconds:,.0f} | {n_shots / seconds / 1e6:.2f} |")
+    print()
+
+
+def memory(folder: Path) -> None:
+    """Peak resident size of the command at two sizes, each in a process of its own."""
+    print("## Memory\n\n| input | lines | shots | peak resident size |\n|---|---:|---:|---:|")
+    scan = simulate_static_scan(StaticScanParams(seed=3, azimuth_step_deg=0.23))
+    xyz = np.concatenate([block.xyz_m for block in scan.blocks() if block.xyz_m is not None])
+    config = folder / "raw.toml"
+    fields = ", ".join(f'{{ name = "{name}", type = "f4" }}' for name in "xyz")
+    config.write_text(
+        f'preset = "street-scan"\n[input]\nlines = "fixed"\ncolumns = "order"\nrange = "sensor-xyz"\n'
+        f"points_per_line = {xyz.shape[1]}\n[layout]\nfields = [{fields}]\n",
+        encoding="utf-8",
+    )
+    for times in (1, 10):
+        raw = folder / "scan.bin"
+        with raw.open("wb") as handle:
+            for _ in range(times):
+                xyz.tofile(handle)
+        arguments = ["classify", str(raw), str(folder / "big.npy"), "--config", str(config), "--quiet", "--overwrite"]
+        command = [sys.executable, "-c", CHILD, *arguments]
+        result = subprocess.run(command, capture_output=True, text=True, check=True)
+        shots = times * xyz.shape[0] * xyz.shape[1]
+        print(f"| raw x, y, z | {times * len(xyz):,} | {shots:,} | {float(result.stdout):.0f} MiB |")
+    print()
+
+
+def stage_times(scan: StaticScan) -> dict[str, float]:
+    """Time of every stage [s], each on what the stages before it found, the whole scan at once."""
+    items = list(scan.blocks())
+    ranges = np.concatenate([item.range_m for item in items])
+    xyz = np.concatenate([item.xyz_m for item in items if item.xyz_m is not None])
+    sides = split_sides(scan.beam_rad)
+    times: dict[str, float] = {}
+
+    def timed(name: str, job: Callable[[], Any]) -> Any:
+        times[name] = rate(job)
+        return job()
+
+    lines = timed("lines from low to high", lambda: vertical_lines(ranges, xyz, scan.beam_rad, sides, 300.0))
+    angles = timed("signed angles", lambda: signed_angles(lines, AnglesParams()))
+    signed = angles.signed_deg
+    surface = timed("T, H and V", lambda: coarse(signed, lines, CoarseParams()))
+    phihat = timed("line angles", lambda: line_angles(lines, angles.ahead, surface))
+
+    def car_layer() -> Any:
+        dense = dense_vegetation(angle_differences(signed), DenseVegetationParams())
+        return car_surface(signed, dense, lines, CoarseParams().surfaces)
+
+    cars_on = timed("T', and its H and V", car_layer)
+
+    def ground_all() -> Any:
+        state = initial_ground(start_heights(lines, surface, phihat, angles.ahead, GroundParams()), GroundParams())
+        return ground(lines, surface, phihat, angles.ahead, state, GroundParams())
+
+    mask, z_g, _ = timed("ground", ground_all)
+
+    def curbs_all() -> Any:
+        possible = possible_curbs(lines, surface, mask, z_g, CurbParams())
+        start = CurbState.start(1, surface.shape[1], CurbParams())
+        return curbs(lines, surface, signed, possible, start, CurbParams(), last=True)
+
+    timed("curbs", curbs_all)
+    timed("cars", lambda: cars(lines, surface, cars_on, signed, z_g, CarParams(), range_noise_m=0.005))
+    return times
+
+
+PARTS: dict[str, Callable[[Path], None]] = {
+    "simulated": simulated,
+    "kitti": kitti,
+    "oakland": oakland,
+    "organised": organised,
+    "speed": speed,
+    "memory": memory,
+}
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
+    arguments = parser.parse_args()
+    print("<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# Sequential-angle: figures\n")
+    with tempfile.TemporaryDirectory() as name:
+        for part in arguments.parts or PARTS:
+            if part not in PARTS:
+                parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
+            PARTS[part](Path(name))
+
+
+if __name__ == "__main__":
+    main()
