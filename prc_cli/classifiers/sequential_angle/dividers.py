@@ -28,7 +28,7 @@ class DividersParams(Params):
         description="l2: so is one above this; gradual changes begin an interval [deg] (published)",
     )
     change_chord_m: float = Field(
-        0.08, ge=0, le=10, description="that angle is measured to the first return at least this far away, ... [m]"
+        0.1, ge=0, le=10, description="that angle is measured to the first return at least this far away, ... [m]"
     )
     change_chord_sigmas: float = Field(
         8.0,
@@ -50,8 +50,14 @@ class DividersParams(Params):
         0.01,
         ge=0,
         le=100,
-        description="a return before that is farther away by more than this lies under the point, which then begins an "
-        "interval [m] (published); without back-dated labels take 4 times the range noise or more",
+        description="a return before that is farther away by more than this, ... [m] (published)",
+    )
+    under_sigmas: float = Field(
+        6.0,
+        ge=0,
+        le=1000,
+        description="... and by more than this many times the range noise, lies under the point, which then begins an "
+        "interval; 0 = the distance alone (published)",
     )
     separation_m: float = Field(
         4.0, gt=0, le=1e4, description="t_sep: successive returns farther apart are two objects [m] (published)"
@@ -125,6 +131,14 @@ def dividers(
     -------
     (K, 3) int32
         Row, first beam, last beam, both of them returns; by row and beam.
+
+    Notes
+    -----
+    Measured on simulated lines, scanner 1.8 m up, noise 5 mm, steps of 0.06 to 0.2 deg, objects at 3 to 13 m, labels
+    exact. Something under a point is found under 100 % of the sides of cars for limits from 1 to 6 cm, but before up to
+    32 % of walls and curbs for 1 cm, 3 % for 2 cm, none for 3 cm: within 5 m the ranges of successive ground points
+    differ by little more than the noise. Chords of 8, 10, 12 cm call .87, .92, .95 of walls sudden, and .03, .04, .11
+    of tyres; longer ones overlook curbs.
     """
     intervals = kernels.car_intervals(
         car_surface,
@@ -141,7 +155,7 @@ def dividers(
         max(params.change_chord_m, params.change_chord_sigmas * range_noise_m),
         params.change_reach,
         params.under_points,
-        params.under_m,
+        max(params.under_m, params.under_sigmas * range_noise_m),
         params.separation_m,
         params.flat_length_m,
         params.flat_residual_m,

@@ -1,0 +1,250 @@
+"""Where cars begin and end along a line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli import kernels
+from prc_cli.classifiers.sequential_angle.dividers import DividersParams, dividers
+from prc_cli.core.types import F64, I32
+from tests.classifiers.sequential_angle.car_lines import (
+    DENSE,
+    NOISE_M,
+    H,
+    Piece,
+    Seen,
+    V,
+    bush,
+    car,
+    curb,
+    make_lines,
+    road,
+    see,
+    signed_angles,
+    wall,
+)
+
+PARAMS = DividersParams()
+
+
+def find(found: Seen, params: DividersParams = PARAMS, *, trigger: int = 0, noise_m: float = NOISE_M) -> I32:
+    triggers = np.full(len(found.surface), trigger, np.int32)
+    literal = max(params.change_chord_m, params.change_chord_sigmas * noise_m) == 0
+    signed = signed_angles(found.lines) if literal else np.full_like(found.lines.range_m, np.nan)
+    return dividers(found.lines, found.surface, signed, triggers, found.z_g, params, range_noise_m=noise_m)
+
+
+def look(pieces: list[Piece], seed: int = 1, **how: Any) -> Seen:
+    return see([pieces], np.random.default_rng(seed), **how)
+
+
+def share_of_lines(pieces: list[Piece], params: DividersParams, at_m: float, **how: Any) -> float:
+    """Share of 100 lines with an interval that begins within 40 cm of a distance."""
+    found = see([pieces] * 100, np.random.default_rng(4), **how)
+    rows = [row for row, first, _ in find(found, params) if abs(found.lines.horizontal_m[row, first] - at_m) < 0.4]
+    return len(set(rows)) / 100
+
+
+ALL_SUDDEN = DividersParams(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=100)
+"""Every change is sudden, so that TestUnder alone decides."""
+ALL_OBSTACLES = DividersParams(under_m=100, vertical_extent_m=100)
+"""Nothing is under anything, so that the angle of the change alone decides."""
+
+
+@pytest.mark.parametrize("distance", [4.0, 7.0, 12.0])
+@pytest.mark.parametrize("step_deg", [0.06, 0.115, 0.2])
+def test_something_is_under_the_side_of_a_car_but_not_under_walls_and_curbs(distance: float, step_deg: float) -> None:
+    how = {"step_deg": step_deg, "high_deg": 95.0}
+    assert share_of_lines([*road(), *car(distance)], ALL_SUDDEN, distance, **how) == 1
+    assert share_of_lines([*road(), *wall(distance)], ALL_SUDDEN, distance, **how) == 0
+    assert share_of_lines([*road(), *curb(distance)], ALL_SUDDEN, distance, **how) == 0
+
+
+def test_walls_are_sudden_and_tyres_gradual() -> None:
+    literal = ALL_OBSTACLES.model_copy(update={"change_chord_m": 0.0, "change_chord_sigmas": 0.0})
+    walls = {
+        name: [1 - share_of_lines([*road(), *wall(at)], params, at, high_deg=85.0) for at in (5.0, 8.0, 12.0)]
+        for name, params in (("chord", ALL_OBSTACLES), ("literal", literal))
+    }
+    tyres = [1 - share_of_lines([*road(), *car(at, tyre=True)], ALL_OBSTACLES, at) for at in (5.0, 8.0, 12.0)]
+    assert np.mean(walls["chord"]) > 0.88
+    assert max(walls["literal"]) < 0.8
+    assert max(tyres) < 0.05
+
+
+def test_two_cars_before_a_wall_are_two_intervals() -> None:
+    found = look([*road(), *car(6), *car(13.5), *curb(17), *wall(20, 0.15, windows=True)], scanner_m=2.5)
+    intervals = find(found)
+    assert len(intervals) == 2
+    for (_, first, last), at_m in zip(intervals, (6.0, 13.5), strict=True):
+        beams = [k for k in range(first, last + 1) if found.surface[0, k]]
+        assert {found.names[0][k] for k in beams} == {"car"}
+        assert len(beams) >= 15
+        assert np.allclose(found.lines.horizontal_m[0, beams], at_m + 0.8, atol=0.9)
+    assert intervals[0, 2] < intervals[1, 1]
+
+
+def test_walls_curbs_and_poles_give_no_interval() -> None:
+    rng = np.random.default_rng(9)
+    pole = [Piece("pole", (5.0, 0.0), (5.0, 1.1))]
+    scenes = [[*road()], [*road(), *wall(9)], [*road(), *curb(9), *wall(12, 0.15, windows=True)], [*road(), *pole]]
+    found = see(scenes * 25, rng)
+    sudden = DividersParams(sudden_from_deg=-60, sudden_to_deg=60)
+    assert len(find(found, sudden)) == 0
+    assert len(set(find(found)[:, 0].tolist())) <= 8, "some of a hundred changes look gradual"
+
+
+def test_published_limit_of_what_is_under_is_within_the_noise() -> None:
+    published = ALL_SUDDEN.model_copy(update={"under_sigmas": 0.0})
+    assert share_of_lines([*road(), *wall(4.0)], published, 4.0, high_deg=95.0) > 0.05
+    assert share_of_lines([*road(), *wall(4.0)], ALL_SUDDEN, 4.0, high_deg=95.0) == 0
+
+
+@pytest.mark.parametrize("behind_m", [8.2, 9.5, 11.0])
+def test_wall_behind_a_car_is_cut_out_although_the_search_ends_below_its_top(behind_m: float) -> None:
+    found = look([*road(), *car(6, glass=False), *wall(behind_m)])
+    (interval,) = find(found)
+    assert {found.names[0][k] for k in range(interval[1], interval[2] + 1)} == {"car"}
+    assert len(find(found, DividersParams(vertical_extent_m=100)).ravel()) >= 3
+    uncut = find(found, DividersParams(vertical_extent_m=100))
+    assert {found.names[0][k] for _, a, b in uncut for k in range(a, b + 1)} >= {"car", "wall"}
+
+
+def test_line_without_trigger_or_ground_gives_nothing() -> None:
+    found = see([[*road(), *car(6)]] * 3, np.random.default_rng(1))
+    signed = signed_angles(found.lines)
+    trigger, z_g = np.array([-1, 5, 5], np.int32), np.array([-1.8, np.nan, -1.8], np.float32)
+    rows = dividers(found.lines, found.surface, signed, trigger, z_g, PARAMS, range_noise_m=NOISE_M)[:, 0]
+    assert set(rows.tolist()) == {2}
+
+
+def test_search_ends_at_dense_vegetation_and_at_height() -> None:
+    # a hedge before the car hides nothing of what is known of it: the search must not get there
+    found = look([*road(), *bush(4.0, 0.6), *car(6)])
+    assert DENSE in found.surface
+    assert (found.surface[0, : found.where("car")[0]] == DENSE).any()
+    assert len(find(found)) == 0
+
+    found = look([*road(), *car(6), *car(14, glass=False)], scanner_m=3.0)
+    first, second = find(found)[:2]
+    assert len(find(found)) >= 2
+    high = DividersParams(height_m=1.2)
+    (cut,) = find(found, high)
+    assert cut[1] == first[1]
+    assert cut[2] < second[1]
+    heights = found.lines.xyz_m[0, cut[1] : cut[2] + 1, 2]
+    assert np.nanmax(heights) <= found.z_g[0] + 1.2
+
+
+def profile(steps: list[tuple[str, float, float]]) -> tuple[Seen, F64]:
+    """A noiseless line from (label, distance, height over the road) of every return, angles as they come."""
+    h, z = np.array([step[1] for step in steps]), np.array([step[2] for step in steps]) - 1.8
+    lines = make_lines(np.hypot(h, z)[None], np.pi / 2 + np.arctan2(z, h))
+    codes = np.array([[{"H": H, "V": V, "T": DENSE}[step[0]] for step in steps]], np.uint8)
+    return Seen(lines, codes, [["" for _ in steps]], np.array([-1.8], np.float32)), h
+
+
+def ground(from_m: float, to_m: float, step_m: float = 0.25) -> list[tuple[str, float, float]]:
+    return [("H", float(h), 0.0) for h in np.arange(from_m, to_m + 1e-6, step_m)]
+
+
+def side(at_m: float, top_m: float = 0.95) -> list[tuple[str, float, float]]:
+    return [("V", at_m, float(z)) for z in np.arange(0.2, top_m, 0.1)]
+
+
+def spans(steps: list[tuple[str, float, float]], params: DividersParams = PARAMS) -> list[tuple[int, int]]:
+    found, _ = profile(steps)
+    return [(int(first), int(last)) for _, first, last in find(found, params)]
+
+
+def test_jump_ahead_divides_and_jump_back_does_not() -> None:
+    start = [*ground(2, 6.5), *side(6)]
+    n = len(start)
+    begin = len(ground(2, 6.5))
+    assert spans([*start, *side(9.9)]) == [(begin, n + 7)]
+    assert spans([*start, *side(10.5)]) == [(begin, n - 1), (n, n + 7)]
+    assert spans([*start, *side(10.5), *side(6.2)]) == [(begin, n - 1), (n, n + 15)], "back towards the scanner"
+    assert spans([*start, *side(10.5)], DividersParams(separation_m=5)) == [(begin, n + 7)]
+
+
+def test_long_flat_stretch_ends_the_interval_and_the_search_begins_anew() -> None:
+    first, plane, second = [*ground(2, 6.5), *side(6)], ground(7, 11), side(10.6)
+    begin, n = len(ground(2, 6.5)), len(first)
+    steps = [*first, *plane, *second]
+    assert spans(steps) == [(begin, n), (n + len(plane), len(steps) - 1)]
+    # a short one does not; nor does one that is bent; on a slope it does
+    assert spans([*first, *ground(7, 9.9), *second]) == [(begin, n + len(ground(7, 9.9)) + 7)]
+    bent = [("H", h, 0.25 * abs(h - 9)) for _, h, _ in plane]
+    assert spans([*first, *bent, *second]) == [(begin, len(steps) - 1)]
+    sloping = [("H", h, 0.1 * (h - 7)) for _, h, _ in plane]
+    assert spans([*first, *sloping]) == [(begin, n)]
+    assert spans([*first, *sloping], DividersParams(flat_slope_deg=5)) == [(begin, n + len(plane) - 1)]
+
+
+def test_roof_and_the_ground_behind_it_are_not_one_flat_stretch() -> None:
+    first = [*ground(2, 6.5), *side(6)]
+    roof = [("H", float(h), 1.4) for h in np.arange(6.25, 7.8, 0.25)]
+    begin, n = len(ground(2, 6.5)), len(first) + len(roof)
+    # one run of H, less than t_sep apart: the stretch is found inside the run, from the ground on
+    assert spans([*first, *roof, *ground(10.5, 14.5), *side(14)])[0] == (begin, n)
+
+
+def test_forgotten_divider_does_not_begin_an_interval() -> None:
+    """After a long flat stretch the jump behind it is not a divider any more."""
+    first, plane, jumped = [*ground(2, 6.5), *side(6)], ground(7, 11), ground(16, 17)
+    begin, n = len(ground(2, 6.5)), len(first)
+    assert spans([*first, *plane, *jumped]) == [(begin, n)]
+
+
+def test_long_vertical_runs_are_cut_out_of_the_middle() -> None:
+    start, trunk = [*ground(2, 6.5), *side(6)], [("V", 7.0, float(z)) for z in np.arange(0.5, 1.9, 0.1)]
+    hood = [("H", float(h), 0.95) for h in (6.2, 6.4, 6.6)]
+    begin, n = len(ground(2, 6.5)), len(start) + len(hood)
+    after = [("H", float(h), 1.9) for h in (7.2, 7.4)]
+    steps = [*start, *hood, *trunk, *after]
+    assert spans(steps) == [(begin, n - 1), (n + len(trunk), len(steps) - 1)]
+    assert spans(steps, DividersParams(vertical_extent_m=1.5)) == [(begin, len(steps) - 1)]
+
+
+def test_side_of_a_car_and_the_wall_behind_it_are_two_runs() -> None:
+    start = [*ground(2, 6.5), *side(6)]
+    begin = len(ground(2, 6.5))
+    high = [("V", 8.0, float(z)) for z in np.arange(1.0, 4.0, 0.1)]
+    assert spans([*start, *high]) == [(begin, len(start) - 1)]
+    assert spans([*start, *high], DividersParams(vertical_break_m=3)) == []
+
+
+def test_angle_of_the_point_itself_where_no_chord_can_be_laid() -> None:
+    """Two returns at one place: the signed angle decides, and without one what lies under the point."""
+    steps = [*ground(2, 6), ("V", 6.0, 0.03)]
+    found, _ = profile(steps)
+    signed = np.zeros_like(found.lines.range_m)
+
+    def n_found(angle: float) -> int:
+        signed[0, -1] = angle
+        trigger = np.zeros(1, np.int32)
+        return len(dividers(found.lines, found.surface, signed, trigger, found.z_g, PARAMS, range_noise_m=NOISE_M))
+
+    assert [n_found(angle) for angle in (-5.1, -5, 0, 20, 20.1, np.nan)] == [1, 0, 0, 0, 1, 0]
+
+
+def test_hostile_row_takes_no_more_than_a_moment() -> None:
+    """Alternating labels on points closer than any chord, and a rough run of thousands of points."""
+    n = 20_000
+    beam = np.linspace(0.5, 1.2, n)
+    found = make_lines(np.full((4, n), 0.05), beam)
+    codes = np.tile(np.array([H, V], np.uint8), (4, n // 2))
+    codes[1, :] = H
+    codes[1, 1] = V
+    codes[2:, ::7] = 0
+    z_g = np.full(4, -1.8, np.float32)
+    signed = np.full((4, n), 50, np.float32)
+    params = DividersParams(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
+    intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params, range_noise_m=NOISE_M)
+    assert intervals[:, 0].max() <= 3
+    assert (
+        kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, 1.0, 0.0).shape[1] == 3
+    )
