@@ -419,3 +419,20 @@ def test_las_and_labels_out(tmp_path: Path) -> None:
     assert len(labels) == 300 + len(e57_fields(grid_points(4, 30, 3))["rowIndex"])
     missing = np.isnan(there[fields["columnIndex"], fields["rowIndex"]])
     assert np.array_equal(labels[:300] == 0, missing)
+
+
+@pytest.mark.data
+def test_a_real_scan(real_data: Path) -> None:
+    stream = open_input(real_data / "organised" / "pumpA.e57", AUTO)
+    (block,) = scans_of(stream)
+    assert block.range_m.shape == (345, 1074)
+    assert np.isfinite(block.range_m).sum() == stream.info.n_records == 155201
+    # the ends that the file's header says
+    assert np.nanmin(block.range_m) == pytest.approx(1.983619, abs=1e-5)
+    assert np.nanmax(block.range_m) == pytest.approx(5.429336, abs=1e-5)
+    assert block.xyz_m is not None
+    # vertical lines: along a column the elevation rises, the azimuth stays
+    elevation = np.arcsin(block.xyz_m[..., 2] / block.range_m)
+    assert np.nanmedian(np.diff(elevation, axis=1)) > 0
+    azimuth = np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0])
+    assert np.nanmedian(np.abs(np.diff(azimuth, axis=1))) < 1e-3

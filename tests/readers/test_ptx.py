@@ -301,3 +301,13 @@ def test_las_and_labels_out(tmp_path: Path) -> None:
     assert np.array_equal(labels[there], np.asarray(cloud.classification)[order])
     classify(path, tmp_path / "a.csv")
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 517
+
+
+@pytest.mark.data
+def test_a_real_file_with_colour(real_data: Path) -> None:
+    stream = open_input(real_data / "organised" / "1.2-with-color.ptx", AUTO)
+    (block,) = scans_of(stream)
+    assert block.range_m.shape == (15, 71)
+    assert not np.isnan(block.range_m).any()
+    # an airborne strip in the frame of a scanner that was never there: read as it says
+    assert block.range_m.min() > 1e6
