@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -61,17 +62,43 @@ MORE_SEEDS = 4
 """Streets of the other rows."""
 COARSE = {"azimuth_step_deg": 0.46}
 """Every fourth line: as many different streets in a quarter of the time."""
-SETTINGS: dict[str, dict[str, Any]] = {
-    "scanner on the road": COARSE,
-    "scanner on the sidewalk": COARSE | {"across_m": -7.0},
-    "scanner on the road, every shot a leaf of its own": COARSE | {"leaf_m": 0.0},
-    "steps of 0.06°": COARSE | {"elevation_step_deg": 0.06},
-    "steps of 0.23°": COARSE | {"elevation_step_deg": 0.23},
-    "10 mm noise": COARSE | {"noise_m": 0.01},
-    "10 mm noise, told so": COARSE | {"noise_m": 0.01},
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A row of the table of simulated scans."""
+
+    options: dict[str, Any] = field(default_factory=dict)
+    """Of the simulator."""
+    preset: str = "street-scan"
+    range_noise_m: float | None = None
+    """What the classifier is told; default: the preset's."""
+
+
+SETTINGS = {
+    "scanner on the road": Setting(),
+    "scanner on the sidewalk": Setting({"across_m": -7.0}),
+    "every shot a leaf of its own": Setting({"leaf_m": 0.0}),
+    "steps of 0.06°": Setting({"elevation_step_deg": 0.06}),
+    "steps of 0.23°": Setting({"elevation_step_deg": 0.23}),
+    "10 mm noise, told 5 mm": Setting({"noise_m": 0.01}),
+    "10 mm noise, told so": Setting({"noise_m": 0.01}, range_noise_m=0.01),
+    "published constants": Setting(preset="street-scan-published"),
 }
-TOLD = {"10 mm noise, told so": 0.01}
-"""Range noise that the classifier is told [m], where it is not the preset's."""
+
+ORGANISED: dict[str, dict[str, Any]] = {
+    ".e57": {},
+    ".ptx": {},
+    ".3d": {"points_per_line": 360, "range": "sensor-xyz", "max_range": 32.7},
+    ".csv": {
+        "lines": "elevation:20",
+        "range": "sensor-xyz",
+        "columns": "angle",
+        "angle_start": -36.0,
+        "angle_step": 0.25,
+    },
+}
+"""What has to be said of organised files, by suffix; docs/formats.md explains it."""
 
 CHILD = """
 import resource, sys
@@ -86,12 +113,14 @@ sys.exit(code)
 """
 
 
-def street_scan(path: Path | None = None, range_noise_m: float | None = None, **inputs: Any) -> LoadedConfig:
-    """The preset of the classifier, for a scanner with other noise, for inputs that need options."""
+def street_scan(
+    path: Path | None = None, preset: str = "street-scan", range_noise_m: float | None = None, **inputs: Any
+) -> LoadedConfig:
+    """A preset of the classifier, for a scanner with other noise, for inputs that need options."""
     options: dict[str, Any] = {"input": inputs} if inputs else {}
     if range_noise_m is not None:
         options["sequential_angle"] = {"angles": {"range_noise_m": range_noise_m}}
-    return load_config(path, preset="street-scan", options=options)
+    return load_config(path, preset=preset, options=options)
 
 
 def write_scan(folder: Path, scan: StaticScan) -> tuple[Path, Path]:
@@ -126,13 +155,14 @@ def simulated(folder: Path) -> None:
     sums: dict[str, ConfusionMatrix] = {}
     each: dict[str, ConfusionMatrix] = {}
     fine: ConfusionMatrix | None = None
-    for title, options in SETTINGS.items():
+    for title, setting in SETTINGS.items():
         first = not sums
         for seed in range(1, (SEEDS if first else MORE_SEEDS) + 1):
-            scan = simulate_static_scan(StaticScanParams.model_validate({"seed": seed} | options))
+            scan = simulate_static_scan(StaticScanParams.model_validate({"seed": seed} | COARSE | setting.options))
             source, reference = write_scan(folder, scan)
             labels = folder / "labels.npy"
-            classify(source, labels, street_scan(range_noise_m=TOLD.get(title)), overwrite=True)
+            config = street_scan(preset=setting.preset, range_noise_m=setting.range_noise_m)
+            classify(source, labels, config, overwrite=True)
             matrix = evaluate(labels, reference, "street_scan")
             sums[title] = sums[title] + matrix if title in sums else matrix
             if first:
@@ -194,17 +224,20 @@ def oakland(folder: Path) -> None:
 def organised(folder: Path) -> None:
     """Every organised file: lines, shots, class shares."""
     names = ("ground", "horizontal", "curb", "vertical", "vegetation", "car", "unclassified")
-    print("## Organised scans\n\n```console\n$ prc classify FILE out.npy --preset street-scan\n```\n")
+    print("## Organised scans\n\nThe options are those of [the page on formats](formats.md).\n\n```console")
+    print("$ prc classify pumpA.e57 labels.npy --preset street-scan\n```\n")
     print("| file | lines | shots | missing | " + " | ".join(names) + " |")
     print("|---|---:|---:|---:|" + "---:|" * len(names))
     codes = {name: code for code, name in ClassCodes().names().items()}
     for source in sorted((DATA / "organised").iterdir()):
-        if source.suffix not in {".e57", ".ptx", ".csv"}:
+        if source.suffix not in ORGANISED:
             continue
         try:
-            summary = classify(source, folder / "organised.npy", street_scan(), overwrite=True)
+            config = street_scan(**ORGANISED[source.suffix])
+            summary = classify(source, folder / "organised.npy", config, overwrite=True)
         except PrcError as error:
-            print(f"| {source.name} | refused: {str(error).replace(str(source), 'file')} |" + " |" * (len(names) + 2))
+            reason = str(error).replace(f"{source}: ", "")
+            print(f"| {source.name} | refused: {reason} |" + " |" * (len(names) + 2))
             continue
         counts = np.bincount(np.load(folder / "organised.npy").ravel(), minlength=256)
         returned = max(int(counts[1:].sum()), 1)
