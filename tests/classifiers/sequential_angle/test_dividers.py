@@ -70,7 +70,7 @@ def test_walls_are_sudden_and_tyres_gradual() -> None:
         for name, params in (("chord", ALL_OBSTACLES), ("literal", literal))
     }
     tyres = [1 - share_of_lines([*road(), *car(at, tyre=True)], ALL_OBSTACLES, at) for at in (5.0, 8.0, 12.0)]
-    assert np.mean(walls["chord"]) > 0.88
+    assert min(walls["chord"]) > 0.8
     assert max(walls["literal"]) < 0.8
     assert max(tyres) < 0.05
 
