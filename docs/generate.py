@@ -154,8 +154,7 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/configuration.md": configuration_page(),
         ROOT / "docs/reference/classes.md": classes_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
-        ROOT / "sample_configs/urban.toml": sample_config("urban"),
-        ROOT / "sample_configs/forest.toml": sample_config("forest"),
+        **{ROOT / f"sample_configs/{name.replace('-', '_')}.toml": sample_config(name) for name in PRESETS},
     }
 
 

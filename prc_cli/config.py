@@ -15,22 +15,35 @@ from pydantic import Field
 from pydantic.fields import FieldInfo
 
 from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, read_toml
 from prc_cli.core.errors import ConfigError
 from prc_cli.readers.options import InputConfig, Layout
 from prc_cli.writers.options import OutputConfig
 
+SEQUENTIAL_ANGLE: Literal["sequential-angle"] = "sequential-angle"
+
 
 class RunConfig(Params):
     """Everything a run depends on beside its input."""
 
-    method: Literal["prc"] = Field("prc", description="classifier: prc (Lehtola et al. 2019)")
+    method: Literal["prc", "sequential-angle"] = Field(
+        "prc", description="classifier: prc (Lehtola et al. 2019) or sequential-angle (Stamos et al. 2012)"
+    )
     input: InputConfig = Field(default_factory=InputConfig, description="how the stream is found in the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
     prc: PrcParams = Field(default_factory=PrcParams, description="PRC (Lehtola et al. 2019)")
+    sequential_angle: SequentialAngleParams = Field(
+        default_factory=SequentialAngleParams, description="sequential-angle (Stamos et al. 2012)"
+    )
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes")
     output: OutputConfig = Field(default_factory=OutputConfig, description="what is written")
+
+    @property
+    def classifier(self) -> PrcParams | SequentialAngleParams:
+        """Parameters of the classifier that ``method`` names."""
+        return self.sequential_angle if self.method == SEQUENTIAL_ANGLE else self.prc
 
     def to_table(self) -> dict[str, Any]:
         """Return the effective configuration as a nested table, names as in TOML, unset values left out."""
@@ -54,6 +67,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "surfaces": {"area": "auto", "gamma": 2},
         }
     },
+    "street-scan": {"method": "sequential-angle"},
 }
 """Published parameters (Lehtola et al. 2019, II-A, II-E, IV-A, IV-C); the forest's area is not printed there."""
 

@@ -6,30 +6,37 @@ The data flows one way: ``open_stream`` → blocks of k lines → ``label_blocks
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, classify_block, initial_state
+from prc_cli.classifiers.prc import pipeline as prc
+from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.returns import label_extra_returns
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.classifiers.sequential_angle import pipeline as sequential_angle
+from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
+from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import I64, U8
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
+from prc_cli.readers.beams import with_beams
 from prc_cli.readers.ranges_clean import clean_ranges
-from prc_cli.readers.regroup import regroup
+from prc_cli.readers.regroup import LineBuffer, regroup
 from prc_cli.writers import open_writer
 from prc_cli.writers.record import RunRecord, fingerprint, record_path
 
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
 
+SHOTS_AT_ONCE = 1 << 18
+"""Shots that the sequential-angle classifier takes at a time; its labels do not depend on it."""
 FAR_M = 20_000.0
 """Ranges from here on [m] are a sign of a wrong origin, trajectory or coordinate system."""
 
@@ -89,7 +96,8 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     Returns
     -------
     ScanStream
-        ``.info`` says what is known before reading, ``.blocks()`` reads from the start.
+        ``.info`` says what is known before reading, ``.blocks()`` reads from the start. For the sequential-angle
+        classifier the blocks know where down is.
 
     Raises
     ------
@@ -97,41 +105,73 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
         When the file is damaged, or holds nothing that a range can be taken from.
     """
     loaded = _loaded(config)
-    return open_input(Path(path), loaded.config.input, loaded.config.layout)
+    stream = open_input(Path(path), loaded.config.input, loaded.config.layout)
+    return with_beams(stream, loaded.config.input) if loaded.config.method == SEQUENTIAL_ANGLE else stream
 
 
-def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlock]:
+def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams | SequentialAngleParams) -> Iterator[LabelledBlock]:
     """Classify a stream block by block; what crosses blocks is one state a scanner.
 
     Parameters
     ----------
     blocks : iterator of ScanBlock
-        Blocks of any number of lines.
-    params : PrcParams
-        Parameters of the classifier.
+        Blocks of any number of lines; with ``beam_rad`` for the sequential-angle classifier.
+    params : PrcParams or SequentialAngleParams
+        Parameters of the classifier, which say which one it is.
 
     Yields
     ------
     LabelledBlock
-        Blocks of k lines (fewer at the end), in order for each scanner.
+        In order for each scanner: PRC's blocks of k lines (fewer at the end), or the lines that became final.
     """
-    states: dict[int, PrcState] = {}
+    if isinstance(params, PrcParams):
+        yield from _prc(blocks, params)
+    else:
+        yield from _sequential_angle(blocks, params)
+
+
+def _prc(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlock]:
+    states: dict[int, prc.PrcState] = {}
     for block in regroup(blocks, params.lines_per_block):
         state = states.get(block.scanner)
         if state is None:
-            state = initial_state(block.points_per_line)
-        result = classify_block(block.range_m, block.next_m, state, params)
+            state = prc.initial_state(block.points_per_line)
+        result = prc.classify_block(block.range_m, block.next_m, state, params)
         states[block.scanner] = result.state
-        extra = label_extra_returns(
-            block.range_m,
-            result.labels,
-            block.extra.line,
-            block.extra.column,
-            block.extra.range_m,
-            params.support.zeta_p,
-            params.support.zeta_s,
-        )
+        extra = _label_extra(block, result.labels, params.support.zeta_p, params.support.zeta_s)
         yield LabelledBlock(block, result.labels, extra, result.segments)
+
+
+def _sequential_angle(blocks: Iterator[ScanBlock], params: SequentialAngleParams) -> Iterator[LabelledBlock]:
+    states: dict[int, sequential_angle.SequentialAngleState] = {}
+    waiting: dict[int, LineBuffer] = {}
+    for block in _of_shots(blocks, SHOTS_AT_ONCE):
+        scanner = block.scanner
+        if block.beam_rad is None:
+            raise InputError("block of ranges", "no beam angles, expected the angle of every column from straight down")
+        state = states.pop(scanner, None) or sequential_angle.initial_state(block.beam_rad, params)
+        result = sequential_angle.classify_block(block.range_m, block.xyz_m, state, params, last=block.is_last)
+        buffer = waiting.setdefault(scanner, LineBuffer())
+        buffer.add(block)
+        if not block.is_last:
+            states[scanner] = result.state
+        if result.n_lines:
+            final = buffer.take(result.n_lines)
+            # lines leave alone or together, as it happens: only the shot's own line may have a say
+            extra = _label_extra(final, result.labels, params.extra_return_m, 0.0)
+            yield LabelledBlock(final, result.labels, extra, stages=result.stages)
+
+
+def _of_shots(blocks: Iterator[ScanBlock], n_shots: int) -> Iterator[ScanBlock]:
+    """Cut a stream into blocks of about ``n_shots`` shots, each scanner's last one marked as such."""
+    first = next(blocks, None)
+    if first is not None:
+        yield from regroup(chain([first], blocks), max(1, n_shots // first.points_per_line))
+
+
+def _label_extra(block: ScanBlock, labels: U8, in_line_m: float, adjacent_m: float) -> U8:
+    extra = block.extra
+    return label_extra_returns(block.range_m, labels, extra.line, extra.column, extra.range_m, in_line_m, adjacent_m)
 
 
 def classify(
@@ -188,12 +228,13 @@ def classify(
         options=loaded.config.output,
         overwrite=overwrite,
     ) as writer:
-        for item in label_blocks(stream.blocks(), loaded.config.prc):
+        for item in label_blocks(stream.blocks(), loaded.config.classifier):
             writer.add(item)
             counts = counts.add(item)
             if progress is not None:
                 progress(item.block.n_lines)
         record = run_record(stream.info, counts, loaded)
+        record = replace(record, notices=(*record.notices, *_missed(counts, loaded.config)))
         after = source.stat()
         if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
@@ -201,7 +242,13 @@ def classify(
     return RunSummary(output, record, counts)
 
 
-def classify_ranges(range_m: ArrayLike, config: LoadedConfig | RunConfig | None = None) -> U8:
+def classify_ranges(
+    range_m: ArrayLike,
+    config: LoadedConfig | RunConfig | None = None,
+    *,
+    beam_rad: ArrayLike | None = None,
+    xyz_m: ArrayLike | None = None,
+) -> U8:
     """Classify a range image that is in memory.
 
     Parameters
@@ -210,11 +257,21 @@ def classify_ranges(range_m: ArrayLike, config: LoadedConfig | RunConfig | None 
         Chronological; NaN, infinite or not positive = missing.
     config : LoadedConfig or RunConfig, optional
         Default: the published urban parameters.
+    beam_rad : (M,) float, radians, optional
+        Angle of every column's beam from straight down, its sign the side of the scan plane; needed by the
+        sequential-angle classifier.
+    xyz_m : (lines, M, 3) float, metres, optional
+        Relative to the scanner, z up; without it the sequential-angle classifier takes range and beam angle.
 
     Returns
     -------
     (lines, M) uint8
         :class:`prc_cli.core.classes.Label` of every shot.
+
+    Raises
+    ------
+    InputError
+        When an array has another shape than it should have, or beam angles are needed and not given.
 
     Examples
     --------
@@ -233,8 +290,20 @@ def classify_ranges(range_m: ArrayLike, config: LoadedConfig | RunConfig | None 
     ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
     if ranges.ndim != 2 or not ranges.size:
         raise InputError("range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)")
-    block = ScanBlock(first_line=0, range_m=np.ascontiguousarray(ranges), tally=tally)
-    return np.concatenate([item.labels for item in label_blocks(iter([block]), config.prc)])
+    beams = None if beam_rad is None else np.asarray(beam_rad, np.float64)
+    if beams is not None and (beams.shape != ranges.shape[1:] or not np.isfinite(beams).all()):
+        problem = f"found an array of shape {beams.shape}, expected {ranges.shape[1:]}, all finite"
+        raise InputError("beam_rad", problem)
+    if beams is None and config.method == SEQUENTIAL_ANGLE:
+        raise InputError("beam_rad", "not given, expected the angle of every column's beam from straight down")
+    block = ScanBlock(
+        first_line=0,
+        range_m=np.ascontiguousarray(ranges),
+        tally=tally,
+        xyz_m=None if xyz_m is None else np.ascontiguousarray(xyz_m, np.float32),
+        beam_rad=beams,
+    )
+    return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier)])
 
 
 def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRecord:
@@ -253,6 +322,13 @@ def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRec
         tally=counts.tally,
         notices=info.notes,
     )
+
+
+def _missed(counts: Counts, config: RunConfig) -> tuple[str, ...]:
+    """Say what a run did without."""
+    if config.method == SEQUENTIAL_ANGLE and not counts.labels[Label.GROUND]:
+        return ("no ground was found, and without its height neither curbs nor cars are looked for",)
+    return ()
 
 
 def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:

@@ -83,7 +83,7 @@ def test_every_command_has_help_with_an_example(name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
 def test_sample_configs_are_the_presets(name: str) -> None:
-    path = ROOT / "sample_configs" / f"{name}.toml"
+    path = ROOT / "sample_configs" / f"{name.replace('-', '_')}.toml"
     assert load_config(path).config == load_config(preset=name).config
 
 

@@ -19,6 +19,8 @@ from prc_cli.core.config import merge, read_toml
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 _STREAM_OPTIONS = [
+    click.option("--method", type=click.Choice(["prc", "sequential-angle"]),
+                 help="Classifier; default: what the preset or the configuration says, else prc."),
     click.option("--preset", type=click.Choice(list(PRESETS)), help="Published parameters to start from."),
     click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
                  help="Configuration."),
@@ -84,5 +86,7 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:
         table = merge(table, {"input": inputs})
+    if options["method"] is not None:
+        table = merge(table, {"method": options["method"]})
     loaded = load_config(options["config_file"], options["preset"], table)
     return loaded if layout_file is None else replace(loaded, files=(*loaded.files, layout_file))

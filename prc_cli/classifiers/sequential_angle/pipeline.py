@@ -1,0 +1,324 @@
+"""The order of the algorithms in a line and across lines (Stamos et al. 2012, sec. 8), and the state between blocks.
+
+Everything is online. The stages of a line need that line alone, but for the height of the ground, which needs the lines
+before it, and for curbs, which need the lines that their component touches. So a line is final, and leaves, once the
+ground's height is known and every component of vertical points on it is decided. Labels do not depend on how the
+stream was cut into blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli.classifiers.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
+from prc_cli.classifiers.sequential_angle.car import CarParams, cars
+from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
+from prc_cli.classifiers.sequential_angle.curb import (
+    CurbParams,
+    CurbState,
+    behind_curbs,
+    curbs,
+    possible_curbs,
+)
+from prc_cli.classifiers.sequential_angle.ground import (
+    GroundParams,
+    GroundState,
+    ground,
+    initial_ground,
+    start_heights,
+)
+from prc_cli.classifiers.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
+from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
+from prc_cli.core.classes import Label, Surface
+from prc_cli.core.config import Params
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import StageLabels
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+
+
+class SequentialAngleParams(Params):
+    """Parameters of the sequential-angle classifier (``[sequential_angle]``)."""
+
+    max_range_m: float = Field(300.0, gt=0, le=1e9, description="ranges beyond are missing (published) [m]")
+    start_lines: int = Field(
+        500,
+        ge=1,
+        le=1_000_000,
+        description="scan lines that are held back at most until the height of the ground is known from "
+        "ground.start_heights lines; then it is taken from those there are",
+    )
+    extra_return_m: float = Field(
+        0.3,
+        ge=0,
+        le=1e9,
+        description="another return of a shot takes the label of the nearest range in its line if it differs by less "
+        "than this [m]",
+    )
+    angles: AnglesParams = AnglesParams()
+    coarse: CoarseParams = CoarseParams()
+    dense_vegetation: DenseVegetationParams = DenseVegetationParams()
+    ground: GroundParams = GroundParams()
+    curb: CurbParams = CurbParams()
+    car: CarParams = CarParams()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Within:
+    """What is known of half-lines without looking at others; R rows of n beams."""
+
+    lines: VerticalLines
+    signed_deg: F32
+    """(R, n) float32, signed angle [deg]."""
+    ahead: I32
+    """(R, n) int32, beam of the chord's other end, -1 = none."""
+    surface: U8
+    """(R, n) uint8, coarse layer {T, H, V}."""
+    dense: Mask
+    """(R, n) bool, T'."""
+    car_surface: U8
+    """(R, n) uint8, car layer {T', H, V}."""
+    line_angle_deg: F32
+    """(R, n) float32, line angle of horizontal points [deg]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Undecided:
+    """Rows whose curbs are still open."""
+
+    surface: U8
+    """(R, n) uint8, coarse layer."""
+    dense: Mask
+    """(R, n) bool, T'."""
+    ground: Mask
+    """(R, n) bool, G."""
+    car: Mask
+    """(R, n) bool, C before the curbs' say."""
+    horizontal_m: F32
+    """(R, n) float32, horizontal distance [m]."""
+    ground_height_m: F32
+    """(R,) float32, z_g [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SequentialAngleState:
+    """All that a block leaves to the next one; bounded by M, ``start_lines`` and ``curb.max_lines``."""
+
+    sides: Sides
+    beam_rad: F64
+    """(M,) float64, angle of every column's beam from straight down [rad]."""
+    waiting: tuple[Within, ...]
+    """Rows that wait for the first height of the ground, in order."""
+    heights_m: F64
+    """(rows that wait,) float64, their z_i [m], NaN = none."""
+    ground: GroundState | None
+    """None until the ground's height is known."""
+    curb: CurbState
+    undecided: tuple[Undecided, ...]
+    """Rows that wait for their curbs, in order."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SequentialAngleResult:
+    """Lines that became final, in order; there may be none."""
+
+    labels: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
+    stages: StageLabels
+    """What was found on the way, of the same lines."""
+    state: SequentialAngleState
+
+    @property
+    def n_lines(self) -> int:
+        """Number of final lines."""
+        return len(self.labels)
+
+
+def initial_state(beam_rad: F64, params: SequentialAngleParams) -> SequentialAngleState:
+    """Return the state before the first block.
+
+    Parameters
+    ----------
+    beam_rad : (M,) float64
+        Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
+    params : SequentialAngleParams
+    """
+    sides = split_sides(beam_rad)
+    curb = CurbState.start(sides.n_sides, sides.columns.shape[1], params.curb)
+    return SequentialAngleState(sides, beam_rad, (), np.empty(0), None, curb, ())
+
+
+def classify_block(
+    range_m: F32,
+    xyz_m: F32 | None,
+    state: SequentialAngleState,
+    params: SequentialAngleParams,
+    *,
+    last: bool = False,
+) -> SequentialAngleResult:
+    """Take the next lines of a stream, of any number, and label those that thereby become final.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32
+        Slant range [m]; NaN = missing.
+    xyz_m : (lines, M, 3) float32 or None
+        Relative to the scanner, z up [m]; None = taken from range and beam angle, in the scan plane.
+    state : SequentialAngleState
+        From the block before, or :func:`initial_state`.
+    params : SequentialAngleParams
+    last : bool
+        No lines follow: all that waits becomes final.
+
+    Raises
+    ------
+    InputError
+        When the block is not as wide as the stream began.
+    """
+    _check_shape(range_m, xyz_m, state)
+    rows = within_lines(vertical_lines(range_m, xyz_m, state.beam_rad, state.sides, params.max_range_m), params)
+    ready, state = start_ground(rows, state, params, last=last)
+    done: list[Undecided] = []
+    curb_masks: list[Mask] = []
+    for number, part in enumerate(ready):
+        final, mask, state = across_lines(part, state, params, last=last and number == len(ready) - 1)
+        done += final
+        curb_masks.append(mask)
+    return _result(done, curb_masks, state)
+
+
+def within_lines(lines: VerticalLines, params: SequentialAngleParams) -> Within:
+    """Run what needs a half-line alone: the coarse layer, the car layer, the angles of its horizontal points."""
+    angles = signed_angles(lines, params.angles)
+    surface = coarse(angles.signed_deg, lines, params.coarse)
+    dense = dense_vegetation(angle_differences(angles.signed_deg), params.dense_vegetation)
+    return Within(
+        lines=lines,
+        signed_deg=angles.signed_deg,
+        ahead=angles.ahead,
+        surface=surface,
+        dense=dense,
+        car_surface=car_surface(angles.signed_deg, dense, lines, params.coarse.surfaces),
+        line_angle_deg=line_angles(lines, angles.ahead, surface),
+    )
+
+
+def start_ground(
+    rows: Within, state: SequentialAngleState, params: SequentialAngleParams, *, last: bool
+) -> tuple[list[Within], SequentialAngleState]:
+    """Hold rows back until the first height of the ground is known (part b of the ground algorithm, sec. 5)."""
+    if state.ground is not None:
+        return [rows], state
+    heights = start_heights(rows.lines, rows.surface, rows.line_angle_deg, rows.ahead, params.ground)
+    waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, heights])
+    n_most = params.start_lines * state.sides.n_sides
+    enough = int(np.count_nonzero(np.isfinite(heights[:n_most]))) >= params.ground.start_heights
+    if not enough and len(heights) < n_most and not last:
+        return [], replace(state, waiting=waiting, heights_m=heights)
+    known = initial_ground(heights[:n_most], params.ground)
+    return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), ground=known)
+
+
+def across_lines(
+    rows: Within, state: SequentialAngleState, params: SequentialAngleParams, *, last: bool
+) -> tuple[list[Undecided], Mask, SequentialAngleState]:
+    """Run ground, curbs and cars in the order of sec. 8; return the rows that became final, and their curbs."""
+    assert state.ground is not None
+    lines, surface = rows.lines, rows.surface
+    g, z_g, known = ground(lines, surface, rows.line_angle_deg, rows.ahead, state.ground, params.ground)
+    start = possible_curbs(lines, surface, g, z_g, params.curb)
+    noise = params.angles.range_noise_m
+    c = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
+    curb, curb_state = curbs(lines, surface, rows.signed_deg, start, state.curb, params.curb, last=last)
+    open_rows = (*state.undecided, Undecided(surface, rows.dense, g, c, lines.horizontal_m, z_g))
+    final, left = _split(open_rows, len(curb))
+    return final, curb, replace(state, ground=known, curb=curb_state, undecided=left)
+
+
+def combine(rows: Undecided, curb: Mask) -> U8:
+    """Give every beam its class; cars behind a curb go back to the coarse classification (sec. 8).
+
+    Parameters
+    ----------
+    rows : Undecided
+        R rows whose curbs are decided.
+    curb : (R, n) bool
+        Points of verified curbs.
+
+    Returns
+    -------
+    (R, n) uint8
+        :class:`prc_cli.core.classes.Label`.
+    """
+    labels = _LABEL_OF_SURFACE[rows.surface]
+    labels[rows.ground] = Label.GROUND
+    labels[rows.car & ~behind_curbs(rows.horizontal_m, curb)] = Label.CAR
+    labels[curb] = Label.CURB
+    return labels
+
+
+_LABEL_OF_SURFACE = np.zeros(len(Surface), np.uint8)
+_LABEL_OF_SURFACE[Surface.MISSING] = Label.MISSING
+_LABEL_OF_SURFACE[Surface.VEGETATION] = Label.VEGETATION
+_LABEL_OF_SURFACE[Surface.HORIZONTAL] = Label.HORIZONTAL
+_LABEL_OF_SURFACE[Surface.VERTICAL] = Label.VERTICAL
+_LABEL_OF_SURFACE[Surface.UNDECIDED] = Label.UNCLASSIFIED
+
+
+def _result(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> SequentialAngleResult:
+    """Bring final rows back to the columns of their scan lines."""
+    sides, m = state.sides, len(state.beam_rad)
+    if not done:
+        none = np.empty((0, m), np.uint8)
+        return SequentialAngleResult(none, StageLabels(none, none.astype(np.bool_), none.astype(np.float32)), state)
+    rows = _join(done)
+    labels = combine(rows, np.concatenate(curb))
+    height = np.repeat(rows.ground_height_m[:, None], labels.shape[1], axis=1)
+    stages = StageLabels(
+        to_columns(rows.surface, sides, m), to_columns(rows.dense, sides, m), to_columns(height, sides, m)
+    )
+    return SequentialAngleResult(to_columns(labels, sides, m), stages, state)
+
+
+RowsT = TypeVar("RowsT")
+
+
+def _split(parts: tuple[Undecided, ...], n_rows: int) -> tuple[list[Undecided], tuple[Undecided, ...]]:
+    """Cut the first rows off a queue."""
+    taken: list[Undecided] = []
+    for number, part in enumerate(parts):
+        n = len(part.surface)
+        if n_rows < n:
+            if n_rows:
+                taken.append(_rows_of(part, slice(0, n_rows)))
+            return taken, (_rows_of(part, slice(n_rows, n)), *parts[number + 1 :])
+        taken.append(part)
+        n_rows -= n
+    return taken, ()
+
+
+def _rows_of(rows: Undecided, part: slice) -> Undecided:
+    values: dict[str, Any] = {each.name: getattr(rows, each.name)[part] for each in fields(rows)}
+    return Undecided(**values)
+
+
+def _join(parts: Sequence[Undecided]) -> Undecided:
+    values: dict[str, Any] = {
+        each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Undecided)
+    }
+    return Undecided(**values)
+
+
+def _check_shape(range_m: F32, xyz_m: F32 | None, state: SequentialAngleState) -> None:
+    """Refuse what cannot be the next lines of the stream."""
+    width = len(state.beam_rad)
+    if range_m.ndim != 2 or range_m.shape[1] != width:
+        problem = f"found an array of shape {range_m.shape}, expected (lines, {width}) as the stream began"
+        raise InputError("block of ranges", problem, "check points_per_line")
+    if xyz_m is not None and xyz_m.shape != (*range_m.shape, 3):
+        problem = f"found coordinates of shape {xyz_m.shape}, expected {(*range_m.shape, 3)}"
+        raise InputError("block of coordinates", problem, "give xyz of every shot, NaN where it is missing")
