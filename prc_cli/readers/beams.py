@@ -129,8 +129,10 @@ class _Sample:
         self.scanner, self.angle_rad = block.scanner, block.angle_rad
         self.max_seen = max(SAMPLE_LINES, MAX_SAMPLE_CELLS // block.points_per_line)
         for line in range(min(block.n_lines, self.max_seen - self.n_seen)):
+            if self.is_complete:
+                break
             self.n_seen += 1
-            if len(self.range_m) < SAMPLE_LINES and not np.isnan(block.range_m[line]).all():
+            if not np.isnan(block.range_m[line]).all():
                 self.range_m.append(block.range_m[line].copy())
                 if block.xyz_m is not None:
                     self.xyz_m.append(block.xyz_m[line].copy())
@@ -281,4 +283,4 @@ def _shown(beam_rad: F64) -> str:
 
 def _why(beams: Beams) -> str:
     way = "a straight line in the column through the" if beams.is_straight else "the"
-    return f"{way} median directions of xyz over the first {beams.n_lines} lines with returns"
+    return f"{way} median directions of xyz over {beams.n_lines} of the first lines with returns"
