@@ -220,6 +220,11 @@ class E57Stream:
         if any(INTENSITY in scan.table.fields and scan.table.intensity_limits for scan in full):
             why = "the header's limits are its ends"
             found.append(Assumption("input", "intensity: 0 to 65535 in the stream", why))
+        used = {name for scan in full for name in (ROW, COLUMN, *_used_fields(scan.table))}
+        if other := [
+            name for name in dict.fromkeys(name for scan in full for name in scan.table.fields) if name not in used
+        ]:
+            found.append(Assumption("input", f"not read: {', '.join(other[:20])}", "they are not needed"))
         return found
 
     def _notes(self) -> list[str]:
@@ -267,12 +272,10 @@ class E57Stream:
     def _points(self, file: E57File, scan: _Scan, tallies: list[ReadTally]) -> Iterator[NDArray[Any]]:
         """Yield points with their cells, in the file's order; what was refused is added to the tallies."""
         table, shape = scan.table, scan.shape
-        cartesian = set(CARTESIAN) <= set(table.fields)
-        own = CARTESIAN if cartesian else SPHERICAL
+        cartesian = _is_cartesian(table)
         state = CARTESIAN_STATE if cartesian else SPHERICAL_STATE
-        optional = [name for name in (state, INTENSITY, RETURN) if name in table.fields]
         position = shape.first_record
-        for chunk in file.chunks(table, (ROW, COLUMN, *own, *optional)):
+        for chunk in file.chunks(table, (ROW, COLUMN, *_used_fields(table))):
             n = len(chunk[ROW])
             points = np.zeros(n, _POINT)
             line, row = chunk[COLUMN] - scan.first_column, chunk[ROW] - scan.first_row
@@ -335,6 +338,16 @@ class E57Stream:
             extra=extra,
             tally=tally,
         )
+
+
+def _is_cartesian(table: E57Scan) -> bool:
+    return set(CARTESIAN) <= set(table.fields)
+
+
+def _used_fields(table: E57Scan) -> tuple[str, ...]:
+    """Return what is read of a point beside its row and column."""
+    own, state = (CARTESIAN, CARTESIAN_STATE) if _is_cartesian(table) else (SPHERICAL, SPHERICAL_STATE)
+    return (*own, *(name for name in (state, INTENSITY, RETURN) if name in table.fields))
 
 
 class _IndexTally:

@@ -114,6 +114,8 @@ class PtxStream:
             if len(scales) > 1:
                 how = "0 to 65535 where the file has 0 to 1, else as in the file"
             found.append(Assumption("input", f"intensity: {how}", f"judged by the first {_LOOKED_AT} of a scan"))
+        if any(scan.n_cells > 4 for scan in self._scans):
+            found.append(Assumption("input", "not read: colour", "it is not needed"))
         short = self._scans[-1].shape
         if short.n_records != short.n_cells:
             missing = short.n_cells - short.n_records

@@ -424,6 +424,7 @@ def test_las_and_labels_out(tmp_path: Path) -> None:
 @pytest.mark.data
 def test_a_real_scan(real_data: Path) -> None:
     stream = open_input(real_data / "organised" / "pumpA.e57", AUTO)
+    assert any(item.value == "not read: colorRed, colorGreen, colorBlue" for item in stream.info.assumptions)
     (block,) = scans_of(stream)
     assert block.range_m.shape == (345, 1074)
     assert np.isfinite(block.range_m).sum() == stream.info.n_records == 155201
