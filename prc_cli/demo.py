@@ -1,4 +1,4 @@
-"""The main job on embedded data: simulate a street, classify it, evaluate it, draw it."""
+"""The main job on embedded data, once for either classifier: simulate a street, classify it, evaluate it, draw it."""
 
 from __future__ import annotations
 
@@ -25,19 +25,37 @@ from prc_cli.imaging.pictures import (
     stack_pictures,
     write_png,
 )
-from prc_cli.pipeline import Progress, RunSummary, classify
+from prc_cli.pipeline import Progress, RunSummary, classify, label_blocks
 from prc_cli.readers.regroup import regroup
+from prc_cli.simulation.static_scan import StaticScan, StaticScanParams, simulate_static_scan
 from prc_cli.simulation.street import StreetParams, StreetScan, simulate_street
+
+STATIC = StaticScanParams(azimuth_step_deg=0.5, elevation_step_deg=0.25)
+"""The static scan of the demo: small, but with shots close enough together for curbs."""
+_SURFACE_LABELS = np.array(
+    [Label.MISSING, Label.VEGETATION, Label.HORIZONTAL, Label.VERTICAL, Label.UNCLASSIFIED], dtype=np.uint8
+)
+"""Label that shows a :class:`prc_cli.core.classes.Surface` in pictures."""
+
+
+@dataclass(frozen=True, slots=True)
+class DemoPart:
+    """What came out of one classifier."""
+
+    summary: RunSummary
+    """The run that wrote the LAZ file."""
+    matrix: ConfusionMatrix
+    """Labels of the run against those of the simulator."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemoResult:
     """What the demo made."""
 
-    summary: RunSummary
-    """The run that wrote the LAZ file."""
-    matrix: ConfusionMatrix
-    """Labels of the run against those of the simulator."""
+    drive: DemoPart
+    """A drive down the street, classified with PRC."""
+    static: DemoPart
+    """A static scan of a street, classified with the sequential-angle classifier."""
     files: tuple[Path, ...]
 
 
@@ -46,19 +64,25 @@ def run_demo(
     config: LoadedConfig,
     params: StreetParams,
     *,
+    static_config: LoadedConfig,
+    static_params: StaticScanParams = STATIC,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DemoResult:
-    """Simulate a street and take it through the whole program.
+    """Simulate a drive and a static scan and take them through the whole program.
 
     Parameters
     ----------
     folder : Path
         Where the files go; created if it does not exist.
     config : LoadedConfig
-        Parameters of the classifier.
+        Parameters of PRC.
     params : StreetParams
-        Parameters of the street, its seed among them.
+        Parameters of the drive, its seed among them.
+    static_config : LoadedConfig
+        Parameters of the sequential-angle classifier.
+    static_params : StaticScanParams
+        Parameters of the static scan.
     overwrite : bool
         Use a folder that is there already and holds files.
     progress : callable, optional
@@ -72,19 +96,53 @@ def run_demo(
         When it cannot be written.
     """
     _prepare(folder, overwrite=overwrite)
-    street = simulate_street(params)
+    drive = _classify_drive(folder, config, simulate_street(params), overwrite, progress)
+    static = _classify_static(folder, static_config, simulate_static_scan(static_params), overwrite, progress)
+    return DemoResult(drive, static, tuple(sorted(folder.iterdir())))
+
+
+def _classify_drive(
+    folder: Path, config: LoadedConfig, street: StreetScan, overwrite: bool, progress: Progress | None
+) -> DemoPart:
     stream, reference = folder / "street.npz", folder / "street_reference.npy"
     _write_street(street, stream, reference)
-    with atomic_output(folder / "street.toml") as temporary:
-        temporary.write_text(to_toml(config), encoding="utf-8", newline="\n")
-    summary = classify(stream, folder / "street.laz", config, overwrite=overwrite, progress=progress)
-    classify(stream, folder / "street_labels.npy", config, overwrite=overwrite)
-    matrix = evaluate(folder / "street_labels.npy", reference, "prc")
-    for name, text in (("evaluation.json", as_json(matrix)), ("evaluation.md", as_markdown(matrix))):
+    part = _classify(stream, reference, config, "prc", overwrite, progress)
+    _write_texts(folder, "", config, part)
+    _draw(street, config, folder / "street.png")
+    return part
+
+
+def _classify_static(
+    folder: Path, config: LoadedConfig, scan: StaticScan, overwrite: bool, progress: Progress | None
+) -> DemoPart:
+    stream, reference = folder / "static_scan.npz", folder / "static_scan_reference.npy"
+    _write_static(scan, stream, reference)
+    part = _classify(stream, reference, config, "street_scan", overwrite, progress)
+    _write_texts(folder, "static_scan_", config, part)
+    _draw_static(scan, config, folder / "static_scan.png")
+    return part
+
+
+def _classify(
+    stream: Path, reference: Path, config: LoadedConfig, mapping: str, overwrite: bool, progress: Progress | None
+) -> DemoPart:
+    """Write LAZ and labels beside the stream, and compare the labels with the simulator's."""
+    labels = stream.with_name(f"{stream.stem}_labels.npy")
+    summary = classify(stream, stream.with_suffix(".laz"), config, overwrite=overwrite, progress=progress)
+    classify(stream, labels, config, overwrite=overwrite)
+    return DemoPart(summary, evaluate(labels, reference, mapping))
+
+
+def _write_texts(folder: Path, prefix: str, config: LoadedConfig, part: DemoPart) -> None:
+    """Write the configuration and the tables."""
+    texts = {
+        f"{prefix.removesuffix('_') or 'street'}.toml": to_toml(config),
+        f"{prefix}evaluation.json": as_json(part.matrix),
+        f"{prefix}evaluation.md": as_markdown(part.matrix),
+    }
+    for name, text in texts.items():
         with atomic_output(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-    _draw(street, config, folder / "street.png")
-    return DemoResult(summary, matrix, tuple(sorted(folder.iterdir())))
 
 
 def _prepare(folder: Path, *, overwrite: bool) -> None:
@@ -110,6 +168,38 @@ def _write_street(street: StreetScan, stream: Path, reference: Path) -> None:
         np.savez_compressed(handle, range_m=ranges, angle_deg=np.rad2deg(street.angle_rad), time_s=time_s)
     with atomic_output(reference) as temporary, temporary.open("wb") as handle:
         np.save(handle, codes.ravel())
+
+
+def _write_static(scan: StaticScan, stream: Path, reference: Path) -> None:
+    """Write a static scan as ranges and places relative to the scanner, and its reference labels as class codes."""
+    items = list(scan.labelled_blocks())
+    codes = ClassCodes().lookup()[np.concatenate([item.labels for item in items])]
+    with atomic_output(stream) as temporary, temporary.open("wb") as handle:
+        np.savez_compressed(
+            handle,
+            range_m=np.concatenate([item.block.range_m for item in items]),
+            xyz=np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None]),
+            zenith_deg=90.0 - np.rad2deg(scan.elevation_rad),
+        )
+    with atomic_output(reference) as temporary, temporary.open("wb") as handle:
+        np.save(handle, codes.ravel())
+
+
+def _draw_static(scan: StaticScan, config: LoadedConfig, path: Path) -> None:
+    """Draw a static scan as one sees it: the sky at the top, the lines from right to left."""
+    reference = list(scan.labelled_blocks())
+    found = list(label_blocks((item.block for item in reference), config.config.classifier))
+    surface = [item.stages.surface for item in found if item.stages is not None]
+    labels = [np.concatenate([item.labels for item in items]) for items in (found, reference)]
+    pictures = [
+        ("range", range_picture(np.concatenate([item.block.range_m for item in reference]))),
+        ("coarse classes", label_picture(_SURFACE_LABELS[np.concatenate(surface)])),
+        ("classes", label_picture(labels[0])),
+        ("reference of the simulator", label_picture(labels[1])),
+    ]
+    upright = [(title, np.ascontiguousarray(picture.swapaxes(0, 1)[::-1, ::-1])) for title, picture in pictures]
+    present = np.unique(np.concatenate(labels))
+    write_png(path, stack_pictures(upright, legend=[Label(label) for label in present]))
 
 
 def _draw(street: StreetScan, config: LoadedConfig, path: Path) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
 
 from prc_cli.cli.report import console, line_progress, print_classes, print_evaluation
 from prc_cli.config import load_config
-from prc_cli.demo import run_demo
-from prc_cli.evaluation.reports import as_json
+from prc_cli.demo import STATIC, run_demo
+from prc_cli.evaluation.reports import as_dict
 from prc_cli.evaluation.scores import scores
 from prc_cli.simulation.street import StreetParams
 
@@ -23,7 +24,7 @@ from prc_cli.simulation.street import StreetParams
     help="Folder for the files.",
 )
 @click.option(
-    "--lines", type=click.IntRange(100, 100_000), default=600, show_default=True, help="Scan lines of the street."
+    "--lines", type=click.IntRange(100, 100_000), default=600, show_default=True, help="Scan lines of the drive."
 )
 @click.option(
     "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another street."
@@ -32,21 +33,29 @@ from prc_cli.simulation.street import StreetParams
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
-    """Simulate a street, classify it with the urban preset, evaluate it and draw it.
+    """Simulate a drive and a static scan, classify them with the presets urban and street-scan, evaluate and draw them.
 
     \b
     Example: prc demo --output /tmp/prc-demo
     """
-    config = load_config(preset="urban")
-    params = StreetParams(seed=seed, n_lines=lines)
     with line_progress("simulated street", quiet=quiet) as progress:
-        result = run_demo(output, config, params, overwrite=overwrite, progress=progress)
+        result = run_demo(
+            output,
+            load_config(preset="urban"),
+            StreetParams(seed=seed, n_lines=lines),
+            static_config=load_config(preset="street-scan"),
+            static_params=STATIC.model_copy(update={"seed": seed}),
+            overwrite=overwrite,
+            progress=progress,
+        )
+    parts = {"prc": result.drive, "sequential-angle": result.static}
     if json_wanted:
-        click.echo(as_json(result.matrix))
+        click.echo(json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2))
     if quiet:
         return
-    print_classes(result.summary)
-    if not json_wanted:
-        print_evaluation(result.matrix, scores(result.matrix))
+    for part in parts.values():
+        print_classes(part.summary)
+        if not json_wanted:
+            print_evaluation(part.matrix, scores(part.matrix))
     for path in result.files:
         console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)

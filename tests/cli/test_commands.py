@@ -184,10 +184,14 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     result = prc("demo", "--output", folder, "--lines", "200", "--json", "--quiet")
     assert result.code == 0, result.err
-    assert json.loads(result.out)["classes"]["ground"]["recall"] > 0.8
+    found = json.loads(result.out)
+    assert found["prc"]["classes"]["ground"]["recall"] > 0.8
+    assert min(found["sequential-angle"]["classes"]["car"][score] for score in ("recall", "precision")) > 0.6
     names = {path.name for path in folder.iterdir()}
     assert names >= {"street.npz", "street.laz", "street.png", "street_labels.npy", "street_reference.npy"}
     assert names >= {"street.toml", "evaluation.md", "evaluation.json", "street.laz.prc.json"}
+    assert names >= {"static_scan.npz", "static_scan.laz", "static_scan.png", "static_scan.toml"}
+    assert names >= {"static_scan_labels.npy", "static_scan_reference.npy", "static_scan_evaluation.md"}
     result = prc("demo", "--output", folder)
     assert result.code == 2
     assert "holds files already" in result.err
