@@ -326,6 +326,29 @@ def _main(counts: I64, n: int) -> int:
 
 
 @helper
+def _fits(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, guard: float) -> bool:
+    """Tell whether a point lies at the height of the local line through the last points."""
+    first = max(n_points - n_fit, 0)
+    count = n_points - first
+    mean_x = 0.0
+    mean_z = 0.0
+    for i in range(first, n_points):
+        mean_x += np.float64(horizontal[beams[i]])
+        mean_z += np.float64(xyz[beams[i], 2])
+    mean_x /= count
+    mean_z /= count
+    sxx = 0.0
+    sxz = 0.0
+    for i in range(first, n_points):
+        dx = np.float64(horizontal[beams[i]]) - mean_x
+        sxx += dx * dx
+        sxz += dx * (np.float64(xyz[beams[i], 2]) - mean_z)
+    slope = sxz / (sxx + count * guard * guard)
+    expected = mean_z + slope * (np.float64(horizontal[k]) - mean_x)
+    return bool(abs(np.float64(xyz[k, 2]) - expected) <= guard)
+
+
+@helper
 def _extend(
     surface: U8,
     xyz: F32,
@@ -340,35 +363,87 @@ def _extend(
     guard: float,
 ) -> int:
     """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
-    k = beams[n_points - 1] + 1
-    while k < n:
+    for k in range(beams[n_points - 1] + 1, n):
         if surface[k] == _MISSING:
-            k += 1
             continue
+        # a point without a line angle is judged by its height alone
         if surface[k] != _HORIZONTAL or abs(np.float64(phihat[k]) - mode) > b:
             break
-        first = max(n_points - n_fit, 0)
-        count = n_points - first
-        mean_x = 0.0
-        mean_z = 0.0
-        for i in range(first, n_points):
-            mean_x += np.float64(horizontal[beams[i]])
-            mean_z += np.float64(xyz[beams[i], 2])
-        mean_x /= count
-        mean_z /= count
-        sxx = 0.0
-        sxz = 0.0
-        for i in range(first, n_points):
-            dx = np.float64(horizontal[beams[i]]) - mean_x
-            sxx += dx * dx
-            sxz += dx * (np.float64(xyz[beams[i], 2]) - mean_z)
-        slope = sxz / (sxx + count * guard * guard)
-        expected = mean_z + slope * (np.float64(horizontal[k]) - mean_x)
-        if not abs(np.float64(xyz[k, 2]) - expected) <= guard:
+        if not _fits(xyz, horizontal, beams, n_points, k, n_fit, guard):
             break
         beams[n_points] = k
         n_points += 1
-        k += 1
+    return n_points
+
+
+@helper
+def _main_angle(
+    phihat: F32, beams: I32, n_points: int, b: float, hist: I64, density: I64, state: I64, tops: I64, counts: I64
+) -> float:
+    """Return the main mode of the line angles of some points [deg]."""
+    size = len(hist) - 2 * HALF
+    width = b / PER_BANDWIDTH
+    _clear(hist, density, state)
+    for i in range(n_points):
+        angle = phihat[beams[i]]
+        if angle == angle:
+            _add(hist, density, state, _bin(angle, width, size))
+    _build(hist, density, state[_LO], state[_HI])
+    state[_BUILT] = 1
+    best = _main(counts, _walk(hist, density, state[_LO], state[_HI], tops, counts))
+    return float((tops[best] / 2.0 - HALF + 0.5) * width)
+
+
+@helper
+def _resume(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    phihat: F32,
+    ahead: I32,
+    n: int,
+    first_run: int,
+    least: int,
+    smallest: float,
+    sigmas: float,
+    noise: float,
+    lowest: int,
+    z_g: float,
+    tolerance: float,
+    n_fit: int,
+    guard: float,
+    beams: I32,
+    n_points: int,
+    more: I32,
+    sampled: I32,
+    hist: I64,
+    density: I64,
+    state: I64,
+    tops: I64,
+    counts: I64,
+) -> int:
+    """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
+    start = beams[n_points - 1] + 1
+    end = start
+    while end < n and (surface[end] == _HORIZONTAL or surface[end] == _MISSING):
+        end += 1
+    while start < end:
+        n_more, b = _potential(
+            surface, xyz, phihat, ahead, end, start, first_run, least, smallest, sigmas, noise, more, sampled, hist,
+            density, state, tops, counts,
+        )  # fmt: skip
+        if n_more == 0:
+            break
+        start = more[n_more - 1] + 1
+        off = abs(_lowest_mean(xyz, more, n_more, lowest) - z_g) / abs(z_g)
+        if off < tolerance and _fits(xyz, horizontal, beams, n_points, more[0], n_fit, guard):
+            for i in range(n_more):
+                beams[n_points + i] = more[i]
+            mode = _main_angle(phihat, more, n_more, b, hist, density, state, tops, counts)
+            n_points = _extend(
+                surface, xyz, horizontal, phihat, end, beams, n_points + n_more, mode, b, n_fit, guard
+            )  # fmt: skip
+            start = beams[n_points - 1] + 1
     return n_points
 
 
@@ -566,7 +641,7 @@ def potential_heights(
     height = np.full(n_rows, np.nan)
     for row in range(n_rows):
         n_points, _ = _potential(
-            surface[row], xyz[row], phihat[row], ahead[row], n_beams[row], 0, first_run, least, smallest, sigmas,
+            surface[row], xyz[row], phihat[row], ahead[row], np.int64(n_beams[row]), 0, first_run, least, smallest, sigmas,
             noise, beams, sampled, hist, density, state, tops, counts,
         )  # fmt: skip
         if n_points > 0:
@@ -578,7 +653,7 @@ def potential_heights(
 @kernel(
     "Tuple((boolean[:, ::1], float32[::1], int64[::1], float64))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
     "float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64[::1], float64, "
-    "int64, int64, float64, boolean, float64, int64, float64)"
+    "int64, int64, float64, boolean, float64, int64, float64, boolean)"
 )
 def ground_rows(
     surface: U8,
@@ -602,6 +677,7 @@ def ground_rows(
     tolerance: float,
     n_fit: int,
     guard: float,
+    resume: bool,
 ) -> tuple[Mask, F32, I64, float]:
     """Verify and grow the ground of every row and follow its height (part b).
 
@@ -629,6 +705,8 @@ def ground_rows(
         Ground points that the local line is laid through.
     guard : float, metres
         Height above or below the local line up to which ground grows.
+    resume : bool
+        Where growth ends within a run of horizontal points, look for more potential ground in the rest of the run.
 
     Returns
     -------
@@ -648,6 +726,7 @@ def ground_rows(
     state = np.zeros(_SLOTS, np.int64)
     beams = np.empty(n + 1, np.int32)
     sampled = np.empty(n + 1, np.int32)
+    more = np.empty(n + 1, np.int32)
     heights = histogram.copy()
     z_hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
     z_density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
@@ -657,12 +736,13 @@ def ground_rows(
     z_rows = np.empty(n_rows, np.float32)
     for row in range(n_rows):
         counted = row < n_counted
+        n_valid = np.int64(n_beams[row])
         start = 0
         height = np.nan
         accepted = False
         while not accepted:
             n_points, b = _potential(
-                surface[row], xyz[row], phihat[row], ahead[row], n_beams[row], start, first_run, least, smallest,
+                surface[row], xyz[row], phihat[row], ahead[row], n_valid, start, first_run, least, smallest,
                 sigmas, noise, beams, sampled, hist, density, state, tops, counts,
             )  # fmt: skip
             if n_points == 0:
@@ -675,20 +755,17 @@ def ground_rows(
             accepted = abs(height - z_g) / abs(z_g) < tolerance
             start = beams[n_points - 1] + 1
             if accepted:
-                # the main mode of the points that are ground now
-                _clear(hist, density, state)
-                for i in range(n_points):
-                    angle = phihat[row, beams[i]]
-                    if angle == angle:
-                        _add(hist, density, state, _bin(angle, b / PER_BANDWIDTH, size))
-                _build(hist, density, state[_LO], state[_HI])
-                state[_BUILT] = 1
-                best = tops[_main(counts, _walk(hist, density, state[_LO], state[_HI], tops, counts))]
-                mode = (best / 2.0 - HALF + 0.5) * (b / PER_BANDWIDTH)
+                mode = _main_angle(phihat[row], beams, n_points, b, hist, density, state, tops, counts)
                 n_points = _extend(
-                    surface[row], xyz[row], horizontal[row], phihat[row], n_beams[row], beams, n_points, mode, b,
+                    surface[row], xyz[row], horizontal[row], phihat[row], n_valid, beams, n_points, mode, b,
                     n_fit, guard,
                 )  # fmt: skip
+                if resume:
+                    n_points = _resume(
+                        surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, first_run,
+                        least, smallest, sigmas, noise, lowest, z_g, tolerance, n_fit, guard, beams, n_points, more,
+                        sampled, hist, density, state, tops, counts,
+                    )  # fmt: skip
                 for i in range(n_points):
                     ground[row, beams[i]] = True
         if not counted and height == height and (accepted or count_all):

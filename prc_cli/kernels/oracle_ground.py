@@ -171,24 +171,36 @@ class Row:
         place, _ = main_mode(grid_modes(self.bins(beams, b)))
         return (place + 0.5) * (b / EIGHTHS)
 
-    def grown(self, beams: list[int], b: float, horizontal: F64, n_fit: int, guard: float) -> list[int]:
-        """Grow ground over the horizontal points that follow."""
-        mode = self.mode(beams, b)
-        grown = list(beams)
-        for beam in range(beams[-1] + 1, len(self.surface)):
+    def fits(self, beams: list[int], beam: int, horizontal: F64, n_fit: int, guard: float) -> bool:
+        """Tell whether a point lies on the local line."""
+        last = beams[-n_fit:]
+        x, z = horizontal[last], self.xyz[last, 2]
+        mean_x, mean_z = np.cumsum(x)[-1] / len(x), np.cumsum(z)[-1] / len(z)
+        sxx = np.cumsum((x - mean_x) ** 2)[-1]
+        slope = np.cumsum((x - mean_x) * (z - mean_z))[-1] / (sxx + len(x) * guard * guard)
+        return bool(abs(self.xyz[beam, 2] - (mean_z + slope * (horizontal[beam] - mean_x))) <= guard)
+
+    def grown(
+        self, beams: list[int], found: list[int], b: float, horizontal: F64, n_fit: int, guard: float
+    ) -> list[int]:
+        """Add potential ground to the ground so far, and grow it over the horizontal points that follow."""
+        mode = self.mode(found, b)
+        grown = beams + found
+        for beam in range(grown[-1] + 1, len(self.surface)):
             if self.surface[beam] == MISSING:
                 continue
-            last = grown[-n_fit:]
-            x, z = horizontal[last], self.xyz[last, 2]
-            mean_x, mean_z = np.cumsum(x)[-1] / len(x), np.cumsum(z)[-1] / len(z)
-            sxx = np.cumsum((x - mean_x) ** 2)[-1]
-            slope = np.cumsum((x - mean_x) * (z - mean_z))[-1] / (sxx + len(x) * guard * guard)
-            expected = mean_z + slope * (horizontal[beam] - mean_x)
             collinear = np.isnan(self.phihat[beam]) or abs(self.phihat[beam] - mode) <= b
-            if self.surface[beam] != HORIZONTAL or not collinear or not abs(self.xyz[beam, 2] - expected) <= guard:
+            on_line = self.fits(grown, beam, horizontal, n_fit, guard)
+            if self.surface[beam] != HORIZONTAL or not collinear or not on_line:
                 break
             grown.append(beam)
         return grown
+
+
+def is_near(z: float, z_g: float, tolerance: float) -> bool:
+    """Tell whether a height agrees with that of the ground."""
+    with np.errstate(all="ignore"):
+        return bool(np.abs(np.float64(z) - z_g) / np.abs(np.float64(z_g)) < tolerance)
 
 
 def potential_heights(
@@ -239,6 +251,7 @@ def ground_rows(
     tolerance: float,
     n_fit: int,
     guard: float,
+    resume: bool,
 ) -> tuple[Mask, F32, I64, float]:
     """Verify and grow ground; see :func:`prc_cli.kernels.ground.ground_rows`."""
     rules = (first_run, lowest, least, smallest, sigmas, noise)
@@ -257,10 +270,22 @@ def ground_rows(
                 heights[to_bin(z_i)] += 1
                 to_count = False
                 z_g = main_height(heights, share)[1]
-            with np.errstate(all="ignore"):
-                accepted = bool(np.abs(np.float64(z_i) - z_g) / np.abs(np.float64(z_g)) < tolerance)
+            accepted = is_near(z_i, z_g, tolerance)
             if accepted:
-                ground[i, row.grown(beams, b, horizontal[i].astype(np.float64), n_fit, guard)] = True
+                x = horizontal[i].astype(np.float64)
+                points = row.grown([], beams, b, x, n_fit, guard)
+                rest = [
+                    k for k in range(points[-1] + 1, len(row.surface)) if row.surface[k] not in (MISSING, HORIZONTAL)
+                ]
+                row.surface = row.surface[: rest[0]] if rest else row.surface
+                more, b = row.potential(points[-1] + 1) if resume else ([], b)
+                while more:
+                    start = more[-1] + 1
+                    if is_near(row.height(more), z_g, tolerance) and row.fits(points, more[0], x, n_fit, guard):
+                        points = row.grown(points, more, b, x, n_fit, guard)
+                        start = points[-1] + 1
+                    more, b = row.potential(start)
+                ground[i, points] = True
                 break
             beams, b = row.potential(beams[-1] + 1)
         if to_count and not math.isnan(z_i) and (accepted or count_all):

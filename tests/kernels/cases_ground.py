@@ -77,7 +77,7 @@ def ground_case(rng: Generator) -> tuple[Any, ...]:
     known = histogram(rng, int(rng.choice([0, 3, 20])))
     z_g = float(rng.choice([-1.8, -1.8, np.nan, -1.62, 0.0]))
     state = (known, z_g, int(rng.integers(0, 3)), int(rng.choice([0, 5, 50])))
-    growth = (int(rng.choice([2, 10])), float(rng.choice([0.1, 0.01])))
+    growth = (int(rng.choice([2, 10])), float(rng.choice([0.1, 0.01])), bool(rng.random() < 0.7))
     count_all = bool(rng.random() < 0.5)
     return surface, xyz, horizontal, phihat, ahead, n_beams, *rules, *state, 0.05, count_all, 0.1, *growth
 

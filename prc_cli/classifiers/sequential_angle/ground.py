@@ -15,6 +15,8 @@ Readings where the text is silent or can be read in two ways:
 - "Almost collinear" takes a limit in height as well as one in angle, since the line angle sees the slope of a surface
   and not its height: without it ground would climb a curb that one shot alone shows. The local line is drawn level
   where its points span less than that limit, where a slope would be that of the noise.
+- Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points can part them early.
+  So that such a line does not lose the rest of the road, the search resumes within the same run of horizontal points.
 - The dominant height is the main mode of the heights of all rows, whether they were accepted or not (an option), and
   is computed anew after a row that has ground.
 - Where the first estimate had to be made from less than the wanted number of heights, the missing ones count as they
@@ -90,6 +92,11 @@ class GroundParams(Params):
     )
     growth_height_m: float = Field(
         0.10, gt=0, le=100, description="height above or below the local line up to which ground grows [m]"
+    )
+    resume: bool = Field(
+        True,
+        description="where growth ends within a run of horizontal points, more potential ground in the rest of the run "
+        "that continues the local line at the right height is ground too; off: the printed text",
     )
 
 
@@ -184,6 +191,7 @@ def ground(
         surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params), state.histogram,
         state.z_g, state.n_in_histogram_ahead, params.start_heights, params.height_bandwidth,
         params.heights == "all", params.height_tolerance, params.growth_points, params.growth_height_m,
+        params.resume,
     )  # fmt: skip
     ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
     return points, z_rows, replace(state, histogram=histogram, z_g=z_g, n_in_histogram_ahead=ahead_still)
