@@ -35,8 +35,10 @@ MAX_FALL = 1.05
 """Metres that a height may fall a metre of range; rounding leaves a little over 1."""
 MIN_SPREAD = 1e-3
 """Least ratio of the two extents of a fit of heights."""
-LEAST_STEP_RAD = 1e-9
+LEAST_STEP_RAD = 1e-6
 """Angles closer than this are equal."""
+DECIMALS = 10
+"""Decimals of what is fitted [rad]: the last bits of a fit are not the same on every machine."""
 N_TRIMS = 5
 
 _TURN = 2 * math.pi
@@ -223,7 +225,7 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     slope, start = _straight(columns.astype(np.float64), along, weight)
     off = np.abs(along - (start + slope * columns))
     if slope > 0 and float(np.percentile(off, 99)) <= 0.5 * slope:
-        return wrap(start + slope * every), True
+        return wrap(np.round(start + slope * every, DECIMALS)), True
     at, value = _monotone(columns.astype(np.float64), along, weight)
     if len(at) < 2:
         message = "the directions do not turn with the column"
@@ -233,7 +235,7 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     before, after = every < at[0], every > at[-1]
     beam[before] = value[0] + slope * (every[before] - at[0])
     beam[after] = value[-1] + slope * (every[after] - at[-1])
-    return wrap(beam), False
+    return wrap(np.round(beam, DECIMALS)), False
 
 
 def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
@@ -317,7 +319,8 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
         off = np.abs(centred[2] - matrix @ solution)
         keep = off <= max(3 * 1.4826 * float(np.median(off[keep])), 1e-3)
     _check_heights(solution, float(np.median(off)), matrix[keep])
-    return HeightFit(math.atan2(-solution[1], -solution[0]), float(np.median(off)), len(z))
+    nadir_rad = round(math.atan2(-solution[1], -solution[0]), DECIMALS)
+    return HeightFit(nadir_rad, float(np.median(off)), len(z))
 
 
 def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:

@@ -27,8 +27,8 @@ from prc_cli.readers.ranges import measure_ranges, open_ranges
 from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.records import RecordSource
 
-MAX_RECORDS = 20_000_000
-"""Records of a frame, which is held in memory."""
+MAX_RECORDS = 10_000_000
+"""Records of a frame, which is held in memory (about 130 bytes a record at most)."""
 MAX_RINGS = 4096
 """Rings of a frame; more turns are no rings."""
 MAX_EMPTY = 64
@@ -231,7 +231,7 @@ def _find_turns(frame: _Frame, path: str) -> _Turns:
     InputError
         When the records do not turn around the scanner several times.
     """
-    azimuth = np.arctan2(frame.xyz_m[:, 1], frame.xyz_m[:, 0]).astype(np.float64)
+    azimuth = np.arctan2(frame.xyz_m[:, 1].astype(np.float64), frame.xyz_m[:, 0].astype(np.float64))
     step = wrap(np.diff(azimuth))
     way = math.copysign(1.0, float(np.sign(step).sum()))
     step *= way
