@@ -138,7 +138,10 @@ def _prc(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlo
             state = prc.initial_state(block.points_per_line)
         result = prc.classify_block(block.range_m, block.next_m, state, params)
         states[block.scanner] = result.state
-        extra = _label_extra(block, result.labels, params.support.zeta_p, params.support.zeta_s)
+        further, support = block.extra, params.support
+        extra = label_extra_returns(
+            block.range_m, result.labels, further.line, further.column, further.range_m, support.zeta_p, support.zeta_s
+        )
         yield LabelledBlock(block, result.labels, extra, result.segments)
 
 
@@ -158,7 +161,11 @@ def _sequential_angle(blocks: Iterator[ScanBlock], params: SequentialAngleParams
         if result.n_lines:
             final = buffer.take(result.n_lines)
             # lines leave alone or together, as it happens: only the shot's own line may have a say
-            extra = _label_extra(final, result.labels, params.extra_return_m, 0.0)
+            further, limit = final.extra, params.extra_return_m
+            extra = label_extra_returns(
+                final.range_m, result.labels, further.line, further.column, further.range_m, limit, 0.0,
+                alone=Label.UNCLASSIFIED,
+            )  # fmt: skip
             yield LabelledBlock(final, result.labels, extra, stages=result.stages)
 
 
@@ -167,11 +174,6 @@ def _of_shots(blocks: Iterator[ScanBlock], n_shots: int) -> Iterator[ScanBlock]:
     first = next(blocks, None)
     if first is not None:
         yield from regroup(chain([first], blocks), max(1, n_shots // first.points_per_line))
-
-
-def _label_extra(block: ScanBlock, labels: U8, in_line_m: float, adjacent_m: float) -> U8:
-    extra = block.extra
-    return label_extra_returns(block.range_m, labels, extra.line, extra.column, extra.range_m, in_line_m, adjacent_m)
 
 
 def classify(

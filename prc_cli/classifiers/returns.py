@@ -14,7 +14,15 @@ ADJACENT = tuple((line, column) for line in (-1, 1) for column in (-1, 0, 1))
 
 
 def label_extra_returns(
-    range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, zeta_p: float, zeta_s: float
+    range_m: F32,
+    labels: U8,
+    line: I32,
+    column: I32,
+    range_m_extra: F32,
+    zeta_p: float,
+    zeta_s: float,
+    *,
+    alone: Label = Label.NOISE,
 ) -> U8:
     """Label returns beside the one that stands for the shot in the range image.
 
@@ -34,11 +42,13 @@ def label_extra_returns(
         Its range.
     zeta_p, zeta_s : float, metres
         Differences must be below these, in the line and in the lines before and after.
+    alone : Label
+        What a further return is that no shot agrees with.
 
     Returns
     -------
     (n,) uint8
-        NOISE where no shot agrees, MISSING where the further return has no range (NaN). Of equal differences the
+        ``alone`` where no shot agrees, MISSING where the further return has no range (NaN). Of equal differences the
         cells of the line go first, then the order of the stream.
 
     Examples
@@ -50,7 +60,7 @@ def label_extra_returns(
     >>> label_extra_returns(image, labels, np.array([0]), np.array([2]), np.array([20.1], np.float32), 1.0, 1.0)
     array([4], dtype=uint8)
     """
-    found = np.where(np.isnan(range_m_extra), np.uint8(Label.MISSING), np.uint8(Label.NOISE))
+    found = np.where(np.isnan(range_m_extra), np.uint8(Label.MISSING), np.uint8(alone))
     nearest = np.full(len(line), np.inf)
     n_lines, n_columns = range_m.shape
     for cells, zeta in ((IN_SLICE, zeta_p), (ADJACENT, zeta_s)):
