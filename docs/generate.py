@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from prc_cli.cli import cli
-from prc_cli.config import PRESETS, RunConfig, load_config, to_toml
+from prc_cli.config import PRESET_SOURCES, PRESETS, RunConfig, load_config, to_toml
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
 
@@ -59,7 +59,9 @@ def configuration_page() -> str:
     parts.append("## Presets\n")
     for name in PRESETS:
         text = to_toml(load_config(preset=name), comments=False)
-        parts.append(f"### {name}\n\n```toml\n{text}```\n")
+        parts.append(
+            f"### {name}\n\n{PRESET_SOURCES[name][0].upper()}{PRESET_SOURCES[name][1:]}.\n\n```toml\n{text}```\n"
+        )
     return "\n".join(parts)
 
 
@@ -139,7 +141,7 @@ def _description(label: Label) -> str:
 def sample_config(name: str) -> str:
     """Return the commented configuration file of a preset."""
     head = (
-        f"# The published parameters of the preset {name!r} (Lehtola et al. 2019), every key with its meaning.\n"
+        f"# The preset {name!r}: {PRESET_SOURCES[name]}.\n"
         f"# Written by docs/generate.py; `prc classify IN OUT --preset {name}` is the same as using this file.\n\n"
     )
     loaded = load_config(preset=name)

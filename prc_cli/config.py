@@ -50,6 +50,8 @@ class RunConfig(Params):
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
 
+_THIRDS = [1 / 3, 1 / 3, 1 / 3]
+
 PRESETS: dict[str, dict[str, Any]] = {
     "urban": {
         "prc": {
@@ -68,8 +70,45 @@ PRESETS: dict[str, dict[str, Any]] = {
         }
     },
     "street-scan": {"method": "sequential-angle"},
+    "street-scan-published": {
+        "method": "sequential-angle",
+        "sequential_angle": {
+            "angles": {"min_chord_sigmas": 0.0},
+            "coarse": {
+                "vegetation": {
+                    "sigmas_deg": [2.0, 2.0, 12.0],
+                    "h0": [[1.0, 0.0, 0.0], [0.0, 0.9, 0.1], [0.0, 0.1, 0.9]],
+                    "initial_h0": _THIRDS,
+                    "end": "sprt",
+                    "backdate": False,
+                },
+                "surfaces": {
+                    "threshold_vertical_deg": 20.0,
+                    "drift_horizontal_deg": 30.0,
+                    "threshold_horizontal_deg": 15.0,
+                    "fold": False,
+                    "backdate": False,
+                    "start": "horizontal",
+                },
+            },
+            "dense_vegetation": {"initial_h0": _THIRDS, "end": "sprt", "backdate": False},
+            "curb": {"grouping_m": 2.0},
+            "car": {
+                "dividers": {"change_chord_m": 0.0, "change_chord_sigmas": 0.0, "under_sigmas": 0.0},
+            },
+        },
+    },
 }
-"""Published parameters (Lehtola et al. 2019, II-A, II-E, IV-A, IV-C); the forest's area is not printed there."""
+"""Sets of parameters by name; what each holds, and where it comes from, stands in :data:`PRESET_SOURCES`."""
+
+PRESET_SOURCES: dict[str, str] = {
+    "urban": "the published urban parameters (Lehtola et al. 2019, II-A, II-E, IV-A)",
+    "forest": "the published forest parameters (Lehtola et al. 2019, IV-C); the area is not printed there",
+    "street-scan": "static street scans (Stamos et al. 2012): printed values, and chosen ones where none is printed",
+    "street-scan-published": "static street scans (Stamos et al. 2012) to the letter: signed angles between successive "
+    "shots, and the constants of the group's public script where the paper has none",
+}
+"""What a preset holds, in a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +140,7 @@ def load_config(
     path : path, optional
         TOML file; it may name a preset itself (``preset = "urban"``). Relative names inside it start at its folder.
     preset : str, optional
-        ``urban`` or ``forest``; wins over the preset that the file names.
+        One of :data:`PRESETS`; wins over the preset that the file names.
     options : mapping, optional
         Nested table laid over everything else, for example ``{"prc": {"support": {"zeta_p": 0.1}}}``.
 
@@ -233,6 +272,6 @@ def json_schema() -> dict[str, Any]:
     schema = RunConfig.model_json_schema(by_alias=True)
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["title"] = "prc configuration"
-    preset = {"type": "string", "enum": list(PRESETS), "description": "published parameters to start from"}
+    preset = {"type": "string", "enum": list(PRESETS), "description": "parameters to start from"}
     schema["properties"] = {"preset": preset, **schema["properties"]}
     return schema

@@ -119,7 +119,8 @@ class ScanBlock:
     xyz_m: F32 | None = None
     """(lines, M, 3) float32, sensor-centred, z up [m]; NaN = missing."""
     intensity: F32 | None = None
-    """(lines, M) float32, raw units of the input; NaN = missing."""
+    """(lines, M) float32, NaN = missing; raw units of the input, but 0 to 65535 where the format has limits of its own
+    (PTX, E57)."""
     angle_rad: F64 | None = None
     """(M,) float64, scan angle per column [rad]."""
     beam_rad: F64 | None = None
