@@ -10,6 +10,7 @@ from prc_cli.classifiers.sequential_angle.fourier import FourierParams, fourier
 from prc_cli.classifiers.sequential_angle.high_verticals import HighVerticalsParams, high_verticals
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.suspicious import SuspiciousParams, suspicious
+from prc_cli.core.classes import Surface
 from prc_cli.core.config import Params
 from prc_cli.core.types import F32, I32, U8, Mask
 
@@ -21,6 +22,13 @@ class CarParams(Params):
     dividers: DividersParams = Field(DividersParams(), description="where on a line a car may be")
     high_verticals: HighVerticalsParams = Field(HighVerticalsParams(), description="what no car lies behind")
     fourier: FourierParams = Field(FourierParams(), description="car or vegetation")
+    ground_layer_m: float = Field(
+        0.3,
+        ge=0,
+        le=10,
+        description="horizontal points below this height over the ground are no car, even inside an interval; "
+        "0 = all of an interval is a car (published) [m]",
+    )
 
 
 def cars(
@@ -53,8 +61,15 @@ def cars(
     Returns
     -------
     (R, n) bool
-        C: returns of the intervals that pass, not farther than the first high vertical; none of T', since intervals
-        end before it.
+        C: returns of the intervals that pass, not farther than the first high vertical, and not on the ground; none
+        of T', since intervals end before it.
+
+    Notes
+    -----
+    Intervals hold road or sidewalk where less than a long flat stretch of it shows behind a car, and its first
+    point where one does. Taking horizontal points next to the ground out raises the precision from .956 to .967
+    in simulated street scans from a tripod, from .858 to .932 from 2.6 m up, where more shows over the cars; recall
+    stays (.905 to .904).
     """
     trigger = suspicious(car_surface, lines.n_beams, params.suspicious)
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, params.dividers, range_noise_m=range_noise_m)
@@ -62,6 +77,9 @@ def cars(
     limit = high_verticals(lines, surface, z_g, params.high_verticals)
     found = paint(intervals, surface.shape)
     found &= lines.horizontal_m <= limit[:, None]  # false where there is no return
+    if params.ground_layer_m > 0:
+        low = lines.xyz_m[..., 2] < (z_g + np.float32(params.ground_layer_m))[:, None]
+        found &= ~(low & (car_surface == Surface.HORIZONTAL))
     return found
 
 

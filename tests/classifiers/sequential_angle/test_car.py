@@ -66,6 +66,15 @@ def test_nothing_is_marked_behind_a_high_vertical() -> None:
     assert not marked[0, found.where("car")].any()
 
 
+def test_sidewalk_behind_a_car_is_no_car() -> None:
+    found = see([[*road(), *car(6), *curb(8.0), *wall(12.0, 0.15)]], np.random.default_rng(3), scanner_m=5.0)
+    sidewalk = found.where("pavement")
+    assert len(sidewalk) > 5
+    assert find(found, CarParams(ground_layer_m=0))[0, sidewalk].any()
+    assert not find(found)[0, sidewalk].any()
+    assert find(found)[0, found.where("car")].mean() > 0.9
+
+
 def test_without_ground_there_are_no_cars() -> None:
     found = see([[*road(), *car(6)]], np.random.default_rng(1))
     unknown = Seen(found.lines, found.surface, found.names, np.array([np.nan], np.float32))
