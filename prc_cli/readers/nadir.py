@@ -225,7 +225,7 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     slope, start = _straight(columns.astype(np.float64), along, weight)
     off = np.abs(along - (start + slope * columns))
     if slope > 0 and float(np.percentile(off, 99)) <= 0.5 * slope:
-        return wrap(np.round(start + slope * every, DECIMALS)), True
+        return _finish(start + slope * every), True
     at, value = _monotone(columns.astype(np.float64), along, weight)
     if len(at) < 2:
         message = "the directions do not turn with the column"
@@ -235,7 +235,16 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     before, after = every < at[0], every > at[-1]
     beam[before] = value[0] + slope * (every[before] - at[0])
     beam[after] = value[-1] + slope * (every[after] - at[-1])
-    return wrap(np.round(beam, DECIMALS)), False
+    return _finish(beam), False
+
+
+def _finish(beam: F64) -> F64:
+    """Bring growing angles into (-pi, pi]."""
+    step = float(np.max(np.diff(beam), initial=0.0))
+    if step >= math.pi:
+        message = f"neighbouring columns look {math.degrees(step):.0f} deg apart, expected less than half a turn"
+        raise NoDirectionError(message)
+    return wrap(np.round(beam, DECIMALS))
 
 
 def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:

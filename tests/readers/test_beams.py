@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock
 from prc_cli.core.types import F64
 from prc_cli.readers import beams as module
@@ -283,3 +283,49 @@ def test_text_with_angles_and_a_layout(tmp_path: Path) -> None:
     blocks = list(with_beams(open_input(path, config, Layout()), config).blocks())
     assert blocks[0].beam_rad is not None
     assert np.rad2deg(blocks[0].beam_rad[[0, 18]]).round(6).tolist() == [180.0, 0.0]
+
+
+def hostile(rng: np.random.Generator) -> ScanBlock:
+    """Return lines of anything: noise, grids, one direction, tiny or huge, nearly empty, lengths that lie."""
+    n, m = int(rng.integers(1, 90)), int(rng.integers(1, 40))
+    angle = np.sort(rng.uniform(-3, 3, m))
+    plane = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
+    xyz = [
+        rng.normal(size=(n, m, 3)),
+        np.round(rng.normal(size=(n, m, 3))),
+        np.broadcast_to(rng.normal(size=(1, m, 3)), (n, m, 3)),
+        np.broadcast_to(plane, (n, m, 3)),
+        rng.uniform(-1, 1, (n, 1, 3)) * np.ones((1, m, 1)),
+    ][int(rng.integers(5))] * 10.0 ** float(rng.integers(-20, 18))
+    small = xyz.astype(np.float32)
+    length = np.sqrt((small.astype(np.float64) ** 2).sum(axis=-1)).astype(np.float32)
+    missing = (rng.random((n, m)) < rng.choice([0.0, 0.3, 0.9, 0.99])) | ~(length > 0) | ~np.isfinite(length)
+    length[missing], small[missing] = np.nan, np.nan
+    return ScanBlock(
+        0,
+        length * np.float32(rng.choice([1.0, 1.5], p=[0.8, 0.2])),
+        xyz_m=small if rng.random() < 0.9 else None,
+        angle_rad=np.sort(rng.uniform(-10, 10, m)) if rng.random() < 0.3 else None,
+    )
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_lines_have_proper_beams_or_are_refused_in_one_line() -> None:
+    rng = np.random.default_rng(8)
+    n_found, refusals = 0, []
+    for _ in range(400):
+        block = hostile(rng)
+        config = InputConfig(nadir=float(rng.uniform(-400, 400))) if rng.random() < 0.2 else AUTO
+        try:
+            (found,) = with_beams(stream(block), config).blocks()
+        except PrcError as refusal:
+            refusals.append(str(refusal))
+            continue
+        beam = found.beam_rad
+        assert beam is not None
+        assert beam.shape == (block.points_per_line,)
+        assert np.all((beam > -np.pi) & (beam <= np.pi))
+        assert is_strictly_monotone(beam)
+        n_found += 1
+    assert min(n_found, len(refusals)) > 20
+    assert not any("\n" in message for message in refusals)

@@ -162,3 +162,20 @@ def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
         fit_heights(angle, np.full(len(z), np.nan), z, line)
     with pytest.raises(NoDirectionError, match="span too little"):
         fit_heights(np.full(len(z), 0.2), range_m, 300 - range_m * np.cos(0.2), line)
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_heights_are_fitted_or_refused() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(300):
+        n = int(rng.integers(0, 300))
+        scale = 10.0 ** float(rng.integers(-30, 30))
+        angle = rng.uniform(-4, 4, n) * rng.choice([0.0, 1e-9, 1.0])
+        range_m, z = rng.uniform(-1, 9, n) * scale, rng.normal(size=n) * 10.0 ** float(rng.integers(-30, 30))
+        for values in (angle, range_m, z):
+            values[rng.random(n) < 0.1] = rng.choice([np.nan, np.inf, 0.0])
+        try:
+            fit = fit_heights(angle, range_m, z, rng.integers(0, 9, n))
+        except NoDirectionError:
+            continue
+        assert -np.pi <= fit.nadir_rad <= np.pi

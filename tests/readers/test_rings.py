@@ -221,3 +221,24 @@ def test_through_the_readers(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="input.lines: found 'rings', expected auto or fixed: "):
         np.save(tmp_path / "image.npy", np.ones((3, 4)))
         open_input(tmp_path / "image.npy", config)
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
+    rng = np.random.default_rng(9)
+    n_read, refusals = 0, []
+    for _ in range(150):
+        n, n_turns = int(rng.integers(0, 400)), float(rng.uniform(0, 9))
+        azimuth = np.linspace(0, 2 * np.pi * n_turns, n) + rng.normal(0, rng.choice([0.0, 0.01, 1.0]), n)
+        scale = 10.0 ** float(rng.integers(-30, 30))
+        xyz = np.stack([np.cos(azimuth), np.sin(azimuth), -0.02 * azimuth], axis=1) * scale
+        xyz[rng.random(n) < 0.05] = rng.choice([0.0, np.nan, np.inf])
+        try:
+            whole = opened(dict(zip("xyz", xyz.T, strict=True)), int(rng.integers(1, 100)))
+        except InputError as refusal:
+            refusals.append(str(refusal))
+            continue
+        n_read += 1
+        assert np.count_nonzero(whole.record >= 0) + len(whole.extras) + whole.tally.n_unplaced == n
+    assert min(n_read, len(refusals)) > 20
+    assert not any("\n" in message for message in refusals)
