@@ -56,6 +56,8 @@ PAPER = {
 }
 """Recall and precision, Stamos et al. (2012), Table 1."""
 
+FIRST_SEED = 101
+"""Streets that nobody looked at while simulator and parameters were made: those were 1 to 12."""
 SEEDS = 11
 """Streets of the first row: as many as the paper has scans."""
 MORE_SEEDS = 4
@@ -162,7 +164,7 @@ def simulated(folder: Path) -> None:
         if setting.preset not in PRESETS:
             continue
         first = not sums
-        for seed in range(1, (SEEDS if first else MORE_SEEDS) + 1):
+        for seed in range(FIRST_SEED, FIRST_SEED + (SEEDS if first else MORE_SEEDS)):
             scan = simulate_static_scan(StaticScanParams.model_validate({"seed": seed} | COARSE | setting.options))
             source, reference = write_scan(folder, scan)
             labels = folder / "labels.npy"
@@ -175,7 +177,7 @@ def simulated(folder: Path) -> None:
                 own = evaluate(labels, reference, "sequential_angle")
                 fine = own if fine is None else fine + own
     print("## Simulated static street scans\n")
-    print(f"{SEEDS} streets in the first row, {MORE_SEEDS} in the others. Last row:")
+    print(f"{SEEDS} streets in the first row, {MORE_SEEDS} in the others, none looked at before. Last row:")
     print("Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n")
     print("```console\n$ prc classify scan.npz labels.npy --preset street-scan")
     print("$ prc evaluate labels.npy reference.npy --mapping street_scan --format markdown\n```\n")
