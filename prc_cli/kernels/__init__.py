@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from prc_cli.kernels.ground import ground_rows as ground_rows
     from prc_cli.kernels.ground import main_height as main_height
     from prc_cli.kernels.ground import potential_heights as potential_heights
+    from prc_cli.kernels.lines import arrange_lines as arrange_lines
+    from prc_cli.kernels.lines import arrange_plane as arrange_plane
     from prc_cli.kernels.markov import hmm_cusum as hmm_cusum
     from prc_cli.kernels.support import background_mask as background_mask
     from prc_cli.kernels.support import support_mask as support_mask
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 
 KERNELS: dict[str, str] = {
     "angle_differences": "prc_cli.kernels.angles",
+    "arrange_lines": "prc_cli.kernels.lines",
+    "arrange_plane": "prc_cli.kernels.lines",
     "background_mask": "prc_cli.kernels.support",
     "car_intervals": "prc_cli.kernels.dividers",
     "connect_verticals": "prc_cli.kernels.curb",

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli import kernels
 from prc_cli.core.types import F32, F64, I32
 
 
@@ -103,29 +104,12 @@ def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides,
     max_range_m : float
         What lies beyond is missing [m].
     """
-    column = np.where(sides.columns < 0, 0, sides.columns)
-    fill = sides.columns < 0
-    ranges = _gather(range_m, column)
-    with np.errstate(invalid="ignore"):
-        ranges[(ranges > max_range_m) | np.tile(fill, (len(range_m), 1))] = np.nan
     if xyz_m is None:
-        angle = np.where(fill, 0.0, beam_rad[column])
-        n_lines = len(range_m)
-        x = ranges * np.tile(np.sin(angle), (n_lines, 1))
-        z = ranges * np.tile(-np.cos(angle), (n_lines, 1))
-        xyz = np.stack([x, np.where(np.isnan(ranges), np.nan, 0.0), z], axis=-1).astype(np.float32)
+        across, up = np.sin(beam_rad), -np.cos(beam_rad)
+        ranges, xyz, horizontal = kernels.arrange_plane(range_m, across, up, sides.columns, max_range_m)
     else:
-        xyz = _gather(xyz_m, column)
-        gone = np.isnan(ranges) | np.isnan(xyz).any(axis=-1)
-        xyz[gone] = np.nan
-        ranges[gone] = np.nan
-    return VerticalLines(
-        range_m=ranges,
-        xyz_m=xyz,
-        horizontal_m=np.hypot(xyz[..., 0], xyz[..., 1]),
-        n_beams=np.tile(sides.n_beams, len(range_m)),
-        beam_rad=sides.beam_rad,
-    )
+        ranges, xyz, horizontal = kernels.arrange_lines(range_m, xyz_m, sides.columns, max_range_m)
+    return VerticalLines(ranges, xyz, horizontal, np.tile(sides.n_beams, len(range_m)), sides.beam_rad)
 
 
 def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArray[Any]:
@@ -149,9 +133,3 @@ def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArra
         n = int(sides.n_beams[side])
         image[:, sides.columns[side, :n]] = by_side[:, side, :n]
     return image
-
-
-def _gather(image: NDArray[Any], column: I32) -> NDArray[Any]:
-    """Pick columns, (lines, M, ...) to (lines * n_sides, n, ...)."""
-    picked = image[:, column]
-    return np.ascontiguousarray(picked.reshape(-1, *picked.shape[2:]))

@@ -1,0 +1,101 @@
+"""Loops that arrange scan lines as half-lines (Stamos et al. 2012, sec. 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32
+from prc_cli.kernels.cache import kernel
+
+
+@kernel(
+    "Tuple((float32[:, ::1], float32[:, :, ::1], float32[:, ::1]))"
+    "(float32[:, ::1], float32[:, :, ::1], int32[:, ::1], float64)"
+)
+def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+    """Pick the beams of half-lines out of scan lines with coordinates.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32
+        [m], NaN = missing.
+    xyz_m : (lines, M, 3) float32
+        [m]; NaN = missing.
+    columns : (n_sides, n) int32
+        Column of every beam, -1 = fill.
+    max_range_m : float
+        What lies beyond is missing [m].
+
+    Returns
+    -------
+    (lines * n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32
+        Ranges, coordinates and horizontal distances [m]; all NaN where one of them is missing.
+    """
+    n_lines = range_m.shape[0]
+    n_sides, n = columns.shape
+    ranges = np.full((n_lines * n_sides, n), np.nan, np.float32)
+    xyz = np.full((n_lines * n_sides, n, 3), np.nan, np.float32)
+    horizontal = np.full((n_lines * n_sides, n), np.nan, np.float32)
+    for line in range(n_lines):
+        for side in range(n_sides):
+            row = line * n_sides + side
+            for k in range(n):
+                column = columns[side, k]
+                if column < 0:
+                    continue
+                r = range_m[line, column]
+                x, y, z = xyz_m[line, column, 0], xyz_m[line, column, 1], xyz_m[line, column, 2]
+                if np.float64(r) <= max_range_m and not np.isnan(x + y + z):
+                    ranges[row, k] = r
+                    xyz[row, k, 0] = x
+                    xyz[row, k, 1] = y
+                    xyz[row, k, 2] = z
+                    across = np.float64(x) * np.float64(x) + np.float64(y) * np.float64(y)
+                    horizontal[row, k] = np.float32(np.sqrt(across))
+    return ranges, xyz, horizontal
+
+
+@kernel(
+    "Tuple((float32[:, ::1], float32[:, :, ::1], float32[:, ::1]))"
+    "(float32[:, ::1], float64[::1], float64[::1], int32[:, ::1], float64)"
+)
+def arrange_plane(range_m: F32, across: F64, up: F64, columns: I32, max_range_m: float) -> tuple[F32, F32, F32]:
+    """Pick the beams of half-lines out of scan lines of ranges; coordinates are those in the scan plane.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32
+        [m], NaN = missing.
+    across, up : (M,) float64
+        Direction of every column's beam in the scan plane: to the side, and up.
+    columns : (n_sides, n) int32
+        Column of every beam, -1 = fill.
+    max_range_m : float
+        What lies beyond is missing [m].
+
+    Returns
+    -------
+    (lines * n_sides, n) float32, (lines * n_sides, n, 3) float32, (lines * n_sides, n) float32
+        Ranges, coordinates (y = 0) and horizontal distances [m]; NaN where the range is missing.
+    """
+    n_lines = range_m.shape[0]
+    n_sides, n = columns.shape
+    ranges = np.full((n_lines * n_sides, n), np.nan, np.float32)
+    xyz = np.full((n_lines * n_sides, n, 3), np.nan, np.float32)
+    horizontal = np.full((n_lines * n_sides, n), np.nan, np.float32)
+    for line in range(n_lines):
+        for side in range(n_sides):
+            row = line * n_sides + side
+            for k in range(n):
+                column = columns[side, k]
+                if column < 0:
+                    continue
+                r = np.float64(range_m[line, column])
+                if r <= max_range_m:
+                    x = r * across[column]
+                    ranges[row, k] = range_m[line, column]
+                    xyz[row, k, 0] = np.float32(x)
+                    xyz[row, k, 1] = np.float32(0.0)
+                    xyz[row, k, 2] = np.float32(r * up[column])
+                    horizontal[row, k] = np.float32(abs(x))
+    return ranges, xyz, horizontal
