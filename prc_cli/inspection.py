@@ -1,4 +1,4 @@
-"""What a file holds and whether PRC can classify it: everything measured, nothing guessed."""
+"""What a file holds and whether the chosen classifier can take it: everything measured, nothing guessed."""
 
 from __future__ import annotations
 
@@ -65,8 +65,10 @@ class Inspection:
     header: dict[str, Any] = field(default_factory=dict)
     """What the file's header says (LAS, LAZ)."""
     notes: tuple[str, ...] = ()
+    method: str = "prc"
+    """The classifier that was asked about."""
     problem: str = ""
-    """Why PRC cannot classify the file as it is; empty if it can."""
+    """Why it cannot classify the file as it is; empty if it can."""
     hint: str = ""
 
     def as_dict(self) -> dict[str, Any]:
@@ -91,8 +93,12 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     Raises
     ------
     InputError
-        When the file is damaged; a file that is merely not fit for PRC is described instead.
+        When the file is damaged; a file that is merely not fit for the classifier is described instead.
     """
+    return replace(_inspect(path, loaded), method=loaded.config.method)
+
+
+def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     source = open_source(path, loaded.config.layout)
     stream, refusal = _try_open(path, loaded)
     judged = loaded.config.input.order == "require"

@@ -18,7 +18,7 @@ from prc_cli.core.errors import PrcError
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate a street, classify it, evaluate it, draw it: no data needed."),
-    "info": ("prc_cli.cli.info:info", "Say what a file holds and whether PRC can classify it."),
+    "info": ("prc_cli.cli.info:info", "Say what a file holds and whether it can be classified."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),

@@ -1,4 +1,4 @@
-"""``prc info``: what a file holds and whether PRC can classify it."""
+"""``prc info``: what a file holds and whether it can be classified."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from prc_cli.inspection import Inspection, inspect
 @stream_options
 @output_options
 def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
-    """Say what FILE holds, what would be taken for granted, and whether PRC can classify it.
+    """Say what FILE holds, what would be taken for granted, and whether it can be classified.
 
     The same options as for classify say how lines, columns and ranges are found.
 
@@ -79,7 +79,8 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     hint = f"; {inspection.hint}" if inspection.hint else ""
     verdict = f"no: {inspection.problem}{hint}" if inspection.problem else "yes, as it is"
-    rows.append(("PRC can classify it", verdict))
+    name = {"prc": "PRC"}.get(inspection.method, inspection.method)
+    rows.append((f"{name} can classify it", verdict))
     return rows
 
 

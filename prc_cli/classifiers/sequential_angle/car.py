@@ -16,7 +16,7 @@ from prc_cli.core.types import F32, I32, U8, Mask
 
 
 class CarParams(Params):
-    """The car algorithm (``[sequential-angle.car]``)."""
+    """The car algorithm (``[sequential_angle.car]``)."""
 
     suspicious: SuspiciousParams = Field(SuspiciousParams(), description="which lines may hold a car")
     dividers: DividersParams = Field(DividersParams(), description="where on a line a car may be")

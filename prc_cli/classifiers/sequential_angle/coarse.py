@@ -19,7 +19,7 @@ from prc_cli.core.types import F32, U8, Mask
 
 
 class TiltParams(Params):
-    """When a run turns from horizontal to vertical and back (``[sequential-angle.coarse.surfaces]``).
+    """When a run turns from horizontal to vertical and back (``[sequential_angle.coarse.surfaces]``).
 
     From horizontal to vertical the sum of (drift - angle), from vertical to horizontal the sum of (angle - drift) is
     followed, never below zero, until it exceeds the threshold. Drift 45 and threshold 30 deg are the test between
@@ -46,7 +46,7 @@ class TiltParams(Params):
 
 
 class CoarseParams(Params):
-    """The coarse classification (``[sequential-angle.coarse]``)."""
+    """The coarse classification (``[sequential_angle.coarse]``)."""
 
     vegetation: HmmParams = Field(
         HmmParams(), description="test for vegetation on signed angles; model 0 nearly forbids the state at -90 deg"

@@ -13,7 +13,7 @@ from prc_cli.core.types import F32, I32, U8
 
 
 class DividersParams(Params):
-    """Where a car begins and ends along a line (``[sequential-angle.dividers]``)."""
+    """Where a car begins and ends along a line (``[sequential_angle.car.dividers]``)."""
 
     sudden_from_deg: float = Field(
         -5.0,

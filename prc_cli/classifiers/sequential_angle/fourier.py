@@ -11,7 +11,7 @@ from prc_cli.core.types import F32, I32, Mask
 
 
 class FourierParams(Params):
-    """Which spectra are those of vegetation (``[sequential-angle.fourier]``)."""
+    """Which spectra are those of vegetation (``[sequential_angle.car.fourier]``)."""
 
     enabled: bool = Field(True, description="test intervals at all; the authors call this step dispensable")
     band: float = Field(

@@ -12,7 +12,7 @@ from prc_cli.core.types import F32, U8
 
 
 class HighVerticalsParams(Params):
-    """What is too high for a car (``[sequential-angle.high_verticals]``)."""
+    """What is too high for a car (``[sequential_angle.car.high_verticals]``)."""
 
     height_m: float = Field(
         2.5,

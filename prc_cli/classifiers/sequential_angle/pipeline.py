@@ -78,8 +78,6 @@ class Within:
     """(R, n) int32, beam of the chord's other end, -1 = none."""
     surface: U8
     """(R, n) uint8, coarse layer {T, H, V}."""
-    dense: Mask
-    """(R, n) bool, T'."""
     car_surface: U8
     """(R, n) uint8, car layer {T', H, V}."""
     line_angle_deg: F32
@@ -196,13 +194,13 @@ def within_lines(lines: VerticalLines, params: SequentialAngleParams) -> Within:
     angles = signed_angles(lines, params.angles)
     surface = coarse(angles.signed_deg, lines, params.coarse)
     dense = dense_vegetation(angle_differences(angles.signed_deg), params.dense_vegetation)
+    car_layer = car_surface(angles.signed_deg, dense, lines, params.coarse.surfaces)
     return Within(
         lines=lines,
         signed_deg=angles.signed_deg,
         ahead=angles.ahead,
         surface=surface,
-        dense=dense,
-        car_surface=car_surface(angles.signed_deg, dense, lines, params.coarse.surfaces),
+        car_surface=car_layer,
         line_angle_deg=line_angles(lines, angles.ahead, surface),
     )
 
@@ -234,7 +232,10 @@ def across_lines(
     noise = params.angles.range_noise_m
     c = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
     curb, curb_state = curbs(lines, surface, rows.signed_deg, start, state.curb, params.curb, last=last)
-    open_rows = (*state.undecided, Undecided(surface, rows.dense, g, c, lines.horizontal_m, z_g))
+    open_rows = (
+        *state.undecided,
+        Undecided(surface, rows.car_surface == Surface.VEGETATION, g, c, lines.horizontal_m, z_g),
+    )
     final, left = _split(open_rows, len(curb))
     return final, curb, replace(state, ground=known, curb=curb_state, undecided=left)
 

@@ -18,7 +18,7 @@ _CALM: Row = (0.1, 0.8, 0.1)
 
 
 class DenseVegetationParams(HmmParams):
-    """The less sensitive test for vegetation (``[sequential-angle.dense_vegetation]``)."""
+    """The less sensitive test for vegetation (``[sequential_angle.dense_vegetation]``)."""
 
     means_deg: Angles = Field((-150.0, 0.0, 150.0), description="mean of every state [deg] (published)")
     sigmas_deg: Spreads = Field((30.0, 30.0, 30.0), description="standard deviation of every state [deg]")
