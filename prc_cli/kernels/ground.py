@@ -81,8 +81,10 @@ def _build(hist: I64, density: I64, lo: int, hi: int) -> None:
     """Compute the density of binned samples; it must be zero before."""
     for q in range(lo, hi + 1):
         if hist[q] > 0:
+            around = density[q - HALF : q + HALF + 1]  # a slice, for vector instructions
+            count = hist[q]
             for j in range(2 * HALF + 1):
-                density[q - HALF + j] += hist[q] * WEIGHT[j]
+                around[j] += count * WEIGHT[j]
 
 
 @helper
@@ -109,8 +111,9 @@ def _add(hist: I64, density: I64, state: I64, q: int) -> None:
         state[_HI] = max(state[_HI], q)
     state[_N] += 1
     if state[_BUILT]:
+        around = density[q - HALF : q + HALF + 1]
         for j in range(2 * HALF + 1):
-            density[q - HALF + j] += WEIGHT[j]
+            around[j] += WEIGHT[j]
 
 
 @helper
@@ -182,11 +185,12 @@ def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
 
 
 @helper
-def _bandwidth(xyz: F32, one: int, other: int, least: float, sigmas: float, noise: float) -> float:
+def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, noise: float) -> float:
     """Return the bandwidth for line angles [deg] at a point with a chord to another one.
 
     The standard deviation of a line angle is sqrt(2) noise sin(phi) / chord; the sine comes from the cross product.
     """
+    other = ahead[one]
     x, y, z = np.float64(xyz[one, 0]), np.float64(xyz[one, 1]), np.float64(xyz[one, 2])
     dx, dy, dz = np.float64(xyz[other, 0]) - x, np.float64(xyz[other, 1]) - y, np.float64(xyz[other, 2]) - z
     cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
@@ -214,9 +218,40 @@ def _collect(phihat: F32, beams: I32, first: int, end: int, sampled: I32, n_samp
 
 
 @helper
+def _fits(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, guard: float) -> bool:
+    """Tell whether a point lies at the height of the local line through the last points."""
+    first = max(n_points - n_fit, 0)
+    count = n_points - first
+    mean_x = 0.0
+    mean_z = 0.0
+    for i in range(first, n_points):
+        mean_x += np.float64(horizontal[beams[i]])
+        mean_z += np.float64(xyz[beams[i], 2])
+    mean_x /= count
+    mean_z /= count
+    sxx = 0.0
+    sxz = 0.0
+    for i in range(first, n_points):
+        dx = np.float64(horizontal[beams[i]]) - mean_x
+        sxx += dx * dx
+        sxz += dx * (np.float64(xyz[beams[i], 2]) - mean_z)
+    slope = sxz / (sxx + count * guard * guard)
+    expected = mean_z + slope * (np.float64(horizontal[k]) - mean_x)
+    return bool(abs(np.float64(xyz[k, 2]) - expected) <= guard)
+
+
+@helper
+def _jumps(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, jump: float) -> bool:
+    """Tell whether a point lies at another height than the points before it, and than their line goes on to."""
+    rise = abs(np.float64(xyz[k, 2]) - np.float64(xyz[beams[n_points - 1], 2]))
+    return rise > jump and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump)
+
+
+@helper
 def _potential(
     surface: U8,
     xyz: F32,
+    horizontal: F32,
     phihat: F32,
     ahead: I32,
     n: int,
@@ -226,6 +261,8 @@ def _potential(
     smallest: float,
     sigmas: float,
     noise: float,
+    n_fit: int,
+    jump: float,
     beams: I32,
     sampled: I32,
     hist: I64,
@@ -236,9 +273,7 @@ def _potential(
 ) -> tuple[int, float]:
     """Find potential ground in a row from a beam on: how many points, left in ``beams``, and the bandwidth (part a)."""
     size = len(hist) - 2 * HALF
-    n_samples = 0
-    n_points = 0
-    renew_at = 0
+    n_samples = n_points = renew_at = 0
     b = width = 0.0
     k = start
     growing = False
@@ -254,6 +289,10 @@ def _potential(
             n_points = 0
             k += 1
             continue
+        if n_points > 0 and _jumps(xyz, horizontal, beams, n_points, k, n_fit, jump):
+            if growing:
+                return n_points - 2, b
+            n_points = 0
         beams[n_points] = k
         n_points += 1
         k += 1
@@ -272,11 +311,10 @@ def _potential(
                 _add(hist, density, state, q)
                 one_mode = _has_one_mode(hist, density, state, q, least, tops, counts)
         if one_mode and n_samples >= renew_at:
-            # the bandwidth follows the middle of the set whenever the set has grown by a quarter: that keeps the
+            # the bandwidth follows the middle of the set whenever the set has grown by a half: that keeps the
             # work proportional to the number of points, whatever the bandwidth does
-            renew_at = n_samples + n_samples // 4 + 1
-            middle = sampled[n_samples // 2]
-            b = _bandwidth(xyz, middle, ahead[middle], smallest, sigmas, noise)
+            renew_at = n_samples + n_samples // 2 + 1
+            b = _bandwidth(xyz, ahead, sampled[n_samples // 2], smallest, sigmas, noise)
             width = b / PER_BANDWIDTH
             _clear(hist, density, state)
             q = 0
@@ -323,29 +361,6 @@ def _main(counts: I64, n: int) -> int:
         if counts[i] > counts[best]:
             best = i
     return best
-
-
-@helper
-def _fits(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, guard: float) -> bool:
-    """Tell whether a point lies at the height of the local line through the last points."""
-    first = max(n_points - n_fit, 0)
-    count = n_points - first
-    mean_x = 0.0
-    mean_z = 0.0
-    for i in range(first, n_points):
-        mean_x += np.float64(horizontal[beams[i]])
-        mean_z += np.float64(xyz[beams[i], 2])
-    mean_x /= count
-    mean_z /= count
-    sxx = 0.0
-    sxz = 0.0
-    for i in range(first, n_points):
-        dx = np.float64(horizontal[beams[i]]) - mean_x
-        sxx += dx * dx
-        sxz += dx * (np.float64(xyz[beams[i], 2]) - mean_z)
-    slope = sxz / (sxx + count * guard * guard)
-    expected = mean_z + slope * (np.float64(horizontal[k]) - mean_x)
-    return bool(abs(np.float64(xyz[k, 2]) - expected) <= guard)
 
 
 @helper
@@ -411,6 +426,7 @@ def _resume(
     z_g: float,
     tolerance: float,
     n_fit: int,
+    jump: float,
     guard: float,
     beams: I32,
     n_points: int,
@@ -429,7 +445,8 @@ def _resume(
         end += 1
     while start < end:
         n_more, b = _potential(
-            surface, xyz, phihat, ahead, end, start, first_run, least, smallest, sigmas, noise, more, sampled, hist,
+            surface, xyz, horizontal, phihat, ahead, end, start, first_run, least, smallest, sigmas, noise,
+            n_fit, jump, more, sampled, hist,
             density, state, tops, counts,
         )  # fmt: skip
         if n_more == 0:
@@ -585,12 +602,13 @@ def main_height(histogram: I64, share: float) -> tuple[int, float]:
 
 
 @kernel(
-    "Tuple((int32[::1], float64[::1]))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[:, ::1], int32[::1], "
-    "int64, int64, int64, float64, float64, float64)"
+    "Tuple((int32[::1], float64[::1]))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], "
+    "int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64)"
 )
 def potential_heights(
     surface: U8,
     xyz: F32,
+    horizontal: F32,
     phihat: F32,
     ahead: I32,
     n_beams: I32,
@@ -600,6 +618,8 @@ def potential_heights(
     smallest: float,
     sigmas: float,
     noise: float,
+    n_fit: int,
+    jump: float,
 ) -> tuple[I32, F64]:
     """Find the first potential ground of every row and its height (part a).
 
@@ -607,6 +627,8 @@ def potential_heights(
     ----------
     surface : (R, n) uint8
     xyz : (R, n, 3) float32, metres
+    horizontal : (R, n) float32, metres
+        Horizontal distance from the scanner.
     phihat : (R, n) float32, degrees
         Line angles, NaN where there is none.
     ahead : (R, n) int32
@@ -620,6 +642,10 @@ def potential_heights(
         Samples that make a mode.
     smallest, sigmas, noise : float
         Bandwidth: the larger of ``smallest`` [deg] and so many standard deviations at a range noise [m].
+    n_fit : int
+        Points that the local line is laid through.
+    jump : float, metres
+        Height above or below the last point and the local line that ends potential ground.
 
     Returns
     -------
@@ -641,8 +667,9 @@ def potential_heights(
     height = np.full(n_rows, np.nan)
     for row in range(n_rows):
         n_points, _ = _potential(
-            surface[row], xyz[row], phihat[row], ahead[row], np.int64(n_beams[row]), 0, first_run, least, smallest, sigmas,
-            noise, beams, sampled, hist, density, state, tops, counts,
+            surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], int(np.int64(n_beams[row])), 0,
+            first_run, least, smallest, sigmas,
+            noise, n_fit, jump, beams, sampled, hist, density, state, tops, counts,
         )  # fmt: skip
         if n_points > 0:
             n_found[row] = n_points
@@ -652,8 +679,8 @@ def potential_heights(
 
 @kernel(
     "Tuple((boolean[:, ::1], float32[::1], int64[::1], float64))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
-    "float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64[::1], float64, "
-    "int64, int64, float64, boolean, float64, int64, float64, boolean)"
+    "float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64, "
+    "int64[::1], float64, int64, int64, float64, boolean, float64, float64, boolean)"
 )
 def ground_rows(
     surface: U8,
@@ -668,6 +695,8 @@ def ground_rows(
     smallest: float,
     sigmas: float,
     noise: float,
+    n_fit: int,
+    jump: float,
     histogram: I64,
     z_g: float,
     n_counted: int,
@@ -675,7 +704,6 @@ def ground_rows(
     share: float,
     count_all: bool,
     tolerance: float,
-    n_fit: int,
     guard: float,
     resume: bool,
 ) -> tuple[Mask, F32, I64, float]:
@@ -683,10 +711,8 @@ def ground_rows(
 
     Parameters
     ----------
-    surface, xyz, phihat, ahead, n_beams, first_run, lowest, least, smallest, sigmas, noise
+    surface, xyz, horizontal, phihat, ahead, n_beams, first_run, lowest, least, smallest, sigmas, noise, n_fit, jump
         As in :func:`potential_heights`.
-    horizontal : (R, n) float32, metres
-        Horizontal distance from the scanner.
     histogram : (N_HEIGHTS,) int64
         Heights so far, in millimetres from :data:`LOWEST_M`; not changed.
     z_g : float, metres
@@ -701,8 +727,6 @@ def ground_rows(
         Count heights of rows without ground too.
     tolerance : float
         Difference between a row's height and ``z_g``, as a share of ``z_g``, below which it is ground.
-    n_fit : int
-        Ground points that the local line is laid through.
     guard : float, metres
         Height above or below the local line up to which ground grows.
     resume : bool
@@ -736,14 +760,15 @@ def ground_rows(
     z_rows = np.empty(n_rows, np.float32)
     for row in range(n_rows):
         counted = row < n_counted
-        n_valid = np.int64(n_beams[row])
+        n_valid = int(np.int64(n_beams[row]))
         start = 0
         height = np.nan
         accepted = False
         while not accepted:
             n_points, b = _potential(
-                surface[row], xyz[row], phihat[row], ahead[row], n_valid, start, first_run, least, smallest,
-                sigmas, noise, beams, sampled, hist, density, state, tops, counts,
+                surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, start, first_run,
+                least, smallest,
+                sigmas, noise, n_fit, jump, beams, sampled, hist, density, state, tops, counts,
             )  # fmt: skip
             if n_points == 0:
                 break
@@ -763,7 +788,8 @@ def ground_rows(
                 if resume:
                     n_points = _resume(
                         surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, first_run,
-                        least, smallest, sigmas, noise, lowest, z_g, tolerance, n_fit, guard, beams, n_points, more,
+                        least, smallest, sigmas, noise, lowest, z_g, tolerance, n_fit, jump, guard, beams, n_points,
+                        more,
                         sampled, hist, density, state, tops, counts,
                     )  # fmt: skip
                 for i in range(n_points):

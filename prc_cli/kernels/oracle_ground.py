@@ -97,12 +97,22 @@ class Row:
     """One row, and the rules for potential ground."""
 
     def __init__(
-        self, surface: U8, xyz: F32, phihat: F32, ahead: I32, n: int, rules: tuple[int, int, int, float, float, float]
+        self,
+        surface: U8,
+        xyz: F32,
+        phihat: F32,
+        ahead: I32,
+        n: int,
+        rules: tuple[int, int, int, float, float, float],
+        horizontal: F32,
+        n_fit: int,
+        jump: float,
     ) -> None:
         self.surface = surface[:n].tolist()
         self.xyz = xyz.astype(np.float64)
         self.phihat = phihat.astype(np.float64)
         self.ahead = ahead
+        self.horizontal, self.n_fit, self.jump = horizontal.astype(np.float64), n_fit, jump
         self.first_run, self.lowest, self.least, self.smallest, self.sigmas, self.noise = rules
 
     def bandwidth(self, beam: int) -> float:
@@ -135,31 +145,46 @@ class Row:
             if horizontal:
                 yield [beam for beam, _ in group]
 
+    def jumps(self, before: list[int], beam: int) -> bool:
+        """Tell whether a point lies at another height than the points before it."""
+        rise = abs(self.xyz[beam, 2] - self.xyz[before[-1], 2])
+        return bool(rise > self.jump) and not self.fits(before, beam, self.horizontal, self.n_fit, self.jump)
+
     def potential(self, start: int) -> tuple[list[int], float]:
         """Return the first potential ground from a beam on and the bandwidth at its end (part a)."""
         for run in self.runs(start):
-            for first in range(len(run) - self.first_run + 1):
-                points = run[first:]
-                n = self.first_run - 1
-                size = 0
-                b = math.nan
-                while True:
-                    sampled = self.sampled(points[:n])
-                    if len(sampled) < self.least:
-                        one = False
-                    else:
-                        if size == 0 or len(sampled) >= size + size // 4 + 1:
-                            size = len(sampled)
-                            b = self.bandwidth(sampled[size // 2])
-                        modes = grid_modes(self.bins(sampled, b))
-                        one = sum(count >= self.least for _, count in modes) == 1
-                    if not one and n == self.first_run - 1:
-                        break
-                    if one and n + 1 < len(points):
-                        n += 1
-                        continue
-                    return points[: n - 1], b
+            first, end = 0, 1
+            while True:
+                while end - first < self.first_run and end < len(run):
+                    first = end if self.jumps(run[first:end], run[end]) else first
+                    end += 1
+                if end - first < self.first_run:
+                    break
+                found, b = self.one_line(run[first:])
+                if found:
+                    return found, b
+                first += 1
         return [], math.nan
+
+    def one_line(self, points: list[int]) -> tuple[list[int], float]:
+        """Return the points at the beginning of a run whose line angles have one mode."""
+        n = self.first_run - 1
+        size = 0
+        b = math.nan
+        while True:
+            sampled = self.sampled(points[:n])
+            one = len(sampled) >= self.least
+            if one:
+                if size == 0 or len(sampled) >= size + size // 2 + 1:
+                    size = len(sampled)
+                    b = self.bandwidth(sampled[size // 2])
+                modes = grid_modes(self.bins(sampled, b))
+                one = sum(count >= self.least for _, count in modes) == 1
+            if not one and n == self.first_run - 1:
+                return [], b
+            if not one or n + 1 == len(points) or self.jumps(points[: n + 1], points[n + 1]):
+                return points[: n - 1], b
+            n += 1
 
     def height(self, beams: list[int]) -> float:
         """Return the mean of the lowest points."""
@@ -206,6 +231,7 @@ def is_near(z: float, z_g: float, tolerance: float) -> bool:
 def potential_heights(
     surface: U8,
     xyz: F32,
+    horizontal: F32,
     phihat: F32,
     ahead: I32,
     n_beams: I32,
@@ -215,13 +241,15 @@ def potential_heights(
     smallest: float,
     sigmas: float,
     noise: float,
+    n_fit: int,
+    jump: float,
 ) -> tuple[I32, F64]:
     """Find potential ground; see :func:`prc_cli.kernels.ground.potential_heights`."""
     rules = (first_run, lowest, least, smallest, sigmas, noise)
     n_points = np.zeros(len(surface), dtype=np.int32)
     height = np.full(len(surface), np.nan)
     for i in range(len(surface)):
-        row = Row(surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules)
+        row = Row(surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump)
         beams, _ = row.potential(0)
         n_points[i] = len(beams)
         if beams:
@@ -242,6 +270,8 @@ def ground_rows(
     smallest: float,
     sigmas: float,
     noise: float,
+    n_fit: int,
+    jump: float,
     histogram: I64,
     z_g: float,
     n_counted: int,
@@ -249,7 +279,6 @@ def ground_rows(
     share: float,
     count_all: bool,
     tolerance: float,
-    n_fit: int,
     guard: float,
     resume: bool,
 ) -> tuple[Mask, F32, I64, float]:
@@ -259,7 +288,7 @@ def ground_rows(
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
     heights = histogram.copy()
     for i in range(len(surface)):
-        row = Row(surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules)
+        row = Row(surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump)
         to_count = i >= n_counted
         z_i = math.nan
         accepted = False

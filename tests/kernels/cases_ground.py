@@ -64,12 +64,13 @@ def rows(rng: Generator) -> tuple[Any, ...]:
     rules = (first_run, int(rng.choice([1, 5])), int(rng.choice([2, 3])), float(rng.choice([5.0, 2.0])), 3.0)
     noise = float(rng.choice([0.0, 0.001, 0.005]))
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
-    return surface, xyz, horizontal, phihat, ahead, n_beams, (*rules, noise)
+    local = (int(rng.choice([2, 10])), float(rng.choice([0.1, 0.03, 100.0])))
+    return surface, xyz, horizontal, phihat, ahead, n_beams, (*rules, noise, *local)
 
 
 def potential_case(rng: Generator) -> tuple[Any, ...]:
-    surface, xyz, _, phihat, ahead, n_beams, rules = rows(rng)
-    return surface, xyz, phihat, ahead, n_beams, *rules
+    surface, xyz, horizontal, phihat, ahead, n_beams, rules = rows(rng)
+    return surface, xyz, horizontal, phihat, ahead, n_beams, *rules
 
 
 def ground_case(rng: Generator) -> tuple[Any, ...]:
@@ -77,7 +78,7 @@ def ground_case(rng: Generator) -> tuple[Any, ...]:
     known = histogram(rng, int(rng.choice([0, 3, 20])))
     z_g = float(rng.choice([-1.8, -1.8, np.nan, -1.62, 0.0]))
     state = (known, z_g, int(rng.integers(0, 3)), int(rng.choice([0, 5, 50])))
-    growth = (int(rng.choice([2, 10])), float(rng.choice([0.1, 0.01])), bool(rng.random() < 0.7))
+    growth = (float(rng.choice([0.1, 0.01])), bool(rng.random() < 0.7))
     count_all = bool(rng.random() < 0.5)
     return surface, xyz, horizontal, phihat, ahead, n_beams, *rules, *state, 0.05, count_all, 0.1, *growth
 

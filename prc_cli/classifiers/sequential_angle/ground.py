@@ -11,10 +11,12 @@ Readings where the text is silent or can be read in two ways:
   eight of them.
 - The bandwidth of the line angles follows their noise, three standard deviations in the middle of the set, but at
   least 5 degrees: with a fixed bandwidth the noise near the scanner would part the ground in pieces. It is renewed
-  whenever the set has grown by a quarter.
+  whenever the set has grown by a half, so that the work stays proportional to the number of points.
 - "Almost collinear" takes a limit in height as well as one in angle, since the line angle sees the slope of a surface
   and not its height: without it ground would climb a curb that one shot alone shows. The local line is drawn level
   where its points span less than that limit, where a slope would be that of the noise.
+- For the same reason a jump in height ends potential ground: a hedge top or a car roof before the road has the line
+  angle of the road, and but one angle at its edge tells them apart.
 - Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points can part them early.
   So that such a line does not lose the rest of the road, the search resumes within the same run of horizontal points.
 - The dominant height is the main mode of the heights of all rows, whether they were accepted or not (an option), and
@@ -88,7 +90,14 @@ class GroundParams(Params):
         '"accepted" as that of ground',
     )
     growth_points: int = Field(
-        10, ge=2, le=1000, description="ground points behind that the local line is laid through when ground grows"
+        10, ge=2, le=1000, description="points before a point that the local line is laid through"
+    )
+    jump_m: float = Field(
+        0.10,
+        gt=0,
+        le=1000,
+        description="height above or below the last point and the local line that ends potential ground [m]; 1000 "
+        "turns it off, as in the printed text",
     )
     growth_height_m: float = Field(
         0.10, gt=0, le=100, description="height above or below the local line up to which ground grows [m]"
@@ -133,7 +142,9 @@ def start_heights(lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, pa
         z_i relative to the scanner [m], NaN = none.
     """
     heights: F64
-    _, heights = kernels.potential_heights(surface, lines.xyz_m, phihat, ahead, lines.n_beams, *_rules(params))
+    _, heights = kernels.potential_heights(
+        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params)
+    )
     return heights
 
 
@@ -190,16 +201,16 @@ def ground(
     points, z_rows, histogram, z_g = kernels.ground_rows(
         surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params), state.histogram,
         state.z_g, state.n_in_histogram_ahead, params.start_heights, params.height_bandwidth,
-        params.heights == "all", params.height_tolerance, params.growth_points, params.growth_height_m,
+        params.heights == "all", params.height_tolerance, params.growth_height_m,
         params.resume,
     )  # fmt: skip
     ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
     return points, z_rows, replace(state, histogram=histogram, z_g=z_g, n_in_histogram_ahead=ahead_still)
 
 
-def _rules(params: GroundParams) -> tuple[int, int, int, float, float, float]:
+def _rules(params: GroundParams) -> tuple[int, int, int, float, float, float, int, float]:
     """Return the rules of potential ground, as the kernels take them."""
     return (
         params.first_run, params.lowest_points, params.mode_samples, params.bandwidth_deg, params.bandwidth_sigmas,
-        params.range_noise_m,
+        params.range_noise_m, params.growth_points, params.jump_m,
     )  # fmt: skip

@@ -1,0 +1,212 @@
+"""Ground within a row and across rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prc_cli.classifiers.sequential_angle.ground import (
+    LOWEST_M,
+    N_HEIGHTS,
+    GroundParams,
+    GroundState,
+    ground,
+    initial_ground,
+    start_heights,
+)
+from prc_cli.core.types import F32, F64, Mask
+from prc_cli.kernels import ground as kernel
+from tests.classifiers.sequential_angle.profiles import ROAD_Z, H, Scene, Segment, V, scan, street
+
+PARAMS = GroundParams()
+
+
+def find(scene: Scene, params: GroundParams = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
+    heights = start_heights(scene.lines, scene.surface, scene.phihat, scene.ahead, params)
+    state = initial_ground(heights, params)
+    return heights, *ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
+
+
+def road(scene: Scene) -> Mask:
+    mask: Mask = (scene.surface == H) & (scene.lines.horizontal_m < 5.99) & (scene.lines.xyz_m[..., 2] < -1.2)
+    return mask
+
+
+def hedge() -> list[Segment]:
+    """A flat hedge top, as wide as 2.5 m, that hides the road from below the scanner to 4.5 m."""
+    return [(0.0, -1.0, 2.5, -1.0, H), *street()]
+
+
+def test_constants_are_those_of_the_kernel() -> None:
+    assert (LOWEST_M, N_HEIGHTS) == (kernel.LOWEST_M, kernel.N_HEIGHTS)
+
+
+@pytest.mark.parametrize("slope", [-3.0, 0.0, 3.0])
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_road_is_ground_over_slopes_and_missing_shots(slope: float, missing: float) -> None:
+    scene = scan([street(slope_deg=slope)] * 20, n=1500, missing=missing)
+    _, found, z_g, _ = find(scene)
+    assert found[road(scene)].mean() > 0.98
+    assert road(scene)[found].mean() > 0.995
+    assert np.all(np.abs(z_g - ROAD_Z) < (0.35 if slope else 0.03))
+
+
+def test_without_resuming_some_lines_lose_the_road() -> None:
+    """Why the search resumes: noise of neighbouring shots near the scanner parts the first points of some lines."""
+    scene = scan([street()] * 40, n=2154)
+    assert find(scene)[1][road(scene)].mean() > 0.99
+    assert find(scene, GroundParams(resume=False))[1][road(scene)].mean() < 0.95
+
+
+def test_height_is_robust_against_hedges_in_a_third_of_the_lines() -> None:
+    scene = scan([hedge() if i % 10 < 3 else street() for i in range(80)], n=1500)
+    heights, found, z_g, _ = find(scene)
+    assert np.sum(np.abs(heights - ROAD_Z) > 0.5) == 24
+    assert np.all(np.abs(z_g - ROAD_Z) < 0.03)
+    # the road behind the hedge is found by repeating the search after it
+    assert not (found & (scene.lines.xyz_m[..., 2] > -1.1)).any()
+    assert found[road(scene)].mean() > 0.95
+    assert found[::10].any(axis=1).mean() > 0.8  # rows with a hedge
+
+
+def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
+    scene = scan([street()] * 3, n=1000, noise_m=0.0)
+    step = int(np.flatnonzero(scene.surface[0] == V)[0])
+    flat = np.where(scene.surface == V, np.uint8(0), scene.surface)  # curb and wall missing
+    phihat = np.where(flat == H, np.float32(90.0), np.float32(np.nan))
+    phihat[:, step - 3] = 200.0  # two angles that end the search in front of the step
+    phihat[:, step - 2] = 200.0
+    state = initial_ground(np.full(3, ROAD_Z), PARAMS)
+    careful = replace_params(resume=False, bandwidth_sigmas=0)
+    found, _, _ = ground(scene.lines, flat, phihat, scene.ahead, state, careful)
+    assert found.any(axis=1).all()
+    assert not found[:, step:].any()
+
+    # the same with the angles right again after the search has ended: only the height holds growth back
+    phihat[:, step - 1] = 90.0
+    short = GroundState(state.histogram, ROAD_Z, 0)
+    phihat[:, step - 3] = 90.0
+    phihat[:, step - 2] = 90.0
+    phihat[:, 20:22] = 200.0  # ends the search early, at points that growth does not see
+    surface = flat.copy()
+    surface[:, 21] = 0
+    surface[:, 20] = 0
+    guarded, _, _ = ground(scene.lines, surface, phihat, scene.ahead, short, careful)
+    free = replace_params(resume=False, bandwidth_sigmas=0, growth_height_m=0.5)
+    unguarded, _, _ = ground(scene.lines, surface, phihat, scene.ahead, short, free)
+    assert guarded.sum() <= unguarded.sum()
+
+
+def replace_params(**values: float | bool | str) -> GroundParams:
+    return GroundParams.model_validate(values)
+
+
+def test_height_follows_all_lines_after_the_first_fifty_only() -> None:
+    lower = [(x0, z0 - 0.12, x1, z1 - 0.12, kind) for x0, z0, x1, z1, kind in street(wall=False)]
+    scene = scan([street(wall=False)] * 60 + [lower] * 120, n=400)
+    heights, found, z_g, state = find(scene)
+    assert len(set(z_g[:50].tolist())) == 1  # the rows of the first estimate
+    assert z_g[60] == pytest.approx(ROAD_Z, abs=0.03)
+    assert z_g[-1] == pytest.approx(ROAD_Z - 0.12, abs=0.03)  # most heights are the lower ones by now
+    assert state.histogram.sum() == np.sum(~np.isnan(heights))
+    assert found.any(axis=1).all()
+
+
+def test_accepted_heights_alone_can_be_counted() -> None:
+    scene = scan([street()] * 50 + [[(0.3, -0.5, 4.0, -0.5, H)]] * 20, n=300)
+    assert find(scene)[3].histogram.sum() == 70
+    assert find(scene, GroundParams(heights="accepted"))[3].histogram.sum() == 50
+
+
+def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
+    scene = scan([street()] * 30, n=300)
+    nothing = initial_ground(np.full(4, np.nan), PARAMS)
+    assert np.isnan(nothing.z_g)
+    assert nothing.n_in_histogram_ahead == 4
+    scene.surface[:4] = 0
+    found, z_g, state = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS)
+    assert np.isnan(z_g[:4]).all()
+    assert not found[:4].any()
+    assert found[4:].any(axis=1).all()
+    assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
+    assert state.n_in_histogram_ahead == 0
+
+
+@pytest.mark.parametrize("n_sides", [1, 2])
+def test_cuts_change_nothing(n_sides: int) -> None:
+    profiles = [hedge() if i % 7 == 0 else street(car=i % 5 == 0) for i in range(70)]
+    scene = scan(profiles, n=250, n_sides=n_sides, missing=0.1)
+    heights, whole, z_whole, last = find(scene)
+    rng = np.random.default_rng(2)
+    for _ in range(4):
+        cuts = np.sort(rng.integers(0, 71, 5)) * n_sides
+        edges = [0, *cuts.tolist(), len(scene.surface)]
+        state = initial_ground(heights, PARAMS)
+        parts = []
+        for first, end in zip(edges[:-1], edges[1:], strict=True):
+            part = scene.rows(first, end)
+            found, z_g, state = ground(part.lines, part.surface, part.phihat, part.ahead, state, PARAMS)
+            parts.append((found, z_g))
+        np.testing.assert_array_equal(np.concatenate([found for found, _ in parts]), whole)
+        np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)
+        np.testing.assert_array_equal(state.histogram, last.histogram)
+        assert state.z_g == last.z_g
+
+
+def test_missing_rows_vertical_rows_and_no_rows_have_no_ground() -> None:
+    scene = scan([street()] * 6, n=200)
+    scene.surface[:] = 0
+    heights, found, z_g, _ = find(scene)
+    assert np.isnan(heights).all()
+    assert not found.any()
+    assert np.isnan(z_g).all()
+    scene.surface[:] = V
+    assert not find(scene)[1].any()
+    assert find(scene.rows(0, 0))[1].shape == (0, 200)
+
+
+def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> None:
+    scene = scan([street()], n=300, noise_m=0.0)
+    scene.surface[0, 9] = V
+    scene.surface[0, 30] = V
+    state = GroundState(initial_ground(np.full(50, ROAD_Z), PARAMS).histogram, ROAD_Z, 0)
+    found, _, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS)
+    assert np.flatnonzero(found[0]).tolist() == list(range(10, 30))
+
+
+def test_literal_set_can_be_chosen() -> None:
+    literal = GroundParams(bandwidth_sigmas=0, resume=False)
+    scene = scan([street()] * 10, n=300, noise_m=0.0)
+    assert find(scene, literal)[1].any()
+
+
+@pytest.mark.parametrize("kind", ["one", "uniform", "alternating", "outlier"])
+def test_long_rows_take_no_more_than_their_share(kind: str) -> None:
+    """No exact timing on a shared machine: four times the beams must not take sixteen times as long."""
+    import time
+
+    def seconds(n: int) -> float:
+        rng = np.random.default_rng(1)
+        x = np.linspace(1, 200, n)
+        xyz = np.stack([x, 0 * x, rng.normal(-1.8, 0.005, n)], axis=-1).astype(np.float32)[None]
+        scene = scan([street()], n=n)
+        horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
+        lines = replace(scene.lines, xyz_m=xyz, horizontal_m=horizontal, range_m=np.linalg.norm(xyz, axis=-1))
+        angle = {
+            "one": 90 + rng.normal(0, 1, n),
+            "uniform": rng.uniform(0, 300, n),
+            "alternating": 90 + np.arange(n) % 2 * 30.0,
+            "outlier": np.where(np.arange(n) == 5, 200, 90 + rng.normal(0, 4, n)),
+        }[kind]
+        ahead = np.append(np.arange(1, n), -1).astype(np.int32)[None]
+        surface = np.full((1, n), H, np.uint8)
+        best = np.inf
+        for _ in range(3):
+            begin = time.process_time()
+            start_heights(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS)
+            best = min(best, time.process_time() - begin)
+        return best
+
+    assert seconds(20_000) < 10 * seconds(5_000) + 0.002
