@@ -228,6 +228,14 @@ def oakland(folder: Path) -> None:
         print("\n" + as_markdown(rows["sequential-angle, 1 cm noise"]))
 
 
+def headerless_layout(folder: Path) -> Path:
+    """Write the layout of :data:`HEADERLESS`."""
+    layout = folder / "layout.toml"
+    fields = ", ".join(f'{{ name = "{name}", source = {i} }}' for i, name in enumerate("xyz"))
+    layout.write_text(f'[layout]\ndelimiter = " "\nheader = false\nfields = [{fields}]\n', encoding="utf-8")
+    return layout
+
+
 def organised(folder: Path) -> None:
     """Every organised file: lines, shots, class shares."""
     names = ("ground", "horizontal", "curb", "vertical", "vegetation", "car", "unclassified")
@@ -236,9 +244,7 @@ def organised(folder: Path) -> None:
     print("| file | lines | shots | missing | " + " | ".join(names) + " |")
     print("|---|---:|---:|---:|" + "---:|" * len(names))
     codes = {name: code for code, name in ClassCodes().names().items()}
-    layout = folder / "layout.toml"
-    fields = ", ".join(f'{{ name = "{name}", source = {i} }}' for i, name in enumerate("xyz"))
-    layout.write_text(f'[layout]\ndelimiter = " "\nheader = false\nfields = [{fields}]\n', encoding="utf-8")
+    layout = headerless_layout(folder)
     for source in sorted((DATA / "organised").iterdir()):
         if source.suffix not in ORGANISED:
             continue
