@@ -244,7 +244,7 @@ def _fits(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: i
 def _jumps(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, jump: float) -> bool:
     """Tell whether a point lies at another height than the points before it, and than their line goes on to."""
     rise = abs(np.float64(xyz[k, 2]) - np.float64(xyz[beams[n_points - 1], 2]))
-    return rise > jump and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump)
+    return bool(rise > jump) and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump)
 
 
 @helper

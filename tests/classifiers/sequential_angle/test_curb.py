@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -174,7 +175,7 @@ def test_cuts_change_nothing_and_memory_is_bounded(height: str, n_sides: int, ma
         for cuts in (range(1, 40), np.sort(rng.integers(0, 41, 6)).tolist()):
             edges = [0, *(cut * n_sides for cut in cuts), len(scene.surface)]
             state, parts = start, []
-            for first, end in zip(edges[:-1], edges[1:], strict=True):
+            for first, end in pairwise(edges):
                 part = scene.rows(first, end)
                 found, state = curbs(part.lines, part.surface, part.signed, at[first:end], state, params, last=False)
                 assert len(found) % n_sides == 0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -75,32 +77,18 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
     scene = scan([street()] * 3, n=1000, noise_m=0.0)
     step = int(np.flatnonzero(scene.surface[0] == V)[0])
     flat = np.where(scene.surface == V, np.uint8(0), scene.surface)  # curb and wall missing
-    phihat = np.where(flat == H, np.float32(90.0), np.float32(np.nan))
-    phihat[:, step - 3] = 200.0  # two angles that end the search in front of the step
-    phihat[:, step - 2] = 200.0
+    phihat = np.where(flat == H, np.float32(90.0), np.float32(np.nan))  # which does not see the step
     state = initial_ground(np.full(3, ROAD_Z), PARAMS)
-    careful = replace_params(resume=False, bandwidth_sigmas=0)
-    found, _, _ = ground(scene.lines, flat, phihat, scene.ahead, state, careful)
-    assert found.any(axis=1).all()
-    assert not found[:, step:].any()
 
-    # the same with the angles right again after the search has ended: only the height holds growth back
-    phihat[:, step - 1] = 90.0
-    short = GroundState(state.histogram, ROAD_Z, 0)
-    phihat[:, step - 3] = 90.0
-    phihat[:, step - 2] = 90.0
-    phihat[:, 20:22] = 200.0  # ends the search early, at points that growth does not see
-    surface = flat.copy()
-    surface[:, 21] = 0
-    surface[:, 20] = 0
-    guarded, _, _ = ground(scene.lines, surface, phihat, scene.ahead, short, careful)
-    free = replace_params(resume=False, bandwidth_sigmas=0, growth_height_m=0.5)
-    unguarded, _, _ = ground(scene.lines, surface, phihat, scene.ahead, short, free)
-    assert guarded.sum() <= unguarded.sum()
+    def climbed(**values: float) -> bool:
+        params = GroundParams.model_validate({"resume": False, "bandwidth_sigmas": 0, **values})
+        found, _, _ = ground(scene.lines, flat, phihat, scene.ahead, state, params)
+        assert found[:, : step - 5].any(axis=1).all()
+        return bool(found[:, step:].any())
 
-
-def replace_params(**values: float | bool | str) -> GroundParams:
-    return GroundParams.model_validate(values)
+    assert not climbed()
+    assert climbed(jump_m=1000.0)
+    assert climbed(growth_height_m=0.5)  # potential ground ends at the jump, and growth takes it
 
 
 def test_height_follows_all_lines_after_the_first_fifty_only() -> None:
@@ -145,7 +133,7 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         edges = [0, *cuts.tolist(), len(scene.surface)]
         state = initial_ground(heights, PARAMS)
         parts = []
-        for first, end in zip(edges[:-1], edges[1:], strict=True):
+        for first, end in pairwise(edges):
             part = scene.rows(first, end)
             found, z_g, state = ground(part.lines, part.surface, part.phihat, part.ahead, state, PARAMS)
             parts.append((found, z_g))
@@ -185,7 +173,6 @@ def test_literal_set_can_be_chosen() -> None:
 @pytest.mark.parametrize("kind", ["one", "uniform", "alternating", "outlier"])
 def test_long_rows_take_no_more_than_their_share(kind: str) -> None:
     """No exact timing on a shared machine: four times the beams must not take sixteen times as long."""
-    import time
 
     def seconds(n: int) -> float:
         rng = np.random.default_rng(1)
