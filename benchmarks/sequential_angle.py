@@ -88,6 +88,9 @@ SETTINGS = {
     "published constants": Setting(preset="street-scan-published"),
 }
 
+NOISE_M = AnglesParams().range_noise_m
+"""What the classifier is told unless a setting says otherwise [m]."""
+
 ORGANISED: dict[str, dict[str, Any]] = {
     ".e57": {},
     ".ptx": {},
@@ -343,18 +346,20 @@ def stage_times(scan: StaticScan) -> dict[str, float]:
     cars_on = timed("T', and its H and V", car_layer)
 
     def ground_all() -> Any:
-        state = initial_ground(start_heights(lines, surface, phihat, angles.ahead, GroundParams()), GroundParams())
-        return ground(lines, surface, phihat, angles.ahead, state, GroundParams())
+        params = GroundParams()
+        heights = start_heights(lines, surface, phihat, angles.ahead, params, range_noise_m=NOISE_M)
+        state = initial_ground(heights, params)
+        return ground(lines, surface, phihat, angles.ahead, state, params, range_noise_m=NOISE_M)
 
     mask, z_g, _ = timed("ground", ground_all)
 
     def curbs_all() -> Any:
-        possible = possible_curbs(lines, surface, mask, z_g, CurbParams())
+        possible = possible_curbs(lines, surface, mask, z_g, CurbParams(), range_noise_m=NOISE_M)
         start = CurbState.start(1, surface.shape[1], CurbParams())
         return curbs(lines, surface, signed, possible, start, CurbParams(), last=True)
 
     timed("curbs", curbs_all)
-    timed("cars", lambda: cars(lines, surface, cars_on, signed, z_g, CarParams(), range_noise_m=0.005))
+    timed("cars", lambda: cars(lines, surface, cars_on, signed, z_g, CarParams(), range_noise_m=NOISE_M))
     return times
 
 

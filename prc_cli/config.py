@@ -92,10 +92,16 @@ PRESETS: dict[str, dict[str, Any]] = {
                 },
             },
             "dense_vegetation": {"initial_h0": _THIRDS, "end": "sprt", "backdate": False},
-            "curb": {"grouping_m": 2.0},
+            "ground": {"resume": False, "jump_m": 1000.0},
+            "curb": {"grouping_m": 2.0, "under_sigmas": 0.0},
             "car": {
                 "ground_layer_m": 0.0,
-                "dividers": {"change_chord_m": 0.0, "change_chord_sigmas": 0.0, "under_sigmas": 0.0},
+                "dividers": {
+                    "change_chord_m": 0.0,
+                    "change_chord_sigmas": 0.0,
+                    "under_sigmas": 0.0,
+                    "vertical_break_m": 10_000.0,
+                },
                 "fourier": {"window": 0, "min_points": 1},
             },
         },

@@ -35,9 +35,18 @@ class CurbParams(Params):
         30, ge=1, le=100_000, description="points before a point that are looked at for something under it (published)"
     )
     under_m: float = Field(
-        0.01, ge=0, le=100, description="something lies under a point when it is farther away by more than this "
-        "(published) [m]"
-    )  # fmt: skip
+        0.01,
+        ge=0,
+        le=100,
+        description="a point before that is farther away by more than this, ... (published) [m]",
+    )
+    under_sigmas: float = Field(
+        6.0,
+        ge=0,
+        le=1000,
+        description="... and by more than this many times the range noise, lies under the point, which then is no "
+        "curb; 0 = the distance alone (published)",
+    )
     search_height_m: float = Field(
         2.0, ge=0, le=1000, description="height above the ground where the search for a curb ends (published) [m]"
     )
@@ -104,7 +113,9 @@ class CurbState:
         return len(self.labels) // len(self.xyz_m) - self.n_given
 
 
-def possible_curbs(lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, params: CurbParams) -> I32:
+def possible_curbs(
+    lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, params: CurbParams, *, range_noise_m: float
+) -> I32:
     """Find the possible curb point of every row.
 
     The first vertical point after the last ground point where nothing lies under it: none of the points before it is
@@ -121,15 +132,18 @@ def possible_curbs(lines: VerticalLines, surface: U8, ground: Mask, z_g: F32, pa
     z_g : (R,) float32
         Height of the ground [m].
     params : CurbParams
+    range_noise_m : float
+        Standard deviation of a range [m].
 
     Returns
     -------
     (R,) int32
         Beam, -1 = none.
     """
+    under_m = max(params.under_m, params.under_sigmas * range_noise_m)
     beams: I32
     _, beams = kernels.possible_curbs(
-        surface, lines.range_m, lines.xyz_m, ground, z_g, params.under_points, params.under_m, params.search_height_m
+        surface, lines.range_m, lines.xyz_m, ground, z_g, params.under_points, under_m, params.search_height_m
     )
     return beams
 

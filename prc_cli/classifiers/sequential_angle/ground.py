@@ -73,9 +73,6 @@ class GroundParams(Params):
         description="bandwidth of the mean shift over line angles, in standard deviations of a line angle; "
         "0 keeps it at its smallest",
     )
-    range_noise_m: float = Field(
-        0.005, ge=0, le=1, description="standard deviation of a range, for the noise of line angles [m]"
-    )
     mode_samples: int = Field(2, ge=2, le=1000, description="line angles that make a mode")
     height_bandwidth: float = Field(
         0.05,
@@ -121,7 +118,9 @@ class GroundState:
     """Rows to come whose heights the histogram holds already."""
 
 
-def start_heights(lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, params: GroundParams) -> F64:
+def start_heights(
+    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, params: GroundParams, *, range_noise_m: float
+) -> F64:
     """Return the height of the first potential ground of every row (part a).
 
     Parameters
@@ -135,6 +134,8 @@ def start_heights(lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, pa
     ahead : (R, n) int32
         Beam that every line angle was measured to.
     params : GroundParams
+    range_noise_m : float
+        Standard deviation of a range, for the noise of line angles [m].
 
     Returns
     -------
@@ -143,7 +144,7 @@ def start_heights(lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, pa
     """
     heights: F64
     _, heights = kernels.potential_heights(
-        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params)
+        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params, range_noise_m)
     )
     return heights
 
@@ -177,7 +178,14 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
 
 
 def ground(
-    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, state: GroundState, params: GroundParams
+    lines: VerticalLines,
+    surface: U8,
+    phihat: F32,
+    ahead: I32,
+    state: GroundState,
+    params: GroundParams,
+    *,
+    range_noise_m: float,
 ) -> tuple[Mask, F32, GroundState]:
     """Find the ground of every row (part b).
 
@@ -188,6 +196,8 @@ def ground(
     state : GroundState
         After the rows before, or of :func:`initial_ground` for the first rows.
     params : GroundParams
+    range_noise_m : float
+        Standard deviation of a range, for the noise of line angles [m].
 
     Returns
     -------
@@ -199,8 +209,8 @@ def ground(
         After these rows.
     """
     points, z_rows, histogram, z_g = kernels.ground_rows(
-        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params), state.histogram,
-        state.z_g, state.n_in_histogram_ahead, params.start_heights, params.height_bandwidth,
+        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params, range_noise_m),
+        state.histogram, state.z_g, state.n_in_histogram_ahead, params.start_heights, params.height_bandwidth,
         params.heights == "all", params.height_tolerance, params.growth_height_m,
         params.resume,
     )  # fmt: skip
@@ -208,9 +218,9 @@ def ground(
     return points, z_rows, replace(state, histogram=histogram, z_g=z_g, n_in_histogram_ahead=ahead_still)
 
 
-def _rules(params: GroundParams) -> tuple[int, int, int, float, float, float, int, float]:
+def _rules(params: GroundParams, range_noise_m: float) -> tuple[int, int, int, float, float, float, int, float]:
     """Return the rules of potential ground, as the kernels take them."""
     return (
         params.first_run, params.lowest_points, params.mode_samples, params.bandwidth_deg, params.bandwidth_sigmas,
-        params.range_noise_m, params.growth_points, params.jump_m,
+        range_noise_m, params.growth_points, params.jump_m,
     )  # fmt: skip

@@ -211,7 +211,10 @@ def start_ground(
     """Hold rows back until the first height of the ground is known (part b of the ground algorithm, sec. 5)."""
     if state.ground is not None:
         return [rows], state
-    heights = start_heights(rows.lines, rows.surface, rows.line_angle_deg, rows.ahead, params.ground)
+    noise = params.angles.range_noise_m
+    heights = start_heights(
+        rows.lines, rows.surface, rows.line_angle_deg, rows.ahead, params.ground, range_noise_m=noise
+    )
     waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, heights])
     n_most = params.start_lines * state.sides.n_sides
     enough = int(np.count_nonzero(np.isfinite(heights[:n_most]))) >= params.ground.start_heights
@@ -226,10 +229,11 @@ def across_lines(
 ) -> tuple[list[Undecided], Mask, SequentialAngleState]:
     """Run ground, curbs and cars in the order of sec. 8; return the rows that became final, and their curbs."""
     assert state.ground is not None
-    lines, surface = rows.lines, rows.surface
-    g, z_g, known = ground(lines, surface, rows.line_angle_deg, rows.ahead, state.ground, params.ground)
-    start = possible_curbs(lines, surface, g, z_g, params.curb)
-    noise = params.angles.range_noise_m
+    lines, surface, noise = rows.lines, rows.surface, params.angles.range_noise_m
+    g, z_g, known = ground(
+        lines, surface, rows.line_angle_deg, rows.ahead, state.ground, params.ground, range_noise_m=noise
+    )
+    start = possible_curbs(lines, surface, g, z_g, params.curb, range_noise_m=noise)
     c = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
     curb, curb_state = curbs(lines, surface, rows.signed_deg, start, state.curb, params.curb, last=last)
     open_rows = (

@@ -16,6 +16,10 @@ Segment = tuple[float, float, float, float, int]
 ROAD_Z = -1.8
 
 
+NOISE_M = 0.005
+"""Range noise of the scenes unless they say otherwise [m]."""
+
+
 @dataclass(frozen=True)
 class Scene:
     lines: VerticalLines
@@ -57,7 +61,7 @@ def scan(
     profiles: Sequence[list[Segment]],
     n: int = 1000,
     n_sides: int = 1,
-    noise_m: float = 0.005,
+    noise_m: float = NOISE_M,
     missing: float = 0.0,
     seed: int = 1,
 ) -> Scene:

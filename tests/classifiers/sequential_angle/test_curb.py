@@ -14,16 +14,20 @@ from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, beh
 from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, start_heights
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.types import F32, I32, U8, Mask
-from tests.classifiers.sequential_angle.profiles import Scene, Segment, V, scan, street
+from tests.classifiers.sequential_angle.profiles import NOISE_M, Scene, Segment, V, scan, street
 
 PARAMS = CurbParams()
 
 
 def possible(scene: Scene, params: CurbParams = PARAMS) -> I32:
-    heights = start_heights(scene.lines, scene.surface, scene.phihat, scene.ahead, GroundParams())
+    heights = start_heights(
+        scene.lines, scene.surface, scene.phihat, scene.ahead, GroundParams(), range_noise_m=NOISE_M
+    )
     state = initial_ground(heights, GroundParams())
-    found, z_g, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, GroundParams())
-    return possible_curbs(scene.lines, scene.surface, found, z_g, params)
+    found, z_g, _ = ground(
+        scene.lines, scene.surface, scene.phihat, scene.ahead, state, GroundParams(), range_noise_m=NOISE_M
+    )
+    return possible_curbs(scene.lines, scene.surface, found, z_g, params, range_noise_m=NOISE_M)
 
 
 def find(scene: Scene, params: CurbParams = PARAMS) -> Mask:

@@ -20,15 +20,15 @@ from prc_cli.classifiers.sequential_angle.ground import (
 )
 from prc_cli.core.types import F32, F64, Mask
 from prc_cli.kernels import ground as kernel
-from tests.classifiers.sequential_angle.profiles import ROAD_Z, H, Scene, Segment, V, scan, street
+from tests.classifiers.sequential_angle.profiles import NOISE_M, ROAD_Z, H, Scene, Segment, V, scan, street
 
 PARAMS = GroundParams()
 
 
 def find(scene: Scene, params: GroundParams = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
-    heights = start_heights(scene.lines, scene.surface, scene.phihat, scene.ahead, params)
+    heights = start_heights(scene.lines, scene.surface, scene.phihat, scene.ahead, params, range_noise_m=NOISE_M)
     state = initial_ground(heights, params)
-    return heights, *ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
+    return heights, *ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params, range_noise_m=NOISE_M)
 
 
 def road(scene: Scene) -> Mask:
@@ -82,7 +82,7 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
 
     def climbed(**values: float) -> bool:
         params = GroundParams.model_validate({"resume": False, "bandwidth_sigmas": 0, **values})
-        found, _, _ = ground(scene.lines, flat, phihat, scene.ahead, state, params)
+        found, _, _ = ground(scene.lines, flat, phihat, scene.ahead, state, params, range_noise_m=NOISE_M)
         assert found[:, : step - 5].any(axis=1).all()
         return bool(found[:, step:].any())
 
@@ -114,7 +114,9 @@ def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     assert np.isnan(nothing.z_g)
     assert nothing.n_in_histogram_ahead == 4
     scene.surface[:4] = 0
-    found, z_g, state = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS)
+    found, z_g, state = ground(
+        scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS, range_noise_m=NOISE_M
+    )
     assert np.isnan(z_g[:4]).all()
     assert not found[:4].any()
     assert found[4:].any(axis=1).all()
@@ -135,7 +137,9 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         parts = []
         for first, end in pairwise(edges):
             part = scene.rows(first, end)
-            found, z_g, state = ground(part.lines, part.surface, part.phihat, part.ahead, state, PARAMS)
+            found, z_g, state = ground(
+                part.lines, part.surface, part.phihat, part.ahead, state, PARAMS, range_noise_m=NOISE_M
+            )
             parts.append((found, z_g))
         np.testing.assert_array_equal(np.concatenate([found for found, _ in parts]), whole)
         np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)
@@ -160,7 +164,7 @@ def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> No
     scene.surface[0, 9] = V
     scene.surface[0, 30] = V
     state = GroundState(initial_ground(np.full(50, ROAD_Z), PARAMS).histogram, ROAD_Z, 0)
-    found, _, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS)
+    found, _, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS, range_noise_m=NOISE_M)
     assert np.flatnonzero(found[0]).tolist() == list(range(10, 30))
 
 
@@ -192,7 +196,7 @@ def test_long_rows_take_no_more_than_their_share(kind: str) -> None:
         best = np.inf
         for _ in range(3):
             begin = time.process_time()
-            start_heights(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS)
+            start_heights(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS, range_noise_m=NOISE_M)
             best = min(best, time.process_time() - begin)
         return best
 
