@@ -15,7 +15,7 @@ from prc_cli.readers.layout import decode, record_dtype
 from prc_cli.readers.options import Layout
 from prc_cli.readers.records import STANDARD_NAMES, RecordChunk
 
-CHUNK_RECORDS = 1 << 20
+CHUNK_RECORDS = 1 << 18
 """Records decoded at a time."""
 CHUNK_BYTES = 64 << 20
 """Most bytes decoded at a time; fat records make shorter chunks."""

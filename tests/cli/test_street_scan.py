@@ -1,0 +1,183 @@
+"""The sequential-angle classifier through the door of a user: every kind of input, and what is refused."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.simulation.static_scan import StaticScanParams, simulate_static_scan
+from tests.cli.test_commands import Prc, prc
+from tests.readers.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
+
+__all__ = ["prc"]
+
+Array = np.ndarray
+SCAN = StaticScanParams(seed=2, azimuth_step_deg=3.0, elevation_step_deg=0.5)
+
+
+@cache
+def points() -> tuple[Array, Array, Array]:
+    """Points x, y, z, intensity (lines, M, 4) of a scan, all zero where missing; elevations [deg]; reference codes."""
+    scan = simulate_static_scan(SCAN)
+    items = list(scan.labelled_blocks())
+    xyz = np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None])
+    labels = np.concatenate([item.labels for item in items])
+    # as text has them, so that every format holds the same scan
+    grid = np.nan_to_num(np.concatenate([xyz, np.full((*labels.shape, 1), 0.5)], axis=2)).round(4)
+    return grid, np.rad2deg(scan.elevation_rad), ClassCodes().lookup()[labels]
+
+
+def npz(folder: Path) -> Path:
+    grid, _, _ = points()
+    xyz = np.where(grid[..., :3].any(axis=2)[..., None], grid[..., :3], np.nan)
+    np.savez(folder / "scan.npz", xyz=xyz)
+    return folder / "scan.npz"
+
+
+def ptx(folder: Path) -> Path:
+    return write_text(folder / "scan.ptx", ptx_scan(points()[0]))
+
+
+def e57(folder: Path) -> Path:
+    return write_e57(folder / "scan.e57", [Scan(e57_fields(points()[0], keep_missing=True))])
+
+
+@pytest.mark.parametrize("make", [npz, ptx, e57])
+def test_every_format_of_a_scan_gets_the_same_labels(prc: Prc, tmp_path: Path, make: Callable[[Path], Path]) -> None:
+    source = make(tmp_path)
+    labels = tmp_path / "labels.npy"
+    result = prc("classify", source, labels, "--preset", "street-scan")
+    assert (result.code, result.out) == (0, ""), result.err
+    (tmp_path / "first").mkdir()
+    prc("classify", npz(tmp_path / "first"), tmp_path / "first.npy", "--method", "sequential-angle")
+    found = np.load(labels)
+    np.testing.assert_array_equal(found, np.load(tmp_path / "first.npy"))
+    np.save(tmp_path / "reference.npy", points()[2].ravel())
+    result = prc("evaluate", labels, tmp_path / "reference.npy", "--mapping", "street_scan", "--format", "markdown")
+    assert result.code == 0, result.err
+    assert "| car " in result.out
+    codes = ClassCodes()
+    reference = points()[2].ravel()
+    for label in (Label.GROUND, Label.VERTICAL, Label.VEGETATION):
+        code = codes.code(label)
+        assert np.mean(found[reference == code] == code) > 0.5, label.name
+
+
+@pytest.mark.parametrize("make", [ptx, e57])
+def test_organised_scans_become_laz_with_the_stages(prc: Prc, tmp_path: Path, make: Callable[[Path], Path]) -> None:
+    output = tmp_path / "scan.laz"
+    result = prc("classify", make(tmp_path), output, "--preset", "street-scan", "--set", "output.stages=true")
+    assert result.code == 0, result.err
+    las = laspy.read(output)
+    grid = points()[0]
+    there = grid[..., :3].any(axis=2)
+    assert len(las.points) == np.count_nonzero(there)
+    np.testing.assert_allclose(las.xyz, grid[there][:, :3], atol=0.0006)
+    assert set(np.unique(las["surface"])) <= {1, 2, 3, 4}
+    assert np.nanmedian(las["ground_height"]) == pytest.approx(-SCAN.height_m, abs=0.1)
+    assert {2, 5, 67, 68} <= set(np.unique(las.classification))
+
+
+def test_info_says_where_down_is_and_who_can_classify(prc: Prc, tmp_path: Path) -> None:
+    result = prc("info", ptx(tmp_path), "--preset", "street-scan")
+    assert result.code == 0, result.err
+    assert "input.nadir" in result.out
+    assert "sequential-angle can classify it" in " ".join(result.out.split())
+
+
+def ptx_that_lies(folder: Path) -> Path:
+    text = ptx(folder).read_text().splitlines()
+    text[1] = str(int(text[1]) + 7)
+    return write_text(folder / "scan.ptx", "\n".join(text) + "\n")
+
+
+def e57_truncated(folder: Path) -> Path:
+    path = e57(folder)
+    os.truncate(path, path.stat().st_size // 2)
+    return path
+
+
+def ranges_alone(folder: Path) -> Path:
+    np.save(folder / "scan.npy", np.full((60, 40), 5.0, np.float32))
+    return folder / "scan.npy"
+
+
+def registered(folder: Path) -> Path:
+    """Coordinates of a country's system beside ranges: no origin is known."""
+    grid = points()[0][..., :3]
+    ranges = np.linalg.norm(grid, axis=2)
+    np.savez(folder / "scan.npz", range_m=np.where(ranges > 0, ranges, np.nan), xyz=grid + np.array([3.5e5, 5.7e6, 80]))
+    return folder / "scan.npz"
+
+
+def wrong_shape(folder: Path) -> Path:
+    np.savez(folder / "scan.npz", range_m=np.full((60, 40), 5.0), xyz=np.zeros((60, 41, 3)))
+    return folder / "scan.npz"
+
+
+def level(folder: Path) -> Path:
+    """A scanner whose lines lie level."""
+    angle = np.linspace(-2.0, 2.0, 300)
+    xyz = np.stack([np.cos(angle), np.sin(angle), np.full(300, 0.001)], axis=1) * 8.0
+    np.savez(folder / "scan.npz", xyz=np.repeat(xyz[None], 80, axis=0))
+    return folder / "scan.npz"
+
+
+REFUSED: list[tuple[Callable[[Path], Path], list[str]]] = [
+    (ranges_alone, ["no vertical direction known", "input.nadir"]),
+    (registered, ["xyz"]),
+    (wrong_shape, ["xyz", "(60, 41, 3)"]),
+    (level, ["scan.npz", "lines do not rise"]),
+    (ptx_that_lies, ["line 30130", "30120 points", "120 columns x 258 rows"]),
+    (e57_truncated, ["scan.e57"]),
+]
+
+
+@pytest.mark.parametrize(("make", "words"), REFUSED, ids=lambda value: getattr(value, "__name__", ""))
+def test_one_clear_line_and_nothing_left(
+    prc: Prc, tmp_path: Path, make: Callable[[Path], Path], words: list[str]
+) -> None:
+    source = make(tmp_path)
+    before = sorted(os.listdir(tmp_path))
+    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
+    assert (result.code, result.out) == (1, ""), result.err
+    (line,) = result.err.strip().splitlines()
+    assert line.startswith("error: ")
+    for word in words:
+        assert word in line
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+def test_lines_of_fewer_than_two_shots_stay_unclassified(prc: Prc, tmp_path: Path) -> None:
+    source = tmp_path / "scan.npz"
+    ranges = np.full((60, 30), np.nan, np.float32)
+    ranges[np.arange(60), np.arange(60) % 30] = 7.0
+    np.savez(source, range_m=ranges, zenith_deg=np.linspace(120, 40, 30))
+    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
+    assert result.code == 0, result.err
+    assert "no ground was found" in result.err
+    labels = np.load(tmp_path / "labels.npy").reshape(60, 30)
+    np.testing.assert_array_equal(labels, np.where(np.isnan(ranges), 0, 1))
+
+
+def test_a_scan_without_a_return_is_all_missing(prc: Prc, tmp_path: Path) -> None:
+    source = tmp_path / "scan.npz"
+    np.savez(source, range_m=np.full((60, 30), np.nan, np.float32), zenith_deg=np.linspace(120, 40, 30))
+    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
+    assert result.code == 0, result.err
+    assert not np.load(tmp_path / "labels.npy").any()
+
+
+def test_matrices_whose_rows_are_no_probabilities_are_refused(prc: Prc, tmp_path: Path) -> None:
+    wrong = "sequential_angle.dense_vegetation.h0=[[0.1,0.8,0.2],[0.1,0.8,0.1],[0.1,0.8,0.1]]"
+    result = prc("classify", npz(tmp_path), tmp_path / "labels.npy", "--preset", "street-scan", "--set", wrong)
+    assert result.code == 2
+    (line,) = result.err.strip().splitlines()
+    assert "h0" in line
