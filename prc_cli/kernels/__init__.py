@@ -11,10 +11,14 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from prc_cli.core.interrupts import held
+
 if TYPE_CHECKING:
     from prc_cli.kernels.angles import angle_differences as angle_differences
     from prc_cli.kernels.angles import line_angles as line_angles
     from prc_cli.kernels.angles import signed_angles as signed_angles
+    from prc_cli.kernels.calibration import bend_histogram as bend_histogram
+    from prc_cli.kernels.calibration import support_histogram as support_histogram
     from prc_cli.kernels.coarse import surface_image as surface_image
     from prc_cli.kernels.components import fill_holes as fill_holes
     from prc_cli.kernels.components import label_components as label_components
@@ -41,6 +45,7 @@ KERNELS: dict[str, str] = {
     "arrange_lines": "prc_cli.kernels.lines",
     "arrange_plane": "prc_cli.kernels.lines",
     "background_mask": "prc_cli.kernels.support",
+    "bend_histogram": "prc_cli.kernels.calibration",
     "car_intervals": "prc_cli.kernels.dividers",
     "connect_verticals": "prc_cli.kernels.curb",
     "cut_verticals": "prc_cli.kernels.dividers",
@@ -58,6 +63,7 @@ KERNELS: dict[str, str] = {
     "potential_heights": "prc_cli.kernels.ground",
     "signed_angles": "prc_cli.kernels.angles",
     "stable_intervals": "prc_cli.kernels.fourier",
+    "support_histogram": "prc_cli.kernels.calibration",
     "support_mask": "prc_cli.kernels.support",
     "surface_image": "prc_cli.kernels.coarse",
 }
@@ -69,7 +75,7 @@ def __getattr__(name: str) -> Any:
     if name not in KERNELS:
         msg = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(msg)
-    kernel = getattr(import_module(KERNELS[name]), name)
+    kernel = held(getattr(import_module(KERNELS[name]), name))
     globals()[name] = kernel
     return kernel
 

@@ -1,0 +1,1 @@
+"""Calibration: what a stream says about its sensor, and the parameters that follow from it."""
