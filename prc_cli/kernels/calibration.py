@@ -1,4 +1,4 @@
-"""Loops of the calibration: at which thresholds a shot is supported, or background (Lehtola et al. 2019, II-B, II-C)."""
+"""Loops of the calibration: thresholds from which on a shot is supported, or background (Lehtola et al. 2019)."""
 
 from __future__ import annotations
 
