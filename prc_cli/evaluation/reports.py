@@ -1,4 +1,8 @@
-"""A confusion matrix and its scores as a dictionary, JSON, CSV or Markdown; plain strings, nothing printed."""
+"""An evaluation as a dictionary, JSON, CSV or Markdown; plain strings, nothing printed.
+
+Each takes a whole :class:`~prc_cli.evaluation.result.Evaluation` or a confusion matrix alone, which has neither
+matching, nor parts, nor intervals.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +10,207 @@ import csv
 import io
 import json
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, TypeAlias
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
-from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, scores
+from prc_cli.evaluation.gates import GateResult
+from prc_cli.evaluation.result import Evaluation, Interval, MatchReport, SplitPart
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, Scores, scores
+
+Found: TypeAlias = ConfusionMatrix | Evaluation
+
+NOT_SPLIT = "unknown"
+"""Name of the part that holds the pairs of which nothing is known to split by."""
+NO_INTERVALS: Mapping[str, Interval] = {}
+
+_TOTALS = ("n_reference", "n_predicted", "n_agreed")
+_SPECIAL = re.compile(r"([\\`*_\[\]<>|#~])")
 
 
-def as_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
+def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
     """Return counts and scores with names; undefined scores are None.
 
     Returns
     -------
     dict
         ``n_scored``, ``n_ignored``, ``overall`` (score by name), ``classes`` (scores by class name) and
-        ``confusion`` (``reference`` row names, ``predicted`` column names, ``counts``).
+        ``confusion`` (``reference`` row names, ``predicted`` column names, ``counts``). Of an evaluation also
+        ``files``, ``mapping``, ``match``, ``intervals`` (low and high by ``score.class``), ``interval_method``,
+        ``splits`` (lists of parts, each with ``name``, ``low``, ``high`` and the keys above) and ``gates``.
     """
+    table = _matrix_dict(matrix_of(found))
+    if isinstance(found, Evaluation):
+        table |= {
+            "files": {"predicted": list(found.predicted), "reference": list(found.reference)},
+            "mapping": found.mapping,
+            "match": asdict(found.match) | {"notes": list(found.match.notes)},
+            "intervals": {
+                name: {"low": _defined(item.low), "high": _defined(item.high)} for name, item in found.intervals.items()
+            },
+            "interval_method": found.interval_method,
+            "splits": {
+                name: [
+                    {"name": part.name, "low": _defined(part.low), "high": _defined(part.high)}
+                    | _matrix_dict(part.matrix)
+                    for part in parts
+                ]
+                for name, parts in found.splits.items()
+            },
+            "gates": [
+                {"name": gate.name, "limit": gate.limit, "value": _defined(gate.value), "passed": gate.passed}
+                for gate in gates
+            ],
+        }
+    return table
+
+
+def as_json(found: Found, gates: Iterable[GateResult] = ()) -> str:
+    """Return :func:`as_dict` as JSON text; undefined scores and open ends are ``null``."""
+    return json.dumps(as_dict(found, gates), indent=2, allow_nan=False)
+
+
+def as_csv(found: Found) -> str:
+    """Return one row a class: name, counts, scores, and its row of the matrix; undefined scores are empty.
+
+    A last row, ``(overall)``, holds the number of scored records and the overall accuracy, balanced accuracy
+    and kappa in columns of their own. Intervals come as columns ``recall_low``, ``recall_high`` and so on. Parts
+    follow as the same rows again; then the first two columns are ``split`` and ``part``, empty for the whole.
+    """
+    matrix = matrix_of(found)
+    intervals, splits = (found.intervals, found.splits) if isinstance(found, Evaluation) else (NO_INTERVALS, {})
+    bounds = [*CLASS_SCORES, *OVERALL_SCORES[1:]] if intervals else []
+    columns = [f"predicted {name}" for name in matrix.predicted_names]
+    limits = [f"{name}_{end}" for name in bounds for end in ("low", "high")]
+    header = ["class", *_TOTALS, *CLASS_SCORES, *OVERALL_SCORES[1:], "n_ignored", *limits, *columns]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    if not splits:
+        writer.writerow(header)
+        writer.writerows(_csv_rows(matrix, intervals, bounds))
+        return text.getvalue()
+    writer.writerow(["split", "part", *header])
+    writer.writerows(["", "", *row] for row in _csv_rows(matrix, intervals, bounds))
+    for split, parts in splits.items():
+        for part in parts:
+            writer.writerows([split, part.name, *row] for row in _csv_rows(part.matrix, NO_INTERVALS, bounds))
+    return text.getvalue()
+
+
+def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
+    """Return two Markdown tables (the matrix with row shares, the scores) and a line of overall scores.
+
+    Classes that no record has on either side are left out. Of an evaluation a table for each split, the gates, and
+    how the records were matched follow.
+    """
+    shown = matrix_of(found).trimmed()
+    intervals = found.intervals if isinstance(found, Evaluation) else NO_INTERVALS
+    result = scores(shown)
+    matrix_rows = [
+        [name, *(f"{count} ({percent(share)})" for count, share in zip(counts, shares, strict=True)), str(sum(counts))]
+        for name, counts, shares in zip(
+            shown.reference_names, shown.counts.tolist(), shown.row_shares().tolist(), strict=True
+        )
+    ]
+    parts = [
+        "Reference in rows, predicted in columns: records (share of the row).",
+        _table(["reference", *shown.predicted_names, "sum"], matrix_rows),
+        _table(["class", *CLASS_SCORES], [_score_row(item, intervals) for item in result.classes]),
+        f"Scored {result.n_scored} records, ignored {result.n_ignored}: {overall_line(result, intervals)}.",
+    ]
+    if isinstance(found, Evaluation):
+        parts += _evaluation_blocks(found, shown)
+    if results := list(gates):
+        rows = [[*gate_cells(item), "passed" if item.passed else "failed"] for item in results]
+        parts.append(_table(["gate", "demanded", "found", ""], rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def matrix_of(found: Found) -> ConfusionMatrix:
+    """Return the confusion matrix of either."""
+    return found.matrix if isinstance(found, Evaluation) else found
+
+
+def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> str:
+    """Return the overall scores as a piece of a sentence.
+
+    >>> import numpy as np
+    >>> overall_line(scores(ConfusionMatrix(("a", "b"), ("a", "b"), np.array([[4, 1], [1, 4]]))))
+    'accuracy 0.800, balanced accuracy 0.800, kappa 0.600'
+    """
+    return ", ".join(
+        f"{name.replace('_', ' ')} {with_interval(getattr(found, name), intervals.get(name))}"
+        for name in OVERALL_SCORES
+    )
+
+
+def match_line(match: MatchReport) -> str:
+    """Return how the records were matched, and how many of either side found a partner, as a sentence.
+
+    >>> match_line(MatchReport("time", 1000, 900, 880, tolerance=1e-6))
+    'Matched by time within 1e-06 s: 880 pairs of 1,000 predicted and 900 reference records.'
+    """
+    unit = {"time": " s", "nearest": " m"}.get(match.method, "")
+    within = "" if match.tolerance is None else f" within {match.tolerance:g}{unit}"
+    counts = f"{match.n_predicted:,} predicted and {match.n_reference:,} reference records"
+    return f"Matched by {match.method}{within}: {match.n_matched:,} pairs of {counts}."
+
+
+def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of a split: part, scored records, accuracy, recall and precision of every class.
+
+    Parameters
+    ----------
+    parts : sequence of SplitPart
+        The parts of one split.
+    shown : ConfusionMatrix
+        The whole matrix without the classes that nobody has; those on both sides get columns.
+    """
+    names = shown.scored_names
+    header = [
+        "part",
+        "records",
+        "accuracy",
+        *(f"{score} {name}" for name in names for score in ("recall", "precision")),
+    ]
+    rows = []
+    for part in parts:
+        found = scores(part.matrix)
+        by_name = {item.name: item for item in found.classes}
+        cells = [figure(value) for name in names for value in (by_name[name].recall, by_name[name].precision)]
+        rows.append([part.name, str(found.n_scored), figure(found.accuracy), *cells])
+    return header, rows
+
+
+def gate_cells(gate: GateResult) -> tuple[str, str, str]:
+    """Return name, limit and value of a gate as text."""
+    return gate.name, f"{gate.limit:g}", "-" if math.isnan(gate.value) else f"{gate.value:.4f}"
+
+
+def figure(value: float) -> str:
+    """Return a score with three decimals, ``-`` if it is undefined."""
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
+def percent(value: float) -> str:
+    """Return a share in per cent, ``-`` if it is undefined."""
+    return "-" if math.isnan(value) else f"{value:.1%}"
+
+
+def with_interval(value: float, interval: Interval | None) -> str:
+    """Return a score and its interval.
+
+    >>> with_interval(0.5, Interval(0.41, 0.6))
+    '0.500 (0.410-0.600)'
+    """
+    if interval is None or math.isnan(value) or math.isnan(interval.low) or math.isnan(interval.high):
+        return figure(value)
+    return f"{figure(value)} ({figure(interval.low)}-{figure(interval.high)})"
+
+
+def _matrix_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
     found = scores(matrix)
     classes = {}
     for item in found.classes:
@@ -41,64 +229,55 @@ def as_dict(matrix: ConfusionMatrix) -> dict[str, Any]:
     }
 
 
-def as_json(matrix: ConfusionMatrix) -> str:
-    """Return :func:`as_dict` as JSON text; undefined scores are ``null``."""
-    return json.dumps(as_dict(matrix), indent=2, allow_nan=False)
-
-
-def as_csv(matrix: ConfusionMatrix) -> str:
-    """Return one row a class: name, counts, scores, and its row of the matrix; undefined scores are empty.
-
-    A last row, ``(overall)``, holds the number of scored records and the overall accuracy, balanced accuracy
-    and kappa in columns of their own.
-    """
+def _csv_rows(
+    matrix: ConfusionMatrix, intervals: Mapping[str, Interval], bounds: Sequence[str]
+) -> Iterator[list[str | int]]:
     found = scores(matrix)
     rows = dict(zip(matrix.reference_names, matrix.counts.tolist(), strict=True))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    totals = ("n_reference", "n_predicted", "n_agreed")
-    columns = [f"predicted {name}" for name in matrix.predicted_names]
-    writer.writerow(["class", *totals, *CLASS_SCORES, "balanced_accuracy", "kappa", "n_ignored", *columns])
     for item in found.classes:
-        counts = [getattr(item, name) for name in totals]
+        counts = [getattr(item, name) for name in _TOTALS]
         values = [_cell(getattr(item, name)) for name in CLASS_SCORES]
-        writer.writerow([item.name, *counts, *values, "", "", "", *rows.get(item.name, [""] * len(columns))])
+        limits = _limits(intervals, [f"{name}.{item.name}" for name in bounds])
+        row = rows.get(item.name, [""] * len(matrix.predicted_names))
+        yield [item.name, *counts, *values, "", "", "", *limits, *row]
     agreed = sum(item.n_agreed for item in found.classes)
     overall = [_cell(getattr(found, name)) for name in OVERALL_SCORES]
     sums = matrix.counts.sum(axis=0).tolist()
-    writer.writerow(["(overall)", found.n_scored, found.n_scored, agreed, *[""] * 4, *overall, found.n_ignored, *sums])
-    return text.getvalue()
+    totals = (found.n_scored, found.n_scored, agreed)
+    yield ["(overall)", *totals, *[""] * 4, *overall, found.n_ignored, *_limits(intervals, bounds), *sums]
 
 
-def as_markdown(matrix: ConfusionMatrix) -> str:
-    """Return two Markdown tables (the matrix with row shares, the scores) and a line of overall scores.
-
-    Classes that no record has on either side are left out.
-    """
-    shown = matrix.trimmed()
-    found = scores(shown)
-    matrix_rows = [
-        [name, *(f"{count} ({_percent(share)})" for count, share in zip(counts, shares, strict=True)), str(sum(counts))]
-        for name, counts, shares in zip(
-            shown.reference_names, shown.counts.tolist(), shown.row_shares().tolist(), strict=True
-        )
-    ]
-    overall = ", ".join(f"{name.replace('_', ' ')} {_text(getattr(found, name))}" for name in OVERALL_SCORES)
-    parts = [
-        "Reference in rows, predicted in columns: records (share of the row).",
-        _table(["reference", *shown.predicted_names, "sum"], matrix_rows),
-        _table(["class", *CLASS_SCORES], [_score_row(item) for item in found.classes]),
-        f"Scored {found.n_scored} records, ignored {found.n_ignored}: {overall}.",
-    ]
-    return "\n\n".join(parts) + "\n"
+def _limits(intervals: Mapping[str, Interval], names: Iterable[str]) -> list[str]:
+    """Low and high of every name; empty where there is no interval."""
+    undefined = Interval(math.nan, math.nan)
+    return [_cell(end) for name in names for item in (intervals.get(name, undefined),) for end in (item.low, item.high)]
 
 
-def _score_row(item: ClassScores) -> list[str]:
-    return [item.name, *(_text(getattr(item, name)) for name in CLASS_SCORES)]
+def _evaluation_blocks(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
+    if found.intervals:
+        yield f"Intervals: {_plain(found.interval_method)}."
+    for split, parts in found.splits.items():
+        yield f"By {_plain(split)}:"
+        header, rows = split_table(parts, shown)
+        yield _table(header, rows)
+    yield match_line(found.match).replace(found.match.method, _plain(found.match.method))
+    yield from (_plain(note) for note in found.match.notes)
+    files = [f"{side} {', '.join(map(_plain, names))}" for side, names in _sides(found)]
+    yield f"Files: {'; '.join(files)}. Class mapping: {_plain(found.mapping)}."
+
+
+def _sides(found: Evaluation) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return ("predicted", found.predicted), ("reference", found.reference)
+
+
+def _score_row(item: ClassScores, intervals: Mapping[str, Interval]) -> list[str]:
+    values = ((getattr(item, name), intervals.get(f"{name}.{item.name}")) for name in CLASS_SCORES)
+    return [item.name, *(with_interval(value, interval) for value, interval in values)]
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Markdown table, first column to the left, numbers to the right, padded so that it reads as plain text."""
+    header, rows = [_plain(cell) for cell in header], [[_plain(cell) for cell in row] for row in rows]
     widths = [max(4, *(len(row[i]) for row in (header, *rows))) for i in range(len(header))]
     pad = [(cell_width, "<" if i == 0 else ">") for i, cell_width in enumerate(widths)]
     lines = [" | ".join(f"{cell:{side}{width}}" for cell, (width, side) in zip(r, pad, strict=True)) for r in rows]
@@ -107,17 +286,18 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {line} |" for line in (head, rule, *lines))
 
 
+def _plain(text: str) -> str:
+    r"""Return text of users so that Markdown shows it as it is, on one line.
+
+    >>> _plain("a_b|c\n.npy")
+    'a\\_b\\|c .npy'
+    """
+    return _SPECIAL.sub(r"\\\1", "".join(character if character.isprintable() else " " for character in text))
+
+
 def _defined(value: float) -> float | None:
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _cell(value: float) -> str:
     return "" if math.isnan(value) else f"{value:.6f}"
-
-
-def _text(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.3f}"
-
-
-def _percent(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.1%}"

@@ -1,0 +1,88 @@
+"""Figures that an evaluation must reach, ``recall.ground=0.95``: for scripts that run at night."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from prc_cli.core.errors import ConfigError, GateError
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.evaluation.scores import Scores, gate_value, scores
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A demand: the score must reach the limit."""
+
+    name: str
+    """``accuracy``, ``recall.ground``, ..."""
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class GateResult:
+    """What became of a demand."""
+
+    name: str
+    limit: float
+    value: float
+    """NaN where the score is undefined, which has not reached any figure."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the score reached the limit."""
+        return self.value >= self.limit
+
+
+def parse_gate(text: str, mapping: ClassMapping) -> Gate:
+    """Read a demand, and refuse one that no evaluation with this mapping could answer.
+
+    Raises
+    ------
+    ConfigError
+        No number, a number above 1 or below -1, an unknown score or class.
+
+    Examples
+    --------
+    >>> mapping = ClassMapping(predicted={"ground": [2]}, reference={"ground": [2]})
+    >>> parse_gate("recall.ground=0.95", mapping)
+    Gate(name='recall.ground', limit=0.95)
+    """
+    name, _, value = text.partition("=")
+    try:
+        limit = float(value)
+    except ValueError:
+        limit = math.nan
+    if not -1 <= limit <= 1:
+        problem = f"found {text!r}, expected SCORE.CLASS=VALUE with a value up to 1, such as recall.ground=0.95"
+        raise ConfigError("--fail-under", problem)
+    gate_value(scores(ConfusionMatrix.empty(mapping)), name.strip())
+    return Gate(name.strip(), limit)
+
+
+def check_gates(found: Scores, gates: Iterable[Gate]) -> tuple[GateResult, ...]:
+    """Compare scores with what was demanded.
+
+    Raises
+    ------
+    ConfigError
+        Unknown score or class.
+    """
+    return tuple(GateResult(gate.name, gate.limit, gate_value(found, gate.name)) for gate in gates)
+
+
+def refuse_failed(results: Iterable[GateResult]) -> None:
+    """Raise if any demand was not met, naming all of those.
+
+    Raises
+    ------
+    GateError
+        The exit code of a failed evaluation.
+    """
+    failed = [item for item in results if not item.passed]
+    if failed:
+        told = [f"found {item.value:.4f}, demanded at least {item.limit:.4f}" for item in failed]
+        more = "; ".join(f"{item.name}: {text}" for item, text in zip(failed[1:], told[1:], strict=True))
+        raise GateError(failed[0].name, told[0], more)

@@ -1,0 +1,162 @@
+r"""An evaluation as LaTeX tables (``booktabs``), to be read into a paper with ``\input``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.reports import NO_INTERVALS, Found, figure, match_line, matrix_of, split_table
+from prc_cli.evaluation.result import Evaluation, Interval
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, scores
+
+_SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "#": r"\#",
+    "%": r"\%",
+    "_": r"\_",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    '"': r"\textquotedbl{}",
+}
+_TITLES = {"f1": "F1", "iou": "IoU"}
+
+
+def as_latex(found: Found) -> str:
+    r"""Return tables of counts, of row shares (recall on the diagonal) and of scores, and one for each split.
+
+    Classes that no record has on either side are left out. The tables need ``\usepackage{booktabs}`` and, for
+    letters beyond ASCII in file names, a LaTeX that reads UTF-8 (any since 2018).
+    """
+    shown = matrix_of(found).trimmed()
+    evaluation = found if isinstance(found, Evaluation) else None
+    blocks = [
+        "% needs \\usepackage{booktabs} and \\usepackage[T1]{fontenc}",
+        _counts(shown, _source(evaluation)),
+        _row_shares(shown),
+        _scores(shown, evaluation),
+    ]
+    if evaluation is not None:
+        blocks += _splits(evaluation, shown)
+    return "\n\n".join(blocks) + "\n"
+
+
+def escape(text: str) -> str:
+    r"""Return text of users so that LaTeX prints it as it is, on one line.
+
+    >>> print(escape("50%_a&b"))
+    50\%\_a\&b
+    """
+    return "".join(_SPECIAL.get(character, character if character.isprintable() else " ") for character in text)
+
+
+def _counts(shown: ConfusionMatrix, source: str) -> str:
+    caption = f"Confusion matrix, records; reference in rows, predicted in columns.{source}"
+    header = ["", *(escape(name) for name in shown.predicted_names), "Sum"]
+    rows = [
+        [escape(name), *(_count(value) for value in counts), _count(sum(counts))]
+        for name, counts in zip(shown.reference_names, shown.counts.tolist(), strict=True)
+    ]
+    sums = shown.counts.sum(axis=0).tolist()
+    return _table(caption, "counts", header, rows, ["Sum", *(_count(value) for value in sums), _count(sum(sums))])
+
+
+def _row_shares(shown: ConfusionMatrix) -> str:
+    caption = "Confusion matrix, shares of the reference class (recall on the diagonal)."
+    header = ["", *(escape(name) for name in shown.predicted_names)]
+    rows = []
+    for name, shares in zip(shown.reference_names, shown.row_shares().tolist(), strict=True):
+        cells = [_share(value) for value in shares]
+        if name in shown.predicted_names and name in shown.scored_names:
+            place = shown.predicted_names.index(name)
+            cells[place] = rf"\textbf{{{cells[place]}}}"
+        rows.append([escape(name), *cells])
+    return _table(caption, "rows", header, rows)
+
+
+def _scores(shown: ConfusionMatrix, evaluation: Evaluation | None) -> str:
+    intervals = NO_INTERVALS if evaluation is None else evaluation.intervals
+    found = scores(shown)
+    overall = ", ".join(
+        f"{name.replace('_', ' ')} {_with_interval(getattr(found, name), intervals.get(name))}"
+        for name in OVERALL_SCORES
+    )
+    caption = f"Scores of {_count(found.n_scored)} records ({_count(found.n_ignored)} not scored): {overall}."
+    if evaluation is not None and intervals:
+        caption += f" Intervals: {escape(evaluation.interval_method)}."
+    header = ["Class", *(_TITLES.get(name, name.capitalize()) for name in CLASS_SCORES)]
+    return _table(caption, "scores", header, [_score_row(item, intervals) for item in found.classes])
+
+
+def _splits(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
+    for number, (split, parts) in enumerate(found.splits.items()):
+        header, rows = split_table(parts, shown)
+        lines = [[escape(name), _count(int(n)), *cells] for name, n, *cells in rows]
+        yield _table(f"Scores by {escape(split)}.", f"split-{number}", [escape(cell) for cell in header], lines)
+
+
+def _source(found: Evaluation | None) -> str:
+    if found is None:
+        return ""
+    files = f"{_listed(found.predicted)} against {_listed(found.reference)}"
+    return f" {escape(files)}, class mapping {escape(found.mapping)}. {escape(match_line(found.match))}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{len(names)} files"
+
+
+def _score_row(item: ClassScores, intervals: Mapping[str, Interval]) -> list[str]:
+    values = ((getattr(item, name), intervals.get(f"{name}.{item.name}")) for name in CLASS_SCORES)
+    return [escape(item.name), *(_with_interval(value, interval) for value, interval in values)]
+
+
+def _table(
+    caption: str, label: str, header: Sequence[str], rows: Sequence[Sequence[str]], last: Sequence[str] = ()
+) -> str:
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{caption}}}",
+        rf"\label{{tab:evaluation-{label}}}",
+        rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}",
+        r"\toprule",
+        _line(header),
+        r"\midrule",
+        *(_line(row) for row in rows),
+        *((r"\midrule", _line(last)) if last else ()),
+        r"\bottomrule",
+        r"\end{tabular}",
+        r"\end{table}",
+    ]
+    return "\n".join(lines)
+
+
+def _line(cells: Sequence[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def _count(value: int) -> str:
+    r"""Return a count in groups of three.
+
+    >>> print(_count(1234567))
+    1\,234\,567
+    """
+    return f"{value:,}".replace(",", r"\,")
+
+
+def _share(value: float) -> str:
+    return "--" if math.isnan(value) else f"{value:.3f}"
+
+
+def _with_interval(value: float, interval: Interval | None) -> str:
+    if interval is None or math.isnan(value) or math.isnan(interval.low) or math.isnan(interval.high):
+        return _share(value)
+    return f"{_share(value)} ({figure(interval.low)}--{figure(interval.high)})"
