@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
 from typing import TypeAlias
 
@@ -148,7 +147,7 @@ def _prc(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlo
 def _sequential_angle(blocks: Iterator[ScanBlock], params: SequentialAngleParams) -> Iterator[LabelledBlock]:
     states: dict[int, sequential_angle.SequentialAngleState] = {}
     waiting: dict[int, LineBuffer] = {}
-    for block in _of_shots(blocks, SHOTS_AT_ONCE):
+    for block in regroup(blocks, shots_per_block=SHOTS_AT_ONCE):
         scanner = block.scanner
         if block.beam_rad is None:
             raise InputError("block of ranges", "no beam angles, expected the angle of every column from straight down")
@@ -167,13 +166,6 @@ def _sequential_angle(blocks: Iterator[ScanBlock], params: SequentialAngleParams
                 alone=Label.UNCLASSIFIED,
             )  # fmt: skip
             yield LabelledBlock(final, result.labels, extra, stages=result.stages)
-
-
-def _of_shots(blocks: Iterator[ScanBlock], n_shots: int) -> Iterator[ScanBlock]:
-    """Cut a stream into blocks of about ``n_shots`` shots, each scanner's last one marked as such."""
-    first = next(blocks, None)
-    if first is not None:
-        yield from regroup(chain([first], blocks), max(1, n_shots // first.points_per_line))
 
 
 def classify(

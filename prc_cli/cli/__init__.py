@@ -15,12 +15,14 @@ import click
 
 from prc_cli import __version__
 from prc_cli.core.errors import PrcError
+from prc_cli.core.interrupts import raise_or_hold
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate a street, classify it, evaluate it, draw it: no data needed."),
     "info": ("prc_cli.cli.info:info", "Say what a file holds and whether it can be classified."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
+    "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
@@ -80,7 +82,7 @@ def cli(debug: bool) -> None:
 def main(args: list[str] | None = None) -> None:
     """Run the command line; every refusal of the package ends here as one line and an exit code."""
     arguments = sys.argv[1:] if args is None else args
-    _leave_on_sigterm()
+    _leave_on_signals()
     sys.exit(_run(arguments, debug="--debug" in arguments))
 
 
@@ -111,10 +113,14 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     return code
 
 
-def _leave_on_sigterm() -> None:
+def _leave_on_signals() -> None:
     """Let ``kill`` and ``timeout`` end a run like Ctrl-C: temporary files are removed on the way out."""
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    if threading.current_thread() is not threading.main_thread():
+        return
+    signal.signal(signal.SIGTERM, lambda number, frame: raise_or_hold(SystemExit(128 + number)))
+    # a parent may have told its children to ignore Ctrl-C, as nohup does
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, lambda number, frame: raise_or_hold(KeyboardInterrupt()))
 
 
 def one_line(error: PrcError | str) -> str:

@@ -27,15 +27,19 @@ def look_ahead_lines(points_per_line: int) -> int:
     return -(-reach // points_per_line)
 
 
-def regroup(blocks: Iterator[ScanBlock], lines_per_block: int) -> Iterator[ScanBlock]:
+def regroup(
+    blocks: Iterator[ScanBlock], lines_per_block: int | None = None, *, shots_per_block: int = 1 << 18
+) -> Iterator[ScanBlock]:
     """Cut a stream into blocks of ``lines_per_block`` lines, each with the lines that follow it.
 
     Parameters
     ----------
     blocks : iterator of ScanBlock
         Blocks of any number of lines, in order for each scanner.
-    lines_per_block : int
+    lines_per_block : int, optional
         k; only the last block of a scanner may hold fewer lines.
+    shots_per_block : int
+        Without ``lines_per_block``: about as many shots, at least one line.
 
     Yields
     ------
@@ -46,13 +50,16 @@ def regroup(blocks: Iterator[ScanBlock], lines_per_block: int) -> Iterator[ScanB
     for block in blocks:
         buffer = buffers.setdefault(block.scanner, LineBuffer())
         buffer.add(block)
-        ahead = look_ahead_lines(block.points_per_line)
-        while buffer.n_lines >= lines_per_block + ahead:
-            yield buffer.take(lines_per_block, ahead)
+        ahead, k = look_ahead_lines(block.points_per_line), lines_per_block
+        k = k if k is not None else max(1, shots_per_block // block.points_per_line)
+        while buffer.n_lines >= k + ahead:
+            yield buffer.take(k, ahead)
         if block.is_last:
-            yield from _rest(buffers.pop(block.scanner), lines_per_block)
+            yield from _rest(buffers.pop(block.scanner), k)
     for scanner in sorted(buffers):
-        yield from _rest(buffers[scanner], lines_per_block)
+        buffer = buffers[scanner]
+        n_lines = max(1, shots_per_block // buffer.parts[0].points_per_line)
+        yield from _rest(buffer, lines_per_block if lines_per_block is not None else n_lines)
 
 
 def _rest(buffer: LineBuffer, lines_per_block: int) -> Iterator[ScanBlock]:

@@ -1,0 +1,69 @@
+"""Ctrl-C and SIGTERM that wait for compiled code.
+
+Python runs signal handlers wherever it gets the chance, also while the arguments of a compiled loop are unpacked. An
+exception there leaves the loop's caller with a broken result. So the handlers of the command line ask here, and what
+arrives inside :func:`held` is raised when it ends.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+_P = ParamSpec("_P")
+_T = TypeVar("_T")
+
+
+class _Held(threading.local):
+    """Per thread: signals are handled in the main one, which must not wait for the loops of the others."""
+
+    depth = 0
+    pending: BaseException | None = None
+
+
+_STATE = _Held()
+
+
+def raise_or_hold(error: BaseException) -> None:
+    """Raise now, or when the compiled code that is running has ended; for signal handlers.
+
+    Parameters
+    ----------
+    error : BaseException
+        ``KeyboardInterrupt()`` or ``SystemExit(code)``.
+    """
+    if _STATE.depth:
+        _STATE.pending = error
+        return
+    raise error
+
+
+def held(function: Callable[_P, _T]) -> Callable[_P, _T]:
+    """Let a function end before an interrupt is raised.
+
+    Examples
+    --------
+    >>> def work() -> str:
+    ...     raise_or_hold(SystemExit(143))
+    ...     return "done, though the caller never gets it"
+    >>> held(work)()
+    Traceback (most recent call last):
+    ...
+    SystemExit: 143
+    """
+
+    @wraps(function)
+    def call(*arguments: _P.args, **named: _P.kwargs) -> _T:
+        _STATE.depth += 1
+        try:
+            result = function(*arguments, **named)
+        finally:
+            _STATE.depth -= 1
+            if not _STATE.depth and _STATE.pending is not None:
+                error, _STATE.pending = _STATE.pending, None
+                raise error
+        return result
+
+    return call
