@@ -3,95 +3,261 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import click
 
-from prc_cli.cli.report import print_evaluation
-from prc_cli.comparison import evaluate as evaluate_files
-from prc_cli.core.errors import ConfigError, GateError
-from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.cli.report import print_evaluation, print_evaluation_details
+from prc_cli.comparison import EvaluateOptions, evaluate_all
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import atomic_output, check_output, open_to_read
+from prc_cli.evaluation.gates import GateResult, check_gates, parse_gate, refuse_failed
+from prc_cli.evaluation.html import as_html, check_picture
+from prc_cli.evaluation.latex import as_latex
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
-from prc_cli.evaluation.scores import Scores, gate_value, scores
+from prc_cli.evaluation.result import Evaluation
+from prc_cli.evaluation.scores import scores
+from prc_cli.readers.label_pairs import pair_files
+
+FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
+"""Forms of the result by the suffix of ``--output``."""
+
+DEFAULTS = EvaluateOptions()
+
+Pictures = Sequence[tuple[str, bytes]]
+
+_OPTIONS = [
+    click.option(
+        "--mapping",
+        default="prc",
+        show_default=True,
+        metavar="NAME|FILE.toml",
+        help="Which codes mean which class: a preset (prc, oakland, ...) or a file.",
+    ),
+    click.option("--predicted-dimension", metavar="NAME", help="Column or dimension with the predicted codes."),
+    click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
+    click.option(
+        "--pair",
+        "pairs",
+        multiple=True,
+        nargs=2,
+        type=click.Path(path_type=Path),
+        metavar="PREDICTED REFERENCE",
+        help="Another pair of files or folders, pooled into the same matrix.",
+    ),
+    click.option(
+        "--match",
+        default="order",
+        show_default=True,
+        metavar="HOW",
+        help="How records find their partner: order, time, dimension:NAME or nearest.",
+    ),
+    click.option(
+        "--tolerance",
+        type=float,
+        metavar="NUMBER",
+        help="Largest difference of a pair: seconds (time), metres (nearest).",
+    ),
+    click.option(
+        "--min-matched",
+        type=click.FloatRange(0, 1),
+        default=DEFAULTS.min_matched,
+        show_default=True,
+        help="Least share of the smaller side that must find a partner.",
+    ),
+    click.option(
+        "--predicted-points",
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        help="The points that predicted labels alone belong to, record by record.",
+    ),
+    click.option(
+        "--reference-points",
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        help="The points that reference labels alone belong to.",
+    ),
+    click.option("--by-range", "edges", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
+    click.option("--by-lines", type=click.IntRange(min=1), metavar="N", help="Split into parts of N scan lines."),
+    click.option("--by-scanner", is_flag=True, help="Split by scanner."),
+    click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line of a dense stream."),
+    click.option(
+        "--intervals", type=click.Choice(["jackknife", "bootstrap"]), help="Confidence intervals of all scores."
+    ),
+    click.option(
+        "--interval-lines",
+        type=click.IntRange(min=1),
+        default=DEFAULTS.interval_lines,
+        show_default=True,
+        help="Scan lines of a block that is left out or drawn as a whole.",
+    ),
+    click.option(
+        "--seed",
+        type=click.IntRange(0, 2**63 - 1),
+        default=DEFAULTS.seed,
+        show_default=True,
+        help="Of the bootstrap.",
+    ),
+    click.option(
+        "--format",
+        "form",
+        type=click.Choice(["table", "json", "csv", "markdown", "latex", "html"]),
+        help="How the result is printed.  [default: table]",
+    ),
+    click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json."),
+    click.option(
+        "-o",
+        "--output",
+        "outputs",
+        multiple=True,
+        type=click.Path(path_type=Path),
+        metavar="FILE",
+        help="Write the result as well: .json, .csv, .md, .tex or .html; may be given several times.",
+    ),
+    click.option("--overwrite", is_flag=True, help="Replace files that exist."),
+    click.option(
+        "--picture",
+        "pictures",
+        multiple=True,
+        metavar="[TITLE=]FILE.png",
+        help="Put a picture into the HTML page; may be given several times.",
+    ),
+    click.option(
+        "-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for)."
+    ),
+    click.option(
+        "--fail-under",
+        "gates",
+        multiple=True,
+        metavar="SCORE.CLASS=VALUE",
+        help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9.",
+    ),
+]
+
+
+def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
 
 
 @click.command()
 @click.argument("predicted", type=click.Path(path_type=Path))
 @click.argument("reference", type=click.Path(path_type=Path))
-@click.option(
-    "--mapping",
-    default="prc",
-    show_default=True,
-    metavar="NAME|FILE.toml",
-    help="Which codes mean which class: a preset (prc, oakland, ...) or a file.",
-)
-@click.option("--predicted-dimension", metavar="NAME", help="Column or dimension with the predicted codes.")
-@click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes.")
-@click.option(
-    "--format",
-    "form",
-    type=click.Choice(["table", "json", "csv", "markdown"]),
-    help="How the result is printed.  [default: table]",
-)
-@click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json.")
-@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for).")
-@click.option(
-    "--fail-under",
-    "gates",
-    multiple=True,
-    metavar="SCORE.CLASS=VALUE",
-    help="Exit code 3 if a score is lower, e.g. recall.ground=0.95 or accuracy=0.9.",
-)
-def evaluate(
-    predicted: Path, reference: Path, mapping: str, predicted_dimension: str | None, reference_dimension: str | None,
-    form: str | None, as_json_flag: bool, quiet: bool, gates: tuple[str, ...],
-) -> None:  # fmt: skip
+@_evaluate_options
+def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
-    Both hold one code a record, in the same order: .npy, .csv(.gz), .parquet, .las or .laz.
+    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders, whose files of one
+    name (but for the suffix) are pooled into one matrix. The result goes to stdout, and to the files of --output.
 
     \b
     Examples:
       prc evaluate labels.npy reference.npy
       prc evaluate labels.npy oakland_1.csv.gz --mapping oakland --fail-under recall.ground=0.9
+      prc evaluate run/ reference/ --mapping oakland --intervals jackknife -M 229 --output report.html
     """
-    if as_json_flag and form not in (None, "json"):
-        message = f"--json and --format {form} contradict each other"
+    if options["as_json_flag"] and options["form"] not in (None, "json"):
+        message = f"--json and --format {options['form']} contradict each other"
         raise click.UsageError(message)
-    classes = load_mapping(mapping)
-    demanded = [_gate(text, classes) for text in gates]
-    matrix = evaluate_files(
-        predicted, reference, classes,
-        predicted_dimension=predicted_dimension, reference_dimension=reference_dimension,
-    )  # fmt: skip
-    found = scores(matrix)
-    chosen = "json" if as_json_flag else form
-    if chosen in (None, "table"):
-        if not quiet:
-            print_evaluation(matrix, found)
-    else:
-        click.echo({"json": as_json, "csv": as_csv, "markdown": as_markdown}[chosen](matrix).rstrip("\n"))
-    for name, limit in demanded:
-        _check_gate(found, name, limit)
+    form = "json" if options["as_json_flag"] else options["form"] or "table"
+    mapping = load_mapping(options["mapping"])
+    demanded = [parse_gate(text, mapping) for text in options["gates"]]
+    how = _how(options)
+    pairs = [pair for sides in ((predicted, reference), *options["pairs"]) for pair in pair_files(*sides)]
+    left, right = zip(*pairs, strict=True)
+    _check_outputs(options["outputs"], overwrite=options["overwrite"], inputs=(*left, *right))
+    pictures = _read_pictures(options["pictures"], wanted=form == "html" or any(map(_is_page, options["outputs"])))
+    found = evaluate_all(left, right, options["mapping"], options=how)
+    gates = check_gates(scores(found.matrix), demanded)
+    texts = [_text(FORMS[path.suffix.lower()], found, gates, mapping, pictures) for path in options["outputs"]]
+    for path, text in zip(options["outputs"], texts, strict=True):
+        with atomic_output(path) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+    if form != "table":
+        click.echo(_text(form, found, gates, mapping, pictures).rstrip("\n"))
+    elif not options["quiet"]:
+        print_evaluation(found.matrix, scores(found.matrix), found.intervals)
+        print_evaluation_details(found, gates)
+    refuse_failed(gates)
 
 
-def _gate(text: str, mapping: ClassMapping) -> tuple[str, float]:
-    """Parse a demand, and refuse one that no evaluation with this mapping could answer before anything is read."""
-    name, _, value = text.partition("=")
+def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:
+    """Return the result in one of its forms."""
+    if form == "html":
+        return as_html(found, gates, mapping=mapping, pictures=pictures)
+    if form in ("csv", "latex"):
+        return as_csv(found) if form == "csv" else as_latex(found)
+    return as_json(found, gates) + "\n" if form == "json" else as_markdown(found, gates)
+
+
+def _how(options: dict[str, Any]) -> EvaluateOptions:
+    return EvaluateOptions(
+        match=options["match"],
+        tolerance=options["tolerance"],
+        min_matched=options["min_matched"],
+        predicted_dimension=options["predicted_dimension"],
+        reference_dimension=options["reference_dimension"],
+        predicted_points=options["predicted_points"],
+        reference_points=options["reference_points"],
+        split_range_m=_edges(options["edges"]),
+        split_lines=options["by_lines"],
+        split_scanner=options["by_scanner"],
+        points_per_line=options["points_per_line"],
+        intervals=options["intervals"],
+        interval_lines=options["interval_lines"],
+        seed=options["seed"],
+    )
+
+
+def _edges(text: str | None) -> tuple[float, ...]:
+    """Read the edges of range bins, ``5,10,20``."""
+    if text is None:
+        return ()
     try:
-        limit = float(value)
+        edges = tuple(float(word) for word in text.split(","))
     except ValueError:
-        limit = math.nan
-    if not -1 <= limit <= 1:
-        problem = f"found {text!r}, expected SCORE.CLASS=VALUE with a value up to 1, such as recall.ground=0.95"
-        raise ConfigError("--fail-under", problem)
-    gate_value(scores(ConfusionMatrix.empty(mapping)), name.strip())
-    return name.strip(), limit
+        edges = (math.nan,)
+    rising = all(low < high for low, high in zip((-1.0, *edges), (*edges, math.inf), strict=True))
+    if not rising or edges[0] < 0:
+        problem = f"found {text!r}, expected ranges in metres that rise, such as 5,10,20,40"
+        raise ConfigError("--by-range", problem)
+    return edges
 
 
-def _check_gate(found: Scores, name: str, limit: float) -> None:
-    value = gate_value(found, name)
-    # an undefined score (no such records) has not reached the demanded figure either
-    if not value >= limit:
-        raise GateError(name, f"found {value:.4f}, demanded at least {limit:.4f}")
+def _check_outputs(outputs: Sequence[Path], *, overwrite: bool, inputs: tuple[Path, ...]) -> None:
+    """Refuse outputs before any work is done."""
+    for path in outputs:
+        if path.suffix.lower() not in FORMS:
+            problem = f"found the suffix {path.suffix!r}, expected one of: {' '.join(FORMS)}"
+            raise ConfigError(str(path), problem, "the suffix says how the result is written")
+        check_output(path, overwrite=overwrite, inputs=inputs)
+    if len(set(outputs)) < len(outputs):
+        raise ConfigError("--output", "found one file twice, expected a file for each form")
+
+
+def _is_page(path: Path) -> bool:
+    return path.suffix.lower() == ".html"
+
+
+def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
+    """Read pictures for the page."""
+    if texts and not wanted:
+        raise ConfigError("--picture", "pictures have their place in the HTML page alone", "add --output report.html")
+    pictures = []
+    for text in texts:
+        title, equals, name = text.rpartition("=")
+        # a file name may have the sign itself
+        path = Path(text) if not equals or Path(text).is_file() else Path(name)
+        with open_to_read(path) as handle:
+            try:
+                content = handle.read()
+            except OSError as error:
+                problem = f"cannot be read ({error.strerror or error})"
+                raise InputError(str(path), problem, "give a PNG picture") from error
+        check_picture(str(path), content)
+        pictures.append((title if equals and path == Path(name) else path.stem, content))
+    return pictures

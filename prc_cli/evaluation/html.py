@@ -100,6 +100,18 @@ def as_html(
     return "\n".join(blocks) + "\n"
 
 
+def check_picture(name: str, content: bytes) -> None:
+    """Refuse what is no picture that the page can show.
+
+    Raises
+    ------
+    InputError
+        When the content is no PNG.
+    """
+    if not content.startswith(_PNG):
+        raise InputError(name, "is no PNG picture", "give pictures as prc render writes them")
+
+
 def _header(title: str, found: Evaluation | None, gates: Sequence[GateResult]) -> Iterator[str]:
     yield f"<header><h1>{_text(title)}</h1>"
     if found is not None:
@@ -272,8 +284,7 @@ def _pictures(pictures: Sequence[tuple[str, bytes]]) -> Iterator[str]:
         return
     yield "<section><h2>Pictures</h2>"
     for title, content in pictures:
-        if not content.startswith(_PNG):
-            raise InputError(title, "is no PNG picture", "give pictures as prc render writes them")
+        check_picture(title, content)
         data = base64.b64encode(content).decode("ascii")
         image = f'<img alt="{_text(title)}" src="data:image/png;base64,{data}">'
         yield f"<figure><figcaption>{_text(title)}</figcaption>{image}</figure>"

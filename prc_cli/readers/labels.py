@@ -47,13 +47,22 @@ class CodeSource:
         Starts reading from the first record and gives arrays of numbers.
     missing : bool
         Whether NaN means a record without code (text, where a cell can be empty).
+    name : str
+        Array, column or dimension that holds the codes; empty where the file holds nothing else.
     """
 
     def __init__(
-        self, path: Path, n: int | None, read: Callable[[], Iterator[NDArray[Any]]], *, missing: bool = False
+        self,
+        path: Path,
+        n: int | None,
+        read: Callable[[], Iterator[NDArray[Any]]],
+        *,
+        missing: bool = False,
+        name: str = "",
     ) -> None:
         self.path = str(path)
         self.n = n
+        self.name = name
         self._read = read
         self._missing = missing
 
@@ -67,10 +76,24 @@ class CodeSource:
         """
         first = 0
         for values in self._read():
-            yield self._to_codes(values, first)
+            yield self.to_codes(values, first)
             first += len(values)
 
-    def _to_codes(self, values: NDArray[Any], first: int) -> I64:
+    def to_codes(self, values: NDArray[Any], first: int) -> I64:
+        """Return stored numbers as codes, (n,) int64; -1 = the record has none.
+
+        Parameters
+        ----------
+        values : (n,) number
+            Of consecutive records.
+        first : int
+            Index of the first of them, for messages.
+
+        Raises
+        ------
+        InputError
+            When a code is no whole number, naming the record.
+        """
         if values.dtype.kind == "f":
             with np.errstate(invalid="ignore"):
                 wide = values.astype(np.float64)
@@ -107,15 +130,31 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     InputError
         When the file cannot be read, or its suffix is none of these.
     """
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    suffix = "".join(suffixes[-2:]) if suffixes[-1:] in ([".gz"], [".zst"]) else "".join(suffixes[-1:])
-    opener = _OPENERS.get(suffix)
+    suffix = _suffix(path)
+    opener = OPENERS.get(suffix)
     if opener is None:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
-        raise InputError(str(path), f"{found}, expected one of: {' '.join(_OPENERS)}", "rename the file or convert it")
+        raise InputError(str(path), f"{found}, expected one of: {' '.join(OPENERS)}", "rename the file or convert it")
     if not path.is_file():
         raise InputError(str(path), "no such file, expected class codes", "check the name")
     return opener(path, dimension)
+
+
+def suffix_of(path: Path) -> str:
+    """Return the suffix by which a file is known to hold class codes, compression included; empty if it is not.
+
+    >>> suffix_of(Path("drive.1.csv.gz"))
+    '.csv.gz'
+    >>> suffix_of(Path("labels.npy.prc.json"))
+    ''
+    """
+    suffix = _suffix(path)
+    return suffix if suffix in OPENERS else ""
+
+
+def _suffix(path: Path) -> str:
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    return "".join(suffixes[-2:]) if suffixes[-1:] in ([".gz"], [".zst"]) else "".join(suffixes[-1:])
 
 
 def _choose(path: Path, names: list[str], dimension: str | None) -> str:
@@ -158,7 +197,7 @@ def _open_arrays(path: Path, dimension: str | None) -> CodeSource:
                 yield rows.read(min(each, shape[0] - first)).ravel()
             rows.finish()
 
-    return CodeSource(path, shape[0] * row, read)
+    return CodeSource(path, shape[0] * row, read, name=name)
 
 
 def _open_text(path: Path, dimension: str | None) -> CodeSource:
@@ -175,7 +214,7 @@ def _open_text(path: Path, dimension: str | None) -> CodeSource:
                 _check_numbers(path, np.asarray(chunk.values["record"], np.float64), chunk.first_record)
             yield chunk.values[name]
 
-    return CodeSource(path, None, read, missing=True)
+    return CodeSource(path, None, read, missing=True, name=name)
 
 
 def _check_numbers(path: Path, record: F64, first: int) -> None:
@@ -199,7 +238,7 @@ def _open_las(path: Path, dimension: str | None) -> CodeSource:
     def read() -> Iterator[NDArray[Any]]:
         return (chunk.values[name] for chunk in source.chunks((name,)))
 
-    return CodeSource(path, source.n_records, read)
+    return CodeSource(path, source.n_records, read, name=name)
 
 
 def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
@@ -236,7 +275,7 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
             problem = f"record {first} and on cannot be read ({_one_line(error)})"
             raise InputError(str(path), problem, damaged) from error
 
-    return CodeSource(path, n, read)
+    return CodeSource(path, n, read, name=name)
 
 
 def _open_semantic(path: Path, dimension: str | None) -> CodeSource:
@@ -267,7 +306,7 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:160]
 
 
-_OPENERS: dict[str, Callable[[Path, str | None], CodeSource]] = {
+OPENERS: dict[str, Callable[[Path, str | None], CodeSource]] = {
     ".npy": _open_arrays,
     ".npz": _open_arrays,
     **{f"{text}{packed}": _open_text for text in (".csv", ".txt") for packed in ("", ".gz", ".zst")},
@@ -276,3 +315,4 @@ _OPENERS: dict[str, Callable[[Path, str | None], CodeSource]] = {
     ".las": _open_las,
     ".laz": _open_las,
 }
+"""Readers of class codes by suffix."""

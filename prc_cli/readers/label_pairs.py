@@ -1,0 +1,75 @@
+"""Which predicted file belongs to which reference file, where whole folders are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from prc_cli.core.errors import InputError
+from prc_cli.readers.labels import suffix_of
+
+_SHOWN = 4
+
+
+def pair_files(predicted: Path, reference: Path) -> tuple[tuple[Path, Path], ...]:
+    """Pair two files, or the files of two folders that have the same name but for the suffix.
+
+    Files of a folder that cannot hold class codes, by their suffix, are left alone; folders inside it too.
+
+    Parameters
+    ----------
+    predicted, reference : Path
+        Two files or two folders.
+
+    Returns
+    -------
+    tuple of (predicted, reference)
+        By name.
+
+    Raises
+    ------
+    InputError
+        A file against a folder; an empty folder; files without partner, or two of one name on one side.
+    """
+    if not (predicted.is_dir() or reference.is_dir()):
+        return ((predicted, reference),)
+    for side, other in ((predicted, reference), (reference, predicted)):
+        if not side.is_dir():
+            problem = f"a file against the folder {other}" if side.exists() else "no such folder"
+            raise InputError(str(side), problem, "give two files or two folders")
+    left, right = _by_name(predicted), _by_name(reference)
+    for folder, other, lonely in (
+        (predicted, reference, left.keys() - right.keys()),
+        (reference, predicted, right.keys() - left.keys()),
+    ):
+        if lonely:
+            problem = f"{len(lonely)} files have no partner in {other}: {_listed(lonely)}"
+            raise InputError(str(folder), problem, "give partners the same name but for the suffix, or use --pair")
+    return tuple((left[name], right[name]) for name in sorted(left))
+
+
+def _by_name(folder: Path) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in _label_files(folder):
+        name = path.name[: -len(suffix_of(path))]
+        if name in found:
+            problem = f"{found[name].name} and {path.name} have one name, expected one file of class codes each"
+            raise InputError(str(folder), problem, "move one of them away, or use --pair")
+        found[name] = path
+    if not found:
+        raise InputError(str(folder), "no files with class codes in it", "check the name of the folder")
+    return found
+
+
+def _label_files(folder: Path) -> Iterator[Path]:
+    try:
+        paths = sorted(folder.iterdir())
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror or error})"
+        raise InputError(str(folder), problem, "check the name and its permissions") from error
+    return (path for path in paths if path.is_file() and suffix_of(path) and not path.name.startswith("."))
+
+
+def _listed(names: Iterable[str]) -> str:
+    known = sorted(names)
+    return ", ".join(known[:_SHOWN]) + (", ..." if len(known) > _SHOWN else "")
