@@ -23,7 +23,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
+    "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
+    "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
 """Commands by name: where they live (loaded when called) and what ``prc --help`` says of them."""

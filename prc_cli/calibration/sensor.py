@@ -1,0 +1,352 @@
+"""What a stream of ranges says about the sensor that made it: noise, angular step, rounding, missing shots.
+
+Everything is measured on counts that are added up block by block, so that what is kept does not grow with the stream.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.types import F32, F64, I64
+
+STRETCH = 9
+"""Successive shots that are tested for flatness together."""
+MAX_SPREAD = 1.3
+"""Greatest ratio of ranges in a stretch: beyond it the beam grazes, and the noise of its shots differs too much."""
+MIN_STRETCHES = 50
+"""Stretches that a range bin needs before it has a say."""
+FLAT_M = 0.1
+"""Deviation [m] from which on what was measured is no longer a flat stretch: foliage, not noise."""
+MAX_GROWTH = 2.0
+"""A range bin whose deviation exceeds that of the nearest flat bin, scaled by range, by this factor is not flat."""
+
+_RANGE_EDGES: F64 = np.geomspace(0.25, 512.0, 45)
+"""Range bins for the noise, four an octave [m]."""
+_NOISE_EDGES: F64 = np.geomspace(1e-6, 10.0, 281)
+"""Deviation bins, forty a decade [m]."""
+_LENGTH_EDGES: F64 = np.geomspace(1e-5, 1e5, 1001)
+"""Bins for ranges and range differences, a hundred a decade [m]."""
+_STEP_EDGES: F64 = np.geomspace(1e-5, 0.2, 861)
+"""Bins for the angular step, two hundred a decade [rad]."""
+_STEP_SPANS = (8, 16, 32, 64, 128, 256, 512)
+"""Shots on either side that the angular step is measured over."""
+_STEP_AGREEMENT = 0.1
+"""Relative difference up to which the step over a span and over half of it agree: the three shots lie on a line."""
+_MIN_BEND = 0.003
+"""Least 1 - cos of the angle of a span; below it the step drowns in the noise."""
+_ROUNDINGS = tuple(sorted((factor * 10.0**power for power in range(-4, 1) for factor in (1, 2, 2.5, 5)), reverse=True))
+"""Roundings of stored ranges that are looked for [m], coarse ones first."""
+_ROUNDED_SHARE = 0.99
+_SAMPLE_STEP = 37
+"""Every n-th shot is looked at for rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseBin:
+    """Deviation of flat stretches in one range bin."""
+
+    range_m: float
+    """Middle of the bin [m]."""
+    sigma_m: float
+    """Most frequent standard deviation about a plane [m]."""
+    n_stretches: int
+    flat: bool
+    """Whether it took part in the fit; foliage does not."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorEstimate:
+    """What was measured; None where the stream does not tell."""
+
+    points_per_line: int
+    n_lines: int
+    n_shots: int
+    n_missing: int
+    range_quantiles_m: dict[str, float]
+    """Ranges below which 5, 25, 50, 75 and 95 % of the returns lie [m]."""
+    noise: tuple[NoiseBin, ...]
+    sigma_m: float | None
+    """Part of the noise that does not depend on range [m]."""
+    sigma_per_m: float | None
+    """Part that grows with range [m per m]; surface relief under wider steps is in it."""
+    step_rad: float | None
+    """Angle between successive shots [rad]."""
+    step_source: str
+    """Where the step comes from, in words."""
+    rounding_m: float | None
+    """Stored ranges are multiples of this [m]."""
+    line_hz: float | None
+    in_line_m: float | None
+    """Median range difference of successive shots [m]."""
+    across_lines_m: float | None
+    """Median range difference of shots in the same column of successive lines [m]."""
+
+    @property
+    def missing_share(self) -> float:
+        """Share of shots without return."""
+        return self.n_missing / self.n_shots
+
+    def noise_at(self, range_m: float) -> float | None:
+        """Return the standard deviation about a plane at a range [m], None if there is no flat stretch."""
+        if self.sigma_m is None or self.sigma_per_m is None:
+            return None
+        return math.hypot(self.sigma_m, self.sigma_per_m * range_m)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values."""
+        return {
+            "points_per_line": self.points_per_line,
+            "n_lines": self.n_lines,
+            "n_shots": self.n_shots,
+            "missing_share": self.missing_share,
+            "range_quantiles_m": self.range_quantiles_m,
+            "sigma_m": self.sigma_m,
+            "sigma_per_m": self.sigma_per_m,
+            "noise": [
+                {"range_m": b.range_m, "sigma_m": b.sigma_m, "n_stretches": b.n_stretches, "flat": b.flat}
+                for b in self.noise
+            ],
+            "step_deg": None if self.step_rad is None else math.degrees(self.step_rad),
+            "step_source": self.step_source,
+            "rounding_m": self.rounding_m,
+            "line_hz": self.line_hz,
+            "in_line_m": self.in_line_m,
+            "across_lines_m": self.across_lines_m,
+        }
+
+
+@dataclass(slots=True)
+class SensorMeter:
+    """Adds blocks up."""
+
+    info: StreamInfo
+    n_lines: int = 0
+    n_shots: int = 0
+    n_missing: int = 0
+    _noise: I64 = field(default_factory=lambda: np.zeros((len(_RANGE_EDGES) - 1, len(_NOISE_EDGES) - 1), np.int64))
+    _steps: I64 = field(default_factory=lambda: np.zeros((len(_STEP_SPANS), len(_STEP_EDGES) - 1), np.int64))
+    _ranges: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
+    _in_line: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
+    _across: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
+    _rounded: I64 = field(default_factory=lambda: np.zeros(len(_ROUNDINGS), np.int64))
+    _n_sampled: int = 0
+    _angle_rad: F64 | None = None
+
+    def add(self, block: ScanBlock) -> None:
+        """Measure a block of lines."""
+        ranges = block.range_m
+        self.n_lines += block.n_lines
+        self.n_shots += ranges.size
+        self.n_missing += int(np.count_nonzero(np.isnan(ranges)))
+        if self._angle_rad is None:
+            self._angle_rad = block.angle_rad
+        self._ranges += _log_counts(ranges, _LENGTH_EDGES)
+        self._in_line += _log_counts(np.abs(np.diff(ranges, axis=1)), _LENGTH_EDGES)
+        self._across += _log_counts(np.abs(np.diff(ranges, axis=0)), _LENGTH_EDGES)
+        middle, deviation = stretch_deviations(ranges)
+        self._noise += np.histogram2d(middle, deviation, (_RANGE_EDGES, _NOISE_EDGES))[0].astype(np.int64)
+        for place, span in enumerate(_STEP_SPANS):
+            if 4 * span <= block.points_per_line:
+                self._steps[place] += _log_counts(angular_steps(ranges, span), _STEP_EDGES)
+        self._count_rounding(ranges)
+
+    def finish(self) -> SensorEstimate:
+        """Return the estimates."""
+        quantiles = {f"{q}%": _quantile(self._ranges, _LENGTH_EDGES, q / 100) or math.nan for q in (5, 25, 50, 75, 95)}
+        bins = _noise_bins(self._noise)
+        sigma, per_metre = _fit_noise(bins)
+        step, source = self._step()
+        return SensorEstimate(
+            points_per_line=self.info.points_per_line,
+            n_lines=self.n_lines,
+            n_shots=self.n_shots,
+            n_missing=self.n_missing,
+            range_quantiles_m=quantiles,
+            noise=bins,
+            sigma_m=sigma,
+            sigma_per_m=per_metre,
+            step_rad=step,
+            step_source=source,
+            rounding_m=self._rounding(),
+            line_hz=self.info.line_hz,
+            in_line_m=_quantile(self._in_line, _LENGTH_EDGES, 0.5),
+            across_lines_m=_quantile(self._across, _LENGTH_EDGES, 0.5),
+        )
+
+    def _step(self) -> tuple[float | None, str]:
+        angle = self._angle_rad if self._angle_rad is not None else self.info.angle_rad
+        if angle is not None and len(angle) > 1:
+            return float(np.median(np.abs(np.diff(np.unwrap(angle))))), "the angles in the file"
+        enough = [place for place in range(len(_STEP_SPANS)) if self._steps[place].sum() >= MIN_STRETCHES]
+        if enough:
+            # the longest span with a fair part of the triples suffers least from noise
+            most = max(int(self._steps[place].sum()) for place in enough)
+            place = max(place for place in enough if self._steps[place].sum() >= most / 4)
+            mode = _log_mode(self._steps[place], _STEP_EDGES, smooth=9)
+            return mode, f"straight lines in the ranges, over {2 * _STEP_SPANS[place]} shots"
+        return None, "the file holds no angles, and no line in it is straight enough to measure the step"
+
+    def _count_rounding(self, ranges: F32) -> None:
+        values = ranges.ravel()[::_SAMPLE_STEP]
+        values = values[~np.isnan(values)]
+        self._n_sampled += len(values)
+        exact = values.astype(np.float64)
+        slack = np.spacing(values).astype(np.float64)
+        for place, unit in enumerate(_ROUNDINGS):
+            off = np.abs(exact - np.round(exact / unit) * unit)
+            # where float32 itself is coarser than the unit, everything would look rounded
+            self._rounded[place] += np.count_nonzero((off <= slack) & (slack < unit / 16))
+
+    def _rounding(self) -> float | None:
+        for unit, count in zip(_ROUNDINGS, self._rounded.tolist(), strict=True):
+            if self._n_sampled >= MIN_STRETCHES and count >= _ROUNDED_SHARE * self._n_sampled:
+                return unit
+        return None
+
+
+def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
+    """Measure how far stretches of successive shots are from flat, whatever their slope and the angular step.
+
+    On a plane the reciprocal of the range is a cosine of the scan angle, which a parabola follows over a few shots.
+    The residual of the reciprocals about it, times range squared, is the range noise.
+
+    Parameters
+    ----------
+    ranges : (lines, M) float32, metres
+        NaN = missing.
+
+    Returns
+    -------
+    middle_m, deviation_m : (n,) float64, metres
+        Range in the middle and standard deviation of every stretch without a gap, from :data:`STRETCH` shots.
+
+    Examples
+    --------
+    A wall 5 m away under steps of 1 degree, whose ranges differ by more than a centimetre:
+
+    >>> wall = 5.0 / np.cos(np.deg2rad(np.arange(9.0)))
+    >>> _, deviation = stretch_deviations(wall[None].astype(np.float32))
+    >>> bool(deviation[0] < 1e-4)
+    True
+    """
+    n = ranges.shape[1] // STRETCH
+    stretches = ranges[:, : n * STRETCH].reshape(-1, STRETCH).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        low, high = stretches.min(axis=1), stretches.max(axis=1)
+        stretches = stretches[high <= MAX_SPREAD * low]
+    place = np.arange(STRETCH) - STRETCH // 2
+    basis = np.linalg.qr(np.stack([np.ones(STRETCH), place, place**2], axis=1))[0]
+    residual = (1.0 / stretches) @ (np.eye(STRETCH) - basis @ basis.T)
+    middle = stretches[:, STRETCH // 2]
+    deviation: F64 = np.sqrt((residual**2).sum(axis=1) / (STRETCH - 3)) * middle**2
+    return middle, deviation
+
+
+def angular_steps(ranges: F32, span: int) -> F64:
+    """Measure the angle between successive shots where the line is straight.
+
+    Of three shots on a straight line, ``span`` shots apart, the reciprocals of the ranges satisfy
+    ``1/a + 1/b = 2 cos(span * step) / r``. Half the span must give the same step.
+
+    Parameters
+    ----------
+    ranges : (lines, M) float32, metres
+    span : int
+        Shots from the middle to either end.
+
+    Returns
+    -------
+    (n,) float64, radians
+        Steps of the triples on straight lines.
+
+    Examples
+    --------
+    >>> wall = 5.0 / np.cos(np.deg2rad(np.arange(-40.0, 41.0)))
+    >>> step = np.rad2deg(angular_steps(wall[None].astype(np.float32), 16))
+    >>> bool(np.allclose(step, 1.0, rtol=1e-3))
+    True
+    """
+    near = 1.0 / ranges.astype(np.float64)
+    half = span // 2
+    m = ranges.shape[1]
+    middle = near[:, span : m - span]
+    with np.errstate(invalid="ignore"):
+        wide = (near[:, : m - 2 * span] + near[:, 2 * span :]) / (2 * middle)
+        narrow = (near[:, span - half : m - span - half] + near[:, span + half : m - span + half]) / (2 * middle)
+        usable = (wide < 1 - _MIN_BEND) & (wide > 0) & (narrow < 1) & (narrow > 0)
+        step, other = np.arccos(wide[usable]) / span, np.arccos(narrow[usable]) / half
+    straight: F64 = step[np.abs(step - other) < _STEP_AGREEMENT * step]
+    return straight
+
+
+def _log_counts(values: F32 | F64, edges: F64) -> I64:
+    """Count values in bins that are even in the logarithm; what lies outside, and NaN, is left out."""
+    flat = values.ravel()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        place = np.log(flat / edges[0]) * ((len(edges) - 1) / math.log(edges[-1] / edges[0]))
+        inside = (place >= 0) & (place < len(edges) - 1)
+    counts: I64 = np.bincount(place[inside].astype(np.intp), minlength=len(edges) - 1)
+    return counts
+
+
+def _quantile(counts: I64, edges: F64, share: float) -> float | None:
+    """Return a quantile of binned values, the middle of its bin; None without values."""
+    total = int(counts.sum())
+    if not total:
+        return None
+    place = int(np.searchsorted(counts.cumsum(), share * total))
+    return float(math.sqrt(edges[place] * edges[place + 1]))
+
+
+def _log_mode(counts: I64, edges: F64, smooth: int) -> float:
+    """Return the most frequent value of bins that are even in the logarithm, over a running triangle."""
+    weights = np.bartlett(smooth + 2)[1:-1]
+    place = int(np.argmax(np.convolve(counts, weights, mode="same")))
+    return float(math.sqrt(edges[place] * edges[place + 1]))
+
+
+def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
+    """Return the most frequent deviation by range, and where it is that of a flat surface.
+
+    The most frequent logarithm of a sample's standard deviation is that of its population, however few make the
+    sample; foliage and edges are many, but spread over decades.
+    """
+    found: list[tuple[float, float, int]] = []
+    for low, high, row in zip(_RANGE_EDGES[:-1], _RANGE_EDGES[1:], counts, strict=True):
+        n = int(row.sum())
+        if n >= MIN_STRETCHES:
+            found.append((math.sqrt(low * high), _log_mode(row, _NOISE_EDGES, smooth=11), n))
+    if not found:
+        return ()
+    # the flattest bin for its range, of the well filled ones, is flat; from there outwards on either side
+    most = max(n for _, _, n in found)
+    start = min((place for place, (_, _, n) in enumerate(found) if n >= most / 10), key=lambda i: found[i][1])
+    flat = {start} if found[start][1] < FLAT_M else set()
+    for order in (range(start + 1, len(found)), range(start - 1, -1, -1)):
+        last = start
+        for place in order:
+            scale = max(1.0, found[place][0] / found[last][0])
+            if flat and found[place][1] <= MAX_GROWTH * scale * found[last][1] and found[place][1] < FLAT_M:
+                flat.add(place)
+                last = place
+    return tuple(NoiseBin(*item, flat=place in flat) for place, item in enumerate(found))
+
+
+def _fit_noise(bins: tuple[NoiseBin, ...]) -> tuple[float | None, float | None]:
+    """Fit ``sigma**2 = a**2 + (b * range)**2`` to the flat bins, every bin by its relative error."""
+    flat = [item for item in bins if item.flat]
+    if not flat:
+        return None, None
+    square = np.array([item.sigma_m**2 for item in flat])
+    weight = np.sqrt([item.n_stretches for item in flat]) / square
+    table = np.stack([np.ones(len(flat)), [item.range_m**2 for item in flat]], axis=1)
+    if len(flat) == 1:
+        return flat[0].sigma_m, 0.0
+    constant, growing = nnls(table * weight[:, None], square * weight)[0]
+    return math.sqrt(constant), math.sqrt(growing)

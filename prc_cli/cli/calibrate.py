@@ -1,0 +1,142 @@
+"""``prc calibrate``: parameters that follow from the sensor, or from a reference."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from prc_cli.calibration.calibrate import Calibration, SearchOptions
+from prc_cli.calibration.calibrate import calibrate as calibrate_file
+from prc_cli.calibration.reports import (
+    CURVE_HEADER,
+    advice_rows,
+    as_json,
+    as_markdown,
+    as_svg,
+    as_toml,
+    curve_rows,
+    judged_rows,
+    sensor_rows,
+)
+from prc_cli.calibration.search import MEAN_F1, Tried
+from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.report import console, line_progress, results
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import atomic_output, check_output, remove_stale
+
+
+@click.command()
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="CONFIG.toml",
+              help="Write the calibrated configuration, every value with its reason.")
+@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.svg",
+              help="Draw the shares of supported shots and of background over the thresholds.")
+@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
+@click.option("--reference", type=click.Path(path_type=Path), metavar="LABELS",
+              help="Codes of the records of INPUT, in their order: search the parameters that agree best.")
+@click.option("--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml",
+              help="Which codes mean which class.")
+@click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes.")
+@click.option("--objective", default=MEAN_F1, show_default=True, metavar="SCORE",
+              help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground.")
+@click.option("--training-share", type=float, default=0.6, show_default=True, metavar="SHARE",
+              help="Share of the groups of lines that the search sees; the others give the honest figure.")
+@click.option("--budget", type=click.IntRange(2, 100_000), default=300, show_default=True,
+              help="Sets of parameters tried at most.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True,
+              help="Draws the training lines.")
+@click.option("--max-shots", type=click.IntRange(min=1000), default=4_000_000, show_default=True,
+              help="Shots kept in memory for the search; longer inputs are sampled.")
+@stream_options
+@click.option("--format", "form", type=click.Choice(["table", "json", "markdown"]),
+              help="How the result is printed.  [default: table]")
+@click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for).")
+def calibrate(
+    source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, mapping: str,
+    reference_dimension: str | None, objective: str, training_share: float, budget: int, seed: int, max_shots: int,
+    form: str | None, as_json_flag: bool, quiet: bool, **options: Any,
+) -> None:  # fmt: skip
+    """Measure the sensor of INPUT and derive the parameters that follow from it.
+
+    Noise, angular step, rounding and missing shots are measured on the stream itself; with a reference the parameters
+    are searched on a part of the lines and judged on the others.
+
+    \b
+    Examples:
+      prc calibrate drive.laz -o drive.toml --plot drive.svg
+      prc calibrate strip.csv.gz --reference strip.csv.gz --mapping oakland -o strip.toml
+      prc classify drive.laz out.laz --config drive.toml
+    """
+    if as_json_flag and form not in (None, "json"):
+        message = f"--json and --format {form} contradict each other"
+        raise click.UsageError(message)
+    if plot is not None and plot.suffix.lower() != ".svg":
+        where = "--plot"
+        raise ConfigError(where, f"found {str(plot)!r}, expected a name that ends in .svg")
+    loaded = config_from(options)
+    inputs = (source, *loaded.files, *([] if reference is None else [reference]))
+    wanted = [path for path in (output, plot) if path is not None]
+    for path in wanted:
+        check_output(path, overwrite=overwrite, inputs=inputs)
+        remove_stale(path)
+    search = None
+    if reference is not None:
+        search = SearchOptions(
+            reference, mapping, reference_dimension, objective, training_share, budget, seed, max_shots
+        )
+    with line_progress(source.name, quiet=quiet) as progress, _trials(quiet=quiet) as tried:
+        found = calibrate_file(source, loaded, search, progress=progress, tried=tried)
+    for target, text in ((output, as_toml), (plot, as_svg)):
+        if target is not None:
+            with atomic_output(target) as temporary:
+                temporary.write_text(text(found), encoding="utf-8")
+    chosen = "json" if as_json_flag else form
+    if chosen in ("json", "markdown"):
+        click.echo((as_json(found) if chosen == "json" else as_markdown(found)).rstrip("\n"))
+    elif not quiet:
+        _print(found)
+    if not quiet:
+        for path in wanted:
+            console().print(f"wrote {path}", soft_wrap=True)
+
+
+@contextlib.contextmanager
+def _trials(*, quiet: bool) -> Iterator[Tried | None]:
+    """Tell on a terminal how far the search is."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+
+    def tell(n_trials: int, best: float) -> None:
+        click.echo(f"\rtrial {n_trials}: best {best:.4f}   ", nl=False, err=True)
+
+    yield tell
+    click.echo("\r" + " " * 40 + "\r", nl=False, err=True)
+
+
+def _print(found: Calibration) -> None:
+    _table("measured on the stream", ("", ""), list(sensor_rows(found.sensor)))
+    _table("share of the returns", CURVE_HEADER, list(curve_rows(found)))
+    _table("parameters", ("key", "before", "value", "reason"), list(advice_rows(found)))
+    header, rows = judged_rows(found)
+    if found.search is not None:
+        title = f"{found.search.n_trials} trials; figures on training and on held-out lines"
+        _table(title, header, rows)
+    for note in found.notes:
+        results().print(f"note: {note}", soft_wrap=True)
+
+
+def _table(title: str, header: tuple[str, ...], rows: list[Any]) -> None:
+    table = Table(title=title, show_header=any(header))
+    for heading in header:
+        table.add_column(heading)
+    for row in rows:
+        table.add_row(*row)
+    results().print(table)
