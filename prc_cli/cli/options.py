@@ -1,6 +1,7 @@
 """Options that several commands share, and the tables that they build.
 
 ``stream_options``  how a stream is found in an input and with which parameters it is classified
+``input_options``   the former alone
 ``output_options``  ``--json --quiet --verbose``
 """
 
@@ -39,6 +40,8 @@ _STREAM_OPTIONS = [
     click.option("--trust-order", "trust_order", is_flag=True, help="Take the order of the records as it is."),
 ]  # fmt: skip
 
+_N_CLASSIFIER_OPTIONS = 2  # --method and --preset stand first
+
 _OUTPUT_OPTIONS = [
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json)."),
@@ -49,6 +52,13 @@ _OUTPUT_OPTIONS = [
 def stream_options(command: CommandT) -> CommandT:
     """Add the options that say how a stream is found and classified."""
     for option in reversed(_STREAM_OPTIONS):
+        command = option(command)
+    return command
+
+
+def input_options(command: CommandT) -> CommandT:
+    """Add the options that say how a stream is found, for commands that classify nothing."""
+    for option in reversed(_STREAM_OPTIONS[_N_CLASSIFIER_OPTIONS:]):
         command = option(command)
     return command
 
@@ -86,7 +96,7 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:
         table = merge(table, {"input": inputs})
-    if options["method"] is not None:
+    if options.get("method") is not None:
         table = merge(table, {"method": options["method"]})
-    loaded = load_config(options["config_file"], options["preset"], table)
+    loaded = load_config(options["config_file"], options.get("preset"), table)
     return loaded if layout_file is None else replace(loaded, files=(*loaded.files, layout_file))

@@ -80,6 +80,7 @@ class LasBuilder(StagedWriter):
         self._by_return = np.zeros(15, np.int64)
         self._low = np.full(3, np.iinfo(np.int64).max, np.int64)
         self._high = np.full(3, np.iinfo(np.int64).min, np.int64)
+        self._offset_m = np.zeros(3)
         self._n_clipped = 0
         self._n_timeless = 0
         self._n_timed = 0
@@ -113,7 +114,7 @@ class LasBuilder(StagedWriter):
         lines = max(1, batch_records(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
         for first in range(0, scan.n_lines, lines):
             rows = slice(first, first + lines)
-            shots = _returns(scan, rows)
+            shots = self._gather(scan, rows)
             points = np.zeros(len(shots.line), self._dtype)
             own = shots.extra < 0
             points["classification"] = np.where(
@@ -126,7 +127,11 @@ class LasBuilder(StagedWriter):
             self._count(points["classification"])
             self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
 
-    def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: _Returns) -> None:
+    def _gather(self, scan: ScanBlock, rows: slice) -> Returns:
+        """Gather the returns of some lines in the order of their records."""
+        return gather_returns(scan, rows)
+
+    def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
         """Set everything but class and optional columns, and add to the header's counts and bounds."""
         steps = self._steps(scan, shots)
         points["xyz"] = steps
@@ -155,7 +160,7 @@ class LasBuilder(StagedWriter):
             self._n_timed += int(np.count_nonzero(known))
         self._n_timeless = int(self._by_return.sum()) - self._n_timed
 
-    def _steps(self, scan: ScanBlock, shots: _Returns) -> I64:
+    def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
         """Coordinates in steps of :data:`SCALE_M`, (n, 3) int64."""
         if scan.xyz_m is not None:
             xyz = scan.xyz_m[shots.line, shots.column].astype(np.float64)
@@ -168,7 +173,11 @@ class LasBuilder(StagedWriter):
             angle = self._angles(scan)[shots.column]
             xyz[:, 0] = shots.range_m * np.cos(angle)
             xyz[:, 1] = shots.range_m * np.sin(angle)
-        steps = np.rint(xyz / SCALE_M)
+        return self._whole_steps(xyz, scan, shots)
+
+    def _whole_steps(self, xyz: F64, scan: ScanBlock, shots: Returns) -> I64:
+        """Round coordinates to steps, (n, 3) int64; what the file cannot hold is refused."""
+        steps = np.rint((xyz - self._offset_m) / SCALE_M)
         if not np.all(np.abs(steps) <= 2**31 - 1):  # also refuses NaN
             bad = int(np.flatnonzero(~np.all(np.abs(steps) <= 2**31 - 1, axis=1))[0])
             where = f"scan line {scan.first_line + int(shots.line[bad])}, column {int(shots.column[bad])}"
@@ -197,10 +206,11 @@ class LasBuilder(StagedWriter):
         header.set("evlr_start", self._target.tell())
         header.set("n_evlrs", 1)
         self._target.write(record_evlr(record))
+        header.set("offsets", *self._offset_m.tolist())
         header.set("n_points", int(self._by_return.sum()))
         header.set("by_return", *self._by_return.tolist())
         if self._by_return.any():
-            low, high = self._low * SCALE_M, self._high * SCALE_M
+            low, high = self._low * SCALE_M + self._offset_m, self._high * SCALE_M + self._offset_m
             header.set("bounds", high[0], low[0], high[1], low[1], high[2], low[2])
         self._target.seek(0)
         self._target.write(header.data)
@@ -208,7 +218,7 @@ class LasBuilder(StagedWriter):
         return record
 
 
-class _Returns:
+class Returns:
     """Returns of some lines of a block, chronological; the returns of a shot by range."""
 
     def __init__(self, line: I64, column: I64, range_m: F32, extra: I64) -> None:
@@ -221,11 +231,11 @@ class _Returns:
         self.count: U8 = np.ones(len(line), np.uint8)
 
 
-def _returns(scan: ScanBlock, rows: slice) -> _Returns:
+def gather_returns(scan: ScanBlock, rows: slice) -> Returns:
     """Gather the returns of some lines."""
     line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
     line += rows.start
-    found = _Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64))
+    found = Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64))
     chosen = np.flatnonzero((scan.extra.line >= rows.start) & (scan.extra.line < rows.stop))
     if not len(chosen):
         return found
@@ -234,7 +244,7 @@ def _returns(scan: ScanBlock, rows: slice) -> _Returns:
     range_m = np.concatenate([found.range_m, scan.extra.range_m[chosen]])
     extra = np.concatenate([found.extra, chosen])
     order = np.lexsort((extra, range_m, column, line))
-    found = _Returns(line[order], column[order], range_m[order], extra[order])
+    found = Returns(line[order], column[order], range_m[order], extra[order])
     shot = found.line * scan.points_per_line + found.column
     first = np.flatnonzero(np.concatenate(([True], shot[1:] != shot[:-1])))
     size = np.diff(np.append(first, len(shot)))

@@ -195,7 +195,7 @@ class LasRewriter(ScatterWriter):
         tail = plan_tail(las, tail_bounds(source, las), target.tell(), drop=(RECORD_KEY[0], COPC_USER))
         for start, stop in tail.spans:
             copy_bytes(source, target, start, stop)
-        _set_tail(header, las, tail)
+        set_tail(header, las, tail)
         if plan.point_format != las.point_format:
             header.set("n_points", las.n_points)
             header.set("by_return", *returns.tolist())
@@ -277,7 +277,8 @@ def _as_1_4(header: Header) -> Header:
     return new
 
 
-def _set_tail(header: Header, las: LasFile, tail: Tail) -> None:
+def set_tail(header: Header, las: LasFile, tail: Tail) -> None:
+    """Set the header fields that point at what follows the points."""
     if header.has("waveform_start") and las.header.get("waveform_start"):
         header.set("waveform_start", tail.moved(las.header.get("waveform_start")))
     if not header.has("evlr_start"):

@@ -1,0 +1,61 @@
+"""``prc convert``: any readable input to any writable output."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from prc_cli.cli.options import config_from, input_options, output_options
+from prc_cli.cli.report import console, line_progress, print_assumptions
+from prc_cli.conversion import ConversionSummary
+from prc_cli.conversion import convert as convert_file
+
+
+@click.command()
+@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@input_options
+@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@output_options
+def convert(
+    source: Path, output: Path, overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any
+) -> None:
+    """Write IN in another format, and say what OUT cannot hold.
+
+    OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy or .bin. Between .las and .laz only the
+    compression changes. Everything else is read as a stream, as prc classify would; ranges and times keep
+    every bit. What was lost is printed and kept in OUT.prc.json.
+
+    \b
+    Examples:
+      prc convert drive.las drive.laz
+      prc convert drive.bin drive.npz --layout drive.toml
+      prc convert station.e57 station.csv.gz
+    """
+    loaded = config_from(options)
+    start = time.perf_counter()
+    with line_progress(source.name, quiet=quiet) as progress:
+        summary = convert_file(source, output, loaded, overwrite=overwrite, progress=progress)
+    if as_json:
+        click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
+    if not quiet:
+        _print_summary(summary, time.perf_counter() - start, verbose=verbose)
+
+
+def _print_summary(summary: ConversionSummary, seconds: float, *, verbose: bool) -> None:
+    record = summary.record
+    if verbose:
+        print_assumptions(record.assumptions, record.tally)
+    for loss in summary.losses:
+        console().print(f"not kept: {loss}", soft_wrap=True)
+    for notice in record.notices:
+        if not notice.startswith("not kept: "):
+            console().print(f"note: {notice}", soft_wrap=True)
+    rate = summary.n_shots / seconds / 1e6 if seconds else 0.0
+    what = f"{summary.n_lines:,} lines of {record.points_per_line:,} shots" if summary.n_lines else ""
+    what = what or f"{summary.n_shots:,} records"
+    console().print(f"{summary.output}: {what} in {seconds:.1f} s ({rate:.2g} million a second)", soft_wrap=True)

@@ -1,0 +1,364 @@
+"""Any readable input to any writable output: ``prc convert``.
+
+LAS and LAZ files become each other byte for byte but for the compression. Everything else goes through the stream:
+reader → blocks → writer, with the classes and the registered coordinates of the input beside it. What an output cannot
+hold is said, never dropped in silence.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import InputError
+from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_name
+from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.pipeline import Counts, Progress, run_record
+from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, open_source, suffix_of
+from prc_cli.readers.labels import NAMES
+from prc_cli.readers.records import RecordSource
+from prc_cli.writers.las_copy import copy_las, read_las
+from prc_cli.writers.record import RunRecord, fingerprint, record_path
+from prc_cli.writers.record_values import RecordValues
+from prc_cli.writers.streams import (
+    NO_CODE,
+    StreamItem,
+    StreamShape,
+    check_stream_output,
+    open_stream_writer,
+    outputs_of,
+    stream_suffix,
+)
+
+XYZ = ("x", "y", "z")
+_LAS = (".las", ".laz")
+_TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet")
+_STREAM_NAMES = frozenset(
+    ("range", "scan_line", "column", "angle", "time", *XYZ, "intensity", "return_number", "number_of_returns")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ConversionSummary:
+    """What a conversion did."""
+
+    output: Path
+    record: RunRecord
+    """Provenance, as stored beside the output; its notices hold the losses as well."""
+    losses: tuple[str, ...]
+    """What the input has and the output cannot hold, one sentence each."""
+    n_lines: int
+    n_shots: int
+    n_returned: int
+    """Shots with a range."""
+    seconds: float = 0.0
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the run record with what was lost, for JSON."""
+        return {**self.record.as_dict(), "not_kept": list(self.losses)}
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a stream turned out to have."""
+
+    counts: Counts
+    n_returned: int = 0
+    n_extra: int = 0
+    scanners: dict[int, int] = field(default_factory=dict)
+    """M by scanner."""
+    first_line: int | None = None
+
+    def add(self, block: ScanBlock) -> Facts:
+        """Return the facts with one more block."""
+        labels = self.counts.labels.copy()
+        n_missing = int(np.count_nonzero(np.isnan(block.range_m)))
+        labels[Label.MISSING] += n_missing
+        counts = replace(
+            self.counts,
+            n_lines=self.counts.n_lines + block.n_lines,
+            n_shots=self.counts.n_shots + block.range_m.size,
+            labels=labels,
+            tally=self.counts.tally + block.tally,
+        )
+        self.scanners.setdefault(block.scanner, block.points_per_line)
+        n_returned = self.n_returned + block.range_m.size - n_missing
+        return Facts(counts, n_returned, self.n_extra + len(block.extra), self.scanners)
+
+
+def convert(
+    source: Path | str,
+    output: Path | str,
+    config: LoadedConfig | RunConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> ConversionSummary:
+    """Write a file in another format; the output exists whole or not at all.
+
+    Parameters
+    ----------
+    source : path
+        Any readable input.
+    output : path
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin``.
+    config : LoadedConfig or RunConfig, optional
+        How the stream is found in the input; not needed between LAS and LAZ.
+    overwrite : bool
+        Replace an existing output.
+    progress : callable, optional
+        Called with the number of scan lines that were just finished.
+
+    Returns
+    -------
+    ConversionSummary
+
+    Raises
+    ------
+    InputError, OutputError, ConfigError
+        See :mod:`prc_cli.core.errors`; nothing is left behind.
+    """
+    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    source, output = Path(source), Path(output)
+    prepare_output(source, output, loaded, overwrite=overwrite)
+    if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in _LAS:
+        return _copy(source, output, loaded)
+    before = source.stat()
+    facts = Facts(Counts.none())
+    with open_items(source, output, loaded) as opened, open_stream_writer(output, opened.shape) as writer:
+        for item in opened.items:
+            writer.add_item(item)
+            facts = facts.add(item.block)
+            if progress is not None:
+                progress(item.block.n_lines)
+        info = opened.info
+        losses = find_losses(output, opened, facts)
+        record = run_record(info, facts.counts, loaded)
+        told = tuple(f"not kept: {loss}" for loss in losses)
+        record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts)))
+        check_unchanged(source, before.st_size, before.st_mtime_ns)
+        record = writer.finish(record)
+    return ConversionSummary(output, record, losses, facts.counts.n_lines, facts.counts.n_shots, facts.n_returned)
+
+
+def prepare_output(
+    source: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool, more: tuple[Path, ...] = ()
+) -> None:
+    """Refuse what cannot work before anything is read, and remove what dead runs left behind."""
+    trajectory = loaded.trajectory
+    inputs = (source, *loaded.files, *more, *([] if trajectory is None else [trajectory]))
+    stream_suffix(output)
+    check_input(source)
+    check_stream_output(output, overwrite=overwrite, inputs=inputs)
+    for path in outputs_of(output):
+        remove_stale(path)
+
+
+def check_unchanged(source: Path, size: int, mtime_ns: int) -> None:
+    """Refuse an input that changed while it was read."""
+    after = source.stat()
+    if (after.st_size, after.st_mtime_ns) != (size, mtime_ns):
+        raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
+
+
+def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
+    """Change the compression of a LAS or LAZ file and nothing else."""
+    las = read_las(source)
+    check_output(record_path(output), overwrite=True)
+    with atomic_output(output) as temporary:
+        notices = copy_las(las, output, temporary)
+        record = RunRecord(
+            config=loaded.config.to_table(),
+            input=fingerprint(source),
+            format="LAZ" if las.compressed else "LAS",
+            points_per_line=0,
+            n_records=las.n_points,
+            notices=("records were copied as bytes; no stream was read", *notices),
+        )
+        with atomic_output(record_path(output)) as beside:
+            beside.write_bytes(record.to_json())
+    return ConversionSummary(output, record, (), 0, las.n_points, las.n_points)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedItems:
+    """A stream with what its records carry."""
+
+    info: StreamInfo
+    shape: StreamShape
+    items: Iterator[StreamItem]
+    source: RecordSource | None
+    stream: ScanStream
+
+
+@contextlib.contextmanager
+def open_items(source: Path, output: Path, loaded: LoadedConfig, *, codes: bool = True) -> Iterator[OpenedItems]:
+    """Open a stream whose blocks bring along the classes and registered coordinates of their records.
+
+    What blocks do not hold is read once more and kept in a temporary file beside ``output``.
+
+    Parameters
+    ----------
+    source, output : Path
+    loaded : LoadedConfig
+    codes : bool
+        Whether the classes of the input are wanted.
+    """
+    stream = open_input(source, loaded.config.input, loaded.config.layout)
+    blocks = stream.blocks()
+    first = next(blocks, None)
+    if first is None:
+        raise InputError(str(source), "no scan lines, expected at least one", "see prc info")
+    records = open_source(source, loaded.config.layout)
+    has = () if records is None else records.dimensions
+    class_name = next((name for name in has if codes and name.lower() in NAMES), None)
+    xyz = XYZ if first.xyz_m is None and set(XYZ) <= set(has) else ()
+    with contextlib.ExitStack() as stack:
+        carried: RecordValues | None = None
+        if records is not None and (class_name is not None or xyz):
+            carried = _carry(records, class_name, xyz, output, stack)
+        item = _item(first, carried)
+        scanners = loaded.config.input.scanner != "none" or stream.info.format in ("PTX", "E57")
+        returns = bool(getattr(getattr(stream, "rules", None), "has_returns", stream.info.format == "E57"))
+        shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
+
+        def items() -> Iterator[StreamItem]:
+            yield item
+            for block in blocks:
+                yield _item(block, carried)
+
+        yield OpenedItems(stream.info, shape, items(), records, stream)
+
+
+def _carry(
+    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
+) -> RecordValues:
+    """Put classes and coordinates of all records into a temporary file."""
+    fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
+    path = temporary_name(output)
+    stack.callback(lambda: path.unlink(missing_ok=True))
+    fill = (*((np.nan,) * len(xyz)), *([NO_CODE] if class_name is not None else []))
+    values = RecordValues(path, np.dtype(fields), fill)
+    stack.callback(values.close)
+    names = (*xyz, *([class_name] if class_name is not None else []))
+    for chunk in records.chunks(names):
+        rows = np.empty(chunk.n, np.dtype(fields))
+        for name in xyz:
+            rows[name] = chunk.values[name]
+        if class_name is not None:
+            given = np.asarray(chunk.values[class_name], np.float64)
+            whole = np.isfinite(given) & (given == np.floor(given)) & (np.abs(given) < 2**31)
+            rows["code"] = np.where(whole, given, NO_CODE)
+        values.append(rows)
+    return values
+
+
+def _item(block: ScanBlock, carried: RecordValues | None) -> StreamItem:
+    if carried is None:
+        return StreamItem(block)
+    own, extra = carried.get(block.records()), carried.get(block.extra.record)
+    names = own.dtype.names or ()
+    item = StreamItem(block)
+    if "code" in names:
+        item = replace(item, codes=own["code"].copy(), extra_codes=extra["code"].copy())
+    if "x" in names:
+        registered = np.stack([own[name] for name in XYZ], axis=-1)
+        registered[np.isnan(block.range_m)] = np.nan
+        item = replace(item, registered_m=registered, extra_registered_m=np.stack([extra[n] for n in XYZ], axis=-1))
+    return item
+
+
+def find_losses(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, ...]:
+    """Say what the input has and the output does not hold, one sentence each."""
+    return tuple(_losses(stream_suffix(output), opened, facts))
+
+
+def _losses(suffix: str, opened: OpenedItems, facts: Facts) -> Iterator[str]:
+    shape, counts = opened.shape, facts.counts
+    n_missing = int(counts.labels[Label.MISSING])
+    if suffix in _LAS:
+        yield from _las_losses(shape, facts, n_missing)
+    if suffix == ".npy":
+        for present, what in (
+            (shape.angles, "scan angles"),
+            (shape.times, "times"),
+            (shape.xyz, "coordinates"),
+            (shape.intensity, "intensities"),
+        ):
+            if present:
+                yield what
+    if suffix in (".npy", ".npz") and shape.registered:
+        yield "registered coordinates (x, y, z)"
+    if suffix in (".npy", ".npz", ".bin"):
+        if shape.codes:
+            yield "class codes"
+        if facts.n_extra:
+            yield f"{facts.n_extra} further returns or collisions: a range image has one range a cell"
+    elif facts.n_extra and shape.intensity:
+        yield f"the intensities of {facts.n_extra} further returns, which the stream does not know"
+    if counts.tally.n_unplaced:
+        yield f"{counts.tally.n_unplaced} records that belong to no cell"
+    bad = counts.tally.n_not_finite + counts.tally.n_not_positive + counts.tally.n_beyond
+    if bad:
+        yield f"the stored ranges of {bad} shots that count as missing (not finite, not positive or out of bounds)"
+    yield from _record_losses(opened)
+
+
+def _las_losses(shape: StreamShape, facts: Facts, n_missing: int) -> Iterator[str]:
+    if n_missing:
+        times = ", and their times," if shape.times else ""
+        yield f"{n_missing} shots without return{times} have no record; lines and columns are kept as numbers"
+    if shape.angles:
+        yield "scan angles beyond steps of 0.006 deg"
+    if shape.xyz or shape.registered:
+        yield "coordinates beyond steps of 1 mm (ranges are kept bit for bit)"
+    if shape.intensity:
+        yield "intensities beyond whole numbers from 0 to 65535"
+    if len(set(facts.scanners.values())) > 1:
+        sizes = ", ".join(f"scanner {scanner}: {m}" for scanner, m in sorted(facts.scanners.items()))
+        yield f"the number of shots a line of each scanner ({sizes}); it is read back as the largest"
+
+
+def _record_losses(opened: OpenedItems) -> Iterator[str]:
+    """Name the dimensions of the input that the stream knows nothing of."""
+    records = opened.source
+    if records is None:
+        return
+    known = _STREAM_NAMES | set(NAMES)
+    rules = getattr(opened.stream, "rules", None)
+    taken = {getattr(rules, name, None) for name in ("line_dimension", "column_dimension", "scanner")}
+    rule = str(getattr(rules, "range", ""))
+    taken.add(rule.partition(":")[2])
+    other = [name for name in records.dimensions if name.lower() not in known and name not in taken]
+    if other:
+        yield f"other dimensions of the records: {', '.join(other[:30])}{' ...' if len(other) > 30 else ''}"
+    if getattr(records, "crs_wkt", None):
+        yield "the coordinate system"
+    if getattr(records, "format", "").startswith("LA"):
+        yield "header, VLRs and EVLRs of the LAS file"
+
+
+def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, ...]:
+    """Say what has to be given to read the output as the same stream, where its names do not say it all."""
+    suffix, shape = stream_suffix(output), opened.shape
+    told = []
+    if suffix == ".parquet":
+        told.append("prc reads no stream from .parquet; it is for other programs")
+    if shape.scanners and len(facts.scanners) > 1 and suffix in (*_LAS, *_TABLES):
+        told.append("several scanners: read it with --scanner point_source_id")
+    if suffix == ".bin":
+        told.append(f"read it with --config {output.name}.toml")
+    directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*_LAS, *_TABLES)
+    if shape.nadir_rad is not None and not directed and suffix != ".bin":
+        angle = float(np.rad2deg(shape.nadir_rad))
+        told.append(f"straight down is at scan angle {angle:.6g} deg: read it with --set input.nadir={angle:.6g}")
+    return tuple(told)
+
+
+__all__ = ["ConversionSummary", "convert"]

@@ -1,0 +1,329 @@
+"""Whole streams to files: what the writers of ranges, times, angles and coordinates share, and which is taken.
+
+A stream writer takes blocks as they come and puts the file and its run record in their places at the end, both or none.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Protocol, Self
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, OutputError
+from prc_cli.core.files import check_output, commit, output_errors, temporary_name
+from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.types import F64, I32
+from prc_cli.writers.record import RunRecord, record_path
+
+NO_CODE = -1
+"""Class code of a shot without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamItem:
+    """A block with what its records carry beside the stream."""
+
+    block: ScanBlock
+    codes: I32 | None = None
+    """(lines, M) int32, class code of every cell, :data:`NO_CODE` = none; None where the input has no classes."""
+    extra_codes: I32 | None = None
+    """(n,) int32, class codes of ``block.extra``."""
+    registered_m: F64 | None = None
+    """(lines, M, 3) float64, coordinates as the input has them [m], NaN = none; only where ``block.xyz_m`` is None."""
+    extra_registered_m: F64 | None = None
+    """(n, 3) float64, the same for ``block.extra``."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamShape:
+    """What a stream has, known from its first block; every block has the same."""
+
+    points_per_line: int
+    """M, of the longest-lined scanner."""
+    scanners: bool
+    """Whether it may hold several scanners."""
+    returns: bool
+    """Whether the input counts the returns of a shot."""
+    angles: bool
+    times: bool
+    xyz: bool
+    """Coordinates relative to the scanner."""
+    registered: bool
+    """Coordinates of the input beside ranges that it has itself."""
+    intensity: bool
+    codes: bool
+    nadir_rad: float | None = None
+    """Scan angle that points straight down [rad], None = unknown."""
+    time_origin: float | None = None
+
+    @classmethod
+    def of(cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool) -> StreamShape:
+        """Return the shape of a stream from its first block."""
+        block = item.block
+        return cls(
+            points_per_line=info.points_per_line,
+            scanners=scanners,
+            returns=returns,
+            angles=block.angle_rad is not None,
+            times=block.time_s is not None,
+            xyz=block.xyz_m is not None,
+            registered=item.registered_m is not None,
+            intensity=block.intensity is not None,
+            codes=item.codes is not None,
+            nadir_rad=info.nadir_rad,
+        )
+
+
+class StreamWriter(Protocol):
+    """What :func:`open_stream_writer` gives; use it as a context manager."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the writer had to decide, in plain words; complete after :meth:`finish`."""
+
+    def __enter__(self) -> Self:
+        """Create the temporary files beside the output."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        """Remove every temporary file; without :meth:`finish` nothing is left."""
+
+    def add_item(self, item: StreamItem) -> None:
+        """Take a block.
+
+        Raises
+        ------
+        OutputError
+            When it cannot be written (disk full), or is of a kind that the output cannot hold.
+        """
+
+    def finish(self, record: RunRecord) -> RunRecord:
+        """Write what is left, give the outputs their names; return the record as written."""
+
+
+class StagedStreamWriter(ABC):
+    """A :class:`StreamWriter` that fills temporary files and renames them at the end."""
+
+    one_scanner = ""
+    """What the output is called where it can hold a single scanner only; empty = it can hold several."""
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        self.path = path
+        self.shape = shape
+        self._scanner: int | None = None
+        self._notices: list[str] = []
+        self._files: list[tuple[Path, Path]] = []
+        self._temporary = self._output(path)
+        self._record_temporary = self._output(record_path(path))
+        self._stack = contextlib.ExitStack()
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the writer had to decide, in plain words."""
+        return tuple(self._notices)
+
+    def __enter__(self) -> Self:
+        try:
+            with output_errors(self.path):
+                for temporary, _ in self._files:
+                    self._stack.callback(_remove, temporary)
+                self._start()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        self._stack.close()
+
+    def add_item(self, item: StreamItem) -> None:
+        """Take a block (see :class:`StreamWriter`)."""
+        scanner = item.block.scanner
+        if self._scanner is None:
+            self._scanner = scanner
+        elif self.one_scanner and scanner != self._scanner:
+            problem = (
+                f"found scanners {self._scanner} and {scanner}, expected one: {self.one_scanner} holds one scanner"
+            )
+            raise OutputError(str(self.path), problem, "write .csv, .laz or .parquet, or split the input first")
+        with output_errors(self.path):
+            self._add(item)
+
+    def finish(self, record: RunRecord) -> RunRecord:
+        """Write and name the outputs (see :class:`StreamWriter`)."""
+        with output_errors(self.path):
+            self._write()
+            record = replace(record, notices=(*record.notices, *self.notices))
+            self._record_temporary.write_bytes(record.to_json())
+            self._commit()
+        return record
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Open temporary files; what must be closed or removed goes on ``self._stack``."""
+
+    @abstractmethod
+    def _add(self, item: StreamItem) -> None: ...
+
+    @abstractmethod
+    def _write(self) -> None:
+        """Write what is left and close every temporary file."""
+
+    def _output(self, path: Path) -> Path:
+        """Name a file that the writer makes; return its temporary name."""
+        self._files.append((temporary_name(path), path))
+        return self._files[-1][0]
+
+    def _scratch(self) -> BinaryIO:
+        """Open a temporary file that is gone at the end."""
+        path = temporary_name(self.path)
+        self._stack.callback(_remove, path)
+        handle = path.open("w+b")
+        self._stack.callback(_close, handle)
+        return handle
+
+    def _notice(self, text: str) -> None:
+        if text not in self._notices:
+            self._notices.append(text)
+
+    def _commit(self) -> None:
+        """Give the files their names, the output first; take back those that this run made if a later one fails."""
+        for temporary, _ in self._files[1:]:
+            with temporary.open("rb+") as handle:
+                os.fsync(handle.fileno())
+        made: list[Path] = []
+        try:
+            for temporary, path in self._files:
+                existed = path.exists()
+                commit(temporary, path)
+                if not existed:
+                    made.append(path)
+        except BaseException:
+            for path in made:
+                _remove(path)
+            raise
+
+
+def table_names(suffix: str) -> str:
+    """Return the kind of an output of a suffix, for messages."""
+    return STREAM_SUFFIXES[suffix]
+
+
+STREAM_SUFFIXES = {
+    ".las": "point cloud",
+    ".laz": "point cloud, compressed",
+    ".csv": "table, a row a cell",
+    ".csv.gz": "table, compressed",
+    ".csv.zst": "table, compressed",
+    ".parquet": "table, for other programs: prc reads no stream from it",
+    ".npz": "range image with angles, times, coordinates and intensities",
+    ".npy": "range image alone",
+    ".bin": "raw dump, with a configuration beside it that reads it",
+}
+"""Outputs that hold a stream, by suffix."""
+
+
+def stream_suffix(path: Path) -> str:
+    """Return the suffix that decides the writer.
+
+    Raises
+    ------
+    ConfigError
+        When no writer has it.
+
+    Examples
+    --------
+    >>> stream_suffix(Path("drive.CSV.gz"))
+    '.csv.gz'
+    >>> stream_suffix(Path("drive.xyz"))
+    Traceback (most recent call last):
+    ...
+    prc_cli.core.errors.ConfigError: drive.xyz: found suffix '.xyz', expected one of .las .laz .csv .csv.gz .csv.zst \
+.parquet .npz .npy .bin; choose an output name that ends in one of them
+    """
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    suffix = "".join(suffixes[-2:]) if suffixes[-1:] in ([".gz"], [".zst"]) else "".join(suffixes[-1:])
+    if suffix not in STREAM_SUFFIXES:
+        problem = f"found suffix {suffix!r}, expected one of {' '.join(STREAM_SUFFIXES)}"
+        raise ConfigError(str(path), problem, "choose an output name that ends in one of them")
+    return suffix
+
+
+def outputs_of(path: Path) -> tuple[Path, ...]:
+    """Return every file that a stream output consists of, the run record included."""
+    from prc_cli.writers.stream_raw import config_path
+
+    beside = (config_path(path),) if stream_suffix(path) == ".bin" else ()
+    return (path, *beside, record_path(path))
+
+
+def check_stream_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
+    """Refuse an output before any work is done.
+
+    Raises
+    ------
+    ConfigError
+        When no writer has its suffix.
+    OutputExistsError, OutputError
+        As :func:`prc_cli.core.files.check_output`, for every file of it.
+    """
+    for each in outputs_of(path):
+        check_output(each, overwrite=overwrite, inputs=inputs)
+
+
+def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False) -> StreamWriter:
+    """Choose a writer; nothing is created before its ``with`` block.
+
+    Parameters
+    ----------
+    path : Path
+        Output; its suffix decides the format (:data:`STREAM_SUFFIXES`).
+    shape : StreamShape
+        What the stream has.
+    compress : bool
+        Deflate the arrays of an ``.npz`` (as ``numpy.savez_compressed``).
+    """
+    from prc_cli.writers.stream_arrays import NpyStream, NpzStream
+    from prc_cli.writers.stream_las import LasStream
+    from prc_cli.writers.stream_raw import RawStream
+    from prc_cli.writers.stream_tables import CsvStream, ParquetStream
+
+    suffix = stream_suffix(path)
+    if suffix == ".npz":
+        return NpzStream(path, shape, compress=compress)
+    makers: dict[str, Callable[[Path, StreamShape], StreamWriter]] = {
+        ".las": LasStream,
+        ".laz": LasStream,
+        ".csv": CsvStream,
+        ".csv.gz": CsvStream,
+        ".csv.zst": CsvStream,
+        ".parquet": ParquetStream,
+        ".npy": NpyStream,
+        ".bin": RawStream,
+    }
+    return makers[suffix](path, shape)
+
+
+def returned(block: ScanBlock) -> int:
+    """Return the number of shots of a block that have a range."""
+    return int(np.count_nonzero(~np.isnan(block.range_m)))
+
+
+def _remove(path: Path) -> None:
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def _close(handle: BinaryIO) -> None:
+    with contextlib.suppress(OSError):
+        handle.close()
