@@ -73,7 +73,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "street-scan-published": {
         "method": "sequential-angle",
         "sequential_angle": {
-            "angles": {"min_chord_sigmas": 0.0},
+            "angles": {"min_chord_sigmas": 0.0, "chord_depth_sigmas": 0.0},
             "coarse": {
                 "vegetation": {
                     "sigmas_deg": [2.0, 2.0, 12.0],

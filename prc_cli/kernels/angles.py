@@ -16,8 +16,22 @@ _HORIZONTAL = 2
 """H as :class:`prc_cli.core.classes.Surface` numbers it."""
 
 
-@kernel("Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], float64, int64)")
-def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, max_beams: int) -> tuple[F32, I32]:
+@helper
+def _counted(square: float, range_m: float, other_m: float, depth_m: float) -> float:
+    """Square of the length that counts for a chord: along the beams, what noise may be does not count [m2]."""
+    if depth_m == 0.0:
+        return square
+    depth = abs(other_m - range_m)
+    beyond = max(depth - depth_m, 0.0)
+    return square - depth * depth + beyond * beyond
+
+
+@kernel(
+    "Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], float64, float64, int64)"
+)
+def signed_angles(
+    range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, depth_m: float, max_beams: int
+) -> tuple[F32, I32]:
     """Measure the signed angle of every chord with the vertical, sV.
 
     Parameters
@@ -30,6 +44,8 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, ma
         Beams of every row; what comes after them is not looked at.
     min_chord_m : float, metres
         Shots nearer than this to each other make no chord; shots at the same place never do.
+    depth_m : float, metres
+        Range differences up to this count nothing for that length, larger ones by what they have more.
     max_beams : int
         Valid shots looked at on either side of a shot.
 
@@ -44,6 +60,7 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, ma
     signed_deg = np.full((n_rows, n), np.nan, np.float32)
     ahead = np.full((n_rows, n), -1, np.int32)
     least = min_chord_m * min_chord_m
+    r = np.empty(n, np.float64)
     x = np.empty(n, np.float64)
     y = np.empty(n, np.float64)
     z = np.empty(n, np.float64)
@@ -51,6 +68,7 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, ma
     for row in range(n_rows):
         m = 0
         for k in range(min(np.int64(n_beams[row]), n)):
+            r[m] = range_m[row, k]
             x[m] = xyz_m[row, k, 0]
             y[m] = xyz_m[row, k, 1]
             z[m] = xyz_m[row, k, 2]
@@ -64,7 +82,7 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, ma
                 dy = y[j] - y[i]
                 dz = z[j] - z[i]
                 square = dx * dx + dy * dy + dz * dz
-                if square >= least and square > 0.0:
+                if square > 0.0 and _counted(square, r[i], r[j], depth_m) >= least:
                     end = j
                     break
             if end < 0:
@@ -75,7 +93,7 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, ma
                 by = y[i] - y[j]
                 bz = z[i] - z[j]
                 back = bx * bx + by * by + bz * bz
-                if back >= least and back > 0.0:
+                if back > 0.0 and _counted(back, r[i], r[j], depth_m) >= least:
                     if dx * bx + dy * by + dz * bz < 0.0:
                         sign = -1.0
                     break

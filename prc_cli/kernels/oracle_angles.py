@@ -9,7 +9,9 @@ from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, F64, I32, U8
 
 
-def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, max_beams: int) -> tuple[F32, I32]:
+def signed_angles(
+    range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, depth_m: float, max_beams: int
+) -> tuple[F32, I32]:
     """Measure signed angles; see :func:`prc_cli.kernels.angles.signed_angles`."""
     signed_deg = np.full(range_m.shape, np.nan, np.float32)
     ahead = np.full(range_m.shape, -1, np.int32)
@@ -19,8 +21,12 @@ def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, ma
 
         def first_far(here: int, others: list[int], points: dict[int, F64] = points) -> int | None:
             for other in others[:max_beams]:
-                distance = np.linalg.norm(points[other] - points[here])
-                if distance > 0 and distance >= min_chord_m:
+                chord = points[other] - points[here]
+                depth = float(range_m[row, other]) - float(range_m[row, here])
+                counted = float(chord @ chord)
+                if depth_m > 0:
+                    counted += max(abs(depth) - depth_m, 0.0) ** 2 - depth**2
+                if chord.any() and counted >= min_chord_m**2:
                     return other
             return None
 

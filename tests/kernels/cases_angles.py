@@ -41,7 +41,8 @@ def chord_case(rng: Generator) -> tuple[Any, ...]:
     n_rows, n = shape(rng)
     ranges, xyz = points(rng, n_rows, n)
     min_chord_m = float(rng.choice([0.0, 0.125, 0.25, 0.3, 1.0]))
-    return ranges, xyz, lengths(rng, n_rows, n), min_chord_m, int(rng.choice([1, 2, 5, 256]))
+    depth_m = float(rng.choice([0.0, 0.125, 0.2]))
+    return ranges, xyz, lengths(rng, n_rows, n), min_chord_m, depth_m, int(rng.choice([1, 2, 5, 256]))
 
 
 def signed(rng: Generator, n_rows: int, n: int) -> F32:

@@ -30,6 +30,14 @@ class AnglesParams(Params):
         description="shortest chord that an angle is measured on [standard deviations of the range noise]; below "
         "about 3 noise turns chords round and looks like foliage; 0 takes successive shots (published)",
     )
+    chord_depth_sigmas: float = Field(
+        3.0,
+        ge=0,
+        le=1000,
+        description="differences of range up to this count nothing for the length of a chord, larger ones by what they "
+        "have more [standard deviations of the range noise]: where shots lie closer than the noise, it would choose "
+        "the ends; 0 = the whole chord counts",
+    )
     max_chord_shots: int = Field(
         256,
         ge=1,
@@ -58,8 +66,8 @@ class SignedAngles:
 def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
     """Measure the signed angle of every shot.
 
-    The chord of a shot goes to the first later valid shot that is at least the shortest chord away; missing shots
-    between them are bridged, crowns being full of gaps. The chord before a shot comes from the last earlier valid
+    The chord of a shot goes to the first later valid shot that is at least the shortest chord away, where differences
+    of range that noise may be do not count; missing shots between them are bridged, crowns being full of gaps. The chord before a shot comes from the last earlier valid
     shot as far away. Where the two point against each other the angle is negative; where there is none before, as at
     the first shots of a line, it is positive. Shots at the very same place never make a chord, which has no angle.
 
@@ -88,7 +96,12 @@ def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
     array([[ 1,  2,  3,  4, -1]], dtype=int32)
     """
     signed_deg, ahead = kernels.signed_angles(
-        lines.range_m, lines.xyz_m, lines.n_beams, params.min_chord_m, params.max_chord_shots
+        lines.range_m,
+        lines.xyz_m,
+        lines.n_beams,
+        params.min_chord_m,
+        params.chord_depth_sigmas * params.range_noise_m,
+        params.max_chord_shots,
     )
     return SignedAngles(signed_deg, ahead)
 

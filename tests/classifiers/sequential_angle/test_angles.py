@@ -39,7 +39,8 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
     assert found.ahead[0].tolist() == [3, -1, -1, 8, 8, 8, -1, 8, -1]
     assert np.isnan(found.signed_deg[0]).tolist() == [False, True, True, False, False, False, True, False, True]
     # a chord is as long as the shortest allowed or longer
-    found = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), AnglesParams(range_noise_m=0.0625))
+    whole = AnglesParams(range_noise_m=0.0625, chord_depth_sigmas=0)
+    found = signed_angles(lines_through([(4, -2), (4.25, -2), (4.5, -2)]), whole)
     assert found.ahead[0].tolist() == [1, 2, -1]
 
 
@@ -173,3 +174,18 @@ def test_line_angles_are_those_of_horizontal_shots_on_the_side_of_the_row() -> N
     found = line_angles(lines, ahead, surface)
     assert found.dtype == np.float32
     np.testing.assert_allclose(found, [[90, np.nan, np.nan], [90, np.nan, np.nan]], atol=1e-3)
+
+
+@pytest.mark.parametrize("spacing", [1.0, 0.3, 0.1, 0.05])
+def test_a_wall_with_shots_closer_than_the_noise_stands_upright(spacing: float) -> None:
+    """Among many shots at one place noise alone makes some a chord apart: that must not choose the ends."""
+    noise = 0.005
+    beam = np.arange(np.pi / 2 - 0.05, np.pi / 2 + 0.05, spacing * noise / 5.0)
+    ranges = 5.0 / np.sin(beam) + np.random.default_rng(5).normal(0, noise, (3, len(beam)))
+    lines = lines_of(beam, ranges.astype(np.float32))
+    for depth, least, most in ((3.0, 0.0, 25.0), (0.0, 25.0, 90.0)):
+        params = AnglesParams(chord_depth_sigmas=depth, max_chord_shots=1000)
+        angle = np.abs(signed_angles(lines, params).signed_deg)
+        spread = float(np.sqrt(np.nanmean(np.minimum(angle, 180 - angle) ** 2)))
+        assert spread < most
+        assert spread > (least if spacing < 0.2 else 0.0)
