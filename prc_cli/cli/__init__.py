@@ -22,6 +22,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "info": ("prc_cli.cli.info:info", "Say what a file holds and whether it can be classified."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
+    "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
     "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),

@@ -1,0 +1,131 @@
+"""``prc transfer``: classes of a raw run onto the registered points of the same drive."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import click
+
+from prc_cli.cli.options import output_options
+from prc_cli.cli.report import console, print_assumptions
+from prc_cli.config import load_config
+from prc_cli.core.config import read_toml
+from prc_cli.core.stream import ReadTally
+from prc_cli.readers.options import Layout
+from prc_cli.transfer import TransferOptions, TransferSummary
+from prc_cli.transfer import transfer as transfer_files
+
+
+@click.command()
+@click.argument("labels", type=click.Path(path_type=Path))
+@click.argument("registered", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.option(
+    "--points",
+    type=click.Path(path_type=Path),
+    metavar="RAW",
+    help="Input that LABELS belong to, record by record, where they have no times of their own.",
+)
+@click.option(
+    "--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml", help="Record layout of RAW."
+)
+@click.option(
+    "--by",
+    default="time",
+    show_default=True,
+    metavar="RULE",
+    help="time (and return number), record (equal order), record:NAME (a dimension of REGISTERED with the "
+    "index of the raw record), or dimension:NAME (an integer dimension of both).",
+)
+@click.option(
+    "--tolerance",
+    type=float,
+    default=0.0,
+    metavar="SECONDS",
+    help="Largest difference of times.  [default: what float64 rounds]",
+)
+@click.option(
+    "--time-offset",
+    type=float,
+    default=0.0,
+    metavar="SECONDS",
+    help="Added to the times of LABELS, e.g. from seconds of week to adjusted standard GPS time.",
+)
+@click.option("--ignore-return", is_flag=True, help="Match by the time alone, not by the return number.")
+@click.option(
+    "--same", multiple=True, metavar="NAME", help="Integer dimension that must be equal too, e.g. scanner_channel."
+)
+@click.option("--dimension", metavar="NAME", help="Column or dimension of LABELS with the class codes.")
+@click.option(
+    "--carry", multiple=True, metavar="NAME", help="Extra dimension of LABELS that goes along: segment_id, surface, ..."
+)
+@click.option(
+    "--min-match",
+    type=float,
+    default=0.5,
+    show_default=True,
+    metavar="SHARE",
+    help="Refuse when a smaller share of the smaller side finds a partner.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@output_options
+def transfer(
+    labels: Path, registered: Path, output: Path, points: Path | None, layout_file: Path | None, by: str,
+    tolerance: float, time_offset: float, ignore_return: bool, same: tuple[str, ...], dimension: str | None,
+    carry: tuple[str, ...], min_match: float, overwrite: bool, as_json: bool, quiet: bool, verbose: bool,
+) -> None:  # fmt: skip
+    """Write REGISTERED again as OUT, with the classes of LABELS.
+
+    LABELS is a classified .las or .laz, or labels alone (.npy, .csv, .parquet) with the raw input they belong to
+    (--points). REGISTERED and OUT are .las or .laz of the same drive. Points without partner keep their class;
+    everything else stays as it is in REGISTERED.
+
+    \b
+    Examples:
+      prc transfer drive_classified.laz registered.laz registered_classified.laz
+      prc transfer labels.npy registered.laz out.laz --points drive.csv --tolerance 1e-6
+    """
+    options = TransferOptions(
+        by=by, tolerance_s=tolerance, time_offset_s=time_offset, ignore_return=ignore_return, same=same,
+        dimension=dimension, carry=carry, min_match=min_match,
+    )  # fmt: skip
+    start = time.perf_counter()
+    summary = transfer_files(
+        labels, registered, output, options, points=points, layout=_layout(layout_file), overwrite=overwrite
+    )
+    if as_json:
+        click.echo(json.dumps(summary.record.as_dict(), indent=2, sort_keys=True))
+    if not quiet:
+        _print_summary(summary, time.perf_counter() - start, verbose=verbose)
+
+
+def _layout(path: Path | None) -> Layout | None:
+    if path is None:
+        return None
+    content = read_toml(path)
+    return load_config(None, None, {"layout": content.get("layout", content)}).config.layout
+
+
+def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -> None:
+    counts, record = summary.counts, summary.record
+    lines = [
+        f"points matched: {_share(counts.n_matched, counts.n_points)}, {counts.n_changed:,} changed their class",
+        f"points not matched, class kept: {counts.n_points - counts.n_matched:,}",
+        f"labels matched: {_share(counts.n_labels_matched, counts.n_labels)}",
+        *(f"class {item.name} ({item.code}): {item.count:,} points" for item in record.classes),
+    ]
+    for line in lines:
+        console().print(line, soft_wrap=True)
+    if verbose:
+        print_assumptions(record.assumptions, ReadTally())
+    for notice in record.notices:
+        console().print(f"note: {notice}", soft_wrap=True)
+    rate = counts.n_points / seconds / 1e6 if seconds else 0.0
+    text = f"{summary.output}: {counts.n_points:,} points in {seconds:.1f} s ({rate:.2g} million points a second)"
+    console().print(text, soft_wrap=True)
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part:,} of {whole:,} ({part / whole:.1%})" if whole else "0 of 0"
