@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.gates import Gate, check_gates
 from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown
+from prc_cli.evaluation.scores import scores
+from tests.evaluation import samples
 
 MATRIX = ConfusionMatrix(
     ("ground", "building", "stem", "other"),
@@ -58,3 +61,70 @@ def test_reports_of_an_empty_matrix() -> None:
     assert json.loads(as_json(empty))["overall"] == {"accuracy": None, "balanced_accuracy": None, "kappa": None}
     assert as_csv(empty).splitlines()[1].startswith("ground,0,0,0,,,,,")
     assert "accuracy -" in as_markdown(empty)
+
+
+def test_json_of_an_evaluation_adds_to_that_of_its_matrix() -> None:
+    found = samples.evaluation()
+    gates = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
+    table = json.loads(as_json(found, gates))
+    plain = as_dict(found.matrix)
+    assert {key: table[key] for key in plain} == plain
+    assert table["files"] == {"predicted": ["labels.npy"], "reference": ["reference.csv.gz"]}
+    assert table["match"] == {
+        "method": "time", "n_predicted": 4000, "n_reference": 3500, "n_matched": 3212, "tolerance": 1e-6,
+        "notes": ["Times were rounded."],
+    }  # fmt: skip
+    assert set(table["intervals"]) == set(found.intervals)
+    parts = table["splits"]["range"]
+    assert [part["name"] for part in parts] == ["0-5 m", "5-10 m", "from 10 m", "unknown"]
+    assert [(part["low"], part["high"]) for part in parts] == [(0, 5), (5, 10), (10, None), (None, None)]
+    total = np.sum([part["confusion"]["counts"] for part in parts], axis=0)
+    assert np.array_equal(total, found.matrix.counts)
+    assert table["gates"][0] == {
+        "name": "recall.ground", "limit": 0.99, "value": table["classes"]["ground"]["recall"], "passed": True
+    }  # fmt: skip
+    assert table["gates"][1] == {"name": "recall.stem", "limit": 0.1, "value": None, "passed": False}
+
+
+def test_csv_of_an_evaluation_has_limits_and_parts() -> None:
+    found = samples.evaluation()
+    rows = list(csv.DictReader(io.StringIO(as_csv(found))))
+    assert all(None not in row and None not in row.values() for row in rows)
+    whole = [row for row in rows if not row["split"]]
+    plain = list(csv.DictReader(io.StringIO(as_csv(found.matrix))))
+    assert [{key: row[key] for key in plain[0]} for row in whole] == plain
+    for name in ("recall", "precision", "f1", "iou", "accuracy"):
+        interval = found.intervals[f"{name}.ground"]
+        limits = float(whole[0][f"{name}_low"]), float(whole[0][f"{name}_high"])
+        assert limits == pytest.approx((interval.low, interval.high), abs=1e-6)
+    assert float(whole[-1]["kappa_high"]) == pytest.approx(found.intervals["kappa"].high, abs=1e-6)
+    assert whole[2]["recall_low"] == ""  # no stems, no score, no interval
+    near = [row for row in rows if (row["split"], row["part"]) == ("range", "0-5 m")]
+    assert [row["predicted ground"] for row in near][:2] == ["61", "10"]
+    assert {row["part"] for row in rows if row["split"] == "lines"} == {"0-98", "99-197"}
+
+
+def test_markdown_of_an_evaluation() -> None:
+    found = samples.evaluation()
+    gates = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
+    text = as_markdown(found, gates)
+    assert text.startswith("Reference in rows, predicted in columns: records (share of the row).")
+    recall = found.matrix.counts[0, 0] / found.matrix.counts[0].sum()
+    assert f"{recall:.3f} ({recall - 0.0311:.3f}-{min(recall + 0.0111, 1):.3f})" in text
+    assert "Intervals: block jackknife, 31 blocks of 99 lines, 95 %." in text
+    assert "By range:" in text
+    assert "| from 10 m |" in text
+    assert "Matched by time within 1e-06 s: 3,212 pairs of 4,000 predicted and 3,500 reference records." in text
+    assert "Files: predicted labels.npy; reference reference.csv.gz. Class mapping: oakland." in text
+    assert [line.split("|")[-2].strip() for line in text.splitlines() if "| recall." in line] == ["passed", "failed"]
+    for table in (block.splitlines() for block in text.split("\n\n") if block.startswith("|")):
+        assert len({line.count("|") for line in table}) == 1
+
+
+def test_markdown_shows_names_of_users_as_they_are() -> None:
+    found = samples.evaluation(predicted="a|b_*c*\n# d.npy", part="a|b <b>")
+    text = as_markdown(found)
+    assert "a\\|b\\_\\*c\\* \\# d.npy" in text
+    assert "a\\|b \\<b\\>" in text
+    for table in (block.splitlines() for block in text.split("\n\n") if block.startswith("|")):
+        assert len({line.replace("\\|", "").count("|") for line in table}) == 1

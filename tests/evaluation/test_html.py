@@ -1,0 +1,205 @@
+from __future__ import annotations
+
+import json
+import math
+import re
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prc_cli.core.classes import LABEL_COLOURS, Label
+from prc_cli.core.errors import InputError
+from prc_cli.evaluation.charts import Curve, class_colour, line_chart
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.gates import Gate, check_gates
+from prc_cli.evaluation.html import as_html
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.reports import as_dict
+from prc_cli.evaluation.result import Evaluation
+from prc_cli.evaluation.scores import CLASS_SCORES, scores
+from tests.evaluation import samples
+
+VOID = {"meta", "input", "img", "br", "link"}
+PNG = b"\x89PNG\r\n\x1a\nrest"
+NASTY = "</script><script>alert(1)</script>'\"&<b>.npy"
+
+
+class Page(HTMLParser):
+    """Checks that every element is closed in its order; keeps visible text and attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[str] = []
+        self.words: list[str] = []
+        self.data = ""
+        self.attributes: list[tuple[str, str | None]] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert len({name for name, _ in attrs}) == len(attrs), tag
+        self.seen.append(tag)
+        self.attributes += attrs
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append(tag)
+        self.attributes += attrs
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "script" in self.open:
+            self.data += data
+        elif "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(self.words)
+
+
+def full_page() -> tuple[Evaluation, str]:
+    found = samples.evaluation()
+    gates = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
+    pictures = [("Predicted", PNG)]
+    return found, as_html(found, gates, mapping=load_mapping("oakland"), pictures=pictures)
+
+
+def test_page_is_well_formed_and_needs_nothing_else() -> None:
+    _, text = full_page()
+    page = Page(text)
+    assert text.startswith("<!DOCTYPE html>")
+    assert not {"link", "iframe", "object", "embed", "base"} & set(page.seen)
+    assert "http" not in text.replace('http-equiv="Content-Security-Policy"', "")
+    assert "url(" not in text
+    assert "@import" not in text
+    for name, value in page.attributes:
+        assert name not in ("href", "srcset", "action", "onload", "onclick")
+        if name == "src":
+            assert (value or "").startswith("data:image/png;base64,")
+    # nothing runs: the one script element holds data
+    assert page.seen.count("script") == 1
+    assert ("type", "application/json") in page.attributes
+    identifiers = [value for name, value in page.attributes if name == "id"]
+    assert len(set(identifiers)) == len(identifiers)
+
+
+def test_page_shows_every_figure() -> None:
+    found, text = full_page()
+    page = Page(text)
+    table = as_dict(found)
+    whole = {f"{n:,}" for row in table["confusion"]["counts"] for n in row}
+    whole |= {f"{item[key]:,}" for item in table["classes"].values() for key in ("n_reference", "n_predicted")}
+    scores_of = [value for item in table["classes"].values() for key, value in item.items() if key in CLASS_SCORES]
+    scores_of += table["overall"].values()
+    scores_of += [end for item in table["intervals"].values() for end in item.values()]
+    for parts in table["splits"].values():
+        for part in parts:
+            assert part["name"] in page.text
+            whole.add(f"{part['n_scored']:,}")
+            for item in part["classes"].values():
+                scores_of += [item["recall"], item["precision"]]
+    words = set(re.split(r"[\s–]+", page.text))
+    # stems that nobody has are left out, and with them their one against rest
+    assert {f"{value:.3f}" for value in scores_of if value is not None} <= words | {"1.000"}
+    assert whole <= words
+    assert "31 blocks of 99 lines" in page.text
+    assert "3,212 pairs of 4,000 predicted and 3,500 reference records" in page.text
+    assert "1200-1206, 1301" in page.text  # codes of the mapping
+
+
+def test_page_holds_the_json() -> None:
+    found, text = full_page()
+    gates = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
+    assert json.loads(Page(text).data) == as_dict(found, gates)
+
+
+def test_gates_are_told() -> None:
+    found = samples.evaluation()
+    both = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
+    assert "1 of 2 gates failed" in Page(as_html(found, both)).text
+    assert "the gate passed" in Page(as_html(found, both[:1])).text
+    assert "the gate failed" in Page(as_html(found, both[1:])).text
+    assert "gate" not in Page(as_html(found)).text
+
+
+def test_text_of_users_is_shown_and_never_read_as_html() -> None:
+    found = samples.evaluation(predicted=NASTY, mapping=NASTY, note=NASTY, part=NASTY)
+    text = as_html(found, pictures=[(NASTY, PNG)], title=NASTY)
+    page = Page(text)
+    assert "<b>.npy" not in text
+    assert page.seen.count("script") == 1
+    assert page.text.count(NASTY) >= 6
+    assert json.loads(page.data)["files"]["predicted"] == [NASTY]
+
+
+def test_page_of_a_matrix_alone_and_of_nothing() -> None:
+    assert "2,073" in Page(as_html(samples.MATRIX)).text
+    empty = samples.EMPTY
+    page = Page(as_html(empty))
+    assert "nan" not in page.text
+
+
+def test_what_is_no_picture_is_refused() -> None:
+    with pytest.raises(InputError, match="over: is no PNG picture"):
+        as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    names=st.lists(st.sampled_from(["ground", "road-1", "a b", "other", "noise", "Tree_2"]), min_size=1, unique=True),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_any_matrix_has_a_page(names: list[str], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(0, 10**6, (len(names), len(names))) * (rng.random((len(names), len(names))) < 0.6)
+    mapping = ClassMapping.model_construct(
+        unlisted="other", ignore=(), ignore_reference=(), predicted=dict.fromkeys(names, (1,)),
+        reference=dict.fromkeys(names, ("2-3",)),
+    )  # fmt: skip
+    page = Page(as_html(ConfusionMatrix(tuple(names), tuple(names[::-1]), counts), mapping=mapping))
+    shown = ConfusionMatrix(tuple(names), tuple(names[::-1]), counts).trimmed()
+    assert all(f"{count:,}" in page.text for count in shown.counts.ravel().tolist())
+
+
+def test_colours_are_those_of_the_program() -> None:
+    for label in Label:
+        assert class_colour(label.name.lower()) == "#{:02x}{:02x}{:02x}".format(*LABEL_COLOURS[label])
+    assert class_colour("road") == class_colour("road") != class_colour("ground")
+
+
+def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
+    values = (0.1, 0.9, math.nan, 0.5, math.nan, 1.0, 0.0)
+    names = [f"{i} <m>" for i in range(7)]
+    chart = line_chart(
+        "recall by range", "range [m]", names, [5, 0, 3, 9, 1, 0, 2], [Curve("ground", values, 0)], names
+    )
+    Page(chart)
+    lines = re.findall(r'<polyline points="([^"]*)"', chart)
+    assert [len(line.split()) for line in lines] == [2, 2]
+    assert chart.count("<circle") == 5  # a mark wherever there is a value, the lonely one too
+    box = [float(n) for n in re.search(r'viewBox="([^"]*)"', chart)[1].split()]  # type: ignore[index]
+    for x, y in (pair.split(",") for line in lines for pair in line.split()):
+        assert 0 < float(x) < box[2]
+        assert 0 < float(y) < box[3]
+
+
+@pytest.mark.parametrize("n", [1, 3, 30, 700])
+def test_labels_of_the_axis_do_not_touch(n: int) -> None:
+    ticks = [str(99 * i) for i in range(n)]
+    curves = [Curve("car", (0.5,) * n, 2)]
+    chart = line_chart("recall", "line", ticks, [1] * n, curves, ticks)
+    y = re.findall(r'<text x="([\d.]+)" y="(\d+)" text-anchor="middle">', chart)
+    places = [float(x) for x, _ in y]
+    assert len(places) >= 1
+    assert all(right - left > 6.4 * max(map(len, ticks)) for left, right in pairwise(places))
+    assert chart.count("<polygon") == (n if n <= 80 else 0)

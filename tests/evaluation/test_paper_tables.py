@@ -1,0 +1,181 @@
+"""The printed tables of both papers, figure by figure: what follows from the printed counts, and what does not."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
+from prc_cli.evaluation.html import as_html
+from prc_cli.evaluation.latex import as_latex
+from prc_cli.evaluation.mapping import load_mapping
+from prc_cli.evaluation.reports import as_json, as_markdown
+from prc_cli.evaluation.scores import gate_value, scores
+
+FOREST = ("noise", "ground", "stem")
+TABLE_II = np.array([[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]])
+"""Lehtola et al. (2019), Table II, right half: reference in rows."""
+TABLE_II_SHARES = np.array([[0.93, 0.02, 0.04], [0.65, 0.31, 0.03], [0.28, 0.18, 0.50]])
+"""Its left half, "recall values"."""
+FOLLOWS = np.array([[False, True, False], [False, True, False], [False, False, False]])
+"""Which of them are the shares of the right half, rounded."""
+
+TABLE_I = {
+    "1.0": ((0.541, 0.286, 0.095, 0.077), (0.003, 0.964, 0.010, 0.023), (0.113, 0.084, 0.665, 0.137),
+            (0.042, 0.222, 0.125, 0.611), (0.165, 0.592, 0.120, 0.123)),
+    "0.1": ((0.614, 0.263, 0.058, 0.065), (0.159, 0.804, 0.014, 0.023), (0.373, 0.024, 0.467, 0.136),
+            (0.169, 0.025, 0.119, 0.687), (0.222, 0.340, 0.153, 0.285)),
+}  # fmt: skip
+"""Lehtola et al. (2019), Table I, by zeta_p: shares of noise, ground, vegetation, building; the last row is "other"."""
+
+STREET = ("vegetation", "vertical", "car", "horizontal")
+TABLE_1 = np.array(
+    [[1054145, 57293, 2917, 56784], [266093, 4083600, 5399, 443426], [12128, 13674, 360891, 29817],
+     [3635, 12753, 5927, 905052]]
+)  # fmt: skip
+"""Stamos et al. (2012), Table 1."""
+
+
+def forest() -> ConfusionMatrix:
+    return ConfusionMatrix(FOREST, FOREST, TABLE_II)
+
+
+def street() -> ConfusionMatrix:
+    return ConfusionMatrix(STREET, STREET, TABLE_1)
+
+
+@pytest.mark.parametrize(
+    ("gate", "value"),
+    [
+        ("precision.stem", 0.580),
+        ("precision.ground", 0.913),
+        ("accuracy.stem", 0.962),  # the text rounds it to 96.1 %
+        ("accuracy.ground", 0.601),  # the text says 60.0 %
+        ("recall.ground", 0.314),
+        ("recall.stem", 0.521),  # the counts give .521, the printed .50 does not follow from them
+        ("recall.noise", 0.964),  # likewise .964 against .93
+        ("accuracy", 0.583),
+    ],
+)
+def test_table_ii_scores(gate: str, value: float) -> None:
+    found = scores(forest())
+    assert gate_value(found, gate) == pytest.approx(value, abs=0.0006)
+    assert found.n_scored == 39_716_061
+
+
+def test_table_ii_printed_shares_that_follow_from_the_counts_and_those_that_do_not() -> None:
+    shares = forest().row_shares()
+    assert np.array_equal(np.abs(shares - TABLE_II_SHARES) <= 0.005, FOLLOWS)
+    # the printed rows do not even add up
+    assert TABLE_II_SHARES.sum(axis=1) == pytest.approx([0.99, 0.99, 0.96])
+
+
+def test_table_ii_from_codes_other_vegetation_counts_as_the_noise_of_the_reference() -> None:
+    mapping = load_mapping("lehtola_forest")
+    reference_codes, predicted_codes = [(7, 5, 4, 1), (2,), (64,)], [(5, 7), (2,), (64,)]
+    state = ConfusionMatrix.empty(mapping)
+    for i, j in np.ndindex(3, 3):
+        n = int(TABLE_II[i, j]) // 1000
+        predicted, reference = np.resize(predicted_codes[j], n), np.resize(reference_codes[i], n)
+        state = accumulate(state, predicted, reference, mapping)
+    shown = state.trimmed()
+    assert (shown.reference_names, shown.predicted_names) == (FOREST, FOREST)
+    assert np.array_equal(shown.counts, TABLE_II // 1000)
+    assert scores(state).accuracy == pytest.approx(0.583, abs=0.0006)
+
+
+@pytest.mark.parametrize("zeta_p", list(TABLE_I))
+def test_table_i_as_row_shares(zeta_p: str) -> None:
+    mapping = load_mapping("lehtola_urban")
+    matrix = ConfusionMatrix.empty(mapping)
+    for reference, row in zip((7, 2, 5, 6, 65), TABLE_I[zeta_p], strict=True):
+        for code, share in zip((7, 2, 5, 6), row, strict=True):
+            n = round(1000 * share)
+            matrix = accumulate(matrix, np.full(n, code), np.full(n, reference), mapping)
+    shown = matrix.trimmed()
+    assert shown.reference_names == ("noise", "ground", "vegetation", "building", "other")
+    assert shown.predicted_names == ("noise", "ground", "vegetation", "building")
+    assert np.allclose(shown.row_shares(), TABLE_I[zeta_p], atol=0.001)
+    found = scores(shown)
+    recalls = [gate_value(found, f"recall.{name}") for name in shown.predicted_names]
+    assert recalls == pytest.approx([TABLE_I[zeta_p][i][i] for i in range(4)], abs=0.001)
+    assert math.isnan(gate_value(found, "recall.other"))
+
+
+@pytest.mark.parametrize(
+    ("gate", "printed", "digits"),
+    [
+        ("recall.vegetation", 0.9, 3),  # .9001: printed with fewer digits than the others
+        ("recall.vertical", 0.851, 4),
+        ("recall.car", 0.8665, 4),
+        ("recall.horizontal", 0.9759, 4),
+        ("precision.vegetation", 0.789, 4),
+        ("precision.vertical", 0.9799, 4),
+        ("precision.car", 0.962, 4),
+        ("precision.horizontal", 0.6307, 4),
+        ("accuracy", 0.8756, 4),
+        ("f1.vegetation", 0.841, 3),
+        ("f1.vertical", 0.911, 3),
+        ("f1.car", 0.912, 3),
+        ("f1.horizontal", 0.766, 3),
+    ],
+)
+def test_table_1_scores(gate: str, printed: float, digits: int) -> None:
+    found = scores(street())
+    # rounded to four digits in the paper, without zeros at the end; F1 and the accuracy are not printed there
+    assert gate_value(found, gate) == pytest.approx(printed, abs=0.6 * 10**-digits)
+    assert found.n_scored == 7_313_534
+
+
+def test_table_1_the_text_cuts_the_recall_of_cars_where_the_table_rounds_it() -> None:
+    recall = gate_value(scores(street()), "recall.car")
+    assert (round(recall, 2), math.floor(100 * recall) / 100) == (0.87, 0.86)  # the text says 0.86
+
+
+def test_table_1_from_codes() -> None:
+    mapping = load_mapping("street_scan")
+    codes = {"vegetation": 5, "vertical": 67, "car": 65, "horizontal": 2}
+    state = ConfusionMatrix.empty(mapping)
+    for i, j in np.ndindex(4, 4):
+        n = int(TABLE_1[i, j]) // 100
+        state = accumulate(state, np.full(n, codes[STREET[j]]), np.full(n, codes[STREET[i]]), mapping)
+    shown = state.trimmed()
+    assert (shown.reference_names, shown.predicted_names) == (STREET, STREET)
+    assert np.array_equal(shown.counts, TABLE_1 // 100)
+
+
+@pytest.mark.parametrize("matrix", [forest(), street()], ids=["lehtola", "stamos"])
+def test_every_report_tells_the_same_figures(matrix: ConfusionMatrix) -> None:
+    found = scores(matrix)
+    markdown, latex, page = as_markdown(matrix), as_latex(matrix), as_html(matrix)
+    table = json.loads(as_json(matrix))
+    assert table["confusion"]["counts"] == matrix.counts.tolist()
+    for item in found.classes:
+        for score in ("recall", "precision", "f1", "iou", "accuracy"):
+            value = f"{getattr(item, score):.3f}"
+            assert f"{table['classes'][item.name][score]:.3f}" == value
+            assert all(value in text for text in (markdown, latex, page))
+    for count in matrix.counts.ravel().tolist():
+        assert str(count) in markdown
+        assert f"{count:,}" in page
+        assert f"{count:,}".replace(",", "\\,") in latex
+
+
+def test_scikit_learn_reads_the_papers_the_same_way() -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
+    for matrix in (forest(), street()):
+        n = len(matrix.reference_names)
+        reference, predicted = (axis.ravel() for axis in np.indices((n, n)))
+        weights = matrix.counts.ravel()
+        found = scores(matrix)
+        precision, recall, f1, _ = metrics.precision_recall_fscore_support(reference, predicted, sample_weight=weights)
+        iou = metrics.jaccard_score(reference, predicted, average=None, sample_weight=weights)
+        for i, item in enumerate(found.classes):
+            values = item.precision, item.recall, item.f1, item.iou
+            assert values == pytest.approx((precision[i], recall[i], f1[i], iou[i]))
+        assert found.accuracy == pytest.approx(metrics.accuracy_score(reference, predicted, sample_weight=weights))
+        kappa = metrics.cohen_kappa_score(reference, predicted, sample_weight=weights)
+        assert found.kappa == pytest.approx(kappa)
