@@ -249,9 +249,10 @@ def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
         raise ConfigError("--picture", "pictures have their place in the HTML page alone", "add --output report.html")
     pictures = []
     for text in texts:
-        title, equals, name = text.rpartition("=")
         # a file name may have the sign itself
+        title, equals, name = text.partition("=")
         path = Path(text) if not equals or Path(text).is_file() else Path(name)
+        title = title if path != Path(text) else path.stem
         with open_to_read(path) as handle:
             try:
                 content = handle.read()
@@ -259,5 +260,5 @@ def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
                 problem = f"cannot be read ({error.strerror or error})"
                 raise InputError(str(path), problem, "give a PNG picture") from error
         check_picture(str(path), content)
-        pictures.append((title if equals and path == Path(name) else path.stem, content))
+        pictures.append((title, content))
     return pictures

@@ -1,0 +1,178 @@
+"""``prc evaluate`` through the same door as a user: files in every form, folders, gates, refusals."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from prc_cli.cli import main
+
+
+class Prc:
+    """Runs ``prc evaluate`` in this process; gives exit code, stdout and stderr."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *arguments: object) -> tuple[int, str, str]:
+        self._capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main(["evaluate", *(str(argument) for argument in arguments)])
+        captured = self._capsys.readouterr()
+        return int(stop.value.code or 0), captured.out, captured.err
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+def save(folder: Path, name: str, predicted: list[int], reference: list[int]) -> tuple[Path, Path]:
+    """A predicted and a reference file of one name in two folders."""
+    paths = folder / "run" / f"{name}.npy", folder / "reference" / f"{name}.csv"
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+    np.save(paths[0], np.array(predicted, np.uint8))
+    with paths[1].open("w", encoding="utf-8") as handle:
+        csv.writer(handle).writerows([["class"], *([code] for code in reference)])
+    return paths
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> tuple[Path, Path]:
+    return save(tmp_path, "a", [2, 2, 6, 6, 5, 0], [2, 2, 6, 5, 5, 0])
+
+
+@pytest.mark.parametrize(
+    ("suffix", "sign"),
+    [
+        (".json", '"n_scored": 5'),
+        (".csv", "class,n_reference"),
+        (".md", "| reference  |"),
+        (".tex", r"\toprule"),
+        (".html", "<!DOCTYPE html>"),
+    ],
+)
+def test_output_in_every_form_leaves_stdout_as_it_was(
+    prc: Prc, pair: tuple[Path, Path], tmp_path: Path, suffix: str, sign: str
+) -> None:
+    target = tmp_path / f"report{suffix}"
+    plain = prc(*pair)
+    assert prc(*pair, "--output", target) == plain
+    assert sign in target.read_text(encoding="utf-8")
+    code, out, err = prc(*pair, "--output", target)
+    assert (code, out) == (2, "")
+    assert "report" in err
+    assert "exists already; choose another name or add --overwrite" in err
+    assert prc(*pair, "--output", target, "--overwrite", "-q")[:2] == (0, "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["reference", f"report{suffix}", "run"]
+
+
+def test_several_outputs_and_stdout_say_the_same(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
+    names = [tmp_path / f"report{suffix}" for suffix in (".json", ".csv", ".md", ".tex", ".html")]
+    outputs = [word for name in names for word in ("--output", name)]
+    assert prc(*pair, *outputs, "--quiet") == (0, "", "")
+    for name, form in zip(names, ("json", "csv", "markdown", "latex", "html"), strict=True):
+        assert prc(*pair, "--format", form)[1] == name.read_text(encoding="utf-8")
+
+
+def test_failed_gates_are_written_and_end_with_3(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
+    page, table = tmp_path / "report.html", tmp_path / "report.json"
+    gates = ["--fail-under", "recall.ground=1", "--fail-under", "recall.vegetation=0.9", "--fail-under", "kappa=0.99"]
+    code, out, err = prc(*pair, *gates, "--output", page, "--output", table)
+    assert code == 3
+    assert "recall.vegetation: found 0.5000, demanded at least 0.9000; kappa: found" in err
+    assert "recall.ground: found 1.0000, demanded 1: passed" in out
+    assert [gate["passed"] for gate in json.loads(table.read_text())["gates"]] == [True, False, False]
+    assert "2 of 3 gates failed" in page.read_text(encoding="utf-8")
+
+
+def test_folders_and_pairs_are_pooled(prc: Prc, tmp_path: Path) -> None:
+    first = save(tmp_path, "a", [2, 2, 6], [2, 2, 5])
+    second = save(tmp_path, "b", [5, 5], [5, 6])
+    single = [json.loads(prc(*files, "--json")[1]) for files in (first, second)]
+    pooled = json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])
+    counts = [np.array(table["confusion"]["counts"]) for table in (*single, pooled)]
+    assert np.array_equal(counts[0] + counts[1], counts[2])
+    assert pooled["files"]["predicted"] == [str(first[0]), str(second[0])]
+    by_pair = json.loads(prc(*first, "--pair", *second, "--json")[1])
+    assert by_pair == pooled
+
+
+def test_match_is_told(prc: Prc, pair: tuple[Path, Path]) -> None:
+    assert "Matched by order: 6 pairs of 6 predicted and 6 reference records." in prc(*pair)[1]
+    assert json.loads(prc(*pair, "--json")[1])["match"]["method"] == "order"
+
+
+def test_pictures_are_put_into_the_page(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
+    picture = tmp_path / "a=b.png"
+    Image.new("RGB", (4, 3), "red").save(picture)
+    page = tmp_path / "report.html"
+    assert prc(*pair, "-q", "-o", page, "--picture", picture, "--picture", f"Classes & more={picture}")[0] == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.count("data:image/png;base64,") == 2
+    assert "<figcaption>a=b</figcaption>" in text
+    assert "<figcaption>Classes &amp; more</figcaption>" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["--output", "report.pdf"], 2, "report.pdf: found the suffix '.pdf', expected one of: .json .csv .md .tex"),
+        (["--output", "none/report.md"], 1, "none: output folder does not exist"),
+        (["--output", "r.md", "--output", "r.md"], 2, "--output: found one file twice"),
+        (["--output", "reference/a.csv", "--overwrite"], 2, "reference/a.csv: the output is the input itself"),
+        (["--by-range", "5,3"], 2, "--by-range: found '5,3', expected ranges in metres that rise, such as 5,10,20,40"),
+        (["--by-range", "5,,8"], 2, "--by-range: found '5,,8'"),
+        (["--by-range", "-5,8"], 2, "--by-range: found '-5,8'"),
+        (["--by-range", "5,nan"], 2, "--by-range: found '5,nan'"),
+        (["--by-lines", "0"], 2, "--by-lines"),
+        (["--intervals", "guess"], 2, "--intervals"),
+        (["--min-matched", "1.5"], 2, "--min-matched"),
+        (["--picture", "x.png"], 2, "--picture: pictures have their place in the HTML page alone"),
+        (["--picture", "none.png", "--output", "r.html"], 1, "none.png: cannot be read"),
+        (["--picture", "reference/a.csv", "--output", "r.html"], 1, "reference/a.csv: is no PNG picture"),
+        (["--fail-under", "recall.road=1", "--output", "r.html"], 2, "score: found class 'road'"),
+        (["--match", "magic"], 2, "magic"),
+        (["--pair", "none.npy", "reference/a.csv"], 1, "none.npy: no such file"),
+        (["--pair", "run", "reference/a.csv"], 1, "a file against the folder run"),
+    ],
+)
+def test_refusals_are_one_line_and_leave_nothing(
+    prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], code: int, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    save(tmp_path, "a", [2, 6], [2, 6])
+    found = prc("run/a.npy", "reference/a.csv", *arguments)
+    assert found[0] == code
+    assert found[1] == ""
+    assert message in found[2]
+    assert found[2].count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["reference", "run"]
+
+
+@pytest.mark.data
+def test_three_strips_of_a_street_as_one_page(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    from prc_cli.comparison import evaluate
+
+    # the reference against itself, in the codes of this program
+    names = [real_data / "oakland" / f"oakland_{strip}.csv.gz" for strip in (1, 2, 3)]
+    mapping = tmp_path / "self.toml"
+    mapping.write_text(
+        'unlisted = "other"\nignore = [0]\n[predicted]\nground = ["1200-1206"]\nleaf = [1300]\n'
+        '[reference]\nground = ["1200-1206"]\nleaf = [1300]\n'
+    )
+    page, table = tmp_path / "all.html", tmp_path / "all.json"
+    pairs = [word for name in names[1:] for word in ("--pair", name, name)]
+    assert prc(names[0], names[0], *pairs, "--mapping", mapping, "-q", "-o", page, "-o", table) == (0, "", "")
+    found = json.loads(table.read_text())
+    assert found["overall"]["accuracy"] < 1.0  # "other" never agrees
+    assert found["classes"]["leaf"]["recall"] == 1.0
+    parts = [evaluate(name, name, mapping).n_scored for name in names]
+    assert found["n_scored"] == sum(parts)
+    assert "unlisted" not in page.read_text(encoding="utf-8")
