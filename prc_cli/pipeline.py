@@ -23,7 +23,8 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
-from prc_cli.core.types import I64, U8
+from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.kernels import load_kernels
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
 from prc_cli.readers.beams import with_beams
 from prc_cli.readers.ranges_clean import clean_ranges
@@ -34,8 +35,18 @@ from prc_cli.writers.record import RunRecord, fingerprint, record_path
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
 
+KERNELS_OF = {
+    "prc": frozenset({"components", "support", "surfaces"}),
+    SEQUENTIAL_ANGLE: frozenset(
+        {"angles", "coarse", "curb", "dividers", "fourier", "ground", "lines", "markov", "suspicious", "verticals"}
+    ),
+}
+"""Modules of the compiled loops of every method."""
+
 SHOTS_AT_ONCE = 1 << 18
 """Shots that the sequential-angle classifier takes at a time; its labels do not depend on it."""
+OFF_M = 0.1
+"""Coordinates relative to the scanner are as far from it as their range says, but for rounding [m]."""
 FAR_M = 20_000.0
 """Ranges from here on [m] are a sign of a wrong origin, trajectory or coordinate system."""
 
@@ -159,6 +170,10 @@ def _sequential_angle(blocks: Iterator[ScanBlock], params: SequentialAngleParams
             states[scanner] = result.state
         if result.n_lines:
             final = buffer.take(result.n_lines)
+            # what lies beyond the scanner's reach is missing to the method, but it is a return
+            beyond = (result.labels == Label.MISSING) & ~np.isnan(final.range_m)
+            result.labels[beyond] = Label.UNCLASSIFIED
+            final = replace(final, tally=final.tally + ReadTally(n_beyond=int(np.count_nonzero(beyond))))
             # lines leave alone or together, as it happens: only the shot's own line may have a say
             further, limit = final.extra, params.extra_return_m
             extra = label_extra_returns(
@@ -166,6 +181,11 @@ def _sequential_angle(blocks: Iterator[ScanBlock], params: SequentialAngleParams
                 alone=Label.UNCLASSIFIED,
             )  # fmt: skip
             yield LabelledBlock(final, result.labels, extra, stages=result.stages)
+
+
+def load_classifier(config: LoadedConfig | RunConfig | None = None) -> None:
+    """Load the compiled loops of the classifier; after installation they are compiled once, which takes a while."""
+    load_kernels(KERNELS_OF[_loaded(config).config.method])
 
 
 def classify(
@@ -284,20 +304,47 @@ def classify_ranges(
     ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
     if ranges.ndim != 2 or not ranges.size:
         raise InputError("range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)")
-    beams = None if beam_rad is None else np.asarray(beam_rad, np.float64)
-    if beams is not None and (beams.shape != ranges.shape[1:] or not np.isfinite(beams).all()):
-        problem = f"found an array of shape {beams.shape}, expected {ranges.shape[1:]}, all finite"
-        raise InputError("beam_rad", problem)
-    if beams is None and config.method == SEQUENTIAL_ANGLE:
-        raise InputError("beam_rad", "not given, expected the angle of every column's beam from straight down")
     block = ScanBlock(
         first_line=0,
         range_m=np.ascontiguousarray(ranges),
         tally=tally,
-        xyz_m=None if xyz_m is None else np.ascontiguousarray(xyz_m, np.float32),
-        beam_rad=beams,
+        xyz_m=None if xyz_m is None else _coordinates(xyz_m, ranges),
+        beam_rad=None if beam_rad is None else _beams(beam_rad, ranges.shape[1]),
     )
+    if config.method == SEQUENTIAL_ANGLE and beam_rad is None:
+        raise InputError("beam_rad", "not given, expected the angle of every column's beam from straight down")
     return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier)])
+
+
+def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
+    """Check beam angles; those of a circle from 0 to two pi are turned to -pi to pi."""
+    beams = np.asarray(beam_rad, np.float64)
+    if beams.shape != (points_per_line,):
+        raise InputError("beam_rad", f"found an array of shape {beams.shape}, expected ({points_per_line},)")
+    if not np.isfinite(beams).all():
+        raise InputError("beam_rad", "found an angle that is not finite, expected one for every column")
+    if np.abs(beams).max() > 2 * np.pi:
+        problem = f"found {np.abs(beams).max():g}, expected radians from -pi to pi"
+        raise InputError("beam_rad", problem, "np.deg2rad turns degrees")
+    turned: F64 = np.pi - np.remainder(np.pi - beams, 2 * np.pi)
+    along = np.diff(np.unwrap(turned))
+    if (along < 0).any() and (along > 0).any():
+        raise InputError("beam_rad", "found angles that turn back, expected them to rise or fall with the column")
+    return turned
+
+
+def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
+    """Check coordinates against the ranges."""
+    xyz = np.array(xyz_m, np.float32)
+    if xyz.shape != (*range_m.shape, 3):
+        raise InputError("xyz_m", f"found an array of shape {xyz.shape}, expected {(*range_m.shape, 3)}")
+    xyz[~np.isfinite(xyz).all(axis=-1)] = np.nan
+    both = ~np.isnan(range_m) & ~np.isnan(xyz[..., 0])
+    off = np.abs(np.sqrt((xyz[both].astype(np.float64) ** 2).sum(axis=-1)) - range_m[both])
+    if off.size and np.median(off) > OFF_M:
+        problem = f"found points {np.median(off):.3g} m farther or nearer than their ranges (median)"
+        raise InputError("xyz_m", f"{problem}, expected coordinates relative to the scanner")
+    return xyz
 
 
 def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRecord:
@@ -320,9 +367,20 @@ def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRec
 
 def _missed(counts: Counts, config: RunConfig) -> tuple[str, ...]:
     """Say what a run did without."""
-    if config.method == SEQUENTIAL_ANGLE and not counts.labels[Label.GROUND]:
-        return ("no ground was found, and without its height neither curbs nor cars are looked for",)
-    return ()
+    if config.method != SEQUENTIAL_ANGLE:
+        return ()
+    said: list[str] = []
+    if not counts.labels[Label.GROUND]:
+        said.append("no ground was found, and without its height neither curbs nor cars are looked for")
+    if counts.tally.n_beyond:
+        limit = config.sequential_angle.max_range_m
+        said.append(
+            f"{counts.tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {limit:g} m or the limits of "
+            "[input]: they are missing to the method, and unclassified"
+        )
+    if config.output.segment_ids:
+        said.append("the sequential-angle method has no segments: every segment id is 0")
+    return tuple(said)
 
 
 def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:

@@ -11,9 +11,9 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import config_from, output_options, stream_options
-from prc_cli.cli.report import console, line_progress, print_assumptions, print_classes
+from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_classes
 from prc_cli.core.classes import Label
-from prc_cli.pipeline import RunSummary
+from prc_cli.pipeline import RunSummary, load_classifier
 from prc_cli.pipeline import classify as classify_file
 
 MANY = 0.01
@@ -45,6 +45,9 @@ def classify(
     if segment_ids:
         options["assignments"] = (*options["assignments"], "output.segment_ids=true")
     loaded = config_from(options)
+    if source.is_file():  # else the refusal should not wait for the compiler
+        with compiling_note(quiet=quiet):
+            load_classifier(loaded)
     start = time.perf_counter()
     with line_progress(source.name, quiet=quiet) as progress:
         summary = classify_file(source, output, loaded, overwrite=overwrite, progress=progress)
@@ -75,7 +78,8 @@ def _warnings(summary: RunSummary) -> Iterator[str]:
     counts, tally = summary.counts, summary.counts.tally
     n_records, n_returned = summary.record.n_records or 1, counts.n_shots - int(counts.labels[Label.MISSING])
     if not n_returned:
-        yield "no shot has a range: check --range and the layout"
+        reason = "all ranges lie beyond its limits" if tally.n_beyond else "check --range and the layout"
+        yield f"no shot has a range: {reason}"
     if counts.n_far > MANY * n_returned:
         yield f"{counts.n_far / n_returned:.1%} of the ranges exceed 20 km: check --range and its coordinate system"
     if tally.n_unplaced > MANY * n_records:

@@ -96,7 +96,12 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:
         table = merge(table, {"input": inputs})
-    if options.get("method") is not None:
-        table = merge(table, {"method": options["method"]})
-    loaded = load_config(options["config_file"], options.get("preset"), table)
+    method, preset = options.get("method"), options.get("preset")
+    if method is not None:
+        of_preset = PRESETS[preset].get("method", "prc") if preset is not None else method
+        if of_preset != method:
+            message = f"--preset {preset} is for --method {of_preset}, not {method}"
+            raise click.UsageError(message)
+        table = merge(table, {"method": method})
+    loaded = load_config(options["config_file"], preset, table)
     return loaded if layout_file is None else replace(loaded, files=(*loaded.files, layout_file))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
@@ -46,6 +47,24 @@ def results() -> Console:
     """Return the console on stdout, for the tables that are the result of a command."""
     # a pipe or a file gets the whole table, not one cut to 80 columns
     return Console(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False)
+
+
+COMPILING_S = 2.0
+"""Loading compiled loops takes less than this from the cache [s]."""
+
+
+@contextlib.contextmanager
+def compiling_note(*, quiet: bool) -> Iterator[None]:
+    """Say why nothing happens yet when loading the classifier takes long."""
+    text = "compiling the classifier, once after installation; this takes about half a minute"
+    timer = threading.Timer(COMPILING_S, lambda: console().print(text, soft_wrap=True))
+    timer.daemon = True
+    if not quiet:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @contextlib.contextmanager

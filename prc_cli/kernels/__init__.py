@@ -80,10 +80,16 @@ def __getattr__(name: str) -> Any:
     return kernel
 
 
-def load_kernels() -> None:
-    """Compile every kernel, or load it from the cache; call it before worker processes start.
+def load_kernels(modules: frozenset[str] | None = None) -> None:
+    """Compile kernels, or load them from the cache; call it before worker processes start.
 
     Processes that compile the same kernel at the same moment waste each other's time.
+
+    Parameters
+    ----------
+    modules : set of str, optional
+        Names of kernel modules, such as ``angles``; default: all.
     """
-    for name in KERNELS:
-        __getattr__(name)
+    for name, module in KERNELS.items():
+        if modules is None or module.rpartition(".")[2] in modules:
+            __getattr__(name)

@@ -181,3 +181,43 @@ def test_matrices_whose_rows_are_no_probabilities_are_refused(prc: Prc, tmp_path
     assert result.code == 2
     (line,) = result.err.strip().splitlines()
     assert "h0" in line
+
+
+def test_ranges_beyond_the_reach_are_told_and_keep_a_class(prc: Prc, tmp_path: Path) -> None:
+    source = npz(tmp_path)
+    far = int(np.count_nonzero(np.linalg.norm(points()[0][..., :3], axis=2) > 30))
+    limit = "sequential_angle.max_range_m=30"
+    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan", "--set", limit)
+    assert result.code == 0, result.err
+    assert f"{far} ranges lie beyond sequential_angle.max_range_m = 30 m" in result.err
+    labels = np.load(tmp_path / "labels.npy").reshape(points()[0].shape[:2])
+    there = points()[0][..., :3].any(axis=2)
+    assert (labels[there] != 0).all()
+    assert (labels[~there] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (("--preset", "street-scan", "--method", "prc"), 2, "--preset street-scan is for --method sequential-angle"),
+        (("--preset", "urban", "--method", "sequential-angle"), 2, "--preset urban is for --method prc"),
+        (("--preset", "street-scan", "--set", "sequential_angle.curb.max_lines=2"), 2, "max_lines (2)"),
+        (
+            ("--preset", "street-scan", "--set", "sequential_angle.car.dividers.sudden_from_deg=30"),
+            2,
+            "sudden_from_deg",
+        ),
+    ],
+)
+def test_what_contradicts_itself_is_refused(
+    prc: Prc, tmp_path: Path, options: tuple[str, ...], code: int, words: str
+) -> None:
+    result = prc("classify", npz(tmp_path), tmp_path / "labels.npy", *options)
+    assert (result.code, result.out) == (code, "")
+    assert words in result.err
+
+
+def test_segments_of_a_method_without_segments_are_told(prc: Prc, tmp_path: Path) -> None:
+    result = prc("classify", npz(tmp_path), tmp_path / "labels.csv", "--preset", "street-scan", "--segment-ids")
+    assert result.code == 0
+    assert "every segment id is 0" in result.err

@@ -67,9 +67,10 @@ def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
     """Measure the signed angle of every shot.
 
     The chord of a shot goes to the first later valid shot that is at least the shortest chord away, where differences
-    of range that noise may be do not count; missing shots between them are bridged, crowns being full of gaps. The chord before a shot comes from the last earlier valid
-    shot as far away. Where the two point against each other the angle is negative; where there is none before, as at
-    the first shots of a line, it is positive. Shots at the very same place never make a chord, which has no angle.
+    of range that noise may be do not count; missing shots between them are bridged, crowns being full of gaps. The
+    chord before a shot comes from the last earlier valid shot as far away. Where the two point against each other the
+    angle is negative; where there is none before, as at the first shots of a line, it is positive. Shots at the very
+    same place never make a chord, which has no angle.
 
     Parameters
     ----------

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
@@ -68,6 +68,13 @@ class CurbParams(Params):
     max_lines: int = Field(
         200, ge=1, le=100_000, description="a region of so many lines is decided as it is: bounds memory and delay"
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> CurbParams:
+        if self.max_lines < self.min_lines:
+            message = f"max_lines ({self.max_lines}) not below min_lines ({self.min_lines})"
+            raise ValueError(message)
+        return self
 
 
 @dataclass(frozen=True, slots=True, eq=False)

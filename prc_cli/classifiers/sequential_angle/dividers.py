@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
@@ -84,6 +84,13 @@ class DividersParams(Params):
         le=1e4,
         description="a change of horizontal distance from one return to the next that ends such a run [m]",
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> DividersParams:
+        if self.sudden_from_deg > self.sudden_to_deg:
+            message = f"sudden_from_deg ({self.sudden_from_deg}) not above sudden_to_deg ({self.sudden_to_deg})"
+            raise ValueError(message)
+        return self
 
 
 def dividers(

@@ -52,12 +52,19 @@ class SequentialAngleParams(Params):
         description="scan lines that are held back at most until the height of the ground is known from "
         "ground.start_heights lines; then it is taken from those there are",
     )
+    start_shots: int = Field(
+        4_000_000,
+        ge=1,
+        le=1_000_000_000,
+        description="shots that are held back at most for the same purpose, whatever start_lines says: bounds memory "
+        "where lines are very long [shots]",
+    )
     extra_return_m: float = Field(
         0.3,
         ge=0,
         le=1e9,
-        description="another return of a shot takes the label of the nearest range in its line if it differs by less "
-        "than this [m]",
+        description="another return of a shot takes the label of the nearest range among the shots up to four columns "
+        "away in its line if it differs by less than this [m]",
     )
     angles: AnglesParams = AnglesParams()
     coarse: CoarseParams = CoarseParams()
@@ -216,7 +223,8 @@ def start_ground(
         rows.lines, rows.surface, rows.line_angle_deg, rows.ahead, params.ground, range_noise_m=noise
     )
     waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, heights])
-    n_most = params.start_lines * state.sides.n_sides
+    n_lines = max(1, min(params.start_lines, params.start_shots // len(state.beam_rad)))
+    n_most = n_lines * state.sides.n_sides
     enough = int(np.count_nonzero(np.isfinite(heights[:n_most]))) >= params.ground.start_heights
     if not enough and len(heights) < n_most and not last:
         return [], replace(state, waiting=waiting, heights_m=heights)

@@ -267,8 +267,21 @@ def test_an_image_in_memory_needs_its_beams() -> None:
     np.testing.assert_array_equal(labels, expected[0])
     with pytest.raises(InputError, match="beam_rad: not given, expected the angle of every column's beam"):
         classify_ranges(block.range_m, config())
-    with pytest.raises(InputError, match=r"beam_rad: found an array of shape \(3,\)"):
-        classify_ranges(block.range_m, config(), beam_rad=np.zeros(3))
+    assert block.beam_rad is not None
+    turned = np.remainder(block.beam_rad, 2 * np.pi)
+    np.testing.assert_array_equal(classify_ranges(block.range_m, config(), beam_rad=turned, xyz_m=block.xyz_m), labels)
+    wrong = [
+        (np.zeros(3), r"found an array of shape \(3,\)"),
+        (np.full(block.points_per_line, np.nan), "not finite"),
+        (np.rad2deg(block.beam_rad), "expected radians"),
+        (np.random.default_rng(1).permutation(block.beam_rad), "turn back"),
+    ]
+    for beams, words in wrong:
+        with pytest.raises(InputError, match=f"beam_rad: .*{words}"):
+            classify_ranges(block.range_m, config(), beam_rad=beams)
+    assert block.xyz_m is not None
+    with pytest.raises(InputError, match="xyz_m: found points .* relative to the scanner"):
+        classify_ranges(block.range_m, config(), beam_rad=block.beam_rad, xyz_m=block.xyz_m + np.float32(1000))
 
 
 def test_without_coordinates_lines_lie_in_their_plane() -> None:
