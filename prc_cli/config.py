@@ -114,7 +114,8 @@ PRESET_SOURCES: dict[str, str] = {
     "forest": "the published forest parameters (Lehtola et al. 2019, IV-C); the area is not printed there",
     "street-scan": "static street scans (Stamos et al. 2012): printed values, and chosen ones where none is printed",
     "street-scan-published": "static street scans (Stamos et al. 2012) to the letter: signed angles between successive "
-    "shots, and the constants of the group's public script where the paper has none",
+    "shots, and the constants of the group's public script where the paper has none; for comparison, its labels are "
+    "much worse",
 }
 """What a preset holds, in a sentence."""
 

@@ -28,7 +28,7 @@ class AnglesParams(Params):
         ge=0,
         le=1000,
         description="shortest chord that an angle is measured on [standard deviations of the range noise]; below "
-        "about 3 noise turns chords round and looks like foliage; 0 takes successive shots (published)",
+        "about 3 noise turns chords round and looks like foliage; 0 takes successive shots, as published",
     )
     chord_depth_sigmas: float = Field(
         3.0,

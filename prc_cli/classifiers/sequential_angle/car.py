@@ -27,7 +27,7 @@ class CarParams(Params):
         ge=0,
         le=10,
         description="horizontal points below this height over the ground are no car, even inside an interval; "
-        "0 = all of an interval is a car (published) [m]",
+        "published: 0, all of an interval is a car [m]",
     )
 
 

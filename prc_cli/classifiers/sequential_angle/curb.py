@@ -45,7 +45,7 @@ class CurbParams(Params):
         ge=0,
         le=1000,
         description="... and by more than this many times the range noise, lies under the point, which then is no "
-        "curb; 0 = the distance alone (published)",
+        "curb; published: 0, the distance alone",
     )
     search_height_m: float = Field(
         2.0, ge=0, le=1000, description="height above the ground where the search for a curb ends (published) [m]"

@@ -34,8 +34,8 @@ class DividersParams(Params):
         8.0,
         ge=0,
         le=1000,
-        description="... and at least this many times the range noise; both 0 = the signed angle of the point itself "
-        "(published)",
+        description="... and at least this many times the range noise; published: both 0, the signed angle of "
+        "the point itself",
     )
     change_reach: int = Field(
         200, ge=1, le=100_000, description="returns that are looked at for either end of that chord [returns]"
@@ -57,7 +57,7 @@ class DividersParams(Params):
         ge=0,
         le=1000,
         description="... and by more than this many times the range noise, lies under the point, which then begins an "
-        "interval; 0 = the distance alone (published)",
+        "interval; published: 0, the distance alone",
     )
     separation_m: float = Field(
         4.0, gt=0, le=1e4, description="t_sep: successive returns farther apart are two objects [m] (published)"

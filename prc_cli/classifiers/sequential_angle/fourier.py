@@ -29,7 +29,7 @@ class FourierParams(Params):
         ge=0,
         le=1_000_000,
         description="test windows of at most this many angles, of which at least half must be those of a car; "
-        "0 = the whole interval (published) [angles]",
+        "published: 0, the whole interval [angles]",
     )
     max_points: int = Field(
         2048,
