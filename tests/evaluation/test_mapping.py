@@ -198,3 +198,17 @@ def test_a_record_without_a_code_is_never_scored(unlisted: str) -> None:
     table = {"unlisted": unlisted, "predicted": {"ground": [2]}, "reference": {"ground": [2]}}
     mapping = ClassMapping.model_validate(table)
     assert mapping.class_indices(np.array([-1, 2]), "reference").tolist() == [-1, 0]
+
+
+@pytest.mark.parametrize(
+    "name", ["asprs", "street_scan", "street_scan_kitti", "street_scan_oakland", "sequential_angle"]
+)
+def test_presets_that_take_every_class_of_both_classifiers(name: str) -> None:
+    mapping = load_mapping(name)
+    codes = ClassCodes().lookup()
+    assert (mapping.class_indices(codes, "predicted")[1:] >= 0).all()
+
+
+def test_asprs_reference_takes_every_code_of_a_las_file() -> None:
+    found = load_mapping("asprs").class_indices(np.arange(256), "reference")
+    assert np.flatnonzero(found < 0).tolist() == [0, 1, 12]
