@@ -17,7 +17,7 @@ import numpy as np
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.stream import Assumption
-from prc_cli.readers import LAS_SUFFIXES, check_input, open_source, suffix_of
+from prc_cli.readers import LAS_SUFFIXES, READERS, check_input, open_source, suffix_of
 from prc_cli.readers.join import JoinTally, join
 from prc_cli.readers.keys import CODE, KEY, MAX_SAME, SAME, KeyedSource, KeyRule, Survey, in_key_order, survey
 from prc_cli.readers.labels import open_codes
@@ -28,6 +28,8 @@ from prc_cli.readers.weeks import WEEK_S, WeekSource
 from prc_cli.writers.las_transfer import CARRIED, LasRecoder
 from prc_cli.writers.record import Fingerprint, RunRecord, fingerprint, record_path
 
+CHANCE = 0.25
+"""Half of the times that have nothing to do with the labels' lie within this share of the step between these."""
 GPS_EPOCH_SHIFT_S = 1e9
 """Adjusted standard GPS time is GPS time less this [s] (LAS 1.4, global encoding bit 0)."""
 _LABEL_SUFFIXES = (".npy", ".npz", ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst", ".parquet", ".label")
@@ -100,6 +102,8 @@ class TransferCounts:
     """Of these, points that got the most frequent of several differing labels."""
     n_other_return: int
     """Points without partner whose key has a label of another return (or other ``same``)."""
+    largest_difference: float
+    """Largest difference of the keys of a point and its label [s for times]."""
 
     @property
     def share(self) -> float:
@@ -144,6 +148,8 @@ class _Sides:
     points: KeyedSource
     found: tuple[Survey, Survey]
     tolerance: float
+    step_s: float = math.inf
+    """Mean step between the times of the labels [s]; infinite for other keys."""
     assumptions: list[Assumption] = field(default_factory=list)
     notices: list[str] = field(default_factory=list)
 
@@ -164,8 +170,8 @@ def transfer(
     Parameters
     ----------
     labels : path
-        LAS or LAZ with classes, or labels alone (``.npy``, ``.csv``, ``.parquet``, ...) in the order of ``points``.
-        Label files' code 0 (a shot without return) is left out.
+        LAS or LAZ with classes, text with classes and times, or labels alone (``.npy``, ``.csv``, ``.parquet``, ...) in
+        the order of ``points``. Label files' code 0 (a shot without return) is left out.
     registered : path
         LAS or LAZ. Points without partner keep their class; all else stays as it is.
     output : path
@@ -279,7 +285,7 @@ def _open(
     found = survey(left), survey(right)
     if options.by == "record":
         left, found = _equal_order(left, right, found, assumptions)
-    sides = _Sides(left, right, found, 0.0, assumptions)
+    sides = _Sides(left, right, found, 0.0, assumptions=assumptions)
     for side, what in zip((left, right), found, strict=True):
         _refuse_useless(side, what, options)
     if options.by == "time":
@@ -288,6 +294,11 @@ def _open(
         sides.tolerance = max(options.tolerance_s, rounding)
         why = "given" if options.tolerance_s >= rounding else "what float64 rounds at these times"
         assumptions.append(Assumption("transfer.tolerance_s", f"{sides.tolerance:.3g}", why))
+        sides.step_s = (found[0].high - found[0].low) / max(found[0].n_records - 1, 1)
+        if sides.tolerance > sides.step_s / 2:
+            text = f"the tolerance of {sides.tolerance:g} s exceeds half the mean step between the labels "
+            text += f"({sides.step_s:.2g} s): a point whose own label is missing gets its neighbour's"
+            sides.notices.append(text)
     _refuse_apart(sides, options)
     if isinstance(origin, LasSource) and (notice := _crs_notice(origin, target)):
         sides.notices.append(notice)
@@ -307,6 +318,10 @@ def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, opt
     if options.by == "record" or options.by.startswith("record:"):
         # the order is the key, and the labels have that themselves
         return _CodesAlone(open_codes(labels, options.dimension))
+    if suffix_of(labels) in READERS:
+        table = open_source(labels, layout)
+        if table is not None and set(_rules(options, ())[0].names) <= set(table.dimensions):
+            return table
     problem = f"holds classes alone, expected something to match by {options.by}"
     raise InputError(str(labels), problem, "name the input they belong to: --points RAW")
 
@@ -465,6 +480,7 @@ def _counts(tally: JoinTally, sides: _Sides) -> TransferCounts:
         n_in_order=tally.n_in_order,
         n_by_majority=tally.n_by_majority,
         n_other_return=tally.n_other_return,
+        largest_difference=tally.largest,
     )
 
 
@@ -480,8 +496,11 @@ def _refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: _Sides, 
         what = "return number" if "return_number" in sides.labels.rule.same else "value of --same"
         hint = f"{counts.n_other_return:,} points have a label of their time but another {what}"
         hint += ": --ignore-return" if "return_number" in sides.labels.rule.same else ""
-    elif options.by == "time" and near is not None and sides.tolerance < near <= 1:
+    elif options.by == "time" and near is not None and sides.tolerance < near < sides.step_s * CHANCE:
         hint = f"half of the points without partner have a label within {near:g} s: --tolerance {near:g}"
+    elif near is not None and near < 10 * sides.step_s < math.inf:
+        hint = "the times of the points fall between those of the labels: another drive, or clocks that differ "
+        hint += "(UTC and GPS by 18 s, see --time-offset)"
     elif counts.n_matched:
         hint = (
             f"are these the same drive? To write it all the same: --min-match {math.floor(counts.share * 1000) / 1000}"

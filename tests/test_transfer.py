@@ -205,6 +205,20 @@ def test_every_kind_of_labels_gives_the_same(drive: Drive, tmp_path: Path, suffi
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
 
 
+def test_labels_of_a_raw_las_and_text_with_time_and_class(drive: Drive, tmp_path: Path) -> None:
+    record = drive.registered()
+    registered = write_las(tmp_path / "registered.laz", drive, record)
+    np.save(tmp_path / "labels.npy", drive.codes)
+    raw = write_las(tmp_path / "drive.laz", drive, np.arange(N))
+    transfer(tmp_path / "labels.npy", registered, tmp_path / "a.las", points=raw)
+    table = write_raw(tmp_path / "labels.csv", drive, missing=10**9, label=drive.codes)
+    text = table.read_text().splitlines()
+    table.write_text("\n".join([text[0], *(line for line in text[1:] if not line.endswith(","))]) + "\n")
+    transfer(table, registered, tmp_path / "b.las")
+    for name in ("a.las", "b.las"):
+        assert np.array_equal(codes_of(tmp_path / name), drive.codes[record])
+
+
 def test_raw_dump_with_a_layout(drive: Drive, tmp_path: Path) -> None:
     from prc_cli.readers.options import Layout
 
@@ -461,8 +475,12 @@ def test_nothing_in_common_and_too_little(drive: Drive, tmp_path: Path) -> None:
     summary = transfer(labels, shifted, out, TransferOptions(min_match=0.1), points=raw)
     assert 0.1 < summary.counts.share < 0.5
     between = write_las(tmp_path / "between.las", drive, np.arange(N), time=drive.time + SHOT_S / 2)
-    refused(tmp_path, "0 of 5,000 points .* within 1e-05 s: --tolerance 1e-05", labels, between,
+    # a tolerance would match every point, with the wrong shot
+    refused(tmp_path, "0 of 5,000 points .* fall between those of the labels", labels, between,
             tmp_path / "no.las", TransferOptions(min_match=0.0), points=raw)  # fmt: skip
+    summary = transfer(labels, between, tmp_path / "no.las", TransferOptions(tolerance_s=SHOT_S), points=raw)
+    assert "exceeds half the mean step between the labels" in summary.record.notices[0]
+    assert summary.counts.largest_difference == pytest.approx(SHOT_S / 2, rel=1e-3)
 
 
 def test_files_of_the_wrong_kind(drive: Drive, tmp_path: Path) -> None:
@@ -622,6 +640,7 @@ def test_oakland_as_raw_text_and_as_shuffled_tiles(real_data: Path, tmp_path: Pa
     from prc_cli.config import load_config
 
     classify(raw, tmp_path / "labels.npy", load_config(preset="urban"))
+    classify(raw, tmp_path / "labels.las", load_config(preset="urban"))
     labels = np.load(tmp_path / "labels.npy")
     rng = RNG(0)
     left = np.flatnonzero(np.isfinite(rows[:, 3]) & (rng.random(len(rows)) < 0.8))
@@ -643,3 +662,6 @@ def test_oakland_as_raw_text_and_as_shuffled_tiles(real_data: Path, tmp_path: Pa
     old, new = parse(source), parse(tmp_path / f"out{suffix}")
     new.records[:, 15] = old.records[:, 15]
     assert np.array_equal(new.records, old.records)
+    # a LAS file built from the same run has the times itself
+    transfer(tmp_path / "labels.las", source, tmp_path / f"again{suffix}")
+    assert np.array_equal(codes_of(tmp_path / f"again{suffix}"), labels[left])

@@ -18,7 +18,7 @@ from prc_cli.core.types import F64, I64, Mask
 from prc_cli.readers.keys import CODE, KEY, SAME
 from prc_cli.readers.records import RecordChunk
 
-HELD_RECORDS = 1 << 23
+HELD_RECORDS = 1 << 22
 """Most records of a side that are held; more share a key, or lie within the tolerance, than can be told apart."""
 DECADES = np.arange(-9, 7)
 """Exponents of ten by which the distances of points without partner are counted."""
@@ -44,6 +44,8 @@ class JoinTally:
     """Points without partner whose key has a label of another return or scanner."""
     n_changed: int = 0
     """Points whose class became another one."""
+    largest: float = 0.0
+    """Largest distance of a matched point to its label."""
     distances: I64 = field(default_factory=lambda: np.zeros(len(DECADES) + 1, np.int64))
     """(17,) int64, points without partner by the distance to the nearest label: up to 10^-9, 10^-8, ... and beyond."""
 
@@ -180,10 +182,10 @@ def _match(
     key, same, codes = right.key[:n], right.values[SAME][:n], right.values[CODE][:n].copy()
     partner = np.full(n, -1, np.int64)
     distance = np.full(n, np.inf)
-    sames = np.unique(same)
+    # mostly everything is a first return
+    sames = np.unique(same) if len(same) and same.min() != same.max() else same[:1]
     for value in sames.tolist():
-        # mostly everything is a first return: no need to pick
-        mine = np.arange(n) if len(sames) == 1 else np.flatnonzero(same == value)
+        mine = np.flatnonzero(same == value)
         theirs = np.flatnonzero(left.values[SAME] == value)
         if len(theirs):
             partner[mine], distance[mine] = _nearest(left, theirs, key[mine], tolerance, tally)
@@ -192,6 +194,8 @@ def _match(
     codes[matched] = left.values[CODE][chosen]
     tally.n_points += n
     tally.n_matched += len(chosen)
+    if len(chosen):
+        tally.largest = max(tally.largest, float(distance[matched].max()))
     tally.n_changed += int(np.count_nonzero(codes != right.values[CODE][:n]))
     if len(chosen) < n:
         _count_unmatched(left, key[~matched], distance[~matched], tolerance, tally)
@@ -211,14 +215,11 @@ def _nearest(left: _Window, theirs: I64, key: F64, tolerance: float, tally: Join
     partner = np.full(len(key), -1, np.int64)
     if not len(found):
         return partner, distance
-    first = np.searchsorted(there, there[near[found]], side="left")
-    last = np.searchsorted(there, there[near[found]], side="right")
+    first, last = (bound[near[found]] for bound in _runs(there))
     marks = np.bincount(first, minlength=len(there) + 1) - np.bincount(last, minlength=len(there) + 1)
     left.used[theirs[np.cumsum(marks[:-1]) > 0]] = True
-    start = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
-    sizes = np.diff(start, append=len(key))
-    size = np.repeat(sizes, sizes)[found]
-    ordinal = (np.arange(len(key)) - np.repeat(start, sizes))[found]
+    start, stop = (bound[found] for bound in _runs(key))
+    size, ordinal = stop - start, found - start
     tally.n_repeated += int(np.count_nonzero(size > 1))
     choice = first.copy()
     shared = last - first > 1
@@ -232,6 +233,14 @@ def _nearest(left: _Window, theirs: I64, key: F64, tolerance: float, tally: Join
         tally.n_by_majority += int(np.count_nonzero(~pairs & differ))
     partner[found] = theirs[choice]
     return partner, distance
+
+
+def _runs(key: F64) -> tuple[I64, I64]:
+    """Return, for every element of sorted keys, where the run of its equals begins and where it ends."""
+    start = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
+    stop = np.append(start[1:], len(key))
+    sizes = stop - start
+    return np.repeat(start, sizes), np.repeat(stop, sizes)
 
 
 def _majority(codes: NDArray[np.uint8], first: I64, last: I64) -> tuple[I64, Mask]:
