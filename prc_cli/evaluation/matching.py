@@ -335,7 +335,7 @@ def _sweep(
             tally.n_right += int(np.count_nonzero(used)) - before
             if len(at):
                 yield {name: values[at] for name, values in one.items()}, {name: v[to] for name, v in other.items()}
-        if behind is None:
+        if math.isinf(limit):
             return
         for side in sides:
             side.drop(high - reach)

@@ -16,11 +16,13 @@ class MatchReport:
     n_predicted: int
     n_reference: int
     n_matched: int
-    """Pairs; every record is in one pair at most, but for ``nearest``, where a reference may serve several."""
+    """Pairs; every record is in one pair at most, unless a reference may serve several (``nearest``, on request)."""
     tolerance: float | None = None
     """Largest difference of a pair: seconds for ``time``, metres for ``nearest``."""
     notes: tuple[str, ...] = ()
     """What the reader should know, a plain sentence each."""
+    n_reference_matched: int | None = None
+    """Reference records in at least one pair; None = ``n_matched``, for each is in one."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from prc_cli.readers.labels import suffix_of
 _SHOWN = 4
 
 
-def pair_files(predicted: Path, reference: Path) -> tuple[tuple[Path, Path], ...]:
+def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False) -> tuple[tuple[Path, Path], ...]:
     """Pair two files, or the files of two folders that have the same name but for the suffix.
 
     Files of a folder that cannot hold class codes, by their suffix, are left alone; folders inside it too.
@@ -20,6 +20,8 @@ def pair_files(predicted: Path, reference: Path) -> tuple[tuple[Path, Path], ...
     ----------
     predicted, reference : Path
         Two files or two folders.
+    allow_missing : bool
+        Leave out files without a partner instead of refusing them.
 
     Returns
     -------
@@ -38,6 +40,8 @@ def pair_files(predicted: Path, reference: Path) -> tuple[tuple[Path, Path], ...
             problem = f"a file against the folder {other}" if side.exists() else "no such folder"
             raise InputError(str(side), problem, "give two files or two folders")
     left, right = _by_name(predicted), _by_name(reference)
+    if allow_missing and left.keys() & right.keys():
+        return tuple((left[name], right[name]) for name in sorted(left.keys() & right.keys()))
     for folder, other, lonely in (
         (predicted, reference, left.keys() - right.keys()),
         (reference, predicted, right.keys() - left.keys()),
@@ -48,10 +52,36 @@ def pair_files(predicted: Path, reference: Path) -> tuple[tuple[Path, Path], ...
     return tuple((left[name], right[name]) for name in sorted(left))
 
 
+def files_of(paths: Iterable[Path]) -> list[Path]:
+    """Return files as they are, and in place of a folder those in it that can hold class codes.
+
+    Raises
+    ------
+    InputError
+        When a folder holds none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        inside = list(_label_files(path)) if path.is_dir() else [path]
+        if not inside:
+            raise InputError(str(path), "no files with class codes in it", "check the name of the folder")
+        found += inside
+    return found
+
+
+def stem_of(path: Path) -> str:
+    """Return the name without the suffix, compression included.
+
+    >>> stem_of(Path("drive_1.csv.gz"))
+    'drive_1'
+    """
+    return path.name[: len(path.name) - len(suffix_of(path))]
+
+
 def _by_name(folder: Path) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for path in _label_files(folder):
-        name = path.name[: -len(suffix_of(path))]
+        name = stem_of(path)
         if name in found:
             problem = f"{found[name].name} and {path.name} have one name, expected one file of class codes each"
             raise InputError(str(folder), problem, "move one of them away, or use --pair")

@@ -1,0 +1,161 @@
+"""Confidence intervals of the scores from blocks of the stream.
+
+Neighbouring shots hit the same wall and err together, so that shots are no independent trials: what is left out or
+drawn anew is a block of scan lines as a whole (block jackknife, block bootstrap; Künsch 1989).
+"""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import F64, I64
+from prc_cli.evaluation.mapping import scored_names
+from prc_cli.evaluation.result import Interval
+
+IntervalMethod: TypeAlias = Literal["jackknife", "bootstrap"]
+METHODS: tuple[str, ...] = get_args(IntervalMethod)
+LEVEL = 0.95
+"""Share of intervals that should hold the true score."""
+N_DRAWS = 1000
+"""Draws of the bootstrap."""
+FEW_BLOCKS = 20
+"""With fewer blocks than this intervals are rough themselves."""
+_AT_ONCE = 1 << 22
+
+
+def block_intervals(
+    blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]], method: str, seed: int = 1
+) -> dict[str, Interval]:
+    """Compute intervals of every score that is defined.
+
+    Parameters
+    ----------
+    blocks : (blocks, rows, columns) int64
+        Confusion counts by block, reference by predicted.
+    names : (row names, column names)
+        Classes.
+    method : {"jackknife", "bootstrap"}
+        Leave out one block after the other, and take the spread of the scores times Student's t; or draw as many
+        blocks with replacement, :data:`N_DRAWS` times, and take percentiles of the scores.
+    seed : int
+        Of the bootstrap.
+
+    Returns
+    -------
+    dict of Interval
+        By the name that ``--fail-under`` takes, within what the score can be.
+
+    Raises
+    ------
+    ConfigError
+        Unknown method.
+    InputError
+        With fewer than two blocks.
+    """
+    if method not in METHODS:
+        raise ConfigError("intervals", f"found {method!r}, expected one of: {', '.join(METHODS)}")
+    if len(blocks) < 2:
+        problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
+        raise InputError("intervals", problem, "make the blocks shorter, or tell the points per line")
+    total = blocks.sum(axis=0)
+    centre = {name: float(values[0]) for name, values in all_scores(total[None], *names).items()}
+    found = (
+        _jackknife(blocks, total, names, centre) if method == "jackknife" else _bootstrap(blocks, names, centre, seed)
+    )
+    return {
+        name: Interval(max(low, -1.0 if name == "kappa" else 0.0), min(high, 1.0))
+        for name, (low, high) in found.items()
+        if not np.isnan(low + high)
+    }
+
+
+def _jackknife(
+    blocks: I64, total: I64, names: tuple[tuple[str, ...], tuple[str, ...]], centre: dict[str, float]
+) -> dict[str, tuple[float, float]]:
+    from scipy.special import stdtrit
+
+    each = max(1, _AT_ONCE // total.size)
+    parts = [all_scores(total - blocks[k : k + each], *names) for k in range(0, len(blocks), each)]
+    found = {}
+    for name, value in centre.items():
+        left_out = np.concatenate([part[name] for part in parts])
+        # a score that hangs on a single block is not defined without it: then there is no telling
+        n = len(left_out)
+        error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
+        half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error
+        found[name] = value - half, value + half
+    return found
+
+
+def _bootstrap(
+    blocks: I64, names: tuple[tuple[str, ...], tuple[str, ...]], centre: dict[str, float], seed: int
+) -> dict[str, tuple[float, float]]:
+    random = np.random.default_rng(seed)
+    flat = blocks.reshape(len(blocks), -1)
+    drawn = np.empty((N_DRAWS, flat.shape[1]), np.int64)
+    for k in range(N_DRAWS):
+        times = np.bincount(random.integers(0, len(blocks), len(blocks)), minlength=len(blocks))
+        drawn[k] = times @ flat
+    tails = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
+    found = {}
+    for name, values in all_scores(drawn.reshape(N_DRAWS, *blocks.shape[1:]), *names).items():
+        # draws without a record of a class say nothing of it
+        defined = values[~np.isnan(values)]
+        if not np.isnan(centre[name]) and len(defined) > N_DRAWS // 2:
+            low, high = np.quantile(defined, tails)
+            found[name] = float(low), float(high)
+    return found
+
+
+def all_scores(
+    counts: NDArray[np.integer], reference_names: tuple[str, ...], predicted_names: tuple[str, ...]
+) -> dict[str, F64]:
+    """Compute every score of many confusion matrices at once; see :func:`prc_cli.evaluation.scores.scores`.
+
+    Parameters
+    ----------
+    counts : (n, rows, columns) integer
+        Confusion counts, reference by predicted.
+    reference_names, predicted_names : tuple of str
+        Classes of rows and columns.
+
+    Returns
+    -------
+    dict of (n,) float64
+        By ``recall.ground``, ``accuracy`` and so on; NaN where undefined.
+    """
+    # float64: the product of two sums of 1e10 does not fit 64 bits
+    rows, columns = counts.sum(axis=2, dtype=np.float64), counts.sum(axis=1, dtype=np.float64)
+    total = rows.sum(axis=1)
+    found: dict[str, F64] = {}
+    agreed, expected = np.zeros(len(counts)), np.zeros(len(counts))
+    recalls = []
+    for name in scored_names(reference_names, predicted_names):
+        i, j = reference_names.index(name), predicted_names.index(name)
+        true, row, column = counts[:, i, j].astype(np.float64), rows[:, i], columns[:, j]
+        either = row + column - true
+        found[f"recall.{name}"] = _ratio(true, row)
+        found[f"precision.{name}"] = _ratio(true, column)
+        found[f"f1.{name}"] = _ratio(2 * true, row + column)
+        found[f"iou.{name}"] = _ratio(true, either)
+        found[f"accuracy.{name}"] = _ratio(total - either + true, total)
+        recalls.append(found[f"recall.{name}"])
+        agreed += true
+        expected += row * column
+    observed, chance = _ratio(agreed, total), _ratio(expected, total * total)
+    known = ~np.isnan(np.stack(recalls))
+    sums = np.where(known, np.stack(recalls), 0.0).sum(axis=0)
+    found["accuracy"] = observed
+    found["balanced_accuracy"] = _ratio(sums, known.sum(axis=0).astype(np.float64))
+    found["kappa"] = _ratio(observed - chance, 1.0 - chance)
+    return found
+
+
+def _ratio(part: F64, whole: F64) -> F64:
+    result = np.full(part.shape, np.nan)
+    np.divide(part, whole, out=result, where=(whole != 0) & ~np.isnan(whole))
+    return result
