@@ -163,7 +163,7 @@ def transfer(
     points: Path | str | None = None,
     layout: Layout | None = None,
     overwrite: bool = False,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> TransferSummary:
     """Write the registered file again with the classes of a raw run; the output exists whole or not at all.
 
@@ -511,13 +511,14 @@ def _refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: _Sides, 
 
 
 def _notices(counts: TransferCounts) -> Iterator[str]:
-    several = "points share their key with several labels that differ"
     if counts.n_repeated:
-        yield f"{counts.n_repeated:,} points share their key with another point; each got the class of its label"
-    if counts.n_in_order:
-        yield f"{counts.n_in_order:,} {several}; as many points as labels were paired in record order"
-    if counts.n_by_majority:
-        yield f"{counts.n_by_majority:,} {several}; they got the most frequent one"
+        yield f"{counts.n_repeated:,} points have the key of another point (tiles that overlap, or coarse times)"
+    if counts.n_shared:
+        differ = counts.n_in_order + counts.n_by_majority
+        yield (
+            f"{counts.n_shared:,} points have several labels of their key, which differ for {differ:,}: "
+            f"{counts.n_in_order:,} were paired in record order, {counts.n_by_majority:,} got the most frequent one"
+        )
     if counts.n_other_return:
         yield f"{counts.n_other_return:,} points have a label of their time, of another return; they keep their class"
 

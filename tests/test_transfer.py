@@ -15,9 +15,6 @@ import pytest
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
-from prc_cli.readers import join as join_module
-from prc_cli.readers.join import JoinTally, join
-from prc_cli.readers.records import RecordChunk
 from prc_cli.transfer import TransferOptions, TransferSummary, transfer
 from tests.writers.lasbytes import parse
 
@@ -312,7 +309,7 @@ def test_labels_without_returns_give_every_return_of_a_shot_its_class(drive: Dri
     of_shot = shots.codes[np.searchsorted(shots.time, drive.time[record])]
     assert np.array_equal(codes_of(tmp_path / "out.las"), of_shot)
     assert summary.counts.n_repeated > 0
-    assert "share their key with another point" in " ".join(summary.record.notices)
+    assert "have the key of another point" in " ".join(summary.record.notices)
 
 
 def test_other_returns_are_said_and_can_be_ignored(drive: Drive, tmp_path: Path) -> None:
@@ -340,7 +337,7 @@ def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
     assert np.array_equal(codes_of(tmp_path / "out.las"), both.codes[record])
     summary = transfer(labels, registered, tmp_path / "mixed.las")
     assert summary.counts.n_by_majority > 0
-    assert "share their key with several labels" in " ".join(summary.record.notices)
+    assert "have several labels of their key, which differ for" in " ".join(summary.record.notices)
 
 
 @pytest.mark.parametrize("by", ["record:raw_index", "dimension:raw_index"])
@@ -557,71 +554,6 @@ def test_other_coordinate_systems_are_said_but_do_not_matter(drive: Drive, tmp_p
     assert np.array_equal(codes_of(tmp_path / "out.las"), drive.codes[record])
 
 
-# --- the join against a plain one
-
-
-def chunked(key: Any, same: Any, codes: Any, step: int) -> Any:
-    values = {"time": np.asarray(key, float), "same": np.asarray(same), "code": np.asarray(codes, np.uint8)}
-    order = np.argsort(values["time"], kind="stable")
-    for first in range(0, len(order), step):
-        part = order[first : first + step]
-        yield RecordChunk(first, {name: column[part] for name, column in values.items()}, len(part), part)
-
-
-def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]:
-    """Every point by itself: the code it gets, -1 = none; and how many labels are used."""
-    found, used = [], set()
-    order = sorted(range(len(right[0])), key=lambda i: right[0][i])
-    for i in range(len(right[0])):
-        near = [
-            j for j in range(len(left[0])) if left[1][j] == right[1][i] and abs(left[0][j] - right[0][i]) <= tolerance
-        ]
-        if not near:
-            found.append(-1)
-            continue
-        best = min(near, key=lambda j: (abs(left[0][j] - right[0][i]), left[0][j]))
-        group = [j for j in near if left[0][j] == left[0][best]]
-        used.update(group)
-        mine = [k for k in order if right[0][k] == right[0][i] and right[1][k] == right[1][i]]
-        if len(mine) == len(group):
-            found.append(int(left[2][group[mine.index(i)]]))
-            continue
-        codes = [int(left[2][j]) for j in group]
-        found.append(max(codes, key=lambda code: (codes.count(code), -codes.index(code))))
-    return found, len(used)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
-    rng = RNG(seed)
-    tolerance = [0.0, 0.25, 1.0, 3.0][seed % 4]
-    n = rng.integers(1, 60, 2)
-    left, right = (
-        (rng.integers(0, 40, size) / 2.0 + (seed % 3 == 0) * rng.choice([0, 0.125], size), rng.integers(1, 3, size),
-         rng.integers(1, 5, size))
-        for size in n
-    )  # fmt: skip
-    expected, used = plain_join(left, right, tolerance)
-    for steps in ((1, 1), (3, 7), (100, 100), (100, 1), (1, 100)):
-        tally = JoinTally()
-        found = np.full(n[1], -2)
-        for item in join(chunked(*left, steps[0]), chunked(right[0], right[1], np.zeros(n[1]), steps[1]), tally,
-                         tolerance=tolerance):  # fmt: skip
-            assert np.all(found[item.record] == -2)
-            found[item.record] = np.where(item.matched, item.codes.astype(np.int64), -1)
-        assert found.tolist() == expected
-        assert (tally.n_points, tally.n_labels_matched) == (n[1], used)
-        assert tally.n_matched == np.count_nonzero(np.array(expected) >= 0)
-
-
-def test_too_many_records_of_one_key_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(join_module, "HELD_RECORDS", 100)
-    key = np.concatenate([np.zeros(500), [1.0]])
-    one = np.ones(len(key), np.int64)
-    with pytest.raises(InputError, match="more than 100 records from 0.0 to 0.0 cannot be told apart"):
-        list(join(chunked(key, one, one, 50), chunked(key, one, one, 50), JoinTally()))
-
-
 # --- a real street
 
 
@@ -665,3 +597,14 @@ def test_oakland_as_raw_text_and_as_shuffled_tiles(real_data: Path, tmp_path: Pa
     # a LAS file built from the same run has the times itself
     transfer(tmp_path / "labels.las", source, tmp_path / f"again{suffix}")
     assert np.array_equal(codes_of(tmp_path / f"again{suffix}"), labels[left])
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["fullwave_pf10.laz", "mls_not_in_time_order.las", "plane.laz"])
+def test_a_real_file_onto_itself_changes_nothing(real_data: Path, tmp_path: Path, name: str) -> None:
+    """Of equally many points and labels of a key each gets its own."""
+    source = real_data / "las" / name
+    summary = transfer(source, source, tmp_path / name)
+    assert summary.counts.n_matched == summary.counts.n_labels_matched == summary.counts.n_points
+    assert summary.counts.n_changed == 0
+    assert np.array_equal(parse(tmp_path / name).records, parse(source).records)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -92,13 +95,27 @@ def transfer(
         dimension=dimension, carry=carry, min_match=min_match,
     )  # fmt: skip
     start = time.perf_counter()
-    summary = transfer_files(
-        labels, registered, output, options, points=points, layout=_layout(layout_file), overwrite=overwrite
-    )
+    layout = _layout(layout_file)
+    with _progress(registered.name, quiet=quiet) as progress:
+        summary = transfer_files(
+            labels, registered, output, options, points=points, layout=layout, overwrite=overwrite, progress=progress
+        )
     if as_json:
         click.echo(json.dumps(summary.record.as_dict(), indent=2, sort_keys=True))
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose)
+
+
+@contextlib.contextmanager
+def _progress(name: str, *, quiet: bool) -> Iterator[Callable[[int], object] | None]:
+    """Show a progress bar of points on a terminal; nothing elsewhere."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc=name, unit=" points", unit_scale=True, leave=False) as bar:
+        yield bar.update
 
 
 def _layout(path: Path | None) -> Layout | None:
