@@ -63,6 +63,8 @@ class SearchOptions:
     """Draws which lines are for training."""
     max_shots: int = 4_000_000
     """Shots kept in memory for training and held-out lines together; longer streams are sampled by groups."""
+    keep: tuple[str, ...] = ()
+    """Keys that are not searched: they take what the sensor implies."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,7 +147,7 @@ def calibrate(
     """
     loaded = config if config is not None else LoadedConfig(RunConfig())
     run = loaded.config
-    prepared = None if search is None else _prepare(search)
+    prepared = None if search is None else _prepare(search, run)
     stream = open_stream(source, loaded)
     sensor, curves, lines, n_records = _measure(stream, run, progress)
     advice = imply(sensor, curves, run.prc, run.sequential_angle.angles.range_noise_m)
@@ -156,17 +158,18 @@ def calibrate(
         training, held_out = _groups(stream, run, (codes, mapping), search, lines, n_records, progress)
         found = _search(run, advice, mapping, (training, held_out), search, tried)
         advice = _found_advice(advice, found, run)
-        notes = (*notes, *_doubts(found))
+        notes = (*notes, *_blind(found), *_doubts(found))
     values = {item.key: item.value for item in advice}
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(run, values), sources=sources)
     return Calibration(str(source), sensor, curves, advice, calibrated, found, notes)
 
 
-def _prepare(search: SearchOptions) -> tuple[ClassMapping, CodeSource]:
+def _prepare(search: SearchOptions, config: RunConfig) -> tuple[ClassMapping, CodeSource]:
     """Check all that can be checked before the stream is read."""
     mapping = search.mapping if isinstance(search.mapping, ClassMapping) else load_mapping(search.mapping)
     check_objective(search.objective, mapping)
+    axes_of(config, search.keep)
     if not 0 < search.training_share < 1:
         where = "--training-share"
         raise ConfigError(where, f"found {search.training_share:g}, expected a share between 0 and 1")
@@ -269,10 +272,12 @@ def _search(
             problem = f"no {name} line has a class that is scored"
             raise InputError(str(search.reference), problem, "choose another --seed or --training-share")
     implied = {item.key: item.value for item in advice}
+    axes = axes_of(config, search.keep)
+    kept = with_values(config, {key: implied[key] for key in search.keep if key in implied})
     m = training[0].blocks[0].points_per_line
-    configured = {axis.key: _configured(config, axis.key, m) for axis in axes_of(config)}
+    configured = {axis.key: _configured(config, axis.key, m) for axis in axes}
     start = {key: float(implied.get(key, value)) for key, value in configured.items()}
-    searcher = Searcher(config, mapping, training, search.objective, max(2, search.budget), tried)
+    searcher = Searcher(kept, mapping, training, search.objective, max(2, search.budget), axes, tried)
     values = searcher.run((configured, start))
     judged = []
     for name, these in (("configured", {}), ("from the sensor", implied), ("search", {**implied, **values})):
@@ -323,6 +328,17 @@ def _notes(sensor: SensorEstimate) -> tuple[str, ...]:
     if sensor.step_rad is None:
         notes.append(f"the angular step was not measured: {sensor.step_source}")
     return tuple(notes)
+
+
+def _blind(found: SearchResult) -> tuple[str, ...]:
+    """Say that nothing punishes wide thresholds where the reference knows no noise."""
+    counts = {item.name: item.n_reference for item in found.judged[0].training.classes}
+    if any(key.startswith("prc.support.") for key in found.values) and not counts.get("noise", 0):
+        return (
+            "the reference holds no noise, so nothing speaks against wide thresholds: where noise matters, "
+            "keep those of the sensor with --keep prc.support.zeta_p --keep prc.support.zeta_s",
+        )
+    return ()
 
 
 def _doubts(found: SearchResult) -> tuple[str, ...]:

@@ -16,6 +16,8 @@ from prc_cli.core.types import F64
 
 D_C_SIGMAS = 17.0
 """d_c in standard deviations of the noise: the bend of a flat has 1.22 of them, and 0.2 d_c should be 2.8 bends."""
+D_C_STEPS = 2.0
+"""d_c in distances between successive shots: eq. 9 compares three of them."""
 ZETA_SIGMAS = 6.0
 """Least zeta in standard deviations: the difference of two shots has 1.41 of them and must agree nearly always."""
 PLATEAU_M = 10.0
@@ -106,7 +108,7 @@ def _on(grid: F64, value: float) -> float:
 
 def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice:
     published = BackgroundParams().d_c
-    mid, far = sensor.range_quantiles_m["75%"], sensor.range_quantiles_m["95%"]
+    mid = sensor.range_quantiles_m["75%"]
     bounds = [(published, "the published value; neither noise, rounding nor steps ask for more")]
     if (noise := sensor.noise_at(mid)) is not None:
         text = f"{D_C_SIGMAS:g} times the deviation of flat stretches, {1000 * noise:.2g} mm at {mid:.3g} m"
@@ -115,12 +117,12 @@ def _length(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> Advice
         text = f"ranges are stored in steps of {sensor.rounding_m:g} m"
         bounds.append((D_C_SIGMAS * sensor.rounding_m / math.sqrt(12), text))
     if sensor.step_rad:
-        spacing = sensor.step_rad * far
+        length = D_C_STEPS * sensor.step_rad * mid
         text = (
-            f"steps of {math.degrees(sensor.step_rad):.2g} degrees are {spacing:.2g} m apart at {far:.3g} m, where the "
-            "last twentieth of the returns begins, and nothing smaller shows there"
+            f"the three shots of eq. 9 span {length:.2g} m at {mid:.3g} m under steps of "
+            f"{math.degrees(sensor.step_rad):.2g} degrees, and nothing smaller shows"
         )
-        bounds.append((spacing, text))
+        bounds.append((length, text))
     value, reason = max(bounds, key=lambda item: item[0])
     others = "; ".join(f"{other:.2g} m for: {text}" for other, text in bounds[1:] if other != value)
     value = round_up(value, 2)

@@ -41,18 +41,24 @@ class Axis:
     key: str
     grid: tuple[float, ...]
     """Coarse values, ascending."""
+    bounds: tuple[float, float]
+    """Least and greatest value that the refinement goes to."""
     whole: bool = False
     """Whole numbers only."""
 
 
+ZETA_BOUNDS = (0.01, 10.0)
+"""Thresholds between which the method is stable in the paper (IV-A); a reference without noise would widen them for
+ever."""
+
 PRC_AXES = (
-    Axis("prc.background.d_c", (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6)),
-    Axis("prc.surfaces.area", (4.0, 8.0, 12.0, 20.0, 30.0, 60.0, 120.0, 240.0)),
-    Axis("prc.support.zeta_p", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)),
-    Axis("prc.support.zeta_s", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)),
-    Axis("prc.surfaces.gamma", (0.0, 1.0, 2.0, 3.0, 4.0), whole=True),
+    Axis("prc.background.d_c", (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6), (0.005, 10.0)),
+    Axis("prc.surfaces.area", (4.0, 8.0, 12.0, 20.0, 30.0, 60.0, 120.0, 240.0), (1.0, 5000.0)),
+    Axis("prc.support.zeta_p", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
+    Axis("prc.support.zeta_s", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
+    Axis("prc.surfaces.gamma", (0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 20.0), whole=True),
 )
-ANGLE_AXES = (Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01, 0.02, 0.05)),)
+ANGLE_AXES = (Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01, 0.02, 0.05), (0.0005, 0.5)),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +125,8 @@ class Searcher:
         ``mean_f1`` or what :func:`prc_cli.evaluation.scores.gate_value` knows.
     budget : int
         Trials at most.
+    axes : tuple of Axis
+        From :func:`axes_of`.
     tried : callable, optional
         Told after every trial.
     """
@@ -128,6 +136,7 @@ class Searcher:
     training: tuple[Group, ...]
     objective: str
     budget: int
+    axes: tuple[Axis, ...]
     tried: Tried | None = None
     history: list[tuple[int, float]] = field(default_factory=list)
     _known: dict[tuple[float, ...], float] = field(default_factory=dict)
@@ -143,9 +152,9 @@ class Searcher:
         dict
             Best value of every key. Of equals the one that was tried first.
         """
-        axes = axes_of(self.config)
+        axes = self.axes
         best = max(starts, key=lambda values: self._try(axes, values))
-        if len(axes) > 1:
+        if axes[:2] == PRC_AXES[:2]:
             first, second = axes[:2]
             for one in first.grid[::2]:
                 for other in second.grid[::2]:
@@ -198,9 +207,29 @@ class Searcher:
         return len(self._known)
 
 
-def axes_of(config: RunConfig) -> tuple[Axis, ...]:
-    """Return what is searched for the configured classifier."""
-    return ANGLE_AXES if config.method == SEQUENTIAL_ANGLE else PRC_AXES
+def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
+    """Return what is searched for the configured classifier, without the keys that keep their value.
+
+    Raises
+    ------
+    ConfigError
+        When a key that is kept is not searched anyway, or nothing is left.
+
+    Examples
+    --------
+    >>> [axis.key for axis in axes_of(RunConfig(), ("prc.surfaces.gamma", "prc.surfaces.area"))]
+    ['prc.background.d_c', 'prc.support.zeta_p', 'prc.support.zeta_s']
+    """
+    axes = ANGLE_AXES if config.method == SEQUENTIAL_ANGLE else PRC_AXES
+    known = [axis.key for axis in axes]
+    where = "--keep"
+    for key in keep:
+        if key not in known:
+            raise ConfigError(where, f"found {key!r}, expected one of: {', '.join(known)}")
+    left = tuple(axis for axis in axes if axis.key not in keep)
+    if not left:
+        raise ConfigError(where, "all keys are kept, expected one or more to search", "leave out --reference")
+    return left
 
 
 def with_values(config: RunConfig, values: dict[str, Any]) -> RunConfig:
@@ -291,9 +320,9 @@ def _scored(found: Scores) -> set[str]:
 
 def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
     """Return the values next to one, on whole numbers or by a factor."""
-    if axis.whole:
-        return tuple(other for other in (value - 1, value + 1) if axis.grid[0] <= other)
-    return _round(value / factor), _round(value * factor)
+    low, high = axis.bounds
+    near = (value - 1, value + 1) if axis.whole else (_round(value / factor), _round(value * factor))
+    return tuple(other for other in near if low <= other <= high)
 
 
 def _round(value: float) -> float:

@@ -26,6 +26,11 @@ FLAT_M = 0.1
 MAX_GROWTH = 2.0
 """A range bin whose deviation exceeds that of the nearest flat bin, scaled by range, by this factor is not flat."""
 
+ALL_SHOTS = 4_000_000
+"""Shots from the start of which everything is measured; of what follows ..."""
+EVERY = 8
+"""... every eighth block, which is evidence enough. Shots and missing ones are counted throughout."""
+
 _RANGE_EDGES: F64 = np.geomspace(0.25, 512.0, 45)
 """Range bins for the noise, four an octave [m]."""
 _NOISE_EDGES: F64 = np.geomspace(1e-6, 10.0, 281)
@@ -38,6 +43,8 @@ _STEP_SPANS = (8, 16, 32, 64, 128, 256, 512)
 """Shots on either side that the angular step is measured over."""
 _STEP_AGREEMENT = 0.1
 """Relative difference up to which the step over a span and over half of it agree: the three shots lie on a line."""
+_SPAN_AGREEMENT = 0.15
+"""Relative difference up to which the steps over a span and over the next shorter one agree."""
 _MIN_BEND = 0.003
 """Least 1 - cos of the angle of a span; below it the step drowns in the noise."""
 _ROUNDINGS = tuple(sorted((factor * 10.0**power for power in range(-4, 1) for factor in (1, 2, 2.5, 5)), reverse=True))
@@ -136,6 +143,7 @@ class SensorMeter:
     _across: I64 = field(default_factory=lambda: np.zeros(len(_LENGTH_EDGES) - 1, np.int64))
     _rounded: I64 = field(default_factory=lambda: np.zeros(len(_ROUNDINGS), np.int64))
     _n_sampled: int = 0
+    _n_blocks: int = 0
     _angle_rad: F64 | None = None
 
     def add(self, block: ScanBlock) -> None:
@@ -144,6 +152,9 @@ class SensorMeter:
         self.n_lines += block.n_lines
         self.n_shots += ranges.size
         self.n_missing += int(np.count_nonzero(np.isnan(ranges)))
+        self._n_blocks += 1
+        if self.n_shots > ALL_SHOTS and self._n_blocks % EVERY:
+            return
         if self._angle_rad is None:
             self._angle_rad = block.angle_rad
         self._ranges += _log_counts(ranges, _LENGTH_EDGES)
@@ -183,13 +194,15 @@ class SensorMeter:
         angle = self._angle_rad if self._angle_rad is not None else self.info.angle_rad
         if angle is not None and len(angle) > 1:
             return float(np.median(np.abs(np.diff(np.unwrap(angle))))), "the angles in the file"
-        enough = [place for place in range(len(_STEP_SPANS)) if self._steps[place].sum() >= MIN_STRETCHES]
-        if enough:
-            # the longest span with a fair part of the triples suffers least from noise
-            most = max(int(self._steps[place].sum()) for place in enough)
-            place = max(place for place in enough if self._steps[place].sum() >= most / 4)
-            mode = _log_mode(self._steps[place], _STEP_EDGES, smooth=9)
-            return mode, f"straight lines in the ranges, over {2 * _STEP_SPANS[place]} shots"
+        modes = {
+            place: _log_mode(counts, _STEP_EDGES, smooth=9)
+            for place, counts in enumerate(self._steps)
+            if counts.sum() >= MIN_STRETCHES
+        }
+        # noise matters least over the longest span; in foliage the step that is found falls with the span
+        for place in sorted(modes, reverse=True):
+            if place - 1 in modes and abs(modes[place - 1] / modes[place] - 1) < _SPAN_AGREEMENT:
+                return modes[place], f"straight lines in the ranges, over {2 * _STEP_SPANS[place]} shots"
         return None, "the file holds no angles, and no line in it is straight enough to measure the step"
 
     def _count_rounding(self, ranges: F32) -> None:

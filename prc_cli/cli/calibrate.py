@@ -51,6 +51,8 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale
               help="Sets of parameters tried at most.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True,
               help="Draws the training lines.")
+@click.option("--keep", multiple=True, metavar="KEY",
+              help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies.")
 @click.option("--max-shots", type=click.IntRange(min=1000), default=4_000_000, show_default=True,
               help="Shots kept in memory for the search; longer inputs are sampled.")
 @stream_options
@@ -61,7 +63,7 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale
 def calibrate(
     source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, mapping: str,
     reference_dimension: str | None, objective: str, training_share: float, budget: int, seed: int, max_shots: int,
-    form: str | None, as_json_flag: bool, quiet: bool, **options: Any,
+    keep: tuple[str, ...], form: str | None, as_json_flag: bool, quiet: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Measure the sensor of INPUT and derive the parameters that follow from it.
 
@@ -89,7 +91,7 @@ def calibrate(
     search = None
     if reference is not None:
         search = SearchOptions(
-            reference, mapping, reference_dimension, objective, training_share, budget, seed, max_shots
+            reference, mapping, reference_dimension, objective, training_share, budget, seed, max_shots, keep
         )
     with line_progress(source.name, quiet=quiet) as progress, _trials(quiet=quiet) as tried:
         found = calibrate_file(source, loaded, search, progress=progress, tried=tried)

@@ -1,0 +1,73 @@
+"""``prc calibrate`` through the same door as a user."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.config import load_config
+from tests.cli.test_commands import Prc, prc
+from tests.street import street, write_npz
+
+__all__ = ["prc"]
+
+
+def test_without_a_reference(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    result = prc("calibrate", source, "-o", tmp_path / "street.toml", "--plot", tmp_path / "street.svg")
+    assert result.code == 0, result.err
+    assert "standard deviation about a plane" in result.out
+    assert "prc.background.d_c" in result.out
+    assert load_config(tmp_path / "street.toml").config.prc.surfaces.area == 12.0
+    assert (tmp_path / "street.svg").read_text(encoding="utf-8").startswith("<svg")
+    result = prc("classify", source, tmp_path / "labels.npy", "--config", tmp_path / "street.toml")
+    assert result.code == 0, result.err
+
+
+def test_with_a_reference(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    prc("classify", source, tmp_path / "reference.npy", "--preset", "urban", "--set", "prc.surfaces.area=4.0")
+    options = ["--reference", tmp_path / "reference.npy", "--set", "prc.lines_per_block=20", "--budget", 6]
+    result = prc("calibrate", source, *options, "--json", "-q")
+    assert (result.code, result.err) == (0, "")
+    assert json.loads(result.out)["search"]["n_trials"] == 6
+    result = prc("calibrate", source, *options, "--format", "markdown", "-q")
+    assert "| search | held-out |" in result.out
+    result = prc("calibrate", source, *options)
+    assert "6 trials" in result.out
+
+
+def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    (tmp_path / "old.toml").write_text("", encoding="utf-8")
+    result = prc("calibrate", source, "-o", tmp_path / "old.toml")
+    assert result.code == 2
+    assert "exists already" in result.err
+    assert prc("calibrate", source, "-o", tmp_path / "old.toml", "--overwrite", "-q").code == 0
+    assert load_config(tmp_path / "old.toml").sources
+    np.save(tmp_path / "short.npy", np.ones(7, np.uint8))
+    files = sorted(tmp_path.iterdir())
+    result = prc("calibrate", source, "--reference", tmp_path / "short.npy", "-o", tmp_path / "new.toml")
+    assert (result.code, result.out) == (1, "")
+    assert result.err.startswith("error: ")
+    assert result.err.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == files
+    result = prc("calibrate", source, "-o", source, "--overwrite")
+    assert result.code == 2
+    assert "inputs are never modified" in result.err
+
+
+def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    for options, message in (
+        (["--plot", tmp_path / "curves.png"], "ends in .svg"),
+        (["--json", "--format", "markdown"], "contradict"),
+        (["--reference", source, "--objective", "beauty"], "found score 'beauty'"),
+        (["--reference", source, "--keep", "prc.zeta"], "--keep: found 'prc.zeta'"),
+        (["--reference", tmp_path / "none.npy"], "no such file"),
+    ):
+        result = prc("calibrate", source, *options)
+        assert result.code in (1, 2), message
+        assert message in result.err
