@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from prc_cli.class_pictures import class_pictures
 from prc_cli.cli.report import print_evaluation, print_evaluation_details
 from prc_cli.comparison import EvaluateOptions, evaluate_all
 from prc_cli.core.errors import ConfigError, InputError
@@ -20,7 +21,7 @@ from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
 from prc_cli.evaluation.result import Evaluation
 from prc_cli.evaluation.scores import scores
-from prc_cli.readers.label_pairs import pair_files
+from prc_cli.readers.label_pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
 """Forms of the result by the suffix of ``--output``."""
@@ -56,6 +57,12 @@ _OPTIONS = [
         help="How records find their partner: order, time, dimension:NAME or nearest.",
     ),
     click.option(
+        "--several", is_flag=True, help="With nearest: a reference record may be the partner of several predicted ones."
+    ),
+    click.option(
+        "--allow-missing", is_flag=True, help="Leave out files of a folder that have no partner in the other."
+    ),
+    click.option(
         "--tolerance",
         type=float,
         metavar="NUMBER",
@@ -71,14 +78,14 @@ _OPTIONS = [
     click.option(
         "--predicted-points",
         type=click.Path(path_type=Path),
-        metavar="FILE",
-        help="The points that predicted labels alone belong to, record by record.",
+        metavar="PATH",
+        help="The points that predicted labels alone belong to, record by record: the input of the run, or a folder.",
     ),
     click.option(
         "--reference-points",
         type=click.Path(path_type=Path),
-        metavar="FILE",
-        help="The points that reference labels alone belong to.",
+        metavar="PATH",
+        help="The points that reference labels alone belong to, or their folder.",
     ),
     click.option("--by-range", "edges", metavar="EDGES", help="Split by range [m], e.g. 5,10,20,40."),
     click.option("--by-lines", type=click.IntRange(min=1), metavar="N", help="Split into parts of N scan lines."),
@@ -152,7 +159,8 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
     Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders, whose files of one
-    name (but for the suffix) are pooled into one matrix. The result goes to stdout, and to the files of --output.
+    name (but for the suffix) are pooled into one matrix. Records that are not in the same order find their partner
+    with --match. The result goes to stdout, and to the files of --output.
 
     \b
     Examples:
@@ -167,12 +175,21 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     mapping = load_mapping(options["mapping"])
     demanded = [parse_gate(text, mapping) for text in options["gates"]]
     how = _how(options)
-    pairs = [pair for sides in ((predicted, reference), *options["pairs"]) for pair in pair_files(*sides)]
-    left, right = zip(*pairs, strict=True)
-    _check_outputs(options["outputs"], overwrite=options["overwrite"], inputs=(*left, *right))
-    pictures = _read_pictures(options["pictures"], wanted=form == "html" or any(map(_is_page, options["outputs"])))
+    left, right = zip((predicted, reference), *options["pairs"], strict=True)
+    if options["outputs"]:
+        _check_outputs(options["outputs"], overwrite=options["overwrite"], inputs=tuple(files_of((*left, *right))))
+    page_wanted = form == "html" or any(path.suffix.lower() == ".html" for path in options["outputs"])
+    pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     found = evaluate_all(left, right, options["mapping"], options=how)
     gates = check_gates(scores(found.matrix), demanded)
+    if how.points_per_line and how.match == "order" and page_wanted:
+        dimensions = how.predicted_dimension, how.reference_dimension
+        pictures = (
+            *class_pictures(
+                Path(found.predicted[0]), Path(found.reference[0]), mapping, how.points_per_line, dimensions
+            ),
+            *pictures,
+        )
     texts = [_text(FORMS[path.suffix.lower()], found, gates, mapping, pictures) for path in options["outputs"]]
     for path, text in zip(options["outputs"], texts, strict=True):
         with atomic_output(path) as temporary:
@@ -210,6 +227,8 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         intervals=options["intervals"],
         interval_lines=options["interval_lines"],
         seed=options["seed"],
+        one_to_one=not options["several"],
+        allow_missing=options["allow_missing"],
     )
 
 
@@ -237,10 +256,6 @@ def _check_outputs(outputs: Sequence[Path], *, overwrite: bool, inputs: tuple[Pa
         check_output(path, overwrite=overwrite, inputs=inputs)
     if len(set(outputs)) < len(outputs):
         raise ConfigError("--output", "found one file twice, expected a file for each form")
-
-
-def _is_page(path: Path) -> bool:
-    return path.suffix.lower() == ".html"
 
 
 def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:

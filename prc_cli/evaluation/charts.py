@@ -7,16 +7,17 @@ the colour of the text, so that black noise and yellow curbs are seen on dark an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from html import escape
-from itertools import groupby
 from zlib import crc32
 
 from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, Label
+from prc_cli.evaluation.mapping import OTHER
 
 _MORE_COLOURS = ((51, 34, 136), (136, 34, 85), (68, 170, 153), (153, 153, 51), (170, 68, 153), (221, 204, 119))
 """For classes that this program does not know (Paul Tol's muted scheme)."""
+_OTHER_COLOUR = (108, 108, 108)
 
 _WIDTH, _LEFT, _RIGHT, _TOP = 560, 40, 12, 12
 _PLOT_HEIGHT, _BAR_HEIGHT, _GAP, _LABEL_HEIGHT = 210, 34, 10, 40
@@ -44,7 +45,9 @@ def class_colour(name: str) -> str:
     >>> class_colour("ground")
     '#0072b2'
     """
-    if name in LABEL_NAMES:
+    if name == OTHER:
+        rgb = _OTHER_COLOUR
+    elif name in LABEL_NAMES:
         rgb = LABEL_COLOURS[Label(LABEL_NAMES.index(name))]
     else:
         rgb = _MORE_COLOURS[crc32(name.encode()) % len(_MORE_COLOURS)]
@@ -65,7 +68,13 @@ def mark(place: int, x: float, y: float, size: float = 4.0) -> str:
 
 
 def line_chart(
-    title: str, axis: str, names: Sequence[str], counts: Sequence[int], curves: Sequence[Curve], ticks: Sequence[str]
+    title: str,
+    axis: str,
+    names: Sequence[str],
+    counts: Sequence[int],
+    curves: Sequence[Curve],
+    ticks: Sequence[str],
+    breaks: Collection[int] = (),
 ) -> str:
     """Draw curves over the parts of a split, and bars of how many records each part has.
 
@@ -83,6 +92,8 @@ def line_chart(
         From back to front.
     ticks : sequence of str
         Labels of the parts on the axis; left out where they would touch.
+    breaks : collection of int
+        Parts before which something new begins, such as the next file: curves are not drawn across.
 
     Returns
     -------
@@ -95,11 +106,12 @@ def line_chart(
         *_grid(),
         *_bars(names, counts),
         *_tick_labels(ticks, axis),
+        *_break_lines(breaks, n),
     ]
     for curve in curves:
         colour = class_colour(curve.name)
         points = [(_x(i, n), _y(value)) for i, value in enumerate(curve.values)]
-        runs = [list(run) for seen, run in groupby(points, key=lambda point: not math.isnan(point[1])) if seen]
+        runs = _runs(points, breaks)
         paths = [" ".join(f"{x:.1f},{y:.1f}" for x, y in run) for run in runs if len(run) > 1]
         parts.append(f'<g class="curve" style="--class:{colour}">')
         parts += [f'<polyline class="rim" points="{path}"/><polyline points="{path}"/>' for path in paths]
@@ -153,6 +165,23 @@ def _tick_labels(ticks: Sequence[str], axis: str) -> list[str]:
         *labels,
         f'<text class="small" x="{middle:.1f}" y="{_HEIGHT - 6}" text-anchor="middle">{escape(axis)}</text>',
     ]
+
+
+def _break_lines(breaks: Collection[int], n: int) -> list[str]:
+    bottom = _TOP + _PLOT_HEIGHT + _GAP + _BAR_HEIGHT
+    places = [(_x(i - 1, n) + _x(i, n)) / 2 for i in sorted(breaks)]
+    return [f'<line class="break" x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP}" y2="{bottom}"/>' for x in places]
+
+
+def _runs(points: Sequence[tuple[float, float]], breaks: Collection[int]) -> list[list[tuple[float, float]]]:
+    """Points that are joined by a line: those without an undefined one or a break between them."""
+    runs: list[list[tuple[float, float]]] = [[]]
+    for i, point in enumerate(points):
+        if i in breaks or math.isnan(point[1]):
+            runs.append([])
+        if not math.isnan(point[1]):
+            runs[-1].append(point)
+    return [run for run in runs if run]
 
 
 def _x(i: int, n: int) -> float:

@@ -8,13 +8,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib import resources
+from itertools import pairwise
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64
 from prc_cli.evaluation.charts import Curve, class_colour, line_chart, mark
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import GateResult
-from prc_cli.evaluation.mapping import OTHER, ClassMapping, Codes
+from prc_cli.evaluation.mapping import ClassMapping, Codes
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
     NOT_SPLIT,
@@ -30,7 +31,7 @@ from prc_cli.evaluation.reports import (
 from prc_cli.evaluation.result import Evaluation, Interval, SplitPart
 from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores, Scores, scores
 
-_DEEP = 0.55
+_DEEP = 0.76
 """Share of the colour in a cell beyond which white text reads better."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _AXES = {"range": "range [m]", "lines": "first scan line of the block", "scanner": "scanner"}
@@ -88,7 +89,7 @@ def as_html(
     if evaluation is not None:
         for split, parts in evaluation.splits.items():
             blocks += _split(split, parts, shown)
-    blocks += _pictures(pictures)
+    blocks += _pictures(pictures, shown)
     if evaluation is not None:
         blocks += _match(evaluation)
     if mapping is not None:
@@ -250,13 +251,16 @@ def _split(split: str, parts: Sequence[SplitPart], shown: ConfusionMatrix) -> It
         keys = (_legend_key(name, places[name]) for name in names)
         yield f'<div class="legend">{"".join(keys)}</div><div class="pair">'
         ticks = [_tick(split, part) for part in drawn]
+        # the lines of every file begin at 0
+        breaks = {i + 1 for i, (part, after) in enumerate(pairwise(drawn)) if after.low <= part.low}
         for score in ("recall", "precision"):
             curves = [Curve(name, tuple(getattr(part[name], score) for part in found), places[name]) for name in names]
-            chart = line_chart(
-                f"{score} by {split}", _AXES.get(split, split), [p.name for p in drawn], counts, curves, ticks
-            )
+            names_of = [part.name for part in drawn]
+            axis = _AXES.get(split, split)
+            chart = line_chart(f"{score} by {split}", axis, names_of, counts, curves, ticks, breaks)
             yield f"<div><h3>{score.capitalize()}</h3>{chart}</div>"
-        yield '</div><p class="note">n: scored records of a part. A curve is broken where its score is undefined.</p>'
+        yield '</div><p class="note">n: scored records of a part. A curve is broken where its score is undefined'
+        yield f"{', and where the next file begins' if breaks else ''}.</p>"
     _, rows = split_table(parts, shown)
     yield f'<details{" open" if len(parts) <= 12 else ""}><summary>Table</summary><div class="wide">'
     heads = "".join(f'<th colspan="2">{_class(name)}</th>' for name in names)
@@ -279,10 +283,12 @@ def _legend_key(name: str, place: int) -> str:
     return f'<span style="--class:{class_colour(name)}">{drawing}{_text(name)}</span>'
 
 
-def _pictures(pictures: Sequence[tuple[str, bytes]]) -> Iterator[str]:
+def _pictures(pictures: Sequence[tuple[str, bytes]], shown: ConfusionMatrix) -> Iterator[str]:
     if not pictures:
         return
-    yield "<section><h2>Pictures</h2>"
+    names = dict.fromkeys((*shown.reference_names, *shown.predicted_names))
+    keys = "".join(f"<span>{_class(name)}</span>" for name in names)
+    yield f'<section><h2>Pictures</h2><div class="legend">{keys}</div>'
     for title, content in pictures:
         check_picture(title, content)
         data = base64.b64encode(content).decode("ascii")
@@ -297,9 +303,10 @@ def _match(found: Evaluation) -> Iterator[str]:
     yield from (f'<p class="note">{_text(note)}</p>' for note in match.notes)
     yield '<div class="wide"><table class="lines"><thead><tr><th>side</th><th>records</th><th>in pairs</th>'
     yield "<th>share</th></tr></thead><tbody>"
-    for side, n in (("predicted", match.n_predicted), ("reference", match.n_reference)):
-        share = percent(min(match.n_matched / n, 1.0)) if n else "-"
-        yield f"<tr><td>{side}</td><td>{n:,}</td><td>{match.n_matched:,}</td><td>{share}</td></tr>"
+    again = match.n_matched if match.n_reference_matched is None else match.n_reference_matched
+    for side, n, paired in (("predicted", match.n_predicted, match.n_matched), ("reference", match.n_reference, again)):
+        share = percent(paired / n) if n else "-"
+        yield f"<tr><td>{side}</td><td>{n:,}</td><td>{paired:,}</td><td>{share}</td></tr>"
     yield "</tbody></table></div>"
     yield '<div class="wide"><table class="lines text"><thead><tr><th>predicted</th><th>reference</th></tr>'
     yield "</thead><tbody>"
@@ -329,8 +336,6 @@ def _codes(codes: Codes) -> str:
 
 def _class(name: str) -> str:
     """Return a class name behind a chip of its colour."""
-    if name == OTHER:
-        return f'<span class="chip none"></span>{_text(name)}'
     return f'<span class="chip" style="--class:{class_colour(name)}"></span>{_text(name)}'
 
 

@@ -155,7 +155,9 @@ def match_line(match: MatchReport) -> str:
     unit = {"time": " s", "nearest": " m"}.get(match.method, "")
     within = "" if match.tolerance is None else f" within {match.tolerance:g}{unit}"
     counts = f"{match.n_predicted:,} predicted and {match.n_reference:,} reference records"
-    return f"Matched by {match.method}{within}: {match.n_matched:,} pairs of {counts}."
+    again = match.n_reference_matched
+    several = "" if again in (None, match.n_matched) else f"; {again:,} reference records are in pairs"
+    return f"Matched by {match.method}{within}: {match.n_matched:,} pairs of {counts}{several}."
 
 
 def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[list[str], list[list[str]]]:

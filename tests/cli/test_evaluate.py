@@ -176,3 +176,11 @@ def test_three_strips_of_a_street_as_one_page(prc: Prc, real_data: Path, tmp_pat
     parts = [evaluate(name, name, mapping).n_scored for name in names]
     assert found["n_scored"] == sum(parts)
     assert "unlisted" not in page.read_text(encoding="utf-8")
+
+
+def test_page_of_a_dense_stream_has_pictures_of_its_own(prc: Prc, pair: tuple[Path, Path], tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    assert prc(*pair, "-q", "-o", page, "-M", 3)[0] == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.count("data:image/png;base64,") == 3
+    assert "Predicted, lines 0-1 of a.npy" in text

@@ -193,6 +193,13 @@ def test_curves_break_where_they_are_undefined_and_stay_in_the_frame() -> None:
         assert 0 < float(y) < box[3]
 
 
+def test_curves_break_where_the_next_file_begins() -> None:
+    names = list("abcdef")
+    chart = line_chart("recall", "line", names, [1] * 6, [Curve("car", (0.5,) * 6, 2)], names, {2, 5})
+    assert [len(line.split()) for line in re.findall(r'<polyline points="([^"]*)"', chart)] == [2, 3]
+    assert chart.count('class="break"') == 2
+
+
 @pytest.mark.parametrize("n", [1, 3, 30, 700])
 def test_labels_of_the_axis_do_not_touch(n: int) -> None:
     ticks = [str(99 * i) for i in range(n)]

@@ -72,7 +72,7 @@ def test_json_of_an_evaluation_adds_to_that_of_its_matrix() -> None:
     assert table["files"] == {"predicted": ["labels.npy"], "reference": ["reference.csv.gz"]}
     assert table["match"] == {
         "method": "time", "n_predicted": 4000, "n_reference": 3500, "n_matched": 3212, "tolerance": 1e-6,
-        "notes": ["Times were rounded."],
+        "notes": ["Times were rounded."], "n_reference_matched": None,
     }  # fmt: skip
     assert set(table["intervals"]) == set(found.intervals)
     parts = table["splits"]["range"]

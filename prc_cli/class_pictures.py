@@ -1,0 +1,105 @@
+"""Pictures of the classes of two label files side by side, shot by shot, for the page of an evaluation."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from prc_cli.core.types import I64, U8
+from prc_cli.evaluation.charts import class_colour
+from prc_cli.evaluation.mapping import ClassMapping, Side
+from prc_cli.readers.labels import open_codes
+
+MAX_LINES = 600
+"""Scan lines in a picture."""
+_MAX_CELLS = 1 << 22
+_WIDTH, _HEIGHT = 1200, 480
+_NONE, _AGREE = (255, 255, 255), (222, 222, 222)
+
+
+def class_pictures(
+    predicted: Path,
+    reference: Path,
+    mapping: ClassMapping,
+    points_per_line: int,
+    dimensions: tuple[str | None, str | None] = (None, None),
+) -> tuple[tuple[str, bytes], ...]:
+    """Draw the first scan lines of a dense stream as predicted, as in the reference, and where they differ.
+
+    Time runs to the right, columns run down. Of long lines every so many shots are drawn.
+
+    Parameters
+    ----------
+    predicted, reference : Path
+        Label files with one code a shot, missing shots included, in the same order.
+    mapping : ClassMapping
+        Whose classes are drawn, in the colours of the whole program.
+    points_per_line : int
+        M; the line of record i is i // M.
+    dimensions : (predicted, reference)
+        Columns with the codes; None = found by name.
+
+    Returns
+    -------
+    tuple of (title, PNG)
+        Empty if the files do not hold a whole line.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be read, or holds codes that the mapping does not list.
+    """
+    names = mapping.names("reference")
+    names += tuple(name for name in mapping.names("predicted") if name not in names)
+    wanted = min(MAX_LINES, _MAX_CELLS // points_per_line) * points_per_line
+    sides: tuple[tuple[Side, Path], ...] = (("predicted", predicted), ("reference", reference))
+    found = []
+    for (side, path), dimension in zip(sides, dimensions, strict=True):
+        codes = _first_codes(path, dimension, wanted)
+        # place 0 is what is not scored
+        place = np.array([0, *(names.index(name) + 1 for name in mapping.names(side))])
+        found.append(place[mapping.class_indices(codes, side) + 1].astype(np.uint8))
+    n_lines = min(len(places) for places in found) // points_per_line
+    if not n_lines:
+        return ()
+    every = -(-points_per_line // _HEIGHT)
+    first, second = (
+        places[: n_lines * points_per_line].reshape(n_lines, points_per_line)[:, ::every].T for places in found
+    )
+    differ = np.where(first == second, np.uint8(len(names) + 1), first)
+    differ[(first == 0) | (second == 0)] = 0
+    lines = f"lines 0-{n_lines - 1}"
+    return (
+        (f"Predicted, {lines} of {predicted.name}", _png(first, names)),
+        (f"Reference, {lines} of {reference.name}", _png(second, names)),
+        ("Where they differ, in the colour of the predicted class; grey: they agree", _png(differ, names)),
+    )
+
+
+def _first_codes(path: Path, dimension: str | None, wanted: int) -> I64:
+    parts: list[I64] = []
+    n = 0
+    if wanted:
+        for chunk in open_codes(path, dimension).chunks():
+            parts.append(chunk[: wanted - n])
+            n += len(parts[-1])
+            if n == wanted:
+                break
+    return np.concatenate(parts) if parts else np.empty(0, np.int64)
+
+
+def _png(places: U8, names: tuple[str, ...]) -> bytes:
+    """Draw places in the table of classes; 0 = white, the place after the last class = they agree."""
+    colours = [_NONE, *(bytes.fromhex(class_colour(name)[1:]) for name in names), _AGREE]
+    height, width = places.shape
+    across, down = max(1, _WIDTH // width), max(1, _HEIGHT // height)
+    # a picture that is small in both directions keeps its shape
+    across, down = min(across, 4 * down), min(down, 4 * across)
+    image = Image.fromarray(np.ascontiguousarray(places))
+    image.putpalette([value for colour in colours for value in colour])
+    target = io.BytesIO()
+    image.resize((width * across, height * down), Image.Resampling.NEAREST).save(target, "PNG", optimize=True)
+    return target.getvalue()
