@@ -149,7 +149,8 @@ def evaluate_all(
     options = options or EvaluateOptions()
     _check(options)
     found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
-    pools = _pools([Path(path) for path in predicted], [Path(path) for path in reference], options)
+    paths = [Path(path) for path in predicted], [Path(path) for path in reference]
+    pools = _pools(*paths, options)
     counts = _Counts(found, {name: GroupedCounts(found, name) for name in ("all", *_asked(options))})
     # blocks of all pools are made alike: of lines where every pool knows its lines
     by_lines = all(LINE in (*left.dimensions, *right.dimensions) for left, right in pools)
@@ -157,6 +158,8 @@ def evaluate_all(
     for left, right in pools:
         _compare(left, right, len(names), counts, options, by_lines=by_lines)
         names += [file.codes.path for file in left.files]
+    if options.allow_missing:
+        _note_missing(paths, pools, counts)
     matrix = counts.parts["all"].matrix(0)
     intervals, method = _intervals(counts, matrix, options, by_lines=by_lines)
     files = dict.fromkeys(names), dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files)
@@ -166,7 +169,7 @@ def evaluate_all(
         counts.n_reference,
         counts.n_matched,
         _tolerance(options),
-        tuple(sentence.format(n=n) for sentence, n in counts.notes.items()),
+        tuple(sentence.replace("{n}", str(n)) for sentence, n in counts.notes.items()),
         counts.n_reference_matched,
     )
     splits = {
@@ -316,6 +319,17 @@ def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[P
         if options.match == "order" or not (one.exists() and other.exists()):
             raise
     return [(files_of([one]), files_of([other]))]
+
+
+def _note_missing(paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, Side]], counts: _Counts) -> None:
+    """Name the files that were left out because they have no partner."""
+    for k, side in enumerate(paths):
+        used = {file.codes.path for pool in pools for file in pool[k].files}
+        missing = [path.name for path in files_of(side) if str(path) not in used]
+        if missing:
+            shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
+            who = ("predicted", "reference")[k]
+            counts.note(f"{len(missing)} {who} files have no partner, left out: {shown}")
 
 
 def _keys(options: EvaluateOptions) -> tuple[str, str]:
