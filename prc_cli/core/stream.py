@@ -46,6 +46,8 @@ class StreamInfo:
     """Scan lines a second [Hz], None if unknown."""
     nadir_rad: float | None = None
     """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad]; None if unknown."""
+    fall: float = 1.0
+    """Metres that the height falls a metre of range along that beam: the cosine of the lean of the scan plane."""
     assumptions: tuple[Assumption, ...] = ()
     notes: tuple[str, ...] = ()
     """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""

@@ -2,7 +2,8 @@
 
 Three ways, in this order: the scan angle that points straight down is given (``input.nadir``), the input tells it
 (zenith angles, registered heights beside range and scan angle), or coordinates relative to the scanner are
-directions themselves. What none of them tells is refused.
+directions themselves. What none of them tells is refused, unless there is nothing to classify either: where no line has
+two returns, any directions do.
 """
 
 from __future__ import annotations
@@ -17,7 +18,20 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64
-from prc_cli.readers.nadir import Beams, NoDirectionError, fit_beams, fit_heights, turn_evenly, wrap
+from prc_cli.readers.nadir import (
+    MIN_LEAN_RAD,
+    Beams,
+    LevelLinesError,
+    NoddingError,
+    NoDirectionError,
+    TooFewReturnsError,
+    WrongOriginError,
+    fit_beams,
+    fit_heights,
+    shown_lean,
+    turn_evenly,
+    wrap,
+)
 from prc_cli.readers.options import InputConfig
 
 SAMPLE_LINES = 64
@@ -28,11 +42,13 @@ MAX_LENGTH_OFF = 0.01
 """Share of the range by which coordinates relative to the scanner may be longer or shorter, in the middle."""
 MAX_LENGTH_OFF_M = 0.05
 """The same in metres: the larger of the two holds."""
+MADE_UP_RAD = (0.1, math.pi - 0.1)
+"""Directions of the outermost columns where nothing tells and nothing can be classified [rad]."""
 KEY = "input.nadir"
-WAYS = (
-    "give input.nadir with scan angles (input.angle_start and input.angle_step where the input has none), "
-    "--range trajectory:FILE, --range origin:X,Y,Z, or zenith_deg in an .npz"
-)
+_WITH_ANGLES = "input.nadir with scan angles (input.angle_start and input.angle_step where the input has none)"
+_ORGANISED = ("PTX", "E57")
+_ARRAY = "array"
+_XYZ = frozenset(("x", "y", "z"))
 
 
 def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
@@ -56,55 +72,77 @@ def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
     Raises
     ------
     InputError
-        When nothing tells where down is, the lines do not rise, or the directions do not turn with the column.
+        When nothing tells where down is, the lines do not rise, the origin of coordinates is not the scanner, or the
+        directions do not turn with the column.
     ConfigError
         When ``nadir`` is given and the stream has no scan angles.
     """
-    finder = _Finder(stream.info, config)
+    source = getattr(stream, "source", None)
+    finder = _Finder(stream.info, config, frozenset(getattr(source, "dimensions", ())))
     known: dict[int, _Found] = {}
     waiting: dict[int, _Sample] = {}
     for block in stream.blocks():
         if block.scanner not in known:
             sample = waiting.setdefault(block.scanner, _Sample())
             sample.add(block)
-            if sample.is_complete:
+            if sample.is_complete or block.is_last:
                 known[block.scanner] = finder.find(waiting.pop(block.scanner))
         if not waiting:
             break
     else:
         known |= {scanner: finder.find(sample) for scanner, sample in waiting.items()}
-    found = tuple(dict.fromkeys(one.assumption for one in known.values() if one.assumption is not None))
-    info = replace(stream.info, assumptions=(*stream.info.assumptions, *found))
-    return BeamStream(info, stream, finder, known)
+    return BeamStream(stream, finder, known)
 
 
 @dataclass(frozen=True, slots=True)
 class BeamStream:
     """A stream whose blocks say where their beams point; see :func:`with_beams`."""
 
-    info: StreamInfo
     source: ScanStream
     finder: _Finder
     known: dict[int, _Found]
     """By scanner, of those that were met in the first lines."""
+    late: dict[int, _Found] = field(default_factory=dict)
+    """The same of those that were met while reading."""
+
+    @property
+    def info(self) -> StreamInfo:
+        """What is known of the stream, with what was found so far of its scanners."""
+        info, every = self.source.info, [*self.known.values(), *self.late.values()]
+        found = dict.fromkeys(one.assumption for one in every if one.assumption is not None)
+        notes = dict.fromkeys(one.note for one in every if one.note)
+        return replace(info, assumptions=(*info.assumptions, *found), notes=(*info.notes, *notes))
 
     def blocks(self) -> Iterator[ScanBlock]:
-        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
+
+        Raises
+        ------
+        InputError
+            Also when a scanner met late is one that :func:`with_beams` refuses.
+        """
         known = dict(self.known)
         waiting: dict[int, _Sample] = {}
         for block in self.source.blocks():
             scanner = block.scanner
             if scanner in known:
-                yield known[scanner].put(block)
+                yield self.finder.put(known[scanner], block)
                 continue
             sample = waiting.setdefault(scanner, _Sample())
             sample.add(block)
             sample.held.append(block)
-            if sample.is_complete:
-                known[scanner] = self.finder.find(waiting.pop(scanner))
-                yield from map(known[scanner].put, sample.held)
+            if sample.is_complete or block.is_last:
+                known[scanner] = self._find(waiting.pop(scanner))
+                for held in sample.held:
+                    yield self.finder.put(known[scanner], held)
         for sample in waiting.values():
-            yield from map(self.finder.find(sample).put, sample.held)
+            found = self._find(sample)
+            for held in sample.held:
+                yield self.finder.put(found, held)
+
+    def _find(self, sample: _Sample) -> _Found:
+        found = self.late[sample.scanner] = self.finder.find(sample)
+        return found
 
 
 @dataclass(slots=True)
@@ -113,6 +151,7 @@ class _Sample:
 
     scanner: int = 0
     angle_rad: F64 | None = None
+    points_per_line: int = 0
     range_m: list[F32] = field(default_factory=list)
     xyz_m: list[F32] = field(default_factory=list)
     n_seen: int = 0
@@ -126,7 +165,7 @@ class _Sample:
         return len(self.range_m) >= SAMPLE_LINES or self.n_seen >= self.max_seen
 
     def add(self, block: ScanBlock) -> None:
-        self.scanner, self.angle_rad = block.scanner, block.angle_rad
+        self.scanner, self.angle_rad, self.points_per_line = block.scanner, block.angle_rad, block.points_per_line
         self.max_seen = max(SAMPLE_LINES, MAX_SAMPLE_CELLS // block.points_per_line)
         for line in range(min(block.n_lines, self.max_seen - self.n_seen)):
             if self.is_complete:
@@ -145,10 +184,11 @@ class _Found:
     beam_rad: F64
     keep_xyz: bool
     assumption: Assumption | None
-
-    def put(self, block: ScanBlock) -> ScanBlock:
-        xyz_m = block.xyz_m if self.keep_xyz else None
-        return replace(block, beam_rad=self.beam_rad, xyz_m=xyz_m)
+    fall: float = 1.0
+    """Metres that the height falls a metre of range straight down: below 1 the scan plane leans over."""
+    is_made_up: bool = False
+    """Whether the directions mean nothing, so that no line may have two returns."""
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +197,24 @@ class _Finder:
 
     info: StreamInfo
     config: InputConfig
+    dimensions: frozenset[str]
+    """Of the records; empty for other inputs."""
+
+    def put(self, found: _Found, block: ScanBlock) -> ScanBlock:
+        """Return a block with its directions.
+
+        Raises
+        ------
+        InputError
+            When it has lines with returns in several columns, and nothing told where down is.
+        """
+        if found.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
+            where, problem = self._where(block.scanner), f"the first {MAX_SAMPLE_CELLS} shots tell nothing"
+            raise InputError(where, f"no vertical direction known: {problem}", self._hint(None))
+        xyz_m = block.xyz_m if found.keep_xyz else None
+        if xyz_m is None and found.fall < math.cos(MIN_LEAN_RAD):
+            xyz_m = _leaning(block.range_m, found.beam_rad, found.fall)
+        return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m)
 
     def find(self, sample: _Sample) -> _Found:
         """Apply the first way that can be gone.
@@ -166,6 +224,7 @@ class _Finder:
         InputError, ConfigError
             See :func:`with_beams`.
         """
+        scanner = sample.scanner
         angle = sample.angle_rad if sample.angle_rad is not None else self.info.angle_rad
         n = len(sample.range_m)
         range_m = np.stack(sample.range_m) if n else np.empty((0, 0), np.float32)
@@ -180,18 +239,33 @@ class _Finder:
         if self.info.nadir_rad is not None and angle is not None:
             told = any(one.key == KEY for one in self.info.assumptions)
             shown = "" if told else f"{math.degrees(self.info.nadir_rad):.2f} deg"
-            return self._turned(angle, self.info.nadir_rad, off_m, shown, "the input says where down is")
+            why = "the input says where down is"
+            return self._turned(angle, self.info.nadir_rad, off_m, shown, why, self.info.fall)
+        if not (np.isfinite(range_m).sum(axis=1) > 1).any():
+            return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
         if xyz is None:
-            raise InputError(self.info.path, f"no vertical direction known: {self._lacks(angle, n)}", WAYS)
+            raise self._refusal(scanner, self._lacks(angle), None)
         if off_m is not None:
-            return self._registered(angle, range_m, xyz, off_m)
+            return self._registered(scanner, angle, range_m, xyz, off_m)
         try:
             beams = fit_beams(xyz)
+        except TooFewReturnsError:
+            # coordinates lie at the origin where ranges say otherwise
+            return self._made_up(scanner, sample.points_per_line, has_returns=True)
         except NoDirectionError as error:
-            raise InputError(self.info.path, f"no vertical direction known: {error}", WAYS) from error
+            raise self._refusal(scanner, str(error), error) from error
         return _Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), _why(beams)))
 
-    def _turned(self, angle: F64, nadir_rad: float, off_m: float | None, shown: str, why: str) -> _Found:
+    def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> _Found:
+        """Give columns any directions: a line of one return has no angle, and its return stays unclassified."""
+        beam_rad = np.linspace(*MADE_UP_RAD, points_per_line)
+        which = self._which(scanner)
+        shown = "no line has two returns: nothing can be classified" if has_returns else "no shot has a return"
+        return _Found(beam_rad, True, None, is_made_up=True, note=f"{which}: {shown}" if which else shown)
+
+    def _turned(
+        self, angle: F64, nadir_rad: float, off_m: float | None, shown: str, why: str, fall: float = 1.0
+    ) -> _Found:
         """Turn scan angles so that straight down is 0."""
         try:
             beam_rad = from_angles(angle, nadir_rad)
@@ -200,33 +274,86 @@ class _Finder:
         if off_m is not None:
             shown = shown or f"{math.degrees(nadir_rad):.2f} deg"
             why = f"{why}; xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
-        return _Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None)
+        return _Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, fall)
 
-    def _registered(self, angle: F64 | None, range_m: F32, xyz: F32, off_m: float) -> _Found:
+    def _registered(self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float) -> _Found:
         """Use coordinates of a map: their heights, if scan angles stand beside them."""
         problem = f"xyz is not relative to the scanner: its length is {off_m:.2f} m off the range, in the middle"
         if angle is None:
             hint = "subtract the scanner's position from xyz, or add angle_deg"
-            raise InputError(self.info.path, f"no vertical direction known: {problem}", hint)
+            raise InputError(self._where(scanner), f"no vertical direction known: {problem}", hint)
         line = np.repeat(np.arange(len(range_m)), range_m.shape[1])
         every = np.tile(angle, len(range_m))
         try:
             fit = fit_heights(every, range_m.ravel(), xyz[..., 2].ravel(), line)
         except NoDirectionError as error:
-            raise InputError(self.info.path, f"no vertical direction known: {problem}, and {error}", WAYS) from error
+            raise self._refusal(scanner, f"{problem}, and {error}", error) from error
         why = f"found from the heights of xyz over {len(range_m)} lines, within {fit.off_m:.3f} m in the middle"
-        return self._turned(angle, fit.nadir_rad, off_m, f"{math.degrees(fit.nadir_rad):.2f} deg", why)
+        shown = f"{math.degrees(fit.nadir_rad):.2f} deg{shown_lean(fit.fall)}"
+        return self._turned(angle, fit.nadir_rad, off_m, shown, why, fit.fall)
 
-    def _lacks(self, angle: F64 | None, n_lines: int) -> str:
+    def _lacks(self, angle: F64 | None) -> str:
         """Say what the stream has and lacks."""
-        if not n_lines:
-            return "no shot has a return"
         for one in self.info.assumptions:
             if one.key.startswith(KEY) and one.value == "not found":
                 return one.why
         if angle is not None:
             return "the stream has scan angles, but nothing says which of them points straight down"
         return "the stream has neither scan angles nor coordinates relative to the scanner"
+
+    def _which(self, scanner: int) -> str:
+        """Name a scanner where the input may have several."""
+        if self.info.format in _ORGANISED:
+            return f"scan {scanner}"
+        return "" if self.config.scanner == "none" else f"{self.config.scanner} {scanner}"
+
+    def _where(self, scanner: int) -> str:
+        which = self._which(scanner)
+        return f"{self.info.path}: {which}" if which else self.info.path
+
+    def _refusal(self, scanner: int, problem: str, error: NoDirectionError | None) -> InputError:
+        return InputError(self._where(scanner), f"no vertical direction known: {problem}", self._hint(error))
+
+    def _hint(self, error: NoDirectionError | None) -> str:
+        """Say what this kind of input can do about it."""
+        if isinstance(error, NoddingError):
+            return "check that the origin is the scanner and z is up; a scanner that nods is for --method prc"
+        if self.info.format in _ORGANISED:
+            if isinstance(error, LevelLinesError):
+                return "check whether rows and columns are exchanged in the header, and whether its pose turns z up"
+            if isinstance(error, WrongOriginError):
+                return "export the scan with its origin at the scanner and the registration in the pose"
+            return "check rows, columns and pose in the header, or export the scan again"
+        if self.info.format == _ARRAY:
+            if isinstance(error, LevelLinesError):
+                return "check whether lines and columns are exchanged, and that z is up"
+            if isinstance(error, WrongOriginError):
+                return "subtract the scanner's position from xyz"
+            return f"add zenith_deg, or xyz relative to the scanner, to an .npz, or give {_WITH_ANGLES}"
+        if isinstance(error, LevelLinesError):
+            return "check the lines (--lines, -M), and that z is up"
+        ways = self._ways_of_coordinates(origin_only=isinstance(error, WrongOriginError))
+        if isinstance(error, WrongOriginError):
+            return f"give {' or '.join(ways)}"
+        return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{_WITH_ANGLES}"
+
+    def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
+        if self.dimensions and not self.dimensions >= _XYZ:
+            return []
+        ways = ["--range origin:X,Y,Z (where the scanner stood)"]
+        if not self.dimensions or "time" in self.dimensions:
+            ways.insert(0, "--range trajectory:FILE")
+        return ways if origin_only else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
+
+
+def _leaning(range_m: F32, beam_rad: F64, fall: float) -> F32:
+    """Return coordinates (lines, M, 3) in a leaning scan plane: true heights, all that is sideways in x."""
+    up = -fall * np.cos(beam_rad)
+    across = np.copysign(np.sqrt(1 - up * up), np.sin(beam_rad))
+    xyz: F32 = np.zeros((*range_m.shape, 3), np.float32)
+    xyz[..., 0], xyz[..., 2] = range_m * across, range_m * up
+    xyz[np.isnan(range_m)] = np.nan
+    return xyz
 
 
 def from_angles(angle_rad: F64, nadir_rad: float) -> F64:
@@ -277,8 +404,12 @@ def _off(xyz: NDArray[np.float32], range_m: F32) -> float | None:
 
 
 def _shown(beam_rad: F64) -> str:
-    along = np.rad2deg(np.unwrap(beam_rad))
-    return f"beams from {along[0]:.2f} to {along[-1]:.2f} deg from straight down"
+    """Tell the angles from straight down, 0 to 180 deg on either side."""
+    degrees = np.rad2deg(beam_rad)
+    sides = [np.abs(side) for side in (degrees[degrees >= 0], degrees[degrees < 0]) if len(side)]
+    first, *other = (f"{side.min():.2f} to {side.max():.2f}" for side in sides)
+    shown = f"beams from {first} deg from straight down"
+    return f"{shown} on one side, {other[0]} on the other" if other else shown
 
 
 def _why(beams: Beams) -> str:

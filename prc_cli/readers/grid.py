@@ -91,6 +91,7 @@ def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | Non
         angle_rad=next(iter(setups.values())).angle_rad if len(setups) == 1 else None,
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
         nadir_rad=next(iter(setups.values())).nadir_rad if len(setups) == 1 else None,
+        fall=next(iter(setups.values())).fall if len(setups) == 1 else 1.0,
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
     )
     default = None if m is None else ScannerSetup(m, None, None, given_angles(config, m), beat=given_beat(rules, m))

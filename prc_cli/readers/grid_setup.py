@@ -33,7 +33,7 @@ from prc_cli.readers.grid_lines import (
 from prc_cli.readers.grid_read import first_records, nothing_placed, whole_lines
 from prc_cli.readers.grid_rules import GridRules
 from prc_cli.readers.lines import Sweep, find_sweep
-from prc_cli.readers.nadir import NoDirectionError, fit_heights
+from prc_cli.readers.nadir import NoDirectionError, fit_heights, shown_lean
 from prc_cli.readers.options import InputConfig
 from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.records import RecordSource
@@ -57,6 +57,8 @@ class ScannerSetup:
     """(M,) float64, angle of every column [rad], None if unknown."""
     nadir_rad: float | None = None
     """Scan angle that points straight down [rad], None if unknown."""
+    fall: float = 1.0
+    """Metres that the height falls a metre of range there: the cosine of the lean of the scan plane."""
     beat: Beat = UNKNOWN
     n_shots: int = 0
     """Shots of the whole input, if it was read."""
@@ -132,12 +134,12 @@ def find_setups(
             check_found_columns(rules.path, size, source.n_records)
         found = estimates.get(scanner, _Estimates())
         angle = _angles(rules, size, found, probes.get(scanner))
-        nadir_rad = None
+        nadir_rad, fall = None, 1.0
         if angle is not None and rules.height_names and scanner in probes:
-            nadir_rad, assumption = _nadir(rules, probes[scanner], scanner)
+            nadir_rad, fall, assumption = _nadir(rules, probes[scanner], scanner)
             taken.append(assumption)
         n_shots = extents[scanner].n_shots if scanner in extents else 0
-        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle, nadir_rad, found.beat, n_shots)
+        setups[scanner] = ScannerSetup(size, found.sweep, found.angle_grid, angle, nadir_rad, fall, found.beat, n_shots)
     return setups, n_lines, tuple(taken)
 
 
@@ -314,8 +316,8 @@ def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, _Estima
     return extents
 
 
-def _nadir(rules: GridRules, probe: Table, scanner: int) -> tuple[float | None, Assumption]:
-    """Find the scan angle that points straight down in the registered heights of the first lines."""
+def _nadir(rules: GridRules, probe: Table, scanner: int) -> tuple[float | None, float, Assumption]:
+    """Find the scan angle that points straight down, and the fall along it, in heights of the first lines."""
     key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
     range_m = clean_ranges(probe[rules.height_names[0]], rules.config.min_range, rules.config.max_range)[0]
     lines = np.unique(probe[LINE][np.isfinite(range_m)])[:NADIR_LINES]
@@ -323,9 +325,10 @@ def _nadir(rules: GridRules, probe: Table, scanner: int) -> tuple[float | None, 
     try:
         fit = fit_heights(probe["angle"][first], range_m[first], probe["z"][first], probe[LINE][first])
     except NoDirectionError as error:
-        return None, Assumption(key, "not found", f"z is there beside range and scan angle, but {error}")
+        return None, 1.0, Assumption(key, "not found", f"z is there beside range and scan angle, but {error}")
     why = f"found from z, range and scan angle of {fit.n_shots} shots, heights within {fit.off_m:.3f} m in the middle"
-    return fit.nadir_rad, Assumption(key, f"{math.degrees(fit.nadir_rad):.2f} deg", why)
+    shown = f"{math.degrees(fit.nadir_rad):.2f} deg{shown_lean(fit.fall)}"
+    return fit.nadir_rad, fit.fall, Assumption(key, shown, why)
 
 
 def _angles(rules: GridRules, size: int, found: _Estimates, probe: Table | None) -> F64 | None:

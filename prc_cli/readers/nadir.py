@@ -27,6 +27,17 @@ MAX_TURNS = 1.1
 """Turns that a line may make."""
 MIN_ARC_RAD = math.radians(0.5)
 """Lines that span less do not tell their plane."""
+MAX_OFF_PLANE = 0.02
+"""Share of its arc by which the shots of a line may lie off a plane through the scanner, in the middle of lines and
+shots: scanners that turn while they sweep come to 0.011."""
+MIN_OFF_PLANE_RAD = math.radians(0.1)
+"""Shots closer to the plane than this are in it, however short the arc."""
+MAX_DRIFT_RAD = math.radians(15.0)
+"""Change of the lean of the scan planes; where there is more the scanner nods, and its lines are not vertical lines."""
+MIN_LEVEL_RAD = math.radians(10.0)
+"""Lines that rise by less, and by less than they sweep sideways, are level arcs."""
+FAR_M = 20_000.0
+"""No laser scanner on the ground measures so far [m]: coordinates with such lengths are a map's."""
 MAX_HEIGHT_OFF_M = 0.25
 """Median deviation of registered heights from the fit; where there is more, height and angle do not belong together."""
 MIN_SHOTS = 32
@@ -35,6 +46,8 @@ MAX_FALL = 1.05
 """Metres that a height may fall a metre of range; rounding leaves a little over 1."""
 MIN_SPREAD = 1e-3
 """Least ratio of the two extents of a fit of heights."""
+MIN_LEAN_RAD = math.radians(3.0)
+"""Scan planes that lean over by less are taken as upright: heights are wrong by less than 0.14 %."""
 LEAST_STEP_RAD = 1e-6
 """Angles closer than this are equal."""
 DECIMALS = 10
@@ -46,6 +59,22 @@ _TURN = 2 * math.pi
 
 class NoDirectionError(ValueError):
     """The coordinates do not tell where down is; the message says why."""
+
+
+class TooFewReturnsError(NoDirectionError):
+    """No line has two returns: nothing tells, and nothing can be classified."""
+
+
+class WrongOriginError(NoDirectionError):
+    """The origin of the coordinates is not the scanner."""
+
+
+class LevelLinesError(NoDirectionError):
+    """Lines run sideways: rows and columns are exchanged, or z is not up."""
+
+
+class NoddingError(NoDirectionError):
+    """The scan planes lean differently from line to line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +122,8 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     Raises
     ------
     NoDirectionError
-        When there are too few returns, the planes are horizontal, or the columns share no direction.
+        When there are too few returns, the origin is not the scanner, the planes are horizontal or lean differently,
+        or the columns share no direction.
 
     Examples
     --------
@@ -103,29 +133,80 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     array([20., 50., 80.])
     """
     unit, seen = _directions(xyz)
-    n_columns = int(np.count_nonzero(seen.any(axis=0)))
-    if n_columns < 2:
-        shown = "no shot has a return" if not n_columns else "only one column has returns"
-        message = f"{shown} in the first lines, two columns are needed"
-        raise NoDirectionError(message)
     enough = seen.sum(axis=1) >= 2
+    if not enough.any():
+        shown = "no line has two returns" if seen.any() else "no shot has a return"
+        message = f"{shown} in the first lines"
+        raise TooFewReturnsError(message)
+    _check_lengths(xyz)
     unit, seen = unit[enough], seen[enough]
-    normal, arc = _planes(unit, seen)
+    normal, arc, off = _planes(unit, seen)
     wide = arc >= MIN_ARC_RAD
     if not wide.any():
         message = f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions"
         raise NoDirectionError(message)
-    unit, seen, normal = unit[wide], seen[wide], normal[wide]
+    unit, seen, normal, arc, off = unit[wide], seen[wide], normal[wide], arc[wide], off[wide]
     rise = np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0))
     if float(np.median(rise)) < MIN_RISE_RAD:
         message = (
             f"the lines do not rise: their planes are {math.degrees(float(np.median(rise))):.1f} deg from horizontal, "
             f"expected at least {math.degrees(MIN_RISE_RAD):g}"
         )
-        raise NoDirectionError(message)
+        raise LevelLinesError(message)
+    _check_level(unit, seen)
+    _check_planes(arc, off, rise)
     steep = rise >= MIN_RISE_RAD
     angle, seen = _angles_in_plane(unit[steep], seen[steep], normal[steep]), seen[steep]
     return _columns(angle, seen)
+
+
+def _check_lengths(xyz: NDArray[Any]) -> None:
+    """Refuse coordinates of a country."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.sqrt((np.asarray(xyz, np.float64) ** 2).sum(axis=-1))
+    far = float(np.nanmedian(length[length > 0]))
+    if far > FAR_M:
+        message = f"xyz is not relative to the scanner: its ranges are {far / 1000:.0f} km in the middle"
+        raise WrongOriginError(message)
+
+
+def _check_level(unit: F64, seen: Mask) -> None:
+    """Refuse lines that run sideways at a nearly constant elevation: arcs of a turning head, not of its mirror."""
+    elevation = np.arcsin(np.clip(unit[..., 2], -1.0, 1.0))
+    azimuth = np.arctan2(unit[..., 1], unit[..., 0])
+    is_level = np.zeros(len(unit), np.bool_)
+    for row, has in enumerate(seen):
+        rise = float(np.ptp(elevation[row, has]))
+        # modulo half a turn: a line through the zenith does not run sideways
+        at = np.sort(np.remainder(azimuth[row, has], math.pi))
+        around = math.pi - float(np.max(np.diff(at, append=at[0] + math.pi)))
+        sideways = around * float(np.cos(np.median(elevation[row, has])))
+        is_level[row] = rise < MIN_LEVEL_RAD and rise < 0.5 * sideways
+    if np.mean(is_level) > 0.5:
+        message = (
+            "the lines do not rise: most run sideways at an elevation that changes by less than "
+            f"{math.degrees(MIN_LEVEL_RAD):g} deg"
+        )
+        raise LevelLinesError(message)
+
+
+def _check_planes(arc: F64, off: F64, rise: F64) -> None:
+    """Refuse lines whose shots lie off a plane through the origin, and planes that lean differently."""
+    out, whole = float(np.median(off)), float(np.median(arc))
+    if out > max(MAX_OFF_PLANE * whole, MIN_OFF_PLANE_RAD):
+        message = (
+            f"xyz is not relative to the scanner: the shots of a line lie {math.degrees(out):.2f} deg off a plane "
+            f"through the origin, over an arc of {math.degrees(whole):.1f} deg"
+        )
+        raise WrongOriginError(message)
+    # the plane of a short line is unsure
+    low, high = np.percentile(rise[arc >= 0.5 * whole], (5, 95)).tolist()
+    if high - low > MAX_DRIFT_RAD:
+        message = (
+            f"the lines are not vertical lines: their planes are {math.degrees(low):.0f} to {math.degrees(high):.0f} "
+            f"deg from horizontal, expected the same within {math.degrees(MAX_DRIFT_RAD):g} deg"
+        )
+        raise NoddingError(message)
 
 
 def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
@@ -138,21 +219,25 @@ def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
     return unit, seen
 
 
-def _planes(unit: F64, seen: Mask) -> tuple[F64, F64]:
-    """Fit a plane through the scanner to every line, outliers trimmed; return normals and spanned arcs [rad]."""
+def _planes(unit: F64, seen: Mask) -> tuple[F64, F64, F64]:
+    """Fit a plane through the scanner to every line, outliers trimmed.
+
+    Returns normals, spanned arcs [rad] and how far shots are off the plane, in the middle [rad].
+    """
     weight = seen.astype(np.float64)
     for _ in range(N_TRIMS):
         moments = np.einsum("lm,lmi,lmj->lij", weight, unit, unit)
         values, vectors = np.linalg.eigh(moments)
         normal: F64 = vectors[:, :, 0]
         off = np.where(seen, np.abs(np.einsum("lmi,li->lm", unit, normal)), np.nan)
+        middle = np.nanmedian(off, axis=1)
         # a share of the shots may lie anywhere; what is within 0.5 deg never hurts
-        limit = np.maximum(3 * 1.4826 * np.nanmedian(off, axis=1), math.radians(0.5))
+        limit = np.maximum(3 * 1.4826 * middle, math.radians(0.5))
         weight = (seen & (off <= limit[:, None])).astype(np.float64)
     total = np.maximum(values.sum(axis=1), np.finfo(float).tiny)
     # the standard deviation of directions that fill an arc evenly is the arc over the root of 12
     arc = np.sqrt(12 * np.maximum(values[:, 1], 0.0) / total)
-    return normal, arc
+    return normal, arc, np.arcsin(np.minimum(middle, 1.0))
 
 
 def _angles_in_plane(unit: F64, seen: Mask, normal: F64) -> F64:
@@ -277,6 +362,8 @@ class HeightFit:
 
     nadir_rad: float
     """Scan angle of the beam that points straight down [rad]."""
+    fall: float
+    """Metres that the height falls a metre of range there: the cosine of the lean of the scan plane, 1 at most."""
     off_m: float
     """Median deviation of the heights from the fit [m]."""
     n_shots: int
@@ -329,7 +416,19 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
         keep = off <= max(3 * 1.4826 * float(np.median(off[keep])), 1e-3)
     _check_heights(solution, float(np.median(off)), matrix[keep])
     nadir_rad = round(math.atan2(-solution[1], -solution[0]), DECIMALS)
-    return HeightFit(nadir_rad, float(np.median(off)), len(z))
+    fall = min(round(math.hypot(*solution), DECIMALS), 1.0)
+    return HeightFit(nadir_rad, fall, float(np.median(off)), len(z))
+
+
+def shown_lean(fall: float) -> str:
+    """Tell by how much a scan plane leans over, nothing where it stands upright.
+
+    >>> shown_lean(0.7071), shown_lean(1.0)
+    (', the scan plane leans over by 45.0 deg', '')
+    """
+    if fall >= math.cos(MIN_LEAN_RAD):
+        return ""
+    return f", the scan plane leans over by {math.degrees(math.acos(fall)):.1f} deg"
 
 
 def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:

@@ -43,7 +43,8 @@ class Blocks:
 def stream(*parts: ScanBlock, **info: Any) -> Blocks:
     first = parts[0]
     given = {"angle_rad": first.angle_rad} | info
-    return Blocks(parts, StreamInfo("drive.laz", "LAS", first.points_per_line, None, None, **given))
+    form = given.pop("format", "LAS")
+    return Blocks(parts, StreamInfo("drive.laz", form, first.points_per_line, None, None, **given))
 
 
 def lines(

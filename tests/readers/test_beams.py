@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import ConfigError, InputError, PrcError
-from prc_cli.core.stream import Assumption, ScanBlock
+from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
 from prc_cli.core.types import F64
 from prc_cli.readers import beams as module
 from prc_cli.readers import open_input
 from prc_cli.readers.beams import from_angles, with_beams
 from prc_cli.readers.nadir import NoDirectionError
 from prc_cli.readers.options import InputConfig, Layout
-from tests.readers.beam_lines import GEOMETRIES, Blocks, gone, is_strictly_monotone, lines, pieces, stream, worst_deg
+from tests.readers.beam_lines import GEOMETRIES, gone, is_strictly_monotone, lines, pieces, stream, worst_deg
 from tests.readers.record_lists import M, open_records, scene
 
 AUTO = InputConfig()
 
 
-def beams_of(source: Blocks, config: InputConfig = AUTO) -> F64:
+def beams_of(source: ScanStream, config: InputConfig = AUTO) -> F64:
     found = [block.beam_rad for block in with_beams(source, config).blocks()]
     assert found[0] is not None
     for beam in found:
@@ -86,8 +86,10 @@ def test_the_wait_for_lines_with_returns_is_bounded(monkeypatch: pytest.MonkeyPa
     true = GEOMETRIES["low to high"]
     block = gone(lines(true, 150), slice(None), slice(0, 90))
     assert worst_deg(beams_of(stream(block)), true) < 0.5
-    with pytest.raises(InputError, match="no vertical direction known: no shot has a return"):
-        with_beams(stream(gone(lines(true, 150), slice(None), slice(0, 100))), AUTO)
+    # what follows lines without returns cannot be waited for
+    late = with_beams(stream(gone(lines(true, 150), slice(None), slice(0, 100))), AUTO)
+    with pytest.raises(InputError, match="no vertical direction known: the first 19300 shots tell nothing"):
+        list(late.blocks())
 
 
 def with_angles(angle_deg: F64, n_lines: int = 3) -> ScanBlock:
@@ -141,17 +143,68 @@ def test_nothing_tells() -> None:
     for block, why in (
         (ranges, "neither scan angles nor coordinates relative to the scanner"),
         (with_angles(np.arange(4.0)), "nothing says which of them points straight down"),
-        (gone(lines(GEOMETRIES["half circle"]), slice(None)), "no shot has a return"),
-        (gone(lines(GEOMETRIES["half circle"]), slice(1, None)), "only one column has returns"),
-        (lines(np.array([1.0])), "only one column has returns"),
     ):
         with pytest.raises(InputError, match=f"^drive.laz: no vertical direction known: .*{why}") as caught:
             with_beams(stream(block), AUTO)
-        for way in ("input.nadir", "trajectory:FILE", "origin:X,Y,Z", "zenith_deg"):
+        for way in ("input.nadir", "sensor-xyz", "trajectory:FILE", "origin:X,Y,Z"):
             assert way in caught.value.hint
         assert "\n" not in str(caught.value)
     with pytest.raises(ConfigError, match=r"^input.nadir: is given, but drive.laz has no scan angles"):
         with_beams(stream(ranges), InputConfig(nadir=0.0))
+
+
+@pytest.mark.parametrize(
+    ("block", "note"),
+    [
+        (gone(lines(GEOMETRIES["half circle"]), slice(None)), "no shot has a return"),
+        (gone(lines(GEOMETRIES["half circle"]), slice(1, None)), "no line has two returns: nothing can be classified"),
+        (lines(np.array([1.0])), "no line has two returns: nothing can be classified"),
+        (ScanBlock(0, np.full((3, 4), np.nan, np.float32)), "no shot has a return"),
+    ],
+)
+def test_where_nothing_can_be_classified_any_directions_do(block: ScanBlock, note: str) -> None:
+    full = lines(GEOMETRIES["whole circle"])
+    alone = with_beams(stream(replace(block, angle_rad=None)), AUTO)
+    assert alone.info.notes == (note,)
+    assert is_strictly_monotone(beams_of(alone))
+    for format_, which in (("PTX", "scan 1: "), ("LAS", "")):
+        parts = (replace(full, is_last=True), replace(block, scanner=1, angle_rad=None, is_last=True))
+        both = with_beams(stream(*parts, format=format_), AUTO)
+        found = list(both.blocks())
+        assert found[0].beam_rad is not None
+        assert worst_deg(found[0].beam_rad, GEOMETRIES["whole circle"]) < 0.25
+        assert found[1].beam_rad is not None
+        assert both.info.notes == (f"{which}{note}",)
+
+
+def test_hints_are_possible_for_the_input_and_messages_name_the_scan() -> None:
+    level = lines(np.deg2rad(np.linspace(20, 120, 80)))
+    assert level.xyz_m is not None
+    across = replace(level, xyz_m=level.xyz_m[..., [0, 2, 1]] * np.float32(1))
+    for format_, where in (("PTX", "drive.laz: scan 0"), ("E57", "drive.laz: scan 0"), ("array", "drive.laz")):
+        with pytest.raises(InputError, match=f"^{where}: no vertical direction known: ") as caught:
+            with_beams(stream(across, format=format_), AUTO)
+        assert "--range" not in caught.value.hint
+        assert "input." not in caught.value.hint
+    away = replace(level, xyz_m=level.xyz_m + np.float32(1e6), range_m=level.range_m + np.float32(np.sqrt(3) * 1e6))
+    with pytest.raises(InputError, match="its ranges are 1732 km in the middle") as caught:
+        with_beams(stream(away), AUTO)
+    assert caught.value.hint.startswith("give --range trajectory:FILE or --range origin:X,Y,Z")
+
+
+def test_heights_of_a_plane_that_leans_over_are_true() -> None:
+    true, lean = GEOMETRIES["half circle"], np.deg2rad(45.0)
+    block = lines(true, noise_m=0.0, tilt_deg=45.0)
+    assert block.xyz_m is not None
+    registered = replace(block, xyz_m=block.xyz_m + np.array([400.0, 90.0, 250.0], np.float32), angle_rad=true + 1.0)
+    found = with_beams(stream(registered), AUTO)
+    assert "the scan plane leans over by 45.0 deg" in found.info.assumptions[-1].value
+    (placed,) = found.blocks()
+    assert placed.xyz_m is not None
+    length = np.linalg.norm(placed.xyz_m.astype(np.float64), axis=-1)
+    np.testing.assert_allclose(length, block.range_m, rtol=1e-6)
+    np.testing.assert_allclose(placed.xyz_m[..., 2], block.range_m * -np.cos(true) * np.cos(lean), atol=2e-3)
+    np.testing.assert_allclose(placed.xyz_m[..., 2], block.xyz_m[..., 2], atol=2e-3)
 
 
 def test_horizontal_lines_are_refused() -> None:

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64, I64
-from prc_cli.readers.nadir import NoDirectionError, fit_beams, fit_heights, turn_evenly, wrap
+from prc_cli.readers.nadir import (
+    LevelLinesError,
+    NoddingError,
+    NoDirectionError,
+    fit_beams,
+    fit_heights,
+    turn_evenly,
+    wrap,
+)
 from tests.readers.beam_lines import GEOMETRIES, gone, is_strictly_monotone, lines, worst_deg
 
 
@@ -97,15 +105,55 @@ def test_lines_that_lean_are_not_horizontal() -> None:
     [
         (np.full((3, 5, 3), np.nan), "no shot has a return"),
         (np.zeros((3, 5, 3)), "no shot has a return"),
-        (np.where(np.arange(5)[None, :, None] == 2, 1.0, np.full((3, 5, 3), np.nan)), "only one column has returns"),
+        (np.where(np.arange(5)[None, :, None] == 2, 1.0, np.full((3, 5, 3), np.nan)), "no line has two returns"),
         (np.ones((3, 5, 3)), "spans less than"),
-        (np.random.default_rng(0).normal(size=(20, 50, 3)), "look different ways|do not turn"),
+        (np.random.default_rng(0).normal(size=(20, 50, 3)), "off a plane through the origin"),
         (np.random.default_rng(0).uniform(50, 90, (20, 50, 3)) * [1, 1, 0.1], "look different ways|do not turn|rise"),
     ],
 )
 def test_coordinates_that_do_not_tell(xyz: F64, message: str) -> None:
     with pytest.raises(NoDirectionError, match=message):
         fit_beams(xyz)
+
+
+def room(n_lines: int = 120) -> F64:
+    """Vertical lines of a scanner in the middle of a round room, 2 m above its floor."""
+    elevation, azimuth = np.deg2rad(np.linspace(-60, 60, 200)), np.deg2rad(np.arange(n_lines, dtype=float))[:, None]
+    length = np.minimum(2 / np.sin(np.maximum(-elevation, 1e-3)), 15 / np.cos(elevation)) + 0 * azimuth
+    flat = length * np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)], axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "message"),
+    [
+        ((1.5, 0.5, 0.1), "not relative to the scanner: the shots of a line lie .* deg off a plane"),
+        ((5.0, 5.0, 5.0), "not relative to the scanner: the shots of a line lie .* deg off a plane"),
+        ((0.0, 30.0, 0.0), "not relative to the scanner|not vertical lines"),
+        ((1000.0, 1000.0, 100.0), "not relative to the scanner|not vertical lines"),
+        ((5e5, 4e6, 100.0), "not relative to the scanner: its ranges are 4031 km in the middle"),
+    ],
+)
+def test_another_origin_than_the_scanner_is_refused(offset_m: tuple[float, ...], message: str) -> None:
+    assert fit_beams(room()).is_straight
+    with pytest.raises(NoDirectionError, match=message):
+        fit_beams(room() + np.array(offset_m))
+
+
+@pytest.mark.parametrize("n_lines", [20, 90, 180])
+def test_rows_and_columns_exchanged_are_refused(n_lines: int) -> None:
+    with pytest.raises(LevelLinesError, match="the lines do not rise: most run sideways"):
+        fit_beams(room(n_lines).transpose(1, 0, 2))
+
+
+def test_a_scanner_that_nods_has_no_vertical_lines() -> None:
+    lean = np.deg2rad(np.linspace(50, 20, 64))[:, None]
+    angle = np.deg2rad(np.linspace(-70, 70, 300))
+    across, ahead = np.sin(angle) + 0 * lean, np.cos(angle)
+    line = 8.0 * np.stack([across, ahead * np.cos(lean), -ahead * np.sin(lean)], axis=-1)
+    with pytest.raises(NoddingError, match=r"not vertical lines: their planes are 2\d to 4\d deg from horizontal"):
+        fit_beams(line)
+    assert fit_beams(line[:10]).n_lines == 10
 
 
 def test_wrap_keeps_pi_and_nan() -> None:
@@ -145,6 +193,17 @@ def test_down_is_found_in_registered_heights(nadir_deg: float) -> None:
     range_m[::31], z[::37], angle[::41] = np.nan, np.nan, np.nan
     fit = fit_heights(angle, range_m, z, line)
     assert abs(np.rad2deg(wrap(np.array([fit.nadir_rad - np.deg2rad(nadir_deg)]))[0])) < 0.05
+
+
+@pytest.mark.parametrize("lean_deg", [0.0, 20.0, 45.0, 70.0])
+def test_the_lean_of_the_scan_plane_is_found(lean_deg: float) -> None:
+    rng = np.random.default_rng(3)
+    angle, line = np.tile(np.linspace(-1.2, 1.2, 200), 10), np.repeat(np.arange(10), 200)
+    ranges = rng.uniform(2, 30, 2000)
+    fall = np.cos(np.deg2rad(lean_deg))
+    fit = fit_heights(angle, ranges, 100 - ranges * np.cos(angle) * fall + rng.normal(0, 0.01, 2000), line)
+    assert fit.fall == pytest.approx(fall, abs=0.001)
+    assert fit.fall <= 1
 
 
 def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
