@@ -3,39 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from prc_cli.classifiers.prc.pipeline import initial_state, trace_block
 from prc_cli.comparison import evaluate
 from prc_cli.config import LoadedConfig, to_toml
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import OutputError, OutputExistsError
 from prc_cli.core.files import atomic_output
-from prc_cli.core.types import U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_json, as_markdown
-from prc_cli.imaging.pictures import (
-    label_picture,
-    mask_picture,
-    range_picture,
-    segment_picture,
-    stack_pictures,
-    write_png,
-)
-from prc_cli.pipeline import Progress, RunSummary, classify, label_blocks
-from prc_cli.readers.regroup import regroup
+from prc_cli.pipeline import Progress, RunSummary, classify
+from prc_cli.rendering import RenderOptions, render
 from prc_cli.simulation.static_scan import StaticScan, StaticScanParams, simulate_static_scan
 from prc_cli.simulation.street import StreetParams, StreetScan, simulate_street
 
 STATIC = StaticScanParams(azimuth_step_deg=0.5, elevation_step_deg=0.25)
 """The static scan of the demo: small, but with shots close enough together for curbs."""
-_SURFACE_LABELS = np.array(
-    [Label.MISSING, Label.VEGETATION, Label.HORIZONTAL, Label.VERTICAL, Label.UNCLASSIFIED], dtype=np.uint8
-)
-"""Label that shows a :class:`prc_cli.core.classes.Surface` in pictures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +93,9 @@ def _classify_drive(
     _write_street(street, stream, reference)
     part = _classify(stream, reference, config, "prc", overwrite, progress)
     _write_texts(folder, "", config, part)
-    _draw(street, config, folder / "street.png")
+    # the steps of the second block, as the paper's Fig. 1 shows them (Lehtola et al. 2019)
+    options = RenderOptions(figure1=True, reference=reference)
+    render(stream, folder / "street.png", config, options, overwrite=overwrite)
     return part
 
 
@@ -119,7 +106,8 @@ def _classify_static(
     _write_static(scan, stream, reference)
     part = _classify(stream, reference, config, "street_scan", overwrite, progress)
     _write_texts(folder, "static_scan_", config, part)
-    _draw_static(scan, config, folder / "static_scan.png")
+    options = RenderOptions(steps=("range", "coarse", "classes", "reference"), reference=reference)
+    render(stream, folder / "static_scan.png", config, options, overwrite=overwrite)
     return part
 
 
@@ -183,49 +171,3 @@ def _write_static(scan: StaticScan, stream: Path, reference: Path) -> None:
         )
     with atomic_output(reference) as temporary, temporary.open("wb") as handle:
         np.save(handle, codes.ravel())
-
-
-def _draw_static(scan: StaticScan, config: LoadedConfig, path: Path) -> None:
-    """Draw a static scan as one sees it: the sky at the top, the lines from right to left."""
-    reference = list(scan.labelled_blocks())
-    found = list(label_blocks((item.block for item in reference), config.config.classifier))
-    surface = [item.stages.surface for item in found if item.stages is not None]
-    labels = [np.concatenate([item.labels for item in items]) for items in (found, reference)]
-    pictures = [
-        ("range", range_picture(np.concatenate([item.block.range_m for item in reference]))),
-        ("coarse classes", label_picture(_SURFACE_LABELS[np.concatenate(surface)])),
-        ("classes", label_picture(labels[0])),
-        ("reference of the simulator", label_picture(labels[1])),
-    ]
-    upright = [(title, np.ascontiguousarray(picture.swapaxes(0, 1)[::-1, ::-1])) for title, picture in pictures]
-    present = np.unique(np.concatenate(labels))
-    write_png(path, stack_pictures(upright, legend=[Label(label) for label in present]))
-
-
-def _draw(street: StreetScan, config: LoadedConfig, path: Path) -> None:
-    """Draw the steps of the second block, as the paper's Fig. 1 does (Lehtola et al. 2019)."""
-    params = config.config.prc
-    state = initial_state(street.params.points_per_line)
-    blocks = regroup(street.blocks(), params.lines_per_block)
-    reference: list[U8] = []
-    for index, block in enumerate(islice(blocks, 2)):
-        trace = trace_block(block.range_m, block.next_m, state, params)
-        state = trace.result.state
-        shown, first, n_lines = trace, index * params.lines_per_block, block.n_lines
-        ranges = block.range_m
-    for item in street.labelled_blocks(lines=1):
-        if item.block.first_line >= first + n_lines:
-            break
-        if item.block.first_line >= first:
-            reference.append(item.labels)
-    pictures = [
-        ("range", range_picture(ranges)),
-        ("supported (white), noise and missing (black)", mask_picture(shown.supported)),
-        ("extended background (white)", mask_picture(shown.background)),
-        ("smooth components H", segment_picture(shown.components.to_segments())),
-        ("non-smooth patches V", segment_picture(shown.surfaces.to_patches())),
-        ("classes", label_picture(shown.result.labels)),
-        ("reference of the simulator", label_picture(np.concatenate(reference))),
-    ]
-    present = np.unique(np.concatenate([shown.result.labels.ravel(), np.concatenate(reference).ravel()]))
-    write_png(path, stack_pictures(pictures, legend=[Label(label) for label in present]))

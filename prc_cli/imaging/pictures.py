@@ -1,4 +1,4 @@
-"""Pictures of range images, labels, segments and masks, and their stack in the manner of Lehtola et al. (2019), Fig. 1.
+"""Pictures of range images, labels, segments and masks: numbers in, colours out.
 
 Pillow and NumPy draw everything; matplotlib stays out on purpose: these are pictures of pixels, not plots, and it
 would be the largest dependency of the package.
@@ -6,28 +6,39 @@ would be the largest dependency of the package.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_output
 from prc_cli.core.types import F64, U8, Mask
 
-Font: TypeAlias = ImageFont.FreeTypeFont | ImageFont.ImageFont
-
 MISSING_COLOUR = LABEL_COLOURS[Label.MISSING]
-MAX_WIDTH = 2200
-"""Widest picture of a stack [pixels]."""
 
-_MIN_WIDTH, _MIN_HEIGHT = 1000, 180
-_MARGIN, _TITLE_HEIGHT, _FONT_SIZE = 12, 30, 18
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A colour bar: its colours from the bottom up, and the numbers beside it."""
+
+    colours: U8
+    """(n, 3) uint8."""
+    ticks: tuple[tuple[float, str], ...]
+    """Place from 0 (bottom) to 1 (top), and text."""
+    unit: str = "m"
+
+
+def range_limits(range_m: NDArray[np.floating]) -> tuple[float, float]:
+    """Return the ranges at the ends of the colour scale [m]: 2nd and 98th percentile of what was returned."""
+    seen = range_m[np.isfinite(range_m) & (range_m > 0)]
+    near, far = (float(v) for v in np.percentile(seen, (2, 98))) if seen.size else (1.0, 2.0)
+    return near, max(far, near * 1.01)
 
 
 def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] | None = None) -> U8:
@@ -38,7 +49,7 @@ def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] |
     range_m : (lines, M) float
         Range [m]; NaN = missing, drawn white.
     limits_m : (near, far), optional
-        Ranges at the ends of the colour scale [m]; default: 2nd and 98th percentile. Give them for pictures that
+        Ranges at the ends of the colour scale [m]; default: :func:`range_limits`. Give them for pictures that
         are to be compared.
 
     Returns
@@ -52,18 +63,103 @@ def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] |
         When the limits are not 0 < near < far.
     """
     seen = np.isfinite(range_m) & (range_m > 0)
-    if limits_m is None:
-        near, far = (float(v) for v in np.percentile(range_m[seen], (2, 98))) if seen.any() else (1.0, 2.0)
-        far = max(far, near * 1.01)
-    else:
-        near, far = limits_m
-        if not 0 < near < far:
-            where = "limits_m"
-            raise InputError(where, f"found {limits_m}, expected 0 < near < far [m]")
+    near, far = range_limits(range_m) if limits_m is None else limits_m
+    if not 0 < near < far:
+        where = "limits_m"
+        raise InputError(where, f"found {limits_m}, expected 0 < near < far [m]")
     place = np.log(np.where(seen, range_m, near) / near) / np.log(far / near)
     picture: U8 = colour_map()[np.rint(255 * (1.0 - np.clip(place, 0.0, 1.0))).astype(np.intp)]
     picture[~seen] = MISSING_COLOUR
     return picture
+
+
+def range_bar(limits_m: tuple[float, float]) -> Bar:
+    """Return the colour bar of :func:`range_picture`: near at the bottom.
+
+    >>> [text for _, text in range_bar((2.0, 60.0)).ticks]
+    ['2', '5', '10', '20', '50']
+    """
+    near, far = limits_m
+    powers = range(math.floor(math.log10(near)), math.ceil(math.log10(far)) + 1)
+    values = [factor * 10.0**power for power in powers for factor in (1, 2, 5)]
+    if sum(near <= value <= far for value in values) < 2:  # a narrow scale has no round numbers inside
+        values = [near, math.sqrt(near * far), far]
+    inside = [value for value in values if near <= value * (1 + 1e-9) and value <= far * (1 + 1e-9)]
+    ticks = tuple((math.log(value / near) / math.log(far / near), f"{value:.3g}") for value in inside)
+    return Bar(colour_map()[::-1], ticks)
+
+
+def value_limits(values: NDArray[np.floating]) -> tuple[float, float]:
+    """Return the ends of an even colour scale: 1st and 99th percentile of what is finite."""
+    seen = values[np.isfinite(values)]
+    low, high = (float(v) for v in np.percentile(seen, (1, 99))) if seen.size else (0.0, 1.0)
+    return low, high if high > low else low + 1.0
+
+
+def value_picture(values: NDArray[np.floating], limits: tuple[float, float]) -> U8:
+    """Colour any quantity evenly from low (dark blue) to high (bright yellow); NaN = white.
+
+    Parameters
+    ----------
+    values : (...) float
+    limits : (low, high)
+        Values at the ends of the colour scale.
+
+    Returns
+    -------
+    (..., 3) uint8
+        sRGB.
+    """
+    seen = np.isfinite(values)
+    low, high = limits
+    place = (np.where(seen, values, low) - low) / (high - low)
+    picture: U8 = colour_map()[np.rint(255 * np.clip(place, 0.0, 1.0)).astype(np.intp)]
+    picture[~seen] = MISSING_COLOUR
+    return picture
+
+
+def value_bar(limits: tuple[float, float], unit: str) -> Bar:
+    """Return the colour bar of :func:`value_picture`.
+
+    >>> [text for _, text in value_bar((-2.0, 3.0), "m").ticks]
+    ['-2', '-1', '0', '1', '2', '3']
+    """
+    low, high = limits
+    step = 10.0 ** math.floor(math.log10((high - low) / 3))
+    step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (factor * step) <= 6)
+    values = [step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+    return Bar(colour_map(), tuple(((value - low) / (high - low), f"{value:.6g}") for value in values), unit)
+
+
+def class_picture(classes: NDArray[np.integer], colours: U8) -> U8:
+    """Colour classes by their place in a table, (...) integer and (n, 3) uint8 to (..., 3) uint8."""
+    picture: U8 = colours[classes]
+    return picture
+
+
+AGREE_COLOUR = (222, 222, 222)
+"""Where predicted and reference class are the same."""
+
+
+def difference_picture(predicted: U8, reference: U8, colours: U8) -> U8:
+    """Show where two classifications differ.
+
+    Parameters
+    ----------
+    predicted, reference : (lines, M) uint8
+        Places in the table of classes; 0 = not scored.
+    colours : (n, 3) uint8
+        Colour of every class.
+
+    Returns
+    -------
+    (lines, M, 3) uint8
+        Pale grey where both agree, the colour of the predicted class where they do not, white where either has none.
+    """
+    picture = colours[predicted]
+    picture[predicted == reference] = AGREE_COLOUR
+    picture[(predicted == 0) | (reference == 0)] = MISSING_COLOUR
+    return np.asarray(picture, np.uint8)
 
 
 def label_picture(labels: NDArray[np.integer]) -> U8:
@@ -116,58 +212,6 @@ def segment_picture(segments: NDArray[np.integer]) -> U8:
 def mask_picture(mask: Mask) -> U8:
     """Draw a binary image: true = white, false = black, (lines, M) bool to (lines, M, 3) uint8."""
     return np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
-
-
-def stack_pictures(
-    pictures: Sequence[tuple[str, U8]], *, legend: Iterable[Label] = (), max_width: int = MAX_WIDTH
-) -> Image.Image:
-    """Stack pictures of one block under each other, each with its title (Lehtola et al. 2019, Fig. 1).
-
-    Pictures with more lines than columns are turned, so that time runs to the right. Small ones are enlarged by
-    whole factors, in each direction by its own, large ones are thinned out; colours are never mixed.
-
-    Parameters
-    ----------
-    pictures : sequence of (title, (lines, M, 3) uint8)
-        From top to bottom.
-    legend : iterable of Label
-        Classes whose colours are explained at the bottom; none by default.
-    max_width : int
-        Widest picture [pixels].
-
-    Returns
-    -------
-    PIL.Image.Image
-        RGB.
-
-    Raises
-    ------
-    InputError
-        When there is no picture, or one is empty or not (lines, M, 3) uint8.
-    """
-    if not pictures:
-        where = "pictures"
-        raise InputError(where, "found none, expected at least one")
-    panels = [(title, _panel(title, picture, max_width)) for title, picture in pictures]
-    labels = list(legend)
-    width = max(panel.width for _, panel in panels) + 2 * _MARGIN
-    height = sum(panel.height + _TITLE_HEIGHT for _, panel in panels) + 2 * _MARGIN
-    rows = _legend_rows(labels, width)
-    canvas = Image.new("RGB", (width, height + _TITLE_HEIGHT * len(rows)), "white")
-    draw = ImageDraw.Draw(canvas)
-    top = _MARGIN
-    for title, panel in panels:
-        draw.text((_MARGIN, top), title, fill="black", font=_font())
-        canvas.paste(panel, (_MARGIN, top + _TITLE_HEIGHT - 4))
-        draw.rectangle(
-            (_MARGIN - 1, top + _TITLE_HEIGHT - 5, _MARGIN + panel.width, top + _TITLE_HEIGHT - 4 + panel.height),
-            outline=(150, 150, 150),
-        )
-        top += panel.height + _TITLE_HEIGHT
-    for row in rows:
-        _draw_legend(draw, row, top + _MARGIN // 2)
-        top += _TITLE_HEIGHT
-    return canvas
 
 
 def write_png(path: Path, image: Image.Image | U8) -> None:
@@ -238,44 +282,3 @@ def _bytes(rgb: F64) -> U8:
     """Colours in 0..1 as bytes."""
     colours: U8 = np.rint(255 * rgb).astype(np.uint8)
     return colours
-
-
-def _panel(title: str, picture: U8, max_width: int) -> Image.Image:
-    """Turn and scale one picture to a width that can be looked at."""
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8 or not picture.size:
-        problem = f"found {picture.dtype} of shape {picture.shape}, expected uint8 (lines, points per line, 3)"
-        raise InputError(title, problem)
-    if picture.shape[0] > picture.shape[1]:
-        picture = picture.transpose(1, 0, 2)
-    height, width = picture.shape[:2]
-    across, down = max(1, -(-_MIN_WIDTH // width)), max(1, -(-_MIN_HEIGHT // height))
-    # a picture that is small in both directions keeps its shape
-    across, down = (max(across, down),) * 2 if min(across, down) > 1 else (across, down)
-    size = width * across, height * down
-    if size[0] > max_width:
-        size = max_width, max(1, round(size[1] * max(max_width / size[0], 0.5)))
-    return Image.fromarray(np.ascontiguousarray(picture)).resize(size, Image.Resampling.NEAREST)
-
-
-def _legend_rows(labels: Sequence[Label], width: int) -> list[list[Label]]:
-    """Labels in rows that fit the width."""
-    per_row = max(1, (width - 2 * _MARGIN) // _LEGEND_CELL)
-    return [list(labels[i : i + per_row]) for i in range(0, len(labels), per_row)]
-
-
-_LEGEND_CELL = 170
-
-
-def _draw_legend(draw: ImageDraw.ImageDraw, labels: Sequence[Label], top: int) -> None:
-    for i, label in enumerate(labels):
-        left = _MARGIN + i * _LEGEND_CELL
-        draw.rectangle((left, top, left + 22, top + 16), fill=LABEL_COLOURS[label], outline=(90, 90, 90))
-        draw.text((left + 30, top - 3), label.name.lower(), fill="black", font=_font())
-
-
-@cache
-def _font() -> Font:
-    try:
-        return ImageFont.load_default(_FONT_SIZE)
-    except (ImportError, TypeError):  # Pillow without FreeType, or older than 10.1: its small bitmap font
-        return ImageFont.load_default()

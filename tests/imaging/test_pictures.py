@@ -9,13 +9,19 @@ from PIL import Image
 from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.imaging.pictures import (
-    MAX_WIDTH,
+    AGREE_COLOUR,
+    class_picture,
     colour_map,
+    difference_picture,
     label_picture,
     mask_picture,
+    range_bar,
+    range_limits,
     range_picture,
     segment_picture,
-    stack_pictures,
+    value_bar,
+    value_limits,
+    value_picture,
     write_png,
 )
 
@@ -95,60 +101,42 @@ def test_mask_is_black_and_white() -> None:
     assert mask_picture(np.array([[True, False]])).tolist() == [[[255] * 3, [0] * 3]]
 
 
-def plain(lines: int, columns: int, colour: int = 90) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    return np.full((lines, columns, 3), colour, dtype=np.uint8)
+def test_the_range_bar_shows_the_colours_of_the_picture() -> None:
+    limits = (1.5, 60.0)
+    bar = range_bar(limits)
+    for place, text in bar.ticks:
+        drawn = range_picture(np.array([[float(text)]]), limits)[0, 0].astype(int)
+        shown = bar.colours[round(place * 255)].astype(int)
+        assert np.abs(drawn - shown).max() <= 4
+    assert [text for _, text in bar.ticks] == ["2", "5", "10", "20", "50"]
 
 
-@pytest.mark.parametrize(
-    ("lines", "columns"), [(99, 2154), (255, 4270), (600, 2154), (389, 229), (20_000, 229), (1, 16), (3, 100_000)]
-)
-def test_stacks_are_wide_enough_to_see_and_narrow_enough_to_show(lines: int, columns: int) -> None:
-    stack = stack_pictures([("range", plain(lines, columns))])
-    assert 900 <= stack.width <= MAX_WIDTH + 24
-    assert 100 <= stack.height <= 2600
+def test_a_narrow_scale_has_numbers_all_the_same() -> None:
+    assert [text for _, text in range_bar((2.1, 2.2)).ticks] == ["2.1", "2.15", "2.2"]
+    assert len(value_bar((1.651, 1.662), "m").ticks) >= 3
 
 
-def test_stack_shows_pictures_from_top_to_bottom_and_the_legend() -> None:
-    pictures = [("first", plain(99, 1200, 50)), ("second", plain(99, 1200, 200))]
-    stack = stack_pictures(pictures)
-    with_legend = stack_pictures(pictures, legend=[Label.GROUND, Label.CAR])
-    assert with_legend.height > stack.height
-    column = [stack.getpixel((600, y)) for y in range(stack.height)]
-    assert column.index((50, 50, 50)) < column.index((200, 200, 200))
-    bottom = np.asarray(with_legend)[stack.height - 12 :]
-    for label in (Label.GROUND, Label.CAR):
-        assert (bottom == LABEL_COLOURS[label]).all(axis=2).any()
+def test_limits_leave_out_what_lies_far_from_the_rest() -> None:
+    values = np.concatenate([np.linspace(3.0, 5.0, 1000), [9000.0], [np.nan]])
+    assert range_limits(values)[1] < 6.0
+    assert value_limits(values)[1] < 6.0
+    assert value_limits(np.array([np.nan])) == (0.0, 1.0)
+    assert value_limits(np.array([4.0, 4.0])) == (4.0, 5.0)
 
 
-def test_long_scans_are_turned_so_that_time_runs_to_the_right() -> None:
-    picture = plain(2000, 200, 0)
-    picture[1000:] = 255
-    pixels = np.asarray(stack_pictures([("scan", picture)]))
-    middle = pixels[pixels.shape[0] // 2, :, 0]
-    assert (middle[30:900] == 0).all()
-    assert (middle[1100:1900] == 255).all()
+def test_values_rise_in_lightness_and_nan_is_white() -> None:
+    picture = value_picture(np.array([[0.0, 5.0, 10.0, np.nan]]), (0.0, 10.0))[0]
+    light = luminance(picture)
+    assert light[0] < light[1] < light[2]
+    assert picture[3].tolist() == [255, 255, 255]
 
 
-def test_colours_are_never_mixed() -> None:
-    labels = np.random.default_rng(1).integers(0, 2, (50, 5000)) * 255
-    pixels = np.asarray(stack_pictures([("", np.repeat(labels[..., None], 3, axis=2).astype(np.uint8))]))
-    assert set(np.unique(pixels[60:-20, 20:-20])) == {0, 255}
-
-
-@pytest.mark.parametrize(
-    ("pictures", "expected"),
-    [
-        ([], "pictures: found none, expected at least one"),
-        ([("grey", np.zeros((3, 4), np.uint8))], r"grey: found uint8 of shape \(3, 4\), expected uint8"),
-        ([("wide", np.zeros((3, 4, 3)))], "wide: found float64"),
-        ([("none", np.zeros((0, 4, 3), np.uint8))], "none: found uint8 of shape"),
-    ],
-)
-def test_pictures_that_cannot_be_stacked(
-    pictures: list[tuple[str, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]], expected: str
-) -> None:  # fmt: skip
-    with pytest.raises(InputError, match=expected):
-        stack_pictures(pictures)
+def test_differences_show_what_was_predicted_where_it_is_wrong() -> None:
+    colours = np.array([[1, 1, 1], [10, 0, 0], [0, 20, 0]], np.uint8)
+    predicted, reference = np.array([[1, 1, 0, 2]], np.uint8), np.array([[1, 2, 1, 0]], np.uint8)
+    picture = difference_picture(predicted, reference, colours)
+    assert picture[0].tolist() == [list(AGREE_COLOUR), [10, 0, 0], [255, 255, 255], [255, 255, 255]]
+    assert class_picture(predicted, colours)[0, 3].tolist() == [0, 20, 0]
 
 
 def test_png_holds_the_pixels_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
@@ -160,12 +148,6 @@ def test_png_holds_the_pixels_and_leaves_nothing_beside_it(tmp_path: Path) -> No
     assert [path.name for path in tmp_path.iterdir()] == ["segments.png"]
 
 
-def test_same_pixels_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.png", "b.png"):
-        write_png(tmp_path / name, stack_pictures([("t", plain(99, 1200))], legend=[Label.GROUND]))
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-
-
 def test_png_into_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match=r"a\.png: cannot be written"):
-        write_png(tmp_path / "none" / "a.png", plain(2, 2))
+        write_png(tmp_path / "none" / "a.png", np.zeros((2, 2, 3), np.uint8))

@@ -1,0 +1,127 @@
+"""``prc render``: pictures of a scan, of its classification, of a cloud."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.report import console, line_progress
+from prc_cli.core.errors import ConfigError
+from prc_cli.rendering import COLOURS, VIEWS, RenderOptions, RenderResult
+from prc_cli.rendering import render as render_file
+
+_FILE = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("source", metavar="INPUT", type=_FILE)
+@click.argument("output", metavar="OUT", type=_FILE)
+@click.option("--steps", metavar="A,B,...", help="Pictures, e.g. range,support,classes; default: those that suit.")
+@click.option("--block", type=int, metavar="N", help="One block of prc, from 0.")
+@click.option("--only-lines", metavar="A:B", help="Lines A to B - 1, from 0.")
+@click.option("--figure1", is_flag=True, help="The steps of one block as in Lehtola et al. (2019), Fig. 1.")
+@click.option("--station", type=int, metavar="N", help="Scanner, or scan of the file.  [default: the first]")
+@click.option("--labels", type=_FILE, metavar="FILE", help="Draw these classes instead of classifying.")
+@click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
+@click.option("--reference", type=_FILE, metavar="FILE", help="Classes to compare with.")
+@click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
+@click.option("--mapping", metavar="NAME|FILE.toml", help="Which codes mean which class, as for prc evaluate.")
+@click.option(
+    "--view",
+    type=click.Choice(VIEWS),
+    default="scan",
+    show_default=True,
+    help="Lines and columns, or the points from above or in perspective.",
+)
+@click.option(
+    "--from",
+    "eye",
+    metavar="AZIMUTH,ELEVATION",
+    default="215,30",
+    show_default=True,
+    help="Where the eye of the perspective stands [deg], azimuth clockwise from north.",
+)
+@click.option("--colour", type=click.Choice(COLOURS), help="What points are coloured by.")
+@click.option(
+    "--width", type=click.IntRange(200, 20_000), default=2200, show_default=True, help="Widest picture [pixels]."
+)
+@click.option(
+    "--height", type=click.IntRange(200, 60_000), default=6000, show_default=True, help="Highest page [pixels]."
+)
+@click.option(
+    "--pages",
+    type=click.IntRange(1, 100),
+    default=1,
+    show_default=True,
+    help="Most pages; what does not fit is thinned.",
+)
+@stream_options
+@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
+def render(
+    source: Path, output: Path, steps: str | None, only_lines: str | None, eye: str, overwrite: bool, as_json: bool,
+    quiet: bool, block: int | None, figure1: bool, station: int | None, labels: Path | None,
+    labels_dimension: str | None, reference: Path | None, reference_dimension: str | None, mapping: str | None,
+    view: Any, colour: Any, width: int, height: int, pages: int, **options: Any,
+) -> None:  # fmt: skip
+    """Draw INPUT into OUT, a .png or a single .html.
+
+    Ranges, the steps of the classifier, classes, differences to a reference; or the points from above or in
+    perspective.
+
+    \b
+    Examples:
+      prc render drive.laz drive.png --preset urban
+      prc render drive.laz block.png --preset urban --block 12
+      prc render drive.laz figure1.html --preset urban --figure1
+      prc render drive.laz differences.png --labels out.laz --reference car.laz --steps classes,reference,difference
+      prc render out.laz cloud.png --view perspective --from 215,30
+    """  # fmt: skip
+    azimuth, elevation = _eye(eye)
+    chosen = RenderOptions(
+        view=view, steps=None if steps is None else tuple(part.strip() for part in steps.split(",") if part.strip()),
+        block=block, lines=None if only_lines is None else _span(only_lines), figure1=figure1, station=station,
+        labels=labels, labels_dimension=labels_dimension, reference=reference,
+        reference_dimension=reference_dimension, mapping=mapping, colour=colour, azimuth_deg=azimuth,
+        elevation_deg=elevation, width=width, height=height, pages=pages,
+    )  # fmt: skip
+    loaded = config_from(options)
+    with line_progress(source.name, quiet=quiet) as progress:
+        result = render_file(source, output, loaded, chosen, overwrite=overwrite, progress=progress)
+    if as_json:
+        click.echo(json.dumps(_as_dict(result), indent=2))
+    if not quiet:
+        console().print(result.drawn, soft_wrap=True)
+        for note in result.notes:
+            console().print(f"note: {note}", soft_wrap=True)
+        for path in result.files:
+            console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
+
+
+def _as_dict(result: RenderResult) -> dict[str, Any]:
+    return {**asdict(result), "files": [str(path) for path in result.files]}
+
+
+def _span(text: str) -> tuple[int, int]:
+    first, _, stop = text.partition(":")
+    if not (first.strip().isdecimal() and stop.strip().isdecimal()):
+        raise ConfigError("--only-lines", f"found {text!r}, expected A:B, two line numbers such as 200:300")
+    return int(first), int(stop)
+
+
+def _eye(text: str) -> tuple[float, float]:
+    try:
+        azimuth, elevation = (float(part) for part in text.split(","))
+    except ValueError:
+        azimuth = elevation = math.nan
+    if not (math.isfinite(azimuth) and -90 <= elevation <= 90):
+        problem = f"found {text!r}, expected AZIMUTH,ELEVATION in degrees, elevation from -90 to 90, such as 215,30"
+        raise ConfigError("--from", problem)
+    return azimuth, elevation

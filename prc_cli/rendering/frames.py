@@ -1,0 +1,194 @@
+"""Images of every step of a stream, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, initial_state, trace_block
+from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
+from prc_cli.core.types import F64
+from prc_cli.pipeline import label_blocks, open_stream
+from prc_cli.readers.beams import with_beams
+from prc_cli.readers.regroup import regroup
+from prc_cli.rendering.options import PRC_STEPS
+
+Plane: TypeAlias = NDArray[Any]
+
+LABEL_OF_SURFACE = np.array(
+    [Label.MISSING, Label.VEGETATION, Label.HORIZONTAL, Label.VERTICAL, Label.UNCLASSIFIED], dtype=np.uint8
+)
+"""Label that shows a :class:`prc_cli.core.classes.Surface` in pictures."""
+SEGMENT_COLOURS = 1 << 30
+"""Segment ids are drawn modulo this number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Consecutive lines and the images of their steps."""
+
+    block: ScanBlock
+    planes: Mapping[str, Plane]
+    """(lines, M) by step: ranges, masks, ids, labels."""
+
+
+def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
+    """Open a stream; where the input tells where down is its blocks know it, whatever the classifier."""
+    stream = open_stream(path, loaded)
+    if loaded.config.method == SEQUENTIAL_ANGLE:
+        return stream
+    # without a vertical direction pictures simply lie on their side; damage is met again when the stream is read
+    with suppress(InputError, ConfigError):
+        return with_beams(stream, loaded.config.input)
+    return stream
+
+
+def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> Iterator[ScanBlock]:
+    """Keep the blocks of one scanner, by default of the first one met.
+
+    Raises
+    ------
+    ConfigError
+        When there is no such scanner; the message lists those there are.
+    """
+    others: set[int] = set()
+    chosen, found = station, False
+    for block in blocks:
+        if chosen is None:
+            chosen = block.scanner
+        if block.scanner == chosen:
+            found = True
+            yield block
+        else:
+            others.add(block.scanner)
+    if not found and others:
+        shown = ", ".join(str(number) for number in sorted(others)[:20])
+        raise ConfigError("--station", f"found {station}, but {path} holds {shown}")
+
+
+def count_lines(stream: ScanStream, station: int | None) -> int:
+    """Return the lines of one scanner; reads the stream where nothing else tells."""
+    info = stream.info
+    if info.n_lines is not None and info.format not in ("PTX", "E57") and station is None:
+        return info.n_lines
+    return sum(block.n_lines for block in of_station(stream.blocks(), station, info.path))
+
+
+def frames(
+    blocks: Iterator[ScanBlock], loaded: LoadedConfig, steps: tuple[str, ...], *, classify: bool
+) -> Iterator[Frame]:
+    """Classify blocks as far as the steps need it and give the images on the way.
+
+    Parameters
+    ----------
+    blocks : iterator of ScanBlock
+        Blocks of one scanner from its first line on.
+    loaded : LoadedConfig
+        Classifier and its parameters.
+    steps : tuple of str
+        Steps that are wanted.
+    classify : bool
+        Whether any of them needs the classifier.
+
+    Yields
+    ------
+    Frame
+        ``range`` always; ``classes`` (:class:`~prc_cli.core.classes.Label`) and the steps asked for.
+    """
+    config = loaded.config
+    if not classify:
+        for block in blocks:
+            yield Frame(block, _of_block(block, steps))
+    elif isinstance(params := config.classifier, PrcParams) and set(steps) & set(PRC_STEPS):
+        yield from _traced(blocks, params, steps)
+    else:
+        for item in label_blocks(blocks, config.classifier):
+            planes = {**_of_block(item.block, steps), "classes": item.labels}
+            if item.stages is not None:
+                planes |= _of_stages(item.block, item.stages, steps)
+            yield Frame(item.block, planes)
+
+
+def trace_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[tuple[ScanBlock, PrcTrace]]:
+    """Run PRC over the blocks of one scanner and keep the images on the way."""
+    state: PrcState | None = None
+    for block in regroup(blocks, params.lines_per_block):
+        trace = trace_block(block.range_m, block.next_m, state or initial_state(block.points_per_line), params)
+        state = trace.result.state
+        yield block, trace
+
+
+def _traced(blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ...]) -> Iterator[Frame]:
+    images: dict[str, Callable[[PrcTrace], Plane]] = {
+        "support": lambda trace: trace.supported,
+        "background": lambda trace: trace.background,
+        "segments": lambda trace: _ids(trace.components.to_segments()),
+        "surfaces": lambda trace: _ids(trace.surfaces.to_patches()),
+    }
+    for block, trace in trace_blocks(blocks, params):
+        planes = {**_of_block(block, steps), "classes": trace.result.labels}
+        planes |= {step: images[step](trace) for step in steps if step in images}
+        yield Frame(block, planes)
+
+
+def _ids(segments: NDArray[np.int64]) -> Plane:
+    """Segment ids in half the bytes: what has an id keeps one that is not 0."""
+    return np.where(segments > 0, segments % SEGMENT_COLOURS + 1, 0).astype(np.int32)
+
+
+def _of_block(block: ScanBlock, steps: tuple[str, ...]) -> dict[str, Plane]:
+    planes: dict[str, Plane] = {"range": block.range_m}
+    if "intensity" in steps:
+        if block.intensity is None:
+            where = "--steps"
+            raise ConfigError(where, "found 'intensity', but the input has none")
+        planes["intensity"] = block.intensity
+    return planes
+
+
+def _of_stages(block: ScanBlock, stages: StageLabels, steps: tuple[str, ...]) -> dict[str, Plane]:
+    seen = ~np.isnan(block.range_m)
+    images: dict[str, Callable[[], Plane]] = {
+        "coarse": lambda: LABEL_OF_SURFACE[stages.surface],
+        "dense": lambda: np.where(
+            stages.dense_vegetation, Label.VEGETATION, np.where(seen, Label.UNCLASSIFIED, Label.MISSING)
+        ).astype(np.uint8),
+        "ground": lambda: np.where(seen, stages.ground_height_m, np.float32(np.nan)),
+    }
+    return {step: images[step]() for step in steps if step in images}
+
+
+def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
+    """Return the columns of a vertical line from the sky to the ground; None where lines are not such lines.
+
+    >>> upright(np.deg2rad([10.0, 90.0, 140.0])).tolist()
+    [2, 1, 0]
+    """
+    if beam_rad is None or not ((beam_rad >= 0).all() or (beam_rad <= 0).all()):
+        return None
+    return np.argsort(-np.abs(beam_rad), kind="stable")
+
+
+def turns_left(block: ScanBlock) -> bool:
+    """Tell whether lines follow one another anticlockwise, seen from above: a picture then begins on its right."""
+    if block.xyz_m is None or block.n_lines < 2:
+        return False
+    x, y = (block.xyz_m[..., axis].astype(np.float64) for axis in (0, 1))
+    with np.errstate(invalid="ignore"):
+        length = np.hypot(x, y)
+        flat = length > 0
+    step = np.zeros(0)
+    for line in range(min(block.n_lines - 1, 64)):
+        both = flat[line] & flat[line + 1]
+        cross = x[line, both] * y[line + 1, both] - y[line, both] * x[line + 1, both]
+        dot = x[line, both] * x[line + 1, both] + y[line, both] * y[line + 1, both]
+        step = np.concatenate([step, np.arctan2(cross, dot)])
+    return bool(step.size and np.median(step) > 0)

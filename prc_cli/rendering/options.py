@@ -1,0 +1,183 @@
+"""What a picture is to show, and what came out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+from prc_cli.config import SEQUENTIAL_ANGLE
+from prc_cli.core.errors import ConfigError
+
+View: TypeAlias = Literal["scan", "top", "perspective"]
+VIEWS: tuple[View, ...] = ("scan", "top", "perspective")
+ColourBy: TypeAlias = Literal["class", "range", "height", "intensity"]
+COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity")
+SUFFIXES = (".png", ".html")
+
+PRC_STEPS = ("support", "background", "segments", "surfaces")
+SEQUENTIAL_STEPS = ("coarse", "dense", "ground")
+FIGURE_1 = ("range", *PRC_STEPS, "classes")
+"""The paper's Fig. 1 (Lehtola et al. 2019)."""
+
+CAPTIONS: dict[str, tuple[str, str]] = {
+    "range": ("range", "Slant range of every shot, near bright, far dark, on a logarithmic scale; white: no return."),
+    "intensity": ("intensity", "Strength of the return as the input gives it; white: none."),
+    "support": (
+        "supported S (white)",
+        "Shots that a neighbour in time supports (Lehtola et al. 2019, II-B); black: noise, or no return.",
+    ),
+    "background": (
+        "extended background G (white)",
+        "Supported shots whose neighbourhood is not smooth (Lehtola et al. 2019, II-C): where one surface ends or all "
+        "is rough.",
+    ),
+    "segments": (
+        "smooth segments H",
+        "Connected components of S without G, holes filled (Lehtola et al. 2019, II-D). A colour a segment, kept from "
+        "block to block.",
+    ),
+    "surfaces": (
+        "non-smooth surfaces V",
+        "What is too small in H, grown together (Lehtola et al. 2019, II-E). A colour a surface.",
+    ),
+    "coarse": (
+        "coarse classes T, H, V",
+        "Vegetation, horizontal and vertical of the first stage (Stamos et al. 2012, sec. 4).",
+    ),
+    "dense": (
+        "dense vegetation T′ (green)",
+        "Vegetation of the less sensitive test, from which the car stage starts (Stamos et al. 2012, sec. 7.1).",
+    ),
+    "ground": (
+        "height of the ground",
+        "Height of the ground that was tracked at every line, relative to the scanner (Stamos et al. 2012, sec. 5); "
+        "white: unknown, or no return.",
+    ),
+    "classes": ("classes", "The class of every shot."),
+    "reference": ("reference", "Classes of the reference."),
+    "difference": (
+        "differences, in the colour of the predicted class",
+        "Pale grey where prediction and reference agree; else the colour of what was predicted; white where either has "
+        "no class.",
+    ),
+}
+"""Title and caption of every step."""
+
+LABEL_FILE_STEPS = ("range", "intensity", "classes")
+"""Steps of an existing result: nothing of what led to it is kept in a label file."""
+REFERENCE_STEPS = ("reference", "difference")
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """What is drawn, and how large."""
+
+    view: View = "scan"
+    """``scan``: lines and columns; ``top``, ``perspective``: the points in space."""
+    steps: tuple[str, ...] | None = None
+    """Pictures of the scan view, from top to bottom; None = those that suit the part that is drawn."""
+    block: int | None = None
+    """Block of PRC, from 0; None = the whole drive."""
+    lines: tuple[int, int] | None = None
+    """First line and the one behind the last, from 0."""
+    figure1: bool = False
+    """The sequence of the paper's Fig. 1, for one block (the second one, or the only one, if none is given)."""
+    station: int | None = None
+    """Scanner, or scan of the file; None = the first one."""
+    labels: Path | None = None
+    """Class codes of an existing result, in place of classifying."""
+    labels_dimension: str | None = None
+    reference: Path | None = None
+    """Class codes to compare with."""
+    reference_dimension: str | None = None
+    mapping: str | Path | None = None
+    """Which codes mean which class on either side; None = the codes of ``[classes]`` on both."""
+    colour: ColourBy | None = None
+    """What a cloud is coloured by; None = by class where classes are at hand, else by height."""
+    azimuth_deg: float = 215.0
+    """Where the eye of the perspective stands, clockwise from north (+y), seen from the points [deg]."""
+    elevation_deg: float = 30.0
+    """How high it stands above them [deg]."""
+    width: int = 2200
+    """Widest picture [pixels], frame not counted."""
+    height: int = 6000
+    """Highest page [pixels]."""
+    pages: int = 1
+    """Most pages; what does not fit is thinned."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderResult:
+    """What was drawn."""
+
+    files: tuple[Path, ...]
+    size: tuple[int, int]
+    """Width and height of the first page [pixels]."""
+    drawn: str
+    """What is shown, in one line, as at the head of the picture."""
+    steps: tuple[str, ...] = ()
+    lines: tuple[int, int] | None = None
+    thinned_by: tuple[int, int] = (1, 1)
+    """One of so many lines and columns is drawn."""
+    counts: dict[str, int] | None = None
+    """Shots by class, over all lines that were read for the picture, thinned out or not."""
+    n_compared: int = 0
+    """Shots with a class on both sides."""
+    n_differing: int = 0
+    """Those of them whose classes differ."""
+    n_points: int = 0
+    """Points of a cloud inside the picture."""
+    notes: tuple[str, ...] = ()
+    """What a reader of the picture should know."""
+
+
+def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
+    """Return the steps that can be drawn."""
+    if options.labels is not None:
+        steps: tuple[str, ...] = LABEL_FILE_STEPS
+    elif method == SEQUENTIAL_ANGLE:
+        steps = ("range", "intensity", *SEQUENTIAL_STEPS, "classes")
+    else:
+        steps = ("range", "intensity", *PRC_STEPS, "classes")
+    return (*steps, *REFERENCE_STEPS) if options.reference is not None else steps
+
+
+def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
+    """Return the steps to draw: those asked for, else all for a part and the outcome for a whole drive.
+
+    Raises
+    ------
+    ConfigError
+        When a step is unknown, or is none of the method's; the message lists those there are.
+
+    Examples
+    --------
+    >>> choose_steps("prc", RenderOptions())
+    ('range', 'classes')
+    """
+    possible = possible_steps(method, options)
+    chosen = FIGURE_1 if options.figure1 else options.steps
+    if chosen is None:
+        whole = options.block is None and options.lines is None and method != SEQUENTIAL_ANGLE
+        chosen = ("range", "classes") if whole else tuple(s for s in possible if s not in ("intensity", "dense"))
+        if whole and options.reference is not None:
+            chosen = (*chosen, *REFERENCE_STEPS)
+    elif options.figure1 and options.reference is not None:
+        chosen = (*chosen, "reference")
+    for step in chosen:
+        if step not in possible:
+            raise ConfigError("--steps", _why_not(step, method, options), f"possible here: {', '.join(possible)}")
+    if not chosen:
+        raise ConfigError("--steps", "found none, expected at least one", f"possible here: {', '.join(possible)}")
+    return tuple(dict.fromkeys(chosen))
+
+
+def _why_not(step: str, method: str, options: RenderOptions) -> str:
+    if step in REFERENCE_STEPS:
+        return f"{step!r} needs a reference, expected --reference FILE"
+    if step not in CAPTIONS:
+        return f"found {step!r}, which is no step"
+    if options.labels is not None:
+        return f"found {step!r}, which a label file does not hold"
+    return f"found {step!r}, which is no step of {method}"

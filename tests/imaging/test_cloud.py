@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from prc_cli.core.types import F64
+from prc_cli.imaging.cloud import DepthBuffer, FromAbove, Perspective, Sample, splat_for
+
+
+def box(n: int = 4000, seed: int = 1) -> F64:
+    return np.random.default_rng(seed).uniform((-10, -5, 0), (10, 5, 4), (n, 3))
+
+
+def test_a_sample_is_bounded_even_and_does_not_depend_on_the_chunks() -> None:
+    rows = np.arange(10_000.0)[:, None]
+    whole, parts = Sample(1, most=100), Sample(1, most=100)
+    whole.add(rows)
+    for first in range(0, len(rows), 37):
+        parts.add(rows[first : first + 37])
+    assert np.array_equal(whole.rows(), parts.rows())
+    assert whole.n_seen == parts.n_seen == 10_000
+    assert 50 <= len(whole.rows()) <= 100
+    assert len(np.unique(np.diff(whole.rows()[:, 0]))) == 1
+    assert Sample(3).rows().shape == (0, 3)
+
+
+def test_from_above_north_is_up_and_the_scale_is_the_same_both_ways() -> None:
+    view = FromAbove.around(box(), 800, 600)
+    right, down, depth = view.project(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 3.0]]))
+    assert right[1] - right[0] == pytest.approx(1 / view.metres)
+    assert down[0] - down[2] == pytest.approx(1 / view.metres)
+    assert depth[3] < depth[0]  # what is higher is nearer to the eye
+    assert max(view.size[0] / 800, view.size[1] / 600) == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize("azimuth", [0, 90, 215, -30])
+@pytest.mark.parametrize("elevation", [-20, 0, 30, 89, 90])
+def test_the_perspective_holds_the_points_upright(azimuth: float, elevation: float) -> None:
+    points = box()
+    view = Perspective.around(points, azimuth, elevation, 700, 500)
+    right, down, depth = view.project(points)
+    width, height = view.size
+    inside = (right >= 0) & (right < width) & (down >= 0) & (down < height)
+    assert inside.mean() > 0.85
+    assert (depth > 0).all()
+    assert width <= 700
+    assert height <= 500
+    if abs(elevation) < 80:
+        up = view.project(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]))[1]
+        assert up[1] < up[0]
+    # the eye stands where it was told to
+    away = view.eye - (points.min(axis=0) + points.max(axis=0)) / 2
+    assert math.degrees(math.asin(away[2] / np.linalg.norm(away))) == pytest.approx(elevation, abs=1.0)
+    if abs(elevation) < 80:
+        bearing = math.degrees(math.atan2(away[0], away[1]))
+        assert (bearing - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=1.0)
+
+
+def test_seen_from_the_south_east_is_on_the_right() -> None:
+    view = Perspective.around(box(), 180, 10, 700, 500)
+    right, _, _ = view.project(np.array([[-5.0, 0.0, 1.0], [5.0, 0.0, 1.0]]))
+    assert right[0] < right[1]
+
+
+def test_the_nearest_point_wins_whatever_the_order() -> None:
+    view = FromAbove(0.0, 10.0, 20.0, 1.0, (10, 10))
+    points = np.array([[4.5, 4.5, z] for z in (1.0, 9.0, 3.0)])
+    colours = np.array([[10, 0, 0], [0, 20, 0], [0, 0, 30]], np.uint8)
+    pictures = []
+    for order in ([0, 1, 2], [2, 1, 0], [1, 0, 2]):
+        buffer = DepthBuffer(view)
+        for i in order:
+            buffer.add(points[i : i + 1], colours[i : i + 1])
+        pictures.append(buffer.picture(close=0, shade=False))
+    assert pictures[0][5, 4].tolist() == [0, 20, 0]
+    assert all(np.array_equal(pictures[0], other) for other in pictures)
+    assert (pictures[0] == 255).all(axis=2).sum() == 99
+
+
+def test_the_picture_is_that_of_a_loop_over_points() -> None:
+    rng = np.random.default_rng(3)
+    view = FromAbove(-10.0, 5.0, 10.0, 0.5, (40, 20))
+    points, colours = box(600, 5), rng.integers(0, 256, (600, 3)).astype(np.uint8)
+    buffer = DepthBuffer(view, splat=2)
+    buffer.add(points, colours)
+    right, down, depth = view.project(points)
+    expected, nearest = np.full((20, 40, 3), 255, np.uint8), np.full((20, 40), np.inf)
+    for x, y, z, colour in zip(right, down, depth, colours, strict=True):
+        for across in (0, 1):
+            for along in (0, 1):
+                column, row = int(x) + across, int(y) + along
+                if column < 40 and row < 20 and z < nearest[row, column]:
+                    nearest[row, column], expected[row, column] = z, colour
+    assert np.array_equal(buffer.picture(close=0, shade=False), expected)
+
+
+def test_points_without_coordinates_and_outside_are_left_out() -> None:
+    buffer = DepthBuffer(FromAbove(0.0, 10.0, 20.0, 1.0, (10, 10)))
+    buffer.add(np.array([[np.nan, 1, 1], [50, 5, 5], [5, 5, 5]]), np.zeros((3, 3), np.uint8))
+    assert buffer.n_inside == 1
+
+
+def test_gaps_in_a_near_surface_are_closed_and_edges_are_darker() -> None:
+    view = FromAbove(0.0, 30.0, 20.0, 1.0, (30, 30))
+    x, y = np.meshgrid(np.arange(30) + 0.5, np.arange(30) + 0.5)
+    low = np.stack([x.ravel(), y.ravel(), np.zeros(900)], axis=1)
+    high = low[(x.ravel() > 10) & (x.ravel() < 20) & (y.ravel() > 10) & (y.ravel() < 20)] + [0, 0, 10]
+    high = np.delete(high, 40, axis=0)
+    buffer = DepthBuffer(view)
+    buffer.add(low, np.full((900, 3), 100, np.uint8))
+    buffer.add(high, np.full((len(high), 3), 200, np.uint8))
+    assert (buffer.picture(close=0, shade=False) == 200).all(axis=2).sum() == len(high)
+    assert (buffer.picture(close=1, shade=False) == 200).all(axis=2).sum() == len(high) + 1
+    shaded = buffer.picture()[..., 0]
+    assert shaded[9, 15] < 100  # beside the block, below it
+    assert shaded[2, 2] == 100
+    assert shaded[15, 15] == 200
+
+
+def test_few_points_are_drawn_larger() -> None:
+    sizes = [splat_for(n, (1000, 1000)) for n in (1_000_000, 200_000, 50_000, 100)]
+    assert sizes == [1, 2, 3, 4]
