@@ -57,7 +57,7 @@ class TransferOptions:
     """Dimensions of classified LAS labels that go along: ``segment_id``, ``range``, ``surface``, ``dense_vegetation``,
     ``ground_height``."""
     min_match: float = 0.5
-    """Share of the smaller side that must find a partner."""
+    """Share of the smaller side that must find a partner, and of the points that do that must find a certain one."""
 
     def __post_init__(self) -> None:
         kind, _, name = self.by.partition(":")
@@ -196,7 +196,7 @@ def transfer(
     ------
     InputError
         When a side is damaged or lacks the key, labels and points differ in number, or fewer than
-        ``options.min_match`` of the smaller side find a partner.
+        ``options.min_match`` of the smaller side find a partner, or more than the rest of those several that differ.
     OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
@@ -486,6 +486,7 @@ def _counts(tally: JoinTally, sides: _Sides) -> TransferCounts:
 
 def _refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: _Sides, options: TransferOptions) -> None:
     if counts.n_matched and counts.share >= options.min_match:
+        _refuse_guesses(counts, sides, options)
         return
     problem = f"{counts.n_matched:,} of {counts.n_points:,} points and {counts.n_labels_matched:,} of "
     problem += f"{counts.n_labels:,} labels of {sides.labels.path} match, expected at least {options.min_match:.0%} "
@@ -510,11 +511,23 @@ def _refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: _Sides, 
     raise InputError(sides.points.path, problem, hint)
 
 
+def _refuse_guesses(counts: TransferCounts, sides: _Sides, options: TransferOptions) -> None:
+    """Refuse matches whose key does not tell the labels apart."""
+    ordered = all(found.in_order for found in sides.found)
+    # records that were moved around do not pair by their order
+    n_guessed = counts.n_by_majority + (0 if ordered else counts.n_in_order)
+    if n_guessed <= (1 - options.min_match) * counts.n_matched:
+        return
+    problem = f"{n_guessed:,} of {counts.n_matched:,} matched points have several labels of their key, which differ, "
+    problem += f"expected at most {1 - options.min_match:.0%}"
+    hint = "tell them apart by another value that both sides have, e.g. --same intensity or --same scanner_channel"
+    raise InputError(sides.points.path, problem, hint)
+
+
 def _notices(counts: TransferCounts) -> Iterator[str]:
     if counts.n_repeated:
         yield f"{counts.n_repeated:,} points have the key of another point (tiles that overlap, or coarse times)"
-    if counts.n_shared:
-        differ = counts.n_in_order + counts.n_by_majority
+    if differ := counts.n_in_order + counts.n_by_majority:
         yield (
             f"{counts.n_shared:,} points have several labels of their key, which differ for {differ:,}: "
             f"{counts.n_in_order:,} were paired in record order, {counts.n_by_majority:,} got the most frequent one"

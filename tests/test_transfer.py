@@ -335,7 +335,9 @@ def test_scanners_that_share_times_are_kept_apart(tmp_path: Path) -> None:
     summary = transfer(labels, registered, tmp_path / "out.las", TransferOptions(same=("head",)))
     assert summary.counts.n_shared == 0
     assert np.array_equal(codes_of(tmp_path / "out.las"), both.codes[record])
-    summary = transfer(labels, registered, tmp_path / "mixed.las")
+    text = "have several labels of their key, which differ, expected at most 50%; .*--same"
+    refused(tmp_path, text, labels, registered, tmp_path / "mixed.las")
+    summary = transfer(labels, registered, tmp_path / "mixed.las", TransferOptions(min_match=0.1))
     assert summary.counts.n_by_majority > 0
     assert "have several labels of their key, which differ for" in " ".join(summary.record.notices)
 
@@ -608,3 +610,21 @@ def test_a_real_file_onto_itself_changes_nothing(real_data: Path, tmp_path: Path
     assert summary.counts.n_matched == summary.counts.n_labels_matched == summary.counts.n_points
     assert summary.counts.n_changed == 0
     assert np.array_equal(parse(tmp_path / name).records, parse(source).records)
+
+
+@pytest.mark.data
+def test_coarse_time_stamps_of_a_profiler(real_data: Path, tmp_path: Path) -> None:
+    """Four shots share a time stamp; intensity tells them apart."""
+    labels = laspy.read(real_data / "profiler" / "jakarto_0.02s.las")
+    codes = RNG(0).integers(1, 30, len(labels.points)).astype(np.uint8)
+    labels.classification = codes
+    labels.write(tmp_path / "labels.las")
+    left = RNG(1).permutation(len(codes))[: len(codes) * 4 // 5]
+    registered = laspy.LasData(labels.header)
+    registered.points = labels.points[left].copy()
+    registered.classification = np.zeros(len(left), np.uint8)
+    registered.write(tmp_path / "registered.las")
+    paths = tmp_path / "labels.las", tmp_path / "registered.las", tmp_path / "out.las"
+    refused(tmp_path, "several labels of their key", *paths)
+    transfer(*paths, TransferOptions(same=("intensity",)))
+    assert np.mean(codes_of(tmp_path / "out.las") == codes[left]) > 0.995

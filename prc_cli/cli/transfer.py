@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
+from rich.table import Table
 
 from prc_cli.cli.options import output_options
 from prc_cli.cli.report import console, print_assumptions
@@ -131,8 +132,13 @@ def _print_summary(summary: TransferSummary, seconds: float, *, verbose: bool) -
         f"points matched: {_share(counts.n_matched, counts.n_points)}, {counts.n_changed:,} changed their class",
         f"points not matched, class kept: {counts.n_points - counts.n_matched:,}",
         f"labels matched: {_share(counts.n_labels_matched, counts.n_labels)}",
-        *(f"class {item.name} ({item.code}): {item.count:,} points" for item in record.classes),
     ]
+    table = Table(title=f"{summary.output.name}: classes")
+    for heading in ("class", "code", "points", "share"):
+        table.add_column(heading, justify="left" if heading == "class" else "right")
+    for item in record.classes:
+        table.add_row(item.name, str(item.code), f"{item.count:,}", f"{item.count / counts.n_points:.1%}")
+    console().print(table)
     for line in lines:
         console().print(line, soft_wrap=True)
     if verbose:
