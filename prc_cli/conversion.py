@@ -8,7 +8,7 @@ hold is said, never dropped in silence.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale, tempor
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.pipeline import Counts, Progress, run_record
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, open_source, suffix_of
+from prc_cli.readers.grid import GridStream
 from prc_cli.readers.labels import NAMES
 from prc_cli.readers.records import RecordSource
 from prc_cli.writers.las_copy import copy_las, read_las
@@ -142,9 +143,15 @@ def convert(
         record = run_record(info, facts.counts, loaded)
         told = tuple(f"not kept: {loss}" for loss in losses)
         record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts)))
+        record = record_of_scanners(record, facts)
         check_unchanged(source, before.st_size, before.st_mtime_ns)
         record = writer.finish(record)
     return ConversionSummary(output, record, losses, facts.counts.n_lines, facts.counts.n_shots, facts.n_returned)
+
+
+def record_of_scanners(record: RunRecord, facts: Facts) -> RunRecord:
+    """Leave M out of a record that it does not hold for: scanners with lines of different lengths."""
+    return replace(record, points_per_line=0) if len(set(facts.scanners.values())) > 1 else record
 
 
 def prepare_output(
@@ -196,9 +203,22 @@ class OpenedItems:
     source: RecordSource | None
     stream: ScanStream
 
+    @property
+    def grid(self) -> GridStream | None:
+        """The stream where its cells were found by rules; None for range images, organised scans and rings."""
+        return self.stream if isinstance(self.stream, GridStream) else None
+
 
 @contextlib.contextmanager
-def open_items(source: Path, output: Path, loaded: LoadedConfig, *, codes: bool = True) -> Iterator[OpenedItems]:
+def open_items(
+    source: Path,
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    blocks_of: Callable[[ScanStream], Iterator[ScanBlock]] | None = None,
+    codes: bool = True,
+    xyz: bool = True,
+) -> Iterator[OpenedItems]:
     """Open a stream whose blocks bring along the classes and registered coordinates of their records.
 
     What blocks do not hold is read once more and kept in a temporary file beside ``output``.
@@ -207,25 +227,27 @@ def open_items(source: Path, output: Path, loaded: LoadedConfig, *, codes: bool 
     ----------
     source, output : Path
     loaded : LoadedConfig
-    codes : bool
-        Whether the classes of the input are wanted.
+    blocks_of : callable, optional
+        Gives the blocks of the stream; default: as they are.
+    codes, xyz : bool
+        Whether the classes and the registered coordinates of the input are wanted.
     """
     stream = open_input(source, loaded.config.input, loaded.config.layout)
-    blocks = stream.blocks()
+    blocks = stream.blocks() if blocks_of is None else blocks_of(stream)
     first = next(blocks, None)
     if first is None:
         raise InputError(str(source), "no scan lines, expected at least one", "see prc info")
     records = open_source(source, loaded.config.layout)
     has = () if records is None else records.dimensions
     class_name = next((name for name in has if codes and name.lower() in NAMES), None)
-    xyz = XYZ if first.xyz_m is None and set(XYZ) <= set(has) else ()
+    axes = XYZ if xyz and first.xyz_m is None and set(XYZ) <= set(has) else ()
     with contextlib.ExitStack() as stack:
         carried: RecordValues | None = None
-        if records is not None and (class_name is not None or xyz):
-            carried = _carry(records, class_name, xyz, output, stack)
+        if records is not None and (class_name is not None or axes):
+            carried = _carry(records, class_name, axes, output, stack)
         item = _item(first, carried)
         scanners = loaded.config.input.scanner != "none" or stream.info.format in ("PTX", "E57")
-        returns = bool(getattr(getattr(stream, "rules", None), "has_returns", stream.info.format == "E57"))
+        returns = stream.rules.has_returns if isinstance(stream, GridStream) else stream.info.format == "E57"
         shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
 
         def items() -> Iterator[StreamItem]:
@@ -322,7 +344,7 @@ def _las_losses(shape: StreamShape, facts: Facts, n_missing: int) -> Iterator[st
         yield "intensities beyond whole numbers from 0 to 65535"
     if len(set(facts.scanners.values())) > 1:
         sizes = ", ".join(f"scanner {scanner}: {m}" for scanner, m in sorted(facts.scanners.items()))
-        yield f"the number of shots a line of each scanner ({sizes}); it is read back as the largest"
+        yield f"the number of shots a line of each scanner ({sizes}); the highest column with a return is taken for it"
 
 
 def _record_losses(opened: OpenedItems) -> Iterator[str]:
@@ -331,10 +353,10 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
     if records is None:
         return
     known = _STREAM_NAMES | set(NAMES)
-    rules = getattr(opened.stream, "rules", None)
-    taken = {getattr(rules, name, None) for name in ("line_dimension", "column_dimension", "scanner")}
-    rule = str(getattr(rules, "range", ""))
-    taken.add(rule.partition(":")[2])
+    taken: set[str | None] = set()
+    if opened.grid is not None:
+        rules = opened.grid.rules
+        taken = {rules.line_dimension, rules.column_dimension, rules.scanner, rules.range.partition(":")[2]}
     other = [name for name in records.dimensions if name.lower() not in known and name not in taken]
     if other:
         yield f"other dimensions of the records: {', '.join(other[:30])}{' ...' if len(other) > 30 else ''}"

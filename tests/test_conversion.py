@@ -183,8 +183,7 @@ def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str)
             order = [np.lexsort((b.extra.range_m, b.extra.column, b.extra.line)) for b in (block, after[scanner])]
             left, right = getattr(block.extra, name), getattr(after[scanner].extra, name)
             assert np.array_equal(left[order[0]], right[order[1]])
-        if suffix == ".csv":
-            assert after[scanner].points_per_line == m
+        assert after[scanner].points_per_line == m
     told = any("scanner 3: 20, scanner 8: 33" in loss for loss in summary.losses)
     assert told == (suffix == ".laz")
 

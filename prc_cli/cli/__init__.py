@@ -25,6 +25,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
     "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "thin": ("prc_cli.cli.thin:thin", "Drop noise and thin out chosen classes of a stream."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
     "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),

@@ -1,0 +1,76 @@
+"""``prc thin``: a reduced stream."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.report import line_progress, print_assumptions, results
+from prc_cli.thinning import CLASSIFY, ThinningSummary, parse_rules
+from prc_cli.thinning import thin as thin_file
+
+
+@click.command()
+@click.argument("source", metavar="IN", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
+@click.option("--keep", multiple=True, metavar="CLASS=FRACTION", help="Keep a share, by line and column: ground=1/4.")
+@click.option("--spacing", multiple=True, metavar="CLASS=METRES", help="Keep shots so far apart in a line: ground=0.1.")
+@click.option("--drop", multiple=True, metavar="CLASS", help="Keep nothing of a class (noise: always, unless kept).")
+@click.option("--labels", type=click.Path(path_type=Path), metavar="FILE", help="Classes, one code a record of IN.")
+@stream_options
+@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@output_options
+def thin(
+    source: Path, output: Path, keep: tuple[str, ...], spacing: tuple[str, ...], drop: tuple[str, ...],
+    labels: Path | None, overwrite: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any,
+) -> None:  # fmt: skip
+    """Drop noise and thin out chosen classes of IN; what is dropped is missing in OUT.
+
+    Classes are those of IN or of --labels; with --preset, --method or --config, IN is classified on the way. OUT is
+    any format that prc convert writes. From .las or .laz to .las or .laz, records are left out and everything else
+    stays as it is.
+
+    \b
+    Examples:
+      prc thin drive_classified.laz drive_thin.laz --keep ground=1/4
+      prc thin drive.laz drive_thin.laz --preset urban --spacing ground=0.1 --drop vegetation
+      prc thin drive.csv.gz drive_thin.npz --labels labels.npy --keep building=0.5
+    """
+    loaded = config_from(options)
+    rules = parse_rules(keep, spacing, drop, loaded.config.classes)
+    classify = any(options[name] is not None for name in ("preset", "method", "config_file"))
+    chosen: Path | str | None = labels if labels is not None else CLASSIFY if classify else None
+    start = time.perf_counter()
+    with line_progress(source.name, quiet=quiet) as progress:
+        summary = thin_file(source, output, rules, loaded, labels=chosen, overwrite=overwrite, progress=progress)
+    if as_json:
+        click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
+    if not quiet:
+        _print_summary(summary, time.perf_counter() - start, verbose=verbose, as_json=as_json)
+
+
+def _print_summary(summary: ThinningSummary, seconds: float, *, verbose: bool, as_json: bool) -> None:
+    from prc_cli.cli.report import console
+
+    table = Table(title=f"{summary.record.input.name}: returns kept")
+    table.add_column("class")
+    for heading in ("code", "input", "kept", "dropped", "bytes saved"):
+        table.add_column(heading, justify="right")
+    for item in summary.classes:
+        figures = (item.n_input, item.n_kept, item.n_dropped, item.n_bytes)
+        table.add_row(item.name, str(item.code), *(f"{figure:,}" for figure in figures))
+    (console() if as_json else results()).print(table)
+    record = summary.record
+    if verbose:
+        print_assumptions(record.assumptions, record.tally)
+    for notice in record.notices:
+        console().print(notice if notice.startswith("not kept: ") else f"note: {notice}", soft_wrap=True)
+    share = f" ({summary.bytes_output / summary.bytes_input:.1%})" if summary.bytes_input else ""
+    sizes = f"{summary.bytes_input:,} bytes to {summary.bytes_output:,}{share}"
+    console().print(f"{summary.output}: {sizes} in {seconds:.1f} s", soft_wrap=True)
