@@ -26,7 +26,7 @@ FLAT_M = 0.1
 MAX_GROWTH = 2.0
 """A range bin whose deviation exceeds that of the nearest flat bin, scaled by range, by this factor is not flat."""
 
-ALL_SHOTS = 4_000_000
+ALL_SHOTS = 2_000_000
 """Shots from the start of which everything is measured; of what follows ..."""
 EVERY = 8
 """... every eighth block, which is evidence enough. Shots and missing ones are counted throughout."""

@@ -9,32 +9,28 @@ from prc_cli.kernels.cache import helper, kernel
 
 
 @helper
-def _kth_smallest(values: F32, n: int, k: int) -> np.float32:
-    """Return the k-th smallest of the first n values, which it sorts; -1 for k = 0, infinity where there are fewer."""
-    if k == 0:
-        return np.float32(-1.0)
-    if n < k:
-        return np.float32(np.inf)
-    for i in range(1, n):
-        value = values[i]
-        j = i - 1
-        while j >= 0 and values[j] > value:
-            values[j + 1] = values[j]
-            j -= 1
-        values[j + 1] = value
-    return np.float32(values[k - 1])
+def _keep_smallest(smallest: F32, differences: F32) -> None:
+    """Let differences take their place among the k smallest of every shot, (k, n) ascending; spoils ``differences``.
+
+    Loops over shots inside, so that the compiler turns them into vector instructions.
+    """
+    for j in range(len(smallest)):
+        row = smallest[j]
+        for h in range(len(differences)):
+            kept, new = row[h], differences[h]
+            row[h] = kept if kept < new else new
+            differences[h] = new if kept < new else kept
 
 
 @helper
 def _first_above(limits: F64, value: float) -> int:
     """Return the place of the first limit above a value, the number of limits if there is none."""
-    low, high = 0, len(limits)
-    while low < high:
-        middle = (low + high) // 2
-        if value < limits[middle]:
-            high = middle
-        else:
-            low = middle + 1
+    # halves without a branch that the processor could mispredict
+    low, left = 0, len(limits)
+    while left > 0:
+        half = (left + 1) // 2
+        low += half * (value >= limits[low + half - 1])
+        left -= half
     return low
 
 
@@ -66,28 +62,35 @@ def support_histogram(
     """
     reach = max(n_columns + 1, 4)
     counts = np.zeros((len(zetas_p) + 1, len(zetas_s) + 1), np.int64)
-    near = np.empty(8, np.float32)
-    shifts = np.array([-n_columns - 1, -n_columns, -n_columns + 1, n_columns - 1, n_columns, n_columns + 1])
-    for i in range(reach, reach + n_lines * n_columns):
-        r = window[i]
-        if np.isnan(r):
-            continue
-        n = 0
-        for shift in range(-4, 5):
-            difference = abs(r - window[i + shift])
-            if shift != 0 and not np.isnan(difference):
-                near[n] = difference
-                n += 1
-        in_slice = _kth_smallest(near, n, min_in_slice)
-        n = 0
-        for shift in shifts:
-            # with one shot a line, i + M - 1 is i itself: a shot does not support itself
-            difference = abs(r - window[i + shift])
-            if shift != 0 and not np.isnan(difference):
-                near[n] = difference
-                n += 1
-        adjacent = _kth_smallest(near, n, min_adjacent)
-        counts[_first_above(zetas_p, np.float64(in_slice)), _first_above(zetas_s, np.float64(adjacent))] += 1
+    nowhere = np.float32(np.inf)
+    near = np.empty((min_in_slice, n_columns), np.float32)
+    beside = np.empty((min_adjacent, n_columns), np.float32)
+    differences = np.empty(n_columns, np.float32)
+    in_slice = np.full(n_columns, -1.0, np.float32)
+    adjacent = np.full(n_columns, -1.0, np.float32)
+    others = np.array([-n_columns - 1, -n_columns, -n_columns + 1, n_columns - 1, n_columns, n_columns + 1])
+    for line in range(n_lines):
+        i = reach + line * n_columns
+        own = window[i : i + n_columns]
+        near[:] = nowhere
+        beside[:] = nowhere
+        for place in range(-4, 5 + len(others)):
+            shift = place if place < 5 else others[place - 5]
+            if shift == 0:  # with one shot a line, i + M - 1 is i itself: a shot does not support itself
+                continue
+            neighbour = window[i + shift : i + shift + n_columns]
+            for h in range(n_columns):
+                difference = abs(own[h] - neighbour[h])
+                differences[h] = difference if difference < nowhere else nowhere
+            _keep_smallest(near if place < 5 else beside, differences)
+        if min_in_slice:
+            in_slice[:] = near[min_in_slice - 1]
+        if min_adjacent:
+            adjacent[:] = beside[min_adjacent - 1]
+        for h in range(n_columns):
+            if not np.isnan(own[h]):
+                p = _first_above(zetas_p, np.float64(in_slice[h]))
+                counts[p, _first_above(zetas_s, np.float64(adjacent[h]))] += 1
     return counts
 
 
