@@ -1,0 +1,123 @@
+"""``prc render`` through the same door as a user."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.cli.test_commands import Prc, Result
+from tests.cli.test_commands import prc as prc
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    return write_npz(tmp_path / "drive.npz", street())
+
+
+def test_it_says_what_it_drew_on_stderr(prc: Prc, drive: Path, tmp_path: Path) -> None:
+    result = prc("render", drive, tmp_path / "drive.png", "--preset", "urban")
+    assert (result.code, result.out) == (0, "")
+    assert f"drive.npz · prc, urban · all {N_LINES} lines" in result.err
+    assert "drive.png (" in result.err
+    with Image.open(tmp_path / "drive.png") as image:
+        assert image.width > 1000
+
+
+def test_json_goes_to_stdout_and_quiet_prints_nothing_else(prc: Prc, drive: Path, tmp_path: Path) -> None:
+    result = prc("render", drive, tmp_path / "a.html", "--steps", "range, classes", "--block", 1, "--json", "--quiet")
+    assert (result.code, result.err) == (0, "")
+    found = json.loads(result.out)
+    assert found["files"] == [str(tmp_path / "a.html")]
+    assert found["lines"] == [99, N_LINES]
+    assert found["steps"] == ["range", "classes"]
+    assert sum(found["counts"].values()) == (N_LINES - 99) * POINTS_PER_LINE
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert page.count("<img") == 2
+    assert page.count("data:image/png;base64,") == 2
+    assert "http" not in page
+
+
+def test_a_result_is_drawn_beside_its_reference(prc: Prc, drive: Path, tmp_path: Path) -> None:
+    labels = tmp_path / "labels.csv"
+    assert prc("classify", drive, labels, "--quiet").code == 0
+    result = prc(
+        "render", drive, tmp_path / "a.png", "--labels", labels, "--reference", labels, "--only-lines", "10:60",
+        "--steps", "classes,reference,difference", "--json",
+    )  # fmt: skip
+    found = json.loads(result.out)
+    assert (found["n_differing"], found["lines"]) == (0, [10, 60])
+    assert found["n_compared"] > 5000
+    assert "labels of labels.csv" in result.err
+
+
+def refused(result: Result, code: int, *parts: str) -> None:
+    assert result.code == code, result.err
+    (line,) = result.err.strip().splitlines()
+    for part in parts:
+        assert part in line
+
+
+def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.png"
+    np.save(tmp_path / "short.npy", np.full(100, 2, np.uint8))
+    for options, code, parts in (
+        (["--steps", "coarse"], 2, ["'coarse', which is no step of prc", "possible here: range, intensity, support"]),
+        (["--block", 7], 2, ["--block: found 7, expected 0 to 1"]),
+        (["--only-lines", "9-12"], 2, ["--only-lines: found '9-12', expected A:B"]),
+        (["--only-lines", "500:600"], 2, ["found 500:600, expected A:B within 0:137"]),
+        (["--labels", tmp_path / "short.npy"], 1, ["found 100 labels, expected 24,660"]),
+        (["--labels", tmp_path / "none.npy"], 1, ["none.npy: no such file"]),
+        (["--view", "top"], 1, ["no coordinates for a cloud"]),
+        (["--view", "perspective", "--from", "east"], 2, ["--from: found 'east', expected AZIMUTH,ELEVATION"]),
+        (["--view", "perspective", "--from", "10,95"], 2, ["elevation from -90 to 90"]),
+        (["--view", "top", "--figure1"], 2, ["--figure1: belongs to the scan view"]),
+        (["--figure1", "--method", "sequential-angle"], 2, ["possible here: range, intensity, coarse, dense, ground"]),
+        (["--mapping", "nothing"], 2, ["class mapping: found 'nothing', expected a .toml file or one of"]),
+    ):
+        refused(prc("render", drive, out, "--quiet", *options), code, *parts)
+        assert not out.exists()
+    refused(prc("render", drive, tmp_path / "a.jpg"), 1, "expected one of: .png .html")
+    refused(prc("render", drive, drive), 1, "found the suffix '.npz'")
+    out.write_bytes(b"old")
+    refused(prc("render", drive, out), 2, "exists already", "--overwrite")
+    assert prc("render", drive, out, "--overwrite").code == 0
+
+
+def test_a_damaged_input_leaves_no_picture(prc: Prc, tmp_path: Path) -> None:
+    source = tmp_path / "drive.bin"
+    source.write_bytes(street().tobytes()[:-7])
+    result = prc("render", source, tmp_path / "a.png", "-M", POINTS_PER_LINE)
+    assert result.code == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["drive.bin"]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("kitti/000000.bin", ["--preset", "street-scan", "--config", "sample_configs/kitti_frame.toml", "--reference",
+                              "kitti/000000.label", "--mapping", "street_scan_kitti"]),
+        ("kitti/000000.bin", ["--config", "sample_configs/kitti_frame.toml", "--view", "perspective"]),
+        ("oakland/oakland_1.csv.gz", ["--config", "sample_configs/sick_push_broom.toml", "--reference",
+                                      "oakland/oakland_1.csv.gz", "--mapping", "oakland"]),
+        ("oakland/oakland_1.csv.gz", ["--config", "sample_configs/sick_push_broom.toml", "--view", "top"]),
+        ("organised/pumpA.e57", ["--preset", "street-scan"]),
+        ("organised/pumpA.e57", ["--view", "perspective", "--colour", "range"]),
+        ("forest/tls_park.npz", ["--preset", "forest", "--only-lines", "0:255"]),
+        ("las/als_strip_labelled.laz", ["--view", "top"]),
+    ],
+)  # fmt: skip
+def test_real_files(prc: Prc, real_data: Path, tmp_path: Path, name: str, options: list[str]) -> None:
+    root = Path(__file__).resolve().parents[2]
+    given = [str(root / o) if o.startswith("sample") else str(real_data / o) if "/" in o else o for o in options]
+    result = prc("render", real_data / name, tmp_path / "a.png", *given, "--json", "--quiet")
+    assert result.code == 0, result.err
+    found = json.loads(result.out)
+    with Image.open(tmp_path / "a.png") as image:
+        assert found["size"] == list(image.size)
+        assert (np.asarray(image) < 250).any(axis=2).mean() > 0.01
