@@ -10,8 +10,10 @@ from PIL import Image
 
 from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.charts import class_colour
-from prc_cli.evaluation.mapping import ClassMapping, Side
+from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.evaluation.mapping import Side as SideName
 from prc_cli.readers.labels import open_codes
+from prc_cli.readers.sides import LINE, Side, SideFile
 
 MAX_LINES = 600
 """Scan lines in a picture."""
@@ -24,7 +26,7 @@ def class_pictures(
     predicted: Path,
     reference: Path,
     mapping: ClassMapping,
-    points_per_line: int,
+    points_per_line: int | None = None,
     dimensions: tuple[str | None, str | None] = (None, None),
 ) -> tuple[tuple[str, bytes], ...]:
     """Draw the first scan lines of a dense stream as predicted, as in the reference, and where they differ.
@@ -37,15 +39,16 @@ def class_pictures(
         Label files with one code a shot, missing shots included, in the same order.
     mapping : ClassMapping
         Whose classes are drawn, in the colours of the whole program.
-    points_per_line : int
-        M; the line of record i is i // M.
+    points_per_line : int, optional
+        M; the line of record i is i // M. None = found where either file numbers its scan lines and they are equally
+        long.
     dimensions : (predicted, reference)
         Columns with the codes; None = found by name.
 
     Returns
     -------
     tuple of (title, PNG)
-        Empty if the files do not hold a whole line.
+        Empty if M is not known, or the files do not hold a whole line.
 
     Raises
     ------
@@ -54,8 +57,12 @@ def class_pictures(
     """
     names = mapping.names("reference")
     names += tuple(name for name in mapping.names("predicted") if name not in names)
+    paths = zip((predicted, reference), dimensions, strict=True)
+    points_per_line = points_per_line or next(filter(None, (_line_length(*side) for side in paths)), None)
+    if points_per_line is None:
+        return ()
     wanted = min(MAX_LINES, _MAX_CELLS // points_per_line) * points_per_line
-    sides: tuple[tuple[Side, Path], ...] = (("predicted", predicted), ("reference", reference))
+    sides: tuple[tuple[SideName, Path], ...] = (("predicted", predicted), ("reference", reference))
     found = []
     for (side, path), dimension in zip(sides, dimensions, strict=True):
         codes = _first_codes(path, dimension, wanted)
@@ -77,6 +84,19 @@ def class_pictures(
         (f"Reference, {lines} of {reference.name}", _png(second, names)),
         ("Where they differ, in the colour of the predicted class; grey: they agree", _png(differ, names)),
     )
+
+
+def _line_length(path: Path, dimension: str | None) -> int | None:
+    """Return M of a file that numbers its scan lines, None if lines are not known or not equally long."""
+    side = Side((SideFile.open(path, dimension, None),))
+    if LINE not in side.dimensions:
+        return None
+    line = next(side.chunks((LINE,))).values[LINE]
+    starts = np.flatnonzero(np.diff(line)) + 1
+    if not starts.size:
+        return None
+    m = int(starts[0])
+    return m if np.array_equal(line - line[0], np.arange(len(line)) // m) else None
 
 
 def _first_codes(path: Path, dimension: str | None, wanted: int) -> I64:

@@ -56,3 +56,17 @@ def test_without_a_whole_line_there_is_no_picture(tmp_path: Path, m: int) -> Non
 def test_unknown_codes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="codes that the class mapping does not list: 9"):
         draw(tmp_path, [2, 9], [2, 2], 2)
+
+
+def test_lines_that_a_file_numbers_need_no_m(tmp_path: Path) -> None:
+    def write(lengths: tuple[int, ...]) -> Path:
+        rows = [f"{line + 5},2" for line, n in enumerate(lengths) for _ in range(n)]
+        (tmp_path / "lines.csv").write_text("\n".join(["scan_line,class", *rows]) + "\n")
+        np.save(tmp_path / "labels.npy", np.full(sum(lengths), 2, np.uint8))
+        return tmp_path / "lines.csv"
+
+    found = class_pictures(tmp_path / "labels.npy", write((4, 4, 4)), MAPPING)
+    assert found[0][0] == "Predicted, lines 0-2 of labels.npy"
+    for lengths in ((4, 3, 4), (8,)):
+        assert class_pictures(tmp_path / "labels.npy", write(lengths), MAPPING) == ()
+    assert class_pictures(tmp_path / "labels.npy", tmp_path / "labels.npy", MAPPING) == ()

@@ -182,7 +182,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     found = evaluate_all(left, right, options["mapping"], options=how)
     gates = check_gates(scores(found.matrix), demanded)
-    if how.points_per_line and how.match == "order" and page_wanted:
+    if how.match == "order" and page_wanted:
         dimensions = how.predicted_dimension, how.reference_dimension
         pictures = (
             *class_pictures(

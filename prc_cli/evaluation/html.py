@@ -33,6 +33,7 @@ from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores,
 
 _DEEP = 0.76
 """Share of the colour in a cell beyond which white text reads better."""
+_LARGEST = 6
 _PNG = b"\x89PNG\r\n\x1a\n"
 _AXES = {"range": "range [m]", "lines": "first scan line of the block", "scanner": "scanner"}
 _TITLES = {"f1": "F1", "iou": "IoU", "accuracy": "one against rest"}
@@ -159,7 +160,7 @@ def _gates(gates: Sequence[GateResult]) -> Iterator[str]:
 
 def _matrix(shown: ConfusionMatrix) -> Iterator[str]:
     yield "<section><h2>Confusion matrix</h2>"
-    yield '<p class="note">Reference classes in rows, predicted classes in columns.</p><fieldset>'
+    yield '<p class="note">Reference classes in rows, predicted classes in columns.</p><div class="beside"><fieldset>'
     views = (
         ("counts", "Counts", "records, coloured by their share of the row"),
         ("rows", "Share of reference", "what became of a reference class; recall where both agree"),
@@ -173,8 +174,29 @@ def _matrix(shown: ConfusionMatrix) -> Iterator[str]:
         yield f'<div class="view {key}"><h3>{name}</h3><p class="note">{name}: {words}.</p><div class="wide">'
         yield from _heat_table(shown, key, columns if key == "columns" else rows)
         yield "</div></div>"
-    yield '</fieldset><p class="note"><span class="key agree"></span>both sides agree'
-    yield '<span class="key differ"></span>they differ, or the class has no counterpart</p></section>'
+    yield '<p class="note"><span class="key agree"></span>both sides agree'
+    yield '<span class="key differ"></span>they differ, or the class has no counterpart</p></fieldset>'
+    yield from _largest(shown)
+    yield "</div></section>"
+
+
+def _largest(shown: ConfusionMatrix) -> Iterator[str]:
+    """List the cells with most records where both sides differ."""
+    total = shown.n_scored
+    cells = [
+        (count, name, other)
+        for name, counts in zip(shown.reference_names, shown.counts.tolist(), strict=True)
+        for other, count in zip(shown.predicted_names, counts, strict=True)
+        if count and not (name == other and name in shown.scored_names)
+    ]
+    if not cells:
+        return
+    yield '<div><h3>Largest differences</h3><table class="lines text"><thead><tr><th>reference</th><th>predicted</th>'
+    yield '<th class="number">records</th><th class="number">of all</th></tr></thead><tbody>'
+    for count, name, other in sorted(cells, key=lambda cell: -cell[0])[:_LARGEST]:
+        numbers = f'<td class="number">{count:,}</td><td class="number">{percent(count / total)}</td>'
+        yield f"<tr><td>{_class(name)}</td><td>{_class(other)}</td>{numbers}</tr>"
+    yield "</tbody></table></div>"
 
 
 def _heat_table(shown: ConfusionMatrix, key: str, shares: F64) -> Iterator[str]:
@@ -259,8 +281,8 @@ def _split(split: str, parts: Sequence[SplitPart], shown: ConfusionMatrix) -> It
             axis = _AXES.get(split, split)
             chart = line_chart(f"{score} by {split}", axis, names_of, counts, curves, ticks, breaks)
             yield f"<div><h3>{score.capitalize()}</h3>{chart}</div>"
-        yield '</div><p class="note">n: scored records of a part. A curve is broken where its score is undefined'
-        yield f"{', and where the next file begins' if breaks else ''}.</p>"
+        broken = "where its score is undefined" + (", and where the next file begins" if breaks else "")
+        yield f'</div><p class="note">n: scored records of a part. A curve is broken {broken}.</p>'
     _, rows = split_table(parts, shown)
     yield f'<details{" open" if len(parts) <= 12 else ""}><summary>Table</summary><div class="wide">'
     heads = "".join(f'<th colspan="2">{_class(name)}</th>' for name in names)
