@@ -25,10 +25,14 @@ CLEAR = 2 * PER_BANDWIDTH - 1
 logarithm is concave, since the variance of what lies in an interval is at most the square of half its length."""
 LARGEST_DEG = 360.0
 """Line angles lie between 0 and this."""
-N_HEIGHTS = 120_000
-"""Bins of the histogram of heights, 1 mm each."""
-LOWEST_M = -60.0
-"""Height where its first bin begins."""
+LOWEST_M = -310.0
+"""Height where the histogram of heights begins; what lies beyond its ends counts in its end bins."""
+PER_METRE = 500
+"""Its bins in a metre, 2 mm each."""
+N_HEIGHTS = 370 * PER_METRE
+"""Its bins, up to 60 m above the scanner."""
+BEHIND = 2
+"""Horizontal points behind a gap in a surface that have to continue its line."""
 
 _HORIZONTAL = 2
 _MISSING = 0
@@ -37,7 +41,8 @@ _MISSING = 0
 _N, _LO, _HI, _BUILT, _PEAK = 0, 1, 2, 3, 4
 # further slots of the heights
 _MEDIAN, _BELOW, _WIDTH, _FIRST, _LAST = 5, 6, 7, 8, 9
-_SLOTS = 10
+_OLDEST, _NEWEST = 10, 11
+_SLOTS = 12
 
 
 @helper
@@ -248,6 +253,39 @@ def _jumps(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: 
 
 
 @helper
+def _bridged(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    beams: I32,
+    n_points: int,
+    k: int,
+    n: int,
+    n_fit: int,
+    bridge: int,
+    step: float,
+) -> int:
+    """Return the horizontal point at which a line goes on behind a few points that are not horizontal, or ``k``."""
+    end = k
+    passed = 0
+    while k < n and surface[k] != _HORIZONTAL:
+        if surface[k] != _MISSING:
+            passed += 1
+            if passed > bridge:
+                return end
+        k += 1
+    behind = k
+    seen = 0
+    while k < n and seen < BEHIND:
+        if surface[k] != _MISSING:
+            if surface[k] != _HORIZONTAL or not _fits(xyz, horizontal, beams, n_points, k, n_fit, step):
+                return end
+            seen += 1
+        k += 1
+    return behind if seen == BEHIND else end
+
+
+@helper
 def _potential(
     surface: U8,
     xyz: F32,
@@ -263,6 +301,8 @@ def _potential(
     noise: float,
     n_fit: int,
     jump: float,
+    bridge: int,
+    step: float,
     beams: I32,
     sampled: I32,
     hist: I64,
@@ -275,12 +315,13 @@ def _potential(
     size = len(hist) - 2 * HALF
     n_samples = n_points = renew_at = 0
     b = width = 0.0
-    k = start
-    growing = False
+    k, growing = start, False
     while True:
-        # the next horizontal point; anything else than a missing shot ends the run
+        # the next horizontal point; more than a few that are neither that nor missing end the run
         while k < n and surface[k] == _MISSING:
             k += 1
+        if n_points > 0 and k < n and surface[k] != _HORIZONTAL:
+            k = _bridged(surface, xyz, horizontal, beams, n_points, k, n, n_fit, bridge, step)
         if k >= n or surface[k] != _HORIZONTAL:
             if growing:
                 return n_points - 2, b
@@ -298,8 +339,7 @@ def _potential(
         k += 1
         if n_points < first_run:
             continue
-        one_mode = True
-        before = n_samples
+        one_mode, before = True, n_samples
         if not growing:
             n_samples = _collect(phihat, beams, 0, n_points - 1, sampled, 0)
             renew_at = n_samples
@@ -333,11 +373,11 @@ def _potential(
 
 
 @helper
-def _lowest_mean(xyz: F32, beams: I32, n_points: int, lowest: int) -> float:
-    """Return the mean height of the lowest points."""
+def _lowest_mean(xyz: F32, beams: I32, n_points: int, lowest: int, near: int) -> float:
+    """Return the mean height of the lowest of the first points, of all if ``near`` is 0."""
     heights = np.empty(lowest, np.float64)
     kept = 0
-    for i in range(n_points):
+    for i in range(min(n_points, near) if near > 0 else n_points):
         z = np.float64(xyz[beams[i], 2])
         if kept == lowest and z >= heights[kept - 1]:
             continue
@@ -376,18 +416,27 @@ def _extend(
     b: float,
     n_fit: int,
     guard: float,
+    bridge: int,
+    step: float,
 ) -> int:
     """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
-    for k in range(beams[n_points - 1] + 1, n):
+    k = beams[n_points - 1] + 1
+    while k < n:
         if surface[k] == _MISSING:
+            k += 1
             continue
+        if surface[k] != _HORIZONTAL:
+            k = _bridged(surface, xyz, horizontal, beams, n_points, k, n, n_fit, bridge, step)
+            if surface[k] != _HORIZONTAL:
+                break
         # a point without a line angle is judged by its height alone
-        if surface[k] != _HORIZONTAL or abs(np.float64(phihat[k]) - mode) > b:
+        if abs(np.float64(phihat[k]) - mode) > b:
             break
         if not _fits(xyz, horizontal, beams, n_points, k, n_fit, guard):
             break
         beams[n_points] = k
         n_points += 1
+        k += 1
     return n_points
 
 
@@ -422,11 +471,10 @@ def _resume(
     smallest: float,
     sigmas: float,
     noise: float,
-    lowest: int,
-    z_g: float,
-    tolerance: float,
     n_fit: int,
     jump: float,
+    bridge: int,
+    step: float,
     guard: float,
     beams: I32,
     n_points: int,
@@ -439,39 +487,49 @@ def _resume(
     counts: I64,
 ) -> int:
     """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
-    start = beams[n_points - 1] + 1
-    end = start
-    while end < n and (surface[end] == _HORIZONTAL or surface[end] == _MISSING):
-        end += 1
+    start = k = end = beams[n_points - 1] + 1
+    passed = 0
+    while k < n and passed <= bridge:
+        if surface[k] == _HORIZONTAL:
+            passed = 0
+            end = k + 1
+        elif surface[k] != _MISSING:
+            passed += 1
+        k += 1
+    k = start
+    crossed = False
     while start < end:
         n_more, b = _potential(
             surface, xyz, horizontal, phihat, ahead, end, start, first_run, least, smallest, sigmas, noise,
-            n_fit, jump, more, sampled, hist,
-            density, state, tops, counts,
+            n_fit, jump, bridge, step, more, sampled, hist, density, state, tops, counts,
         )  # fmt: skip
         if n_more == 0:
             break
         start = more[n_more - 1] + 1
-        off = abs(_lowest_mean(xyz, more, n_more, lowest) - z_g) / abs(z_g)
-        if off < tolerance and _fits(xyz, horizontal, beams, n_points, more[0], n_fit, guard):
+        while k < more[0]:
+            crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
+            k += 1
+        if _fits(xyz, horizontal, beams, n_points, more[0], n_fit, min(step, guard) if crossed else guard):
             for i in range(n_more):
                 beams[n_points + i] = more[i]
             mode = _main_angle(phihat, more, n_more, b, hist, density, state, tops, counts)
             n_points = _extend(
-                surface, xyz, horizontal, phihat, end, beams, n_points + n_more, mode, b, n_fit, guard
+                surface, xyz, horizontal, phihat, end, beams, n_points + n_more, mode, b, n_fit, guard, bridge, step
             )  # fmt: skip
             start = beams[n_points - 1] + 1
+            k = start
+            crossed = False
     return n_points
 
 
 @helper
 def _height_bin(z: float) -> int:
-    """Return the millimetre of a height; what lies outside counts in the end bins."""
-    return int(min(max(np.floor((z - LOWEST_M) * 1000.0), 0.0), N_HEIGHTS - 1.0))
+    """Return the bin of a height; what lies outside counts in the end bins."""
+    return int(min(max(np.floor((z - LOWEST_M) * PER_METRE), 0.0), N_HEIGHTS - 1.0))
 
 
 @helper
-def _coarse(histogram: I64, hist: I64, density: I64, state: I64, width: int) -> None:
+def _coarse(histogram: I32, hist: I64, density: I64, state: I64, width: int) -> None:
     """Bin the histogram of heights in an eighth of the bandwidth."""
     _clear(hist, density, state)
     state[_WIDTH] = width
@@ -487,12 +545,12 @@ def _coarse(histogram: I64, hist: I64, density: I64, state: I64, width: int) -> 
 
 @helper
 def _height_width(median: int, share: float) -> int:
-    """Return an eighth of the bandwidth of heights [mm], rounded up."""
-    return max(1, int(np.ceil(share * abs(median + 0.5 + 1000.0 * LOWEST_M) / PER_BANDWIDTH)))
+    """Return an eighth of the bandwidth of heights in bins, rounded up."""
+    return max(1, int(np.ceil(share * abs(median + 0.5 + PER_METRE * LOWEST_M) / PER_BANDWIDTH)))
 
 
 @helper
-def _open_heights(histogram: I64, hist: I64, density: I64, state: I64, share: float) -> None:
+def _open_heights(histogram: I32, hist: I64, density: I64, state: I64, share: float) -> None:
     """Take a histogram of heights up: its ends, its (lower) median, its density."""
     n = 0
     for i in range(N_HEIGHTS):
@@ -503,30 +561,17 @@ def _open_heights(histogram: I64, hist: I64, density: I64, state: I64, share: fl
             n += histogram[i]
     if n == 0:
         return
-    below = 0
-    median = state[_FIRST]
-    while below + histogram[median] <= (n - 1) // 2:
-        below += histogram[median]
-        median += 1
-    state[_MEDIAN] = median
-    state[_BELOW] = below
-    _coarse(histogram, hist, density, state, _height_width(median, share))
+    state[_MEDIAN] = state[_FIRST]
+    state[_BELOW] = 0
+    _settle(histogram, state, n)
+    _coarse(histogram, hist, density, state, _height_width(state[_MEDIAN], share))
 
 
 @helper
-def _add_height(histogram: I64, hist: I64, density: I64, state: I64, z: float, share: float) -> None:
-    """Add a height to histogram, median and density."""
-    new = _height_bin(z)
-    histogram[new] += 1
-    if state[_N] == 0:
-        _open_heights(histogram, hist, density, state, share)
-        return
-    state[_FIRST] = min(state[_FIRST], new)
-    state[_LAST] = max(state[_LAST], new)
+def _settle(histogram: I32, state: I64, n: int) -> None:
+    """Bring the median of n heights to its place."""
     median, below = state[_MEDIAN], state[_BELOW]
-    if new < median:
-        below += 1
-    rank = state[_N] // 2  # of n + 1 heights
+    rank = (n - 1) // 2
     while below > rank:
         median -= 1
         below -= histogram[median]
@@ -535,7 +580,21 @@ def _add_height(histogram: I64, hist: I64, density: I64, state: I64, z: float, s
         median += 1
     state[_MEDIAN] = median
     state[_BELOW] = below
-    width = _height_width(median, share)
+
+
+@helper
+def _add_height(histogram: I32, hist: I64, density: I64, state: I64, new: int, share: float) -> None:
+    """Add a height to histogram, median and density."""
+    histogram[new] += 1
+    if state[_N] == 0:
+        _open_heights(histogram, hist, density, state, share)
+        return
+    state[_FIRST] = min(state[_FIRST], new)
+    state[_LAST] = max(state[_LAST], new)
+    if new < state[_MEDIAN]:
+        state[_BELOW] += 1
+    _settle(histogram, state, state[_N] + 1)
+    width = _height_width(state[_MEDIAN], share)
     if width == state[_WIDTH]:
         _add(hist, density, state, new // width + HALF)
     else:
@@ -543,8 +602,46 @@ def _add_height(histogram: I64, hist: I64, density: I64, state: I64, z: float, s
 
 
 @helper
-def _main_height(histogram: I64, hist: I64, density: I64, state: I64, tops: I64, counts: I64) -> tuple[int, float]:
-    """Return the samples of the main mode of the heights, and its place [m] after mean shift on the millimetres."""
+def _forget_height(histogram: I32, hist: I64, density: I64, state: I64, old: int, share: float) -> None:
+    """Take a height, not the last one, out of histogram, median and density."""
+    histogram[old] -= 1
+    width = state[_WIDTH]
+    q = old // width + HALF
+    hist[q] -= 1
+    for j in range(2 * HALF + 1):
+        density[q - HALF + j] -= WEIGHT[j]
+    state[_N] -= 1
+    while histogram[state[_FIRST]] == 0:
+        state[_FIRST] += 1
+    while histogram[state[_LAST]] == 0:
+        state[_LAST] -= 1
+    state[_LO] = state[_FIRST] // width + HALF
+    state[_HI] = state[_LAST] // width + HALF
+    if old < state[_MEDIAN]:
+        state[_BELOW] -= 1
+    _settle(histogram, state, state[_N])
+    if _height_width(state[_MEDIAN], share) != width:
+        _coarse(histogram, hist, density, state, _height_width(state[_MEDIAN], share))
+
+
+@helper
+def _count_height(
+    z: float, heights: I32, queue: I32, memory: int, hist: I64, density: I64, state: I64, share: float
+) -> None:
+    """Add a height, and forget the oldest one when there are more than can be remembered."""
+    new = _height_bin(z)
+    _add_height(heights, hist, density, state, new, share)
+    if memory > 0:
+        queue[state[_NEWEST]] = new
+        state[_NEWEST] += 1
+        if state[_NEWEST] - state[_OLDEST] > memory:
+            _forget_height(heights, hist, density, state, queue[state[_OLDEST]], share)
+            state[_OLDEST] += 1
+
+
+@helper
+def _main_height(histogram: I32, hist: I64, density: I64, state: I64, tops: I64, counts: I64) -> tuple[int, float]:
+    """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins."""
     if state[_N] == 0:
         return 0, np.nan
     width = state[_WIDTH]
@@ -571,19 +668,19 @@ def _main_height(histogram: I64, hist: I64, density: I64, state: I64, tops: I64,
             break
         place += step
         shift = 0.0
-    return counts[best], (place + 0.5 + shift) / 1000.0 + LOWEST_M
+    return counts[best], (place + 0.5 + shift) / PER_METRE + LOWEST_M
 
 
-@kernel("Tuple((int64, float64))(int64[::1], float64)")
-def main_height(histogram: I64, share: float) -> tuple[int, float]:
+@kernel("Tuple((int64, float64, int32[::1], int32[::1]))(float64[::1], float64)")
+def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights.
 
     Parameters
     ----------
-    histogram : (N_HEIGHTS,) int64
-        Heights, in millimetres from :data:`LOWEST_M`.
+    heights : (n,) float64, metres
+        Finite.
     share : float
-        Bandwidth as a share of the median height; rounded up to a multiple of 8 mm.
+        Bandwidth as a share of the median height; rounded up to a multiple of 16 mm.
 
     Returns
     -------
@@ -591,19 +688,29 @@ def main_height(histogram: I64, share: float) -> tuple[int, float]:
         Heights of the main mode, 0 if there are none at all.
     height : float
         Its place [m], NaN if there are none.
+    bins : (n,) int32
+        Bin of every height.
+    histogram : (N_HEIGHTS,) int32
+        Heights in every bin, from :data:`LOWEST_M` on.
     """
+    histogram = np.zeros(N_HEIGHTS, np.int32)
+    bins = np.empty(len(heights), np.int32)
+    for i in range(len(heights)):
+        bins[i] = _height_bin(heights[i])
+        histogram[bins[i]] += 1
     hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
     density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
     tops = np.empty(N_HEIGHTS, np.int64)
     counts = np.empty(N_HEIGHTS, np.int64)
     state = np.zeros(_SLOTS, np.int64)
     _open_heights(histogram, hist, density, state, share)
-    return _main_height(histogram, hist, density, state, tops, counts)
+    count, height = _main_height(histogram, hist, density, state, tops, counts)
+    return count, height, bins, histogram
 
 
 @kernel(
     "Tuple((int32[::1], float64[::1]))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], "
-    "int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64)"
+    "int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64, int64, int64, float64)"
 )
 def potential_heights(
     surface: U8,
@@ -620,6 +727,9 @@ def potential_heights(
     noise: float,
     n_fit: int,
     jump: float,
+    near: int,
+    bridge: int,
+    step: float,
 ) -> tuple[I32, F64]:
     """Find the first potential ground of every row and its height (part a).
 
@@ -646,6 +756,13 @@ def potential_heights(
         Points that the local line is laid through.
     jump : float, metres
         Height above or below the last point and the local line that ends potential ground.
+    near : int
+        Points at the beginning of potential ground that its height is taken from, 0 = all.
+    bridge : int
+        Points that are not horizontal, and not missing, that a run of horizontal points may pass over, where the next
+        :data:`BEHIND` points continue the local line.
+    step : float, metres
+        Height above or below the local line up to which they continue it.
 
     Returns
     -------
@@ -669,18 +786,19 @@ def potential_heights(
         n_points, _ = _potential(
             surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], int(np.int64(n_beams[row])), 0,
             first_run, least, smallest, sigmas,
-            noise, n_fit, jump, beams, sampled, hist, density, state, tops, counts,
+            noise, n_fit, jump, bridge, step, beams, sampled, hist, density, state, tops, counts,
         )  # fmt: skip
         if n_points > 0:
             n_found[row] = n_points
-            height[row] = _lowest_mean(xyz[row], beams, n_points, lowest)
+            height[row] = _lowest_mean(xyz[row], beams, n_points, lowest, near)
     return n_found, height
 
 
 @kernel(
-    "Tuple((boolean[:, ::1], float32[::1], int64[::1], float64))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
-    "float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64, "
-    "int64[::1], float64, int64, int64, float64, boolean, float64, float64, boolean)"
+    "Tuple((boolean[:, ::1], float32[::1], int32[::1], int32[::1], float64))(uint8[:, ::1], float32[:, :, ::1], "
+    "float32[:, ::1], float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, "
+    "int64, float64, int64, int64, float64, int32[::1], int32[::1], float64, int64, int64, int64, int64, float64, "
+    "boolean, boolean, float64, float64, float64, boolean)"
 )
 def ground_rows(
     surface: U8,
@@ -697,36 +815,56 @@ def ground_rows(
     noise: float,
     n_fit: int,
     jump: float,
-    histogram: I64,
+    near: int,
+    bridge: int,
+    step: float,
+    histogram: I32,
+    recent: I32,
     z_g: float,
     n_counted: int,
     n_start: int,
+    n_least: int,
+    memory: int,
     share: float,
     count_all: bool,
+    renew_all: bool,
     tolerance: float,
+    tolerance_m: float,
     guard: float,
     resume: bool,
-) -> tuple[Mask, F32, I64, float]:
+) -> tuple[Mask, F32, I32, I32, float]:
     """Verify and grow the ground of every row and follow its height (part b).
 
     Parameters
     ----------
     surface, xyz, horizontal, phihat, ahead, n_beams, first_run, lowest, least, smallest, sigmas, noise, n_fit, jump
         As in :func:`potential_heights`.
-    histogram : (N_HEIGHTS,) int64
-        Heights so far, in millimetres from :data:`LOWEST_M`; not changed.
+    near, bridge, step
+        As in :func:`potential_heights`.
+    histogram : (N_HEIGHTS,) int32
+        Heights so far, from :data:`LOWEST_M` on; not changed.
+    recent : (m,) int32
+        Their bins, the oldest one first; only where there is a ``memory``.
     z_g : float, metres
         Height of the ground so far, NaN = unknown.
     n_counted : int
         Rows at the beginning whose heights the histogram holds already.
     n_start : int
         Heights that a first estimate of the ground needs.
+    n_least : int
+        Heights without which the ground stays unknown.
+    memory : int
+        Heights that the histogram holds, the oldest one is forgotten; 0 = all.
     share : float
         As in :func:`main_height`.
     count_all : bool
         Count heights of rows without ground too.
+    renew_all : bool
+        Compute ``z_g`` anew after every height that counts, not after those of rows with ground alone.
     tolerance : float
         Difference between a row's height and ``z_g``, as a share of ``z_g``, below which it is ground.
+    tolerance_m : float, metres
+        The same at least.
     guard : float, metres
         Height above or below the local line up to which ground grows.
     resume : bool
@@ -737,7 +875,8 @@ def ground_rows(
     ground : (R, n) bool
     z_g : (R,) float32
         Height of the ground after every row [m].
-    histogram : (N_HEIGHTS,) int64
+    histogram : (N_HEIGHTS,) int32
+    recent : (m,) int32
     z_g : float
         After the last row.
     """
@@ -752,51 +891,54 @@ def ground_rows(
     sampled = np.empty(n + 1, np.int32)
     more = np.empty(n + 1, np.int32)
     heights = histogram.copy()
+    queue = np.empty(len(recent) + n_rows, np.int32)
+    queue[: len(recent)] = recent
     z_hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
     z_density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
     z_state = np.zeros(_SLOTS, np.int64)
+    z_state[_NEWEST] = len(recent)
     _open_heights(heights, z_hist, z_density, z_state, share)
     ground = np.zeros((n_rows, n), np.bool_)
     z_rows = np.empty(n_rows, np.float32)
     for row in range(n_rows):
-        counted = row < n_counted
+        to_count = row >= n_counted
         n_valid = int(np.int64(n_beams[row]))
-        start = 0
-        height = np.nan
-        accepted = False
+        start, z_row, accepted = 0, np.nan, False
         while not accepted:
             n_points, b = _potential(
                 surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, start, first_run,
-                least, smallest,
-                sigmas, noise, n_fit, jump, beams, sampled, hist, density, state, tops, counts,
+                least, smallest, sigmas, noise, n_fit, jump, bridge, step, beams, sampled, hist, density, state, tops,
+                counts,
             )  # fmt: skip
             if n_points == 0:
                 break
-            height = _lowest_mean(xyz[row], beams, n_points, lowest)
-            if not counted and z_state[_N] < n_start:  # too few to begin with: caught up on the way
-                _add_height(heights, z_hist, z_density, z_state, height, share)
-                counted = True
-                _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
-            accepted = abs(height - z_g) / abs(z_g) < tolerance
+            height = _lowest_mean(xyz[row], beams, n_points, lowest, near)
+            if to_count and z_state[_N] < n_start:  # too few to begin with: caught up on the way
+                _count_height(height, heights, queue, memory, z_hist, z_density, z_state, share)
+                to_count = False
+                if z_g == z_g or z_state[_N] >= n_least:
+                    _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
+            accepted = abs(height - z_g) < max(tolerance * abs(z_g), tolerance_m)
+            if accepted or z_row != z_row:
+                z_row = height
             start = beams[n_points - 1] + 1
             if accepted:
                 mode = _main_angle(phihat[row], beams, n_points, b, hist, density, state, tops, counts)
                 n_points = _extend(
                     surface[row], xyz[row], horizontal[row], phihat[row], n_valid, beams, n_points, mode, b,
-                    n_fit, guard,
+                    n_fit, guard, bridge, step,
                 )  # fmt: skip
                 if resume:
                     n_points = _resume(
                         surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, first_run,
-                        least, smallest, sigmas, noise, lowest, z_g, tolerance, n_fit, jump, guard, beams, n_points,
-                        more,
-                        sampled, hist, density, state, tops, counts,
+                        least, smallest, sigmas, noise, n_fit, jump, bridge, step, guard, beams, n_points,
+                        more, sampled, hist, density, state, tops, counts,
                     )  # fmt: skip
                 for i in range(n_points):
                     ground[row, beams[i]] = True
-        if not counted and height == height and (accepted or count_all):
-            _add_height(heights, z_hist, z_density, z_state, height, share)
-            if accepted:
+        if to_count and z_row == z_row and (accepted or count_all):
+            _count_height(z_row, heights, queue, memory, z_hist, z_density, z_state, share)
+            if accepted or renew_all:
                 _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
         z_rows[row] = z_g
-    return ground, z_rows, heights, z_g
+    return ground, z_rows, heights, queue[z_state[_OLDEST] : z_state[_NEWEST]].copy(), z_g

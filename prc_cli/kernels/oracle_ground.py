@@ -6,7 +6,6 @@ Every density is computed anew from all samples, every set of points is a list. 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import groupby
 
 import numpy as np
@@ -69,13 +68,23 @@ def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
     )
 
 
-def main_height(histogram: I64, share: float) -> tuple[int, float]:
+def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
     """Find the main mode of heights; see :func:`prc_cli.kernels.ground.main_height`."""
-    heights = np.repeat(np.arange(len(histogram)), histogram).tolist()
+    bins = [to_bin(height) for height in heights]
+    return *main_bin(bins, share), np.array(bins, dtype=np.int32), histogram_of(bins)
+
+
+def histogram_of(bins: list[int]) -> I32:
+    """Count bins."""
+    return np.bincount(np.array(bins, dtype=np.int64), minlength=185_000).astype(np.int32)
+
+
+def main_bin(heights: list[int], share: float) -> tuple[int, float]:
+    """Return the number of binned heights in their main mode, and its place [m]."""
     if not heights:
         return 0, math.nan
     median = sorted(heights)[(len(heights) - 1) // 2]
-    width = max(1, math.ceil(share * abs(median + 0.5 - 60_000) / EIGHTHS))
+    width = max(1, math.ceil(share * abs(median + 0.5 - 155_000) / EIGHTHS))
     place, count = main_mode(grid_modes([height // width for height in heights]))
     centre = math.floor((place + 0.5) * width)
     for _ in range(20):
@@ -88,9 +97,9 @@ def main_height(histogram: I64, share: float) -> tuple[int, float]:
         shift = moment / mass if mass else 0.0
         step = math.floor(shift + 0.5)
         if step == 0:
-            return count, (centre + 0.5 + shift) / 1000 - 60
+            return count, (centre + 0.5 + shift) / 500 - 310
         centre += step
-    return count, (centre + 0.5) / 1000 - 60
+    return count, (centre + 0.5) / 500 - 310
 
 
 class Row:
@@ -107,12 +116,16 @@ class Row:
         horizontal: F32,
         n_fit: int,
         jump: float,
+        near: int,
+        bridge: int,
+        step: float,
     ) -> None:
-        self.surface = surface[:n].tolist()
+        self.surface: list[int] = surface[:n].tolist()
         self.xyz = xyz.astype(np.float64)
         self.phihat = phihat.astype(np.float64)
         self.ahead = ahead
         self.horizontal, self.n_fit, self.jump = horizontal.astype(np.float64), n_fit, jump
+        self.near, self.bridge, self.step = near, bridge, step
         self.first_run, self.lowest, self.least, self.smallest, self.sigmas, self.noise = rules
 
     def bandwidth(self, beam: int) -> float:
@@ -138,12 +151,24 @@ class Row:
         """Return the beams that have a line angle."""
         return [beam for beam in beams if not np.isnan(self.phihat[beam])]
 
-    def runs(self, start: int) -> Iterator[list[int]]:
-        """List the runs of horizontal points from a beam on, missing shots left out."""
-        valid = [(beam, s) for beam, s in enumerate(self.surface) if beam >= start and s != MISSING]
-        for horizontal, group in groupby(valid, key=lambda pair: pair[1] == HORIZONTAL):
-            if horizontal:
-                yield [beam for beam, _ in group]
+    def valid(self, after: int) -> list[int]:
+        """Return the beams behind one that are not missing."""
+        return [beam for beam, s in enumerate(self.surface) if beam > after and s != MISSING]
+
+    def behind(self, points: list[int], after: int) -> int | None:
+        """Return the next beam of a surface, where there is one; a few that are not horizontal are passed over."""
+        valid = self.valid(after)
+        passed = next((i for i, beam in enumerate(valid) if self.surface[beam] == HORIZONTAL), len(valid))
+        two = valid[passed : passed + 2]
+        if passed == 0:
+            return valid[0] if valid else None
+        if passed > self.bridge or len(two) < 2:
+            return None
+        on_line = all(
+            self.surface[beam] == HORIZONTAL and self.fits(points, beam, self.horizontal, self.n_fit, self.step)
+            for beam in two
+        )
+        return two[0] if on_line else None
 
     def jumps(self, before: list[int], beam: int) -> bool:
         """Tell whether a point lies at another height than the points before it."""
@@ -152,27 +177,28 @@ class Row:
 
     def potential(self, start: int) -> tuple[list[int], float]:
         """Return the first potential ground from a beam on and the bandwidth at its end (part a)."""
-        for run in self.runs(start):
-            first, end = 0, 1
-            while True:
-                while end - first < self.first_run and end < len(run):
-                    first = end if self.jumps(run[first:end], run[end]) else first
-                    end += 1
-                if end - first < self.first_run:
-                    break
-                found, b = self.one_line(run[first:])
+        points: list[int] = []
+        last = start - 1
+        while True:
+            beam = self.behind(points, last) if points else None
+            if beam is None:  # a new run
+                later = [k for k in self.valid(last) if self.surface[k] == HORIZONTAL]
+                if not later:
+                    return [], math.nan
+                points, beam = [], later[0]
+            points = [beam] if points and self.jumps(points, beam) else [*points, beam]
+            last = beam
+            if len(points) == self.first_run:
+                found, b = self.one_line(points)
                 if found:
                     return found, b
-                first += 1
-        return [], math.nan
+                points = points[1:]
 
     def one_line(self, points: list[int]) -> tuple[list[int], float]:
-        """Return the points at the beginning of a run whose line angles have one mode."""
-        n = self.first_run - 1
-        size = 0
-        b = math.nan
+        """Return the points whose line angles have one mode, beginning with the given ones."""
+        first, size, b = True, 0, math.nan
         while True:
-            sampled = self.sampled(points[:n])
+            sampled = self.sampled(points[:-1])
             one = len(sampled) >= self.least
             if one:
                 if size == 0 or len(sampled) >= size + size // 2 + 1:
@@ -180,15 +206,18 @@ class Row:
                     b = self.bandwidth(sampled[size // 2])
                 modes = grid_modes(self.bins(sampled, b))
                 one = sum(count >= self.least for _, count in modes) == 1
-            if not one and n == self.first_run - 1:
+            if first and not one:
                 return [], b
-            if not one or n + 1 == len(points) or self.jumps(points[: n + 1], points[n + 1]):
-                return points[: n - 1], b
-            n += 1
+            first = False
+            beam = self.behind(points, points[-1])
+            if not one or beam is None or self.jumps(points, beam):
+                return points[:-2], b
+            points = [*points, beam]
 
     def height(self, beams: list[int]) -> float:
         """Return the mean of the lowest points."""
-        heights = sorted(float(self.xyz[beam, 2]) for beam in beams)[: self.lowest]
+        heights = sorted(float(self.xyz[beam, 2]) for beam in (beams[: self.near] if self.near else beams))
+        heights = heights[: self.lowest]
         return float(np.cumsum(heights)[-1] / len(heights))
 
     def mode(self, beams: list[int], b: float) -> float:
@@ -211,21 +240,26 @@ class Row:
         """Add potential ground to the ground so far, and grow it over the horizontal points that follow."""
         mode = self.mode(found, b)
         grown = beams + found
-        for beam in range(grown[-1] + 1, len(self.surface)):
-            if self.surface[beam] == MISSING:
-                continue
+        while (beam := self.behind(grown, grown[-1])) is not None:
             collinear = np.isnan(self.phihat[beam]) or abs(self.phihat[beam] - mode) <= b
-            on_line = self.fits(grown, beam, horizontal, n_fit, guard)
-            if self.surface[beam] != HORIZONTAL or not collinear or not on_line:
+            if not collinear or not self.fits(grown, beam, horizontal, n_fit, guard):
                 break
             grown.append(beam)
         return grown
 
+    def rest(self, after: int) -> list[int]:
+        """Return the labels up to where too many points behind a beam are not horizontal."""
+        behind = self.valid(after)
+        for horizontal, group in groupby(behind, key=lambda beam: self.surface[beam] == HORIZONTAL):
+            beams = list(group)
+            if not horizontal and len(beams) > self.bridge:
+                return self.surface[: beams[0]]
+        return self.surface
 
-def is_near(z: float, z_g: float, tolerance: float) -> bool:
+
+def is_near(z: float, z_g: float, tolerance: float, tolerance_m: float) -> bool:
     """Tell whether a height agrees with that of the ground."""
-    with np.errstate(all="ignore"):
-        return bool(np.abs(np.float64(z) - z_g) / np.abs(np.float64(z_g)) < tolerance)
+    return abs(z - z_g) < tolerance * abs(z_g) or abs(z - z_g) < tolerance_m
 
 
 def potential_heights(
@@ -243,13 +277,18 @@ def potential_heights(
     noise: float,
     n_fit: int,
     jump: float,
+    near: int,
+    bridge: int,
+    step: float,
 ) -> tuple[I32, F64]:
     """Find potential ground; see :func:`prc_cli.kernels.ground.potential_heights`."""
     rules = (first_run, lowest, least, smallest, sigmas, noise)
     n_points = np.zeros(len(surface), dtype=np.int32)
     height = np.full(len(surface), np.nan)
     for i in range(len(surface)):
-        row = Row(surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump)
+        row = Row(
+            surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump, near, bridge, step
+        )
         beams, _ = row.potential(0)
         n_points[i] = len(beams)
         if beams:
@@ -272,59 +311,74 @@ def ground_rows(
     noise: float,
     n_fit: int,
     jump: float,
-    histogram: I64,
+    near: int,
+    bridge: int,
+    step: float,
+    histogram: I32,
+    recent: I32,
     z_g: float,
     n_counted: int,
     n_start: int,
+    n_least: int,
+    memory: int,
     share: float,
     count_all: bool,
+    renew_all: bool,
     tolerance: float,
+    tolerance_m: float,
     guard: float,
     resume: bool,
-) -> tuple[Mask, F32, I64, float]:
+) -> tuple[Mask, F32, I32, I32, float]:
     """Verify and grow ground; see :func:`prc_cli.kernels.ground.ground_rows`."""
     rules = (first_run, lowest, least, smallest, sigmas, noise)
     ground = np.zeros(surface.shape, dtype=bool)
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
-    heights = histogram.copy()
+    heights = (recent if memory else np.repeat(np.arange(len(histogram)), histogram)).tolist()
     for i in range(len(surface)):
-        row = Row(surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump)
+        row = Row(
+            surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump, near, bridge, step
+        )
         to_count = i >= n_counted
-        z_i = math.nan
+        z_row = math.nan
         accepted = False
         beams, b = row.potential(0)
-        while beams:
+        while beams and not accepted:
             z_i = row.height(beams)
-            if to_count and heights.sum() < n_start:
-                heights[to_bin(z_i)] += 1
+            if to_count and len(heights) < n_start:
+                heights = [*heights, to_bin(z_i)][-memory:]
                 to_count = False
-                z_g = main_height(heights, share)[1]
-            accepted = is_near(z_i, z_g, tolerance)
+                if len(heights) >= n_least or not math.isnan(z_g):
+                    z_g = main_bin(heights, share)[1]
+            accepted = is_near(z_i, z_g, tolerance, tolerance_m)
+            z_row = z_i if accepted or math.isnan(z_row) else z_row
             if accepted:
-                x = horizontal[i].astype(np.float64)
-                points = row.grown([], beams, b, x, n_fit, guard)
-                rest = [
-                    k for k in range(points[-1] + 1, len(row.surface)) if row.surface[k] not in (MISSING, HORIZONTAL)
-                ]
-                row.surface = row.surface[: rest[0]] if rest else row.surface
-                more, b = row.potential(points[-1] + 1) if resume else ([], b)
-                while more:
-                    start = more[-1] + 1
-                    if is_near(row.height(more), z_g, tolerance) and row.fits(points, more[0], x, n_fit, guard):
-                        points = row.grown(points, more, b, x, n_fit, guard)
-                        start = points[-1] + 1
-                    more, b = row.potential(start)
-                ground[i, points] = True
-                break
-            beams, b = row.potential(beams[-1] + 1)
-        if to_count and not math.isnan(z_i) and (accepted or count_all):
-            heights[to_bin(z_i)] += 1
-            if accepted:
-                z_g = main_height(heights, share)[1]
+                ground[i, grown_row(row, beams, b, horizontal[i].astype(np.float64), n_fit, guard, resume)] = True
+            else:
+                beams, b = row.potential(beams[-1] + 1)
+        if to_count and not math.isnan(z_row) and (accepted or count_all):
+            heights = [*heights, to_bin(z_row)][-memory:]
+            if accepted or renew_all:
+                z_g = main_bin(heights, share)[1]
         z_rows[i] = z_g
-    return ground, z_rows, heights, z_g
+    return ground, z_rows, histogram_of(heights), np.array(heights if memory else [], dtype=np.int32), z_g
+
+
+def grown_row(row: Row, beams: list[int], b: float, x: F64, n_fit: int, guard: float, resume: bool) -> list[int]:
+    """Grow potential ground, and look for more of it in the rest of its run."""
+    points = row.grown([], beams, b, x, n_fit, guard)
+    row.surface = row.rest(points[-1])
+    more, b = row.potential(points[-1] + 1) if resume else ([], b)
+    while more:
+        start = more[-1] + 1
+        between = [k for k in row.valid(points[-1]) if k < more[0]]
+        whole = all(row.surface[k] == HORIZONTAL for k in between)
+        if row.fits(points, more[0], x, n_fit, guard if whole else min(guard, row.step)):
+            points = row.grown(points, more, b, x, n_fit, guard)
+            start = points[-1] + 1
+        more, b = row.potential(start)
+    return points
 
 
 def to_bin(z: float) -> int:
-    """Return the millimetre that a height counts in."""
-    return int(np.clip(np.floor((z + 60.0) * 1000.0), 0, 119_999))
+    """Return the bin of 2 mm that a height counts in."""
+    return int(np.clip(np.floor((z + 310.0) * 500.0), 0, 184_999))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.kernels import oracle_curb
-from prc_cli.kernels.ground import N_HEIGHTS
+from prc_cli.kernels.oracle_ground import histogram_of, to_bin
 
 
 def modes_case(rng: Generator) -> tuple[Any, ...]:
@@ -22,20 +22,18 @@ def modes_case(rng: Generator) -> tuple[Any, ...]:
     return values.astype(np.float64), bandwidth
 
 
-def histogram(rng: Generator, n: int) -> Any:
+def heights(rng: Generator, n: int) -> Any:
     """Heights of a road, of car roofs, at the ends of the histogram, and on the edges of its coarse bins."""
-    level = rng.choice([-1.8, -1.8, -10.0, -0.01, 0.3])
-    z = (
+    level = rng.choice([-1.8, -1.8, -100.0, -0.01, 0.3])
+    return (
         level
-        + rng.choice([0.0, 0.0, 1.5, 0.15, 70.0, -70.0], n) * (rng.random(n) < 0.4)
+        + rng.choice([0.0, 0.0, 1.5, 0.15, 70.0, -400.0], n) * (rng.random(n) < 0.4)
         + rng.integers(-30, 31, n) / 1e3
     )
-    place = np.clip(np.floor((z + 60) * 1000), 0, N_HEIGHTS - 1).astype(int)
-    return np.bincount(place, minlength=N_HEIGHTS).astype(np.int64)
 
 
 def height_case(rng: Generator) -> tuple[Any, ...]:
-    return histogram(rng, int(rng.choice([0, 1, 2, 7, 60]))), float(rng.choice([0.05, 0.0, 0.5]))
+    return heights(rng, int(rng.choice([0, 1, 2, 7, 60]))), float(rng.choice([0.05, 0.0, 0.5]))
 
 
 def rows(rng: Generator) -> tuple[Any, ...]:
@@ -65,7 +63,8 @@ def rows(rng: Generator) -> tuple[Any, ...]:
     noise = float(rng.choice([0.0, 0.001, 0.005]))
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
     local = (int(rng.choice([2, 10])), float(rng.choice([0.1, 0.03, 100.0])))
-    return surface, xyz, horizontal, phihat, ahead, n_beams, (*rules, noise, *local)
+    bridge = (int(rng.choice([0, 5, 12])), int(rng.choice([0, 1, 4])), float(rng.choice([0.05, 0.01, 100.0])))
+    return surface, xyz, horizontal, phihat, ahead, n_beams, (*rules, noise, *local, *bridge)
 
 
 def potential_case(rng: Generator) -> tuple[Any, ...]:
@@ -75,12 +74,15 @@ def potential_case(rng: Generator) -> tuple[Any, ...]:
 
 def ground_case(rng: Generator) -> tuple[Any, ...]:
     surface, xyz, horizontal, phihat, ahead, n_beams, rules = rows(rng)
-    known = histogram(rng, int(rng.choice([0, 3, 20])))
+    known = [to_bin(z) for z in heights(rng, int(rng.choice([0, 3, 20])))]
+    memory = int(rng.choice([0, max(len(known), 1), 30]))
+    recent = np.array(known if memory else [], np.int32)
     z_g = float(rng.choice([-1.8, -1.8, np.nan, -1.62, 0.0]))
-    state = (known, z_g, int(rng.integers(0, 3)), int(rng.choice([0, 5, 50])))
+    state = (histogram_of(known), recent, z_g, int(rng.integers(0, 3)), int(rng.choice([0, 5, 50])))
+    height_rules = (int(rng.choice([1, 3])), memory, 0.05, bool(rng.random() < 0.5), bool(rng.random() < 0.5))
+    near = (float(rng.choice([0.1, 0.05])), float(rng.choice([0.0, 0.125])))
     growth = (float(rng.choice([0.1, 0.01])), bool(rng.random() < 0.7))
-    count_all = bool(rng.random() < 0.5)
-    return surface, xyz, horizontal, phihat, ahead, n_beams, *rules, *state, 0.05, count_all, 0.1, *growth
+    return surface, xyz, horizontal, phihat, ahead, n_beams, *rules, *state, *height_rules, *near, *growth
 
 
 def possible_case(rng: Generator) -> tuple[Any, ...]:

@@ -19,15 +19,23 @@ Readings where the text is silent or can be read in two ways:
   angle of the road, and but one angle at its edge tells them apart.
 - Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points can part them early.
   So that such a line does not lose the rest of the road, the search resumes within the same run of horizontal points.
+- The height of a row is that of the points next to the scanner: over a whole slope the lowest points would be those at
+  its far end, metres below.
+- A noisy shot or two must not end the ground of a line. Few points that are neither horizontal nor missing are passed
+  over where the next horizontal ones continue the local line within less than the height of a curb.
+- For the same reason ground that is sought on in a row is known by the local line, not by the height of its points.
 - The dominant height is the main mode of the heights of all rows, whether they were accepted or not (an option), and
-  is computed anew after a row that has ground.
+  is computed anew after each of them: after accepted ones alone a first estimate that is wrong would stay for ever.
+  The oldest heights are forgotten, so that it follows a long street.
+- A row where no potential ground is accepted counts with its first one, the nearest to the scanner.
+- A few heights among many rows without one are no ground; it stays unknown until there are enough.
 - Where the first estimate had to be made from less than the wanted number of heights, the missing ones count as they
   come, and the dominant height follows at once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -36,12 +44,7 @@ from pydantic import Field
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.config import Params
-from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
-
-LOWEST_M = -60.0
-"""Where the histogram of heights begins; heights beyond its ends count in its end bins."""
-N_HEIGHTS = 120_000
-"""Bins of the histogram of heights, 1 mm each."""
+from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
 class GroundParams(Params):
@@ -63,6 +66,23 @@ class GroundParams(Params):
         description="potential ground is ground when its height differs from the dominant height by less than this "
         "share of it (published); heights are counted from the scanner",
     )
+    height_tolerance_m: float = Field(
+        0.05, ge=0, le=100, description="the same at least, for scanners near the ground [m]; 0: the printed text"
+    )
+    height_points: int = Field(
+        30,
+        ge=0,
+        le=100_000,
+        description="points at the beginning of potential ground that its lowest points are taken from; 0 = all of "
+        "it, the printed text",
+    )
+    least_heights: int = Field(
+        10,
+        ge=1,
+        le=100_000,
+        description="heights of lines, or those of half of all lines, without which the ground is unknown; 1: the "
+        "printed text",
+    )
     bandwidth_deg: float = Field(
         5.0, ge=0.5, le=90, description="smallest bandwidth of the mean shift over line angles [deg]"
     )
@@ -79,12 +99,24 @@ class GroundParams(Params):
         ge=0,
         le=1,
         description="bandwidth of the mean shift over heights, as a share of the median height; rounded up to a "
-        "multiple of 8 mm",
+        "multiple of 16 mm",
     )
     heights: Literal["all", "accepted"] = Field(
         "all",
         description='heights that the dominant height comes from: those of "all" lines, or of lines whose height was '
         '"accepted" as that of ground',
+    )
+    renew: Literal["every", "accepted"] = Field(
+        "every",
+        description='lines after which the dominant height is computed anew: "every" one whose height counts, or those '
+        'that have ground ("accepted", published)',
+    )
+    memory_heights: int = Field(
+        2000,
+        ge=0,
+        le=1_000_000,
+        description="heights that the dominant height comes from, the latest ones, never fewer than start_heights; "
+        "0 = all (published)",
     )
     growth_points: int = Field(
         10, ge=2, le=1000, description="points before a point that the local line is laid through"
@@ -102,16 +134,38 @@ class GroundParams(Params):
     resume: bool = Field(
         True,
         description="where growth ends within a run of horizontal points, more potential ground in the rest of the run "
-        "that continues the local line at the right height is ground too; off: the printed text",
+        "that continues the local line is ground too; off: the printed text",
     )
+    bridge: int = Field(
+        4,
+        ge=0,
+        le=1000,
+        description="points in succession, neither horizontal nor missing, that potential and growing ground pass over "
+        "where the horizontal points behind continue the local line; 0: the printed text",
+    )
+    bridge_height_m: float = Field(
+        0.05, gt=0, le=100, description="height above or below the local line up to which they continue it [m]"
+    )
+
+    @property
+    def least(self) -> int:
+        """Heights without which the ground stays unknown."""
+        return min(self.least_heights, self.start_heights)
+
+    @property
+    def memory(self) -> int:
+        """Heights to be remembered, 0 = all."""
+        return max(self.memory_heights, self.start_heights) if self.memory_heights else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundState:
     """What is known of the ground between two calls."""
 
-    histogram: I64
-    """(120 000,) int64, heights of the rows so far, in millimetres from -60 m on."""
+    histogram: I32
+    """(185 000,) int32, heights of the rows so far, in bins of 2 mm from -310 m on."""
+    recent: I32
+    """(at most ``memory_heights``,) int32, their bins, the oldest one first; empty where none is forgotten."""
     z_g: float
     """Height of the ground relative to the scanner [m], NaN = unknown."""
     n_in_histogram_ahead: int
@@ -161,8 +215,8 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
     Returns
     -------
     GroundState
-        From the first 50 heights, or from what there is; with unknown height if there is none. The rows they come from
-        are the first ones that :func:`ground` has to be given.
+        From the first 50 heights, or from what there is; with unknown height if they are fewer than 10 and fewer than
+        half of the rows. The rows they come from are the first ones that :func:`ground` has to be given.
 
     Examples
     --------
@@ -171,10 +225,10 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
     """
     rows = np.flatnonzero(~np.isnan(heights_m))[: params.start_heights]
     n_rows = int(rows[-1]) + 1 if len(rows) == params.start_heights else len(heights_m)
-    bins = np.clip(np.floor((heights_m[rows] - LOWEST_M) * 1000.0), 0, N_HEIGHTS - 1).astype(np.int64)
-    histogram = np.bincount(bins, minlength=N_HEIGHTS).astype(np.int64)
-    _, z_g = kernels.main_height(histogram, params.height_bandwidth)
-    return GroundState(histogram, z_g, n_rows)
+    _, z_g, bins, histogram = kernels.main_height(heights_m[rows], params.height_bandwidth)
+    if len(rows) < min(params.least, (len(heights_m) + 1) // 2):
+        z_g = float("nan")
+    return GroundState(histogram, bins if params.memory else bins[:0], z_g, n_rows)
 
 
 def ground(
@@ -208,19 +262,21 @@ def ground(
     state : GroundState
         After these rows.
     """
-    points, z_rows, histogram, z_g = kernels.ground_rows(
+    points, z_rows, histogram, recent, z_g = kernels.ground_rows(
         surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params, range_noise_m),
-        state.histogram, state.z_g, state.n_in_histogram_ahead, params.start_heights, params.height_bandwidth,
-        params.heights == "all", params.height_tolerance, params.growth_height_m,
-        params.resume,
+        state.histogram, state.recent, state.z_g, state.n_in_histogram_ahead, params.start_heights, params.least,
+        params.memory, params.height_bandwidth, params.heights == "all", params.renew == "every",
+        params.height_tolerance, params.height_tolerance_m, params.growth_height_m, params.resume,
     )  # fmt: skip
     ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
-    return points, z_rows, replace(state, histogram=histogram, z_g=z_g, n_in_histogram_ahead=ahead_still)
+    return points, z_rows, GroundState(histogram, recent, z_g, ahead_still)
 
 
-def _rules(params: GroundParams, range_noise_m: float) -> tuple[int, int, int, float, float, float, int, float]:
+def _rules(
+    params: GroundParams, range_noise_m: float
+) -> tuple[int, int, int, float, float, float, int, float, int, int, float]:
     """Return the rules of potential ground, as the kernels take them."""
     return (
         params.first_run, params.lowest_points, params.mode_samples, params.bandwidth_deg, params.bandwidth_sigmas,
-        range_noise_m, params.growth_points, params.jump_m,
+        range_noise_m, params.growth_points, params.jump_m, params.height_points, params.bridge, params.bridge_height_m,
     )  # fmt: skip

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from prc_cli.classifiers.sequential_angle.ground import (
-    LOWEST_M,
-    N_HEIGHTS,
     GroundParams,
     GroundState,
     ground,
@@ -19,7 +17,6 @@ from prc_cli.classifiers.sequential_angle.ground import (
     start_heights,
 )
 from prc_cli.core.types import F32, F64, Mask
-from prc_cli.kernels import ground as kernel
 from tests.classifiers.sequential_angle.profiles import NOISE_M, ROAD_Z, H, Scene, Segment, V, scan, street
 
 PARAMS = GroundParams()
@@ -39,10 +36,6 @@ def road(scene: Scene) -> Mask:
 def hedge() -> list[Segment]:
     """A flat hedge top, as wide as 2.5 m, that hides the road from below the scanner to 4.5 m."""
     return [(0.0, -1.0, 2.5, -1.0, H), *street()]
-
-
-def test_constants_are_those_of_the_kernel() -> None:
-    assert (LOWEST_M, N_HEIGHTS) == (kernel.LOWEST_M, kernel.N_HEIGHTS)
 
 
 @pytest.mark.parametrize("slope", [-3.0, 0.0, 3.0])
@@ -117,33 +110,139 @@ def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     found, z_g, state = ground(
         scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS, range_noise_m=NOISE_M
     )
-    assert np.isnan(z_g[:4]).all()
-    assert not found[:4].any()
-    assert found[4:].any(axis=1).all()
+    assert np.isnan(z_g[: 4 + 9]).all()  # known from the tenth height on
+    assert not found[: 4 + 9].any()
+    assert found[4 + 9 :].any(axis=1).all()
     assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
     assert state.n_in_histogram_ahead == 0
+    few, first = np.full(40, np.nan), np.array([-0.4, -0.3])
+    few[[7, 20]] = first
+    assert np.isnan(initial_ground(few, PARAMS).z_g)
+    assert initial_ground(few, GroundParams(least_heights=1)).z_g < 0
+    found, z_g, _ = ground(
+        scene.lines, scene.surface, scene.phihat, scene.ahead, replace(initial_ground(few, PARAMS),
+        n_in_histogram_ahead=0), PARAMS, range_noise_m=NOISE_M,
+    )  # fmt: skip
+    assert np.flatnonzero(np.isnan(z_g)).tolist() == list(range(4 + 7))
+    assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
+    assert found[4 + 7 :].any(axis=1).all()
+
+
+def plane(slope_deg: float, turned_deg: float = 0.0) -> Scene:
+    """Half-lines all around on a slope, from 1 m to 15 m."""
+    rise = np.tan(np.deg2rad(slope_deg)) * np.cos(np.deg2rad(np.arange(0, 360, 4) + turned_deg))
+    far = [[(0.6, ROAD_Z + 0.6 * t, 15.0, ROAD_Z + 15 * t, H)] for t in rise.tolist()]
+    return scan(far, n=300)
+
+
+@pytest.mark.parametrize("slope", [0.5, 1.0, 3.0, 5.0])
+def test_a_slope_is_ground_all_around_whatever_the_first_line(slope: float) -> None:
+    for turned in (0.0, 90.0, 200.0):
+        scene = plane(slope, turned)
+        _, found, z_g, _ = find(scene)
+        shares = found.sum(axis=1) / (scene.surface == H).sum(axis=1)
+        assert shares.mean() > 0.98
+        assert shares.min() > 0.8
+        assert np.all(np.abs(z_g - ROAD_Z) < 0.1)
+
+
+def test_lowest_points_of_all_potential_ground_lose_a_slope() -> None:
+    scene = plane(3.0)
+    found = find(scene, GroundParams(height_points=0, renew="accepted"))[1]
+    assert found[scene.surface == H].mean() < 0.9
+
+
+@pytest.mark.parametrize("memory", [100, 0])
+def test_a_wrong_first_estimate_is_left_behind(memory: int) -> None:
+    ramp: list[Segment] = [(0.3, -0.9, 6.0, -0.9, H)]
+    scene = scan([ramp] * 49 + [street()] * 150, n=300)
+    _, found, z_g, _ = find(scene, GroundParams(memory_heights=memory))
+    assert found[105:].any(axis=1).all()
+    np.testing.assert_allclose(z_g[105:], ROAD_Z, atol=0.03)
+    assert not find(scene, GroundParams(renew="accepted"))[1][60:].any()
+
+
+def test_old_heights_are_forgotten() -> None:
+    lower = [(x0, z0 - 0.5, x1, z1 - 0.5, kind) for x0, z0, x1, z1, kind in street(wall=False)]
+    scene = scan([street(wall=False)] * 300 + [lower] * 120, n=200)
+    _, found, _, state = find(scene, GroundParams(memory_heights=100))
+    assert state.histogram.sum() == len(state.recent) == 100
+    assert found[360:].any(axis=1).all()
+    whole = find(scene, GroundParams(memory_heights=0))
+    assert not whole[1][360:].any()
+    assert whole[3].histogram.sum() == 420
+    assert len(whole[3].recent) == 0
+
+
+def noisy(scene: Scene, at: list[int]) -> Scene:
+    """Shots of the road that the coarse layer takes for a wall or a leaf."""
+    surface, phihat = scene.surface.copy(), scene.phihat.copy()
+    for number, k in enumerate(at):
+        surface[:, k] = V if number % 2 else 1
+        phihat[:, k] = np.nan
+    return replace(scene, surface=surface, phihat=phihat)
+
+
+def test_noisy_shots_do_not_end_the_road() -> None:
+    scene = noisy(scan([street()] * 20, n=1000), [5, 60, 61, 130, 131, 132, 133, 300])
+    _, found, _, _ = find(scene)
+    assert found[road(scene)].mean() > 0.97
+    assert not found[:, [5, 60, 61, 130, 131, 132, 133, 300]].any()
+    assert find(scene, GroundParams(bridge=0))[1][road(scene)].mean() < 0.4
+    scene = noisy(scan([street()] * 20, n=1000), [130, 131, 132, 133, 134])
+    assert find(scene)[1][road(scene)].mean() < 0.6
+
+
+@pytest.mark.parametrize("curb_m", [0.08, 0.12, 0.15])
+@pytest.mark.parametrize("n", [300, 1000])
+def test_ground_ends_at_a_curb_however_few_shots_meet_it(curb_m: float, n: int) -> None:
+    scene = scan([street(curb_m)] * 20, n=n)
+    assert ((scene.surface == V) & (scene.lines.horizontal_m < 6.1)).any(axis=1).all()
+    _, found, _, _ = find(scene)
+    assert found[road(scene)].mean() > 0.95
+    assert not found[scene.lines.horizontal_m > 6.1].any()
+
+
+@pytest.mark.parametrize("deep", [65.0, 100.0, 290.0])
+def test_ground_far_below(deep: float) -> None:
+    scene = scan([[(1.0, -deep, deep, -deep, H)]] * 20, n=400)
+    _, found, z_g, _ = find(scene)
+    assert found[scene.surface == H].mean() > 0.95
+    np.testing.assert_allclose(z_g, -deep, atol=0.05)
+
+
+def test_scanner_near_the_ground() -> None:
+    scene = scan([[(0.2, -0.12, 1.0, -0.12, H)]] * 20, n=300)
+    assert find(scene)[1].any(axis=1).all()
+    low = replace(initial_ground(np.full(50, -0.15), PARAMS), n_in_histogram_ahead=0)
+    for limit, everywhere in ((0.05, True), (0.0, False)):
+        params = GroundParams(height_tolerance_m=limit, renew="accepted")
+        found, _, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params, range_noise_m=NOISE_M)
+        assert found.any(axis=1).all() == everywhere
 
 
 @pytest.mark.parametrize("n_sides", [1, 2])
 def test_cuts_change_nothing(n_sides: int) -> None:
     profiles = [hedge() if i % 7 == 0 else street(car=i % 5 == 0) for i in range(70)]
     scene = scan(profiles, n=250, n_sides=n_sides, missing=0.1)
-    heights, whole, z_whole, last = find(scene)
+    params = GroundParams(start_heights=20, memory_heights=30)
+    heights, whole, z_whole, last = find(scene, params)
     rng = np.random.default_rng(2)
     for _ in range(4):
         cuts = np.sort(rng.integers(0, 71, 5)) * n_sides
         edges = [0, *cuts.tolist(), len(scene.surface)]
-        state = initial_ground(heights, PARAMS)
+        state = initial_ground(heights, params)
         parts = []
         for first, end in pairwise(edges):
             part = scene.rows(first, end)
             found, z_g, state = ground(
-                part.lines, part.surface, part.phihat, part.ahead, state, PARAMS, range_noise_m=NOISE_M
+                part.lines, part.surface, part.phihat, part.ahead, state, params, range_noise_m=NOISE_M
             )
             parts.append((found, z_g))
         np.testing.assert_array_equal(np.concatenate([found for found, _ in parts]), whole)
         np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)
         np.testing.assert_array_equal(state.histogram, last.histogram)
+        np.testing.assert_array_equal(state.recent, last.recent)
         assert state.z_g == last.z_g
 
 
@@ -161,11 +260,11 @@ def test_missing_rows_vertical_rows_and_no_rows_have_no_ground() -> None:
 
 def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> None:
     scene = scan([street()], n=300, noise_m=0.0)
-    scene.surface[0, 9] = V
-    scene.surface[0, 30] = V
-    state = GroundState(initial_ground(np.full(50, ROAD_Z), PARAMS).histogram, ROAD_Z, 0)
+    scene.surface[0, 9:14] = V  # more than are passed over
+    scene.surface[0, 30:35] = V
+    state = replace(initial_ground(np.full(50, ROAD_Z), PARAMS), n_in_histogram_ahead=0)
     found, _, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS, range_noise_m=NOISE_M)
-    assert np.flatnonzero(found[0]).tolist() == list(range(10, 30))
+    assert np.flatnonzero(found[0]).tolist() == list(range(14, 30))
 
 
 def test_literal_set_can_be_chosen() -> None:
