@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig
+from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
-from prc_cli.pipeline import open_stream
-from prc_cli.readers import open_source
+from prc_cli.readers import open_input, open_source
+from prc_cli.readers.beams import ORGANISED, with_beams
 from prc_cli.readers.grid import open_grid
 from prc_cli.readers.options import InputConfig
 from prc_cli.readers.order import OrderEvidence, OrderWatch, RangeCorrelation, range_correlation
@@ -105,7 +105,7 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
-        return _describe(path, None, stream, _line_order(stream), None, judged=judged)
+        return _describe(path, None, stream, _line_order(stream), refusal, judged=judged)
     order = _time_order(source)
     if stream is None:
         inspection = _describe(
@@ -114,18 +114,32 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         if "range" in source.dimensions:
             inspection = replace(inspection, period=estimate_points_per_line(_sample(source)))
         return inspection
-    return _describe(path, source, stream, order, None, judged=judged)
+    return _describe(path, source, stream, order, refusal, judged=judged)
 
 
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
-    """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them."""
+    """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them.
+
+    Where only its directions are refused the stream is there all the same, without them.
+    """
     inputs = loaded.config.input
     if inputs.order == "require":
         inputs = inputs.model_copy(update={"order": "trust"})
     try:
-        return open_stream(path, loaded.config.model_copy(update={"input": inputs})), None
+        stream = open_input(path, inputs, loaded.config.layout)
     except (InputError, ConfigError) as refusal:
         return None, refusal
+    if loaded.config.method != SEQUENTIAL_ANGLE:
+        return stream, None
+    try:
+        directed = with_beams(stream, inputs)
+        if stream.info.format in ORGANISED or inputs.scanner != "none":
+            # a scan met late is refused late
+            for _ in directed.blocks():
+                pass
+    except (InputError, ConfigError) as refusal:
+        return stream, refusal
+    return directed, None
 
 
 def _describe(
@@ -162,7 +176,7 @@ def _describe(
         facts=facts,
         assumptions=() if info is None else info.assumptions,
         header=getattr(source, "describe", dict)(),
-        notes=getattr(source, "notes", ()),
+        notes=getattr(source, "notes", ()) if info is None else info.notes,
         problem=problem,
         hint=hint,
     )

@@ -33,22 +33,19 @@ from prc_cli.readers.nadir import (
     wrap,
 )
 from prc_cli.readers.options import InputConfig
+from prc_cli.readers.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
 
 SAMPLE_LINES = 64
 """Lines with returns, from the start, that directions are found in."""
 MAX_SAMPLE_CELLS = 1 << 23
 """Cells of a scanner among which these lines must lie: blocks of a scanner met late wait for them in memory."""
-MAX_LENGTH_OFF = 0.01
-"""Share of the range by which coordinates relative to the scanner may be longer or shorter, in the middle."""
-MAX_LENGTH_OFF_M = 0.05
-"""The same in metres: the larger of the two holds."""
 MADE_UP_RAD = (0.1, math.pi - 0.1)
 """Directions of the outermost columns where nothing tells and nothing can be classified [rad]."""
 KEY = "input.nadir"
 _WITH_ANGLES = "input.nadir with scan angles (input.angle_start and input.angle_step where the input has none)"
-_ORGANISED = ("PTX", "E57")
+ORGANISED = ("PTX", "E57")
+"""Formats whose scans follow one another, each with directions of its own."""
 _ARRAY = "array"
-_XYZ = frozenset(("x", "y", "z"))
 
 
 def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
@@ -303,7 +300,7 @@ class _Finder:
 
     def _which(self, scanner: int) -> str:
         """Name a scanner where the input may have several."""
-        if self.info.format in _ORGANISED:
+        if self.info.format in ORGANISED:
             return f"scan {scanner}"
         return "" if self.config.scanner == "none" else f"{self.config.scanner} {scanner}"
 
@@ -318,7 +315,7 @@ class _Finder:
         """Say what this kind of input can do about it."""
         if isinstance(error, NoddingError):
             return "check that the origin is the scanner and z is up; a scanner that nods is for --method prc"
-        if self.info.format in _ORGANISED:
+        if self.info.format in ORGANISED:
             if isinstance(error, LevelLinesError):
                 return "check whether rows and columns are exchanged in the header, and whether its pose turns z up"
             if isinstance(error, WrongOriginError):
@@ -338,7 +335,7 @@ class _Finder:
         return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{_WITH_ANGLES}"
 
     def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
-        if self.dimensions and not self.dimensions >= _XYZ:
+        if self.dimensions and not self.dimensions >= set(XYZ):
             return []
         ways = ["--range origin:X,Y,Z (where the scanner stood)"]
         if not self.dimensions or "time" in self.dimensions:

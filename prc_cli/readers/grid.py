@@ -8,7 +8,7 @@ be known beforehand (:mod:`.grid_setup`), whole lines out of chunks (:mod:`.grid
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,6 +73,7 @@ def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | Non
         records = WeekSource(records)
     crs_wkt: str | None = getattr(source, "crs_wkt", None)
     ranges = open_ranges(rules.range, records.dimensions, source.path, config, crs_wkt=crs_wkt)
+    ranges = replace(ranges, sensor_xyz=rules.has_sensor_xyz)
     m, assumption = given_points_per_line(rules, source)
     if rules.lines == "fixed" and m is not None and not rules.has_returns and source.n_records is not None:
         check_partial_line(source.path, source.n_records, m, config)

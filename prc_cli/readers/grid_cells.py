@@ -84,7 +84,7 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: GridRules, setup:
     with_time = rules.has_time
     time_s: F64 | None = np.full(n_lines * m, np.nan) if with_time else None
     intensity: F32 | None = np.full(n_lines * m, np.nan, np.float32) if rules.has_intensity else None
-    with_xyz = not rules.range.startswith("dimension:")
+    with_xyz = rules.has_sensor_xyz or not rules.range.startswith("dimension:")
     xyz: F32 | None = np.full((n_lines * m, 3), np.nan, np.float32) if with_xyz else None
     extra, tally = ExtraReturns.none(), ReadTally()
     if n_rows(records):

@@ -10,6 +10,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption
 from prc_cli.readers.lines import find_sweep
 from prc_cli.readers.options import InputConfig, parse_rate
+from prc_cli.readers.ranges import XYZ, is_sensor_xyz
 from prc_cli.readers.records import RecordSource
 
 
@@ -38,6 +39,8 @@ class GridRules:
     """Whether the input says how many returns a shot has."""
     has_return_number: bool
     has_intensity: bool
+    has_sensor_xyz: bool
+    """Whether coordinates relative to the scanner stand beside ranges."""
     has_heights: bool
     """Whether registered coordinates stand beside ranges and scan angles."""
     config: InputConfig
@@ -66,7 +69,13 @@ class GridRules:
     def is_dense(self) -> bool:
         """Whether the records are the cells, one after the other."""
         fixed = self.lines == "fixed" and self.columns == "order" and self.range.startswith("dimension:")
-        return fixed and self.scanner is None and not self.has_returns and self.config.order != "sort-time"
+        return (
+            fixed
+            and not self.has_sensor_xyz
+            and self.scanner is None
+            and not self.has_returns
+            and self.config.order != "sort-time"
+        )
 
 
 def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
@@ -122,7 +131,8 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         has_returns="number_of_returns" in has,
         has_return_number="return_number" in has,
         has_intensity="intensity" in has,
-        has_heights=range_.startswith("dimension:") and {"angle", "x", "y", "z"} <= set(has),
+        has_sensor_xyz=_has_sensor_xyz(source, range_, taken),
+        has_heights=range_.startswith("dimension:") and {"angle", *XYZ} <= set(has),
         config=config,
         assumptions=tuple(taken),
     )
@@ -144,7 +154,12 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
         why = "no dimension scan_line, no points_per_line, but the scan angle runs in sweeps"
         taken.append(Assumption("input.lines", "angle-wrap", why))
         return "angle-wrap"
-    ways = ["-M NUMBER if no shot is left out (prc info estimates it)", "--lines dimension:NAME"]
+    ways = ["-M NUMBER if no shot is left out", "--lines dimension:NAME"]
+    if "range" in source.dimensions:
+        ways[0] += " (prc info estimates it)"
+    if set(XYZ) <= set(source.dimensions) and config.range in ("auto", "sensor-xyz"):
+        drop = "--lines elevation:DEG" + ("" if config.range == "sensor-xyz" else " with --range sensor-xyz")
+        ways.append(f"{drop} (x, y, z from the scanner, line after line)")
     if "time" in source.dimensions:
         ways.append("--lines time:HZ (scan lines a second)")
     problem = "no scan lines: the file has no dimension scan_line and points_per_line is not given"
@@ -181,12 +196,25 @@ def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> 
     return "order"
 
 
+def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
+    """Tell whether coordinates beside ranges are relative to the scanner; scan angles make them needless."""
+    kind, _, name = range_.partition(":")
+    if kind != "dimension" or name in XYZ or "angle" in source.dimensions or not set(XYZ) <= set(source.dimensions):
+        return False
+    first = next(iter(source.chunks((*XYZ, name))), None)
+    if first is None or not is_sensor_xyz(first.values, name):
+        return False
+    why = f"their length is {name!r} in the first records: they are relative to the scanner"
+    taken.append(Assumption("input.range", "x, y, z as directions", why))
+    return True
+
+
 def _auto_range(source: RecordSource, taken: list[Assumption]) -> str:
     if "range" in source.dimensions:
         taken.append(Assumption("input.range", "dimension:range", "the input has a dimension of this name"))
         return "dimension:range"
     ways = ["--range dimension:NAME"]
-    if {"x", "y", "z"} <= set(source.dimensions):
+    if set(XYZ) <= set(source.dimensions):
         ways += ["--range trajectory:FILE"] if "time" in source.dimensions else []
         ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
     names = ", ".join(source.dimensions[:12]) + (", ..." if len(source.dimensions) > 12 else "")

@@ -89,23 +89,32 @@ class LasSource:
 
     @cached_property
     def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver, standard names first; ``time`` only if any is not zero.
+        """Names that :meth:`chunks` can deliver, standard names first; ``time`` and ``angle`` only if any is not zero.
 
         Raises
         ------
         InputError
-            When the first records, which are looked at for their time, cannot be decoded.
+            When the first records, which are looked at for their time and angle, cannot be decoded.
         """
-        names = [name for name in self._layout.fields if name != "time" or not self._time_is_zero]
+        zero = ("time",) * self._time_is_zero + ("angle",) * self._angle_is_zero
+        names = [name for name in self._layout.fields if name not in zero]
         standard = [name for name in STANDARD_NAMES if name in names]
         return tuple(standard + [name for name in names if name not in standard])
 
     @cached_property
     def _time_is_zero(self) -> bool:
         """Whether the times of the first chunk are all zero: then there are none."""
-        if "time" not in self._layout.fields:
+        return self._is_zero("time")
+
+    @cached_property
+    def _angle_is_zero(self) -> bool:
+        """The same of the scan angles."""
+        return self._is_zero("angle")
+
+    def _is_zero(self, name: str) -> bool:
+        if name not in self._layout.fields:
             return False
-        return not next(iter(self.chunks(("time",)))).values["time"].any()
+        return not next(iter(self.chunks((name,)))).values[name].any()
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -119,6 +128,8 @@ class LasSource:
             notes.append("the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken")
         if self._time_is_zero:
             notes.append("gps_time is 0 throughout the first chunk: taken as no time")
+        if self._angle_is_zero:
+            notes.append("scan_angle is 0 throughout the first chunk: taken as no scan angle")
         if self.header.n_unread_bytes:
             notes.append(f"{self.header.n_unread_bytes} bytes follow the last record the header counts: not read")
         if self._n_unread_chunks:

@@ -40,7 +40,7 @@ TEXT_BYTES = 4 << 20
 _ROW_BYTES = 64
 """Bytes of a row, about: how far a short scan is looked ahead for its end."""
 _LOOKED_AT = 1000
-"""Points of a scan whose intensities are looked at for their scale."""
+"""Points of a scan whose intensities are looked at for their scale; missing ones do not count."""
 _SAME_PLACE_M = 1e-3
 """Translation and scanner position of a header that are no farther apart are the same [m]."""
 _N_CELLS = (3, 4, 7)
@@ -113,7 +113,7 @@ class PtxStream:
             how = "0 to 1 in the file, 0 to 65535 in the stream" if INTENSITY_STEPS in scales else "as in the file"
             if len(scales) > 1:
                 how = "0 to 65535 where the file has 0 to 1, else as in the file"
-            found.append(Assumption("input", f"intensity: {how}", f"judged by the first {_LOOKED_AT} of a scan"))
+            found.append(Assumption("input", f"intensity: {how}", f"judged by the first {_LOOKED_AT} points of a scan"))
         if any(scan.n_cells > 4 for scan in self._scans):
             found.append(Assumption("input", "not read: colour", "it is not needed"))
         short = self._scans[-1].shape
@@ -403,12 +403,18 @@ class _Survey:
     def _intensity_scale(self, scan: _Scan) -> float:
         """Return 65535 where intensities run from 0 to 1, as PTX has them by definition, else 1."""
         self._handle.seek(scan.start)
-        n = min(_LOOKED_AT, scan.shape.n_records)
-        head = b"".join(self._handle.readline(MAX_LINE_BYTES + 1) for _ in range(n))
+        rows, left, line = _Rows(self._path, scan), scan.shape.n_records, scan.first_line
+        n_seen, inside = 0, True
+        while left and n_seen < _LOOKED_AT and inside:
+            n = min(_LOOKED_AT, left)
+            head = b"".join(self._handle.readline(MAX_LINE_BYTES + 1) for _ in range(n))
+            found = rows.parse(line, head)
+            # what a scanner writes for a shot without return is no measurement
+            value = found[found[:, :3].any(axis=1), 3]
+            inside = bool(((value >= 0) & (value <= 1) | np.isnan(value)).all())
+            n_seen, left, line = n_seen + len(value), left - n, line + n
         self._handle.seek(scan.stop)
-        intensity = _Rows(self._path, scan).parse(scan.first_line, head)[:, 3]
-        inside = (intensity >= 0) & (intensity <= 1) | np.isnan(intensity)
-        return INTENSITY_STEPS if inside.all() else 1.0
+        return INTENSITY_STEPS if inside else 1.0
 
     def _pose(self, header_line: int, position: list[float], matrix: F64) -> Pose:
         rotation = matrix[:3, :3]
@@ -419,7 +425,8 @@ class _Survey:
                 "the transformation is no rotation with a translation, expected four rows x x x 0 and last t t t 1"
             )
             raise InputError(where, problem, "correct the header or export the scan again")
-        offset = matrix[3, :3] - np.array(position)
+        # some programs leave the position out
+        offset = matrix[3, :3] - np.array(position) if any(position) else np.zeros(3)
         # the two are written with different numbers of digits
         return Pose(rotation, offset if np.abs(offset).max() > _SAME_PLACE_M else np.zeros(3))
 

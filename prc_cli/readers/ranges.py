@@ -16,11 +16,15 @@ from prc_cli.readers.options import InputConfig, parse_origin
 from prc_cli.readers.trajectory import Trajectory, load_trajectory
 
 XYZ = ("x", "y", "z")
+MAX_LENGTH_OFF = 0.01
+"""Share of the range by which coordinates relative to the scanner may be longer or shorter."""
+MAX_LENGTH_OFF_M = 0.05
+"""The same in metres: the larger of the two holds."""
 
 
 @dataclass(frozen=True, slots=True)
 class RangeRule:
-    """Where ranges come from; exactly one of the three is set."""
+    """Where ranges come from; exactly one of the first three is set."""
 
     dimension: str | None = None
     """Dimension that holds the range [m]."""
@@ -28,6 +32,8 @@ class RangeRule:
     """Fixed position of the sensor in the coordinates of the input [m]; zeros = they are the sensor's own."""
     trajectory: Trajectory | None = None
     """Position of the sensor over time."""
+    sensor_xyz: bool = False
+    """Whether x, y, z beside a dimension of ranges are relative to the sensor."""
 
     @property
     def assumptions(self) -> tuple[Assumption, ...]:
@@ -43,7 +49,7 @@ class RangeRule:
     def names(self) -> tuple[str, ...]:
         """Dimensions that :func:`measure_ranges` needs."""
         if self.dimension is not None:
-            return (self.dimension,)
+            return (self.dimension, *(XYZ if self.sensor_xyz else ()))
         return (*XYZ, "time") if self.trajectory is not None else XYZ
 
 
@@ -106,7 +112,8 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
     range_m : (n,) float
         [m]; from a dimension as stored, else float64; NaN where a coordinate is NaN.
     xyz_m : (n, 3) float32 or None
-        Relative to the sensor, axes as in the input (z up) [m]; None if ranges come from a dimension.
+        Relative to the sensor, axes as in the input (z up) [m]; None if ranges come from a dimension and
+        the coordinates beside it are those of a map.
 
     Raises
     ------
@@ -119,9 +126,12 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
     >>> measure_ranges(point, RangeRule(origin_m=(10.0, 0.0, 7.0)))[0]
     array([5.])
     """
-    if rule.dimension is not None:
+    if rule.dimension is not None and not rule.sensor_xyz:
         return values[rule.dimension], None
     xyz: F64 = np.stack([np.asarray(values[name], np.float64) for name in XYZ], axis=1)
+    if rule.dimension is not None:
+        with np.errstate(over="ignore"):
+            return values[rule.dimension], xyz.astype(np.float32)
     # coordinates of 1e6 m keep their millimetres only in float64: subtract before rounding
     if rule.trajectory is not None:
         xyz -= rule.trajectory.positions(np.asarray(values["time"], np.float64))
@@ -129,3 +139,30 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
         xyz -= rule.origin_m
     with np.errstate(over="ignore", invalid="ignore"):
         return np.sqrt((xyz * xyz).sum(axis=1)), xyz.astype(np.float32)
+
+
+def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
+    """Tell whether coordinates beside ranges are relative to the sensor: their length is the range.
+
+    Parameters
+    ----------
+    values : dict of (n,) arrays
+        x, y, z and the ranges, of the first records.
+    dimension : str
+        Name of the ranges.
+
+    Examples
+    --------
+    >>> point = {"x": np.array([3.0]), "y": np.array([0.0]), "z": np.array([4.0]), "range": np.array([5.0])}
+    >>> is_sensor_xyz(point, "range"), is_sensor_xyz(point | {"z": np.array([90.0])}, "range")
+    (True, False)
+    """
+    x, y, z, found = (np.asarray(values[name], np.float64) for name in (*XYZ, dimension))
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.sqrt(x * x + y * y + z * z)
+        # where all heights are 0 they are those of a scan plane that lies flat, as written without directions
+        use = np.isfinite(length) & np.isfinite(found) & (found > 0)
+    if not use.any() or not z[use].any():
+        return False
+    off = np.abs(length[use] - found[use]) - np.maximum(MAX_LENGTH_OFF * found[use], MAX_LENGTH_OFF_M)
+    return float(np.percentile(off, 95)) <= 0

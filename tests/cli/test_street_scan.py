@@ -175,6 +175,64 @@ def test_a_scan_without_a_return_is_all_missing(prc: Prc, tmp_path: Path) -> Non
     assert not np.load(tmp_path / "labels.npy").any()
 
 
+def two_scans(folder: Path, second: Array) -> Path:
+    return write_text(folder / "two.ptx", ptx_scan(points()[0]) + ptx_scan(second))
+
+
+@pytest.mark.parametrize("n_points", [0, 1])
+def test_a_scan_of_nothing_does_no_harm_to_the_others(prc: Prc, tmp_path: Path, n_points: int) -> None:
+    nothing = np.zeros((20, 30, 4))
+    nothing[3, 4] = n_points * np.array([3.0, 4.0, 1.0, 0.5])
+    source = two_scans(tmp_path, nothing)
+    result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
+    assert result.code == 0, result.err
+    assert "note: scan 1: no" in result.err
+    prc("classify", ptx(tmp_path), tmp_path / "one.npy", "--preset", "street-scan")
+    labels, alone = np.load(tmp_path / "labels.npy"), np.load(tmp_path / "one.npy")
+    np.testing.assert_array_equal(labels[: len(alone)], alone)
+    assert np.count_nonzero(labels[len(alone) :]) == n_points
+    result = prc("info", source, "--preset", "street-scan")
+    assert result.code == 0, result.err
+    assert "scan 1: no" in " ".join(result.out.split())
+
+
+def test_a_scan_of_coordinates_without_a_return_is_all_missing(prc: Prc, tmp_path: Path) -> None:
+    np.savez(tmp_path / "scan.npz", xyz=np.full((60, 30, 3), np.nan))
+    result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy", "--preset", "street-scan")
+    assert result.code == 0, result.err
+    assert not np.load(tmp_path / "labels.npy").any()
+
+
+def test_its_own_laz_is_read_again(prc: Prc, tmp_path: Path) -> None:
+    source = ptx(tmp_path)
+    prc("classify", source, tmp_path / "scan.laz", "--preset", "street-scan")
+    prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
+    result = prc("classify", tmp_path / "scan.laz", tmp_path / "again.npy", "--preset", "street-scan")
+    assert result.code == 0, result.err
+    there = points()[0][..., :3].any(axis=2).ravel()
+    assert np.mean(np.load(tmp_path / "again.npy") == np.load(tmp_path / "labels.npy")[there]) > 0.98
+    result = prc("info", tmp_path / "scan.laz", "--preset", "street-scan")
+    assert "relative to the scanner" in " ".join(result.out.split())
+
+
+@pytest.mark.parametrize("make", [level, registered, ranges_alone])
+def test_info_prints_its_table_for_what_is_refused(prc: Prc, tmp_path: Path, make: Callable[[Path], Path]) -> None:
+    result = prc("info", make(tmp_path), "--preset", "street-scan")
+    assert result.code == 0, result.err
+    said = " ".join(result.out.replace("\u2502", " ").split())
+    assert "sequential-angle can classify it no: no vertical direction known" in said
+    assert "scan lines" in said
+
+
+def test_info_of_coordinates_alone_says_how_lines_can_be_found(prc: Prc, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.csv", points()[0].reshape(-1, 4)[:500, :3], delimiter=",", header="x,y,z", comments="")
+    result = prc("info", tmp_path / "a.csv", "--preset", "street-scan")
+    said = " ".join(result.out.replace("\u2502", " ").split())
+    assert result.code == 0, result.err
+    assert "prc info estimates" not in said
+    assert "--lines elevation:DEG with --range sensor-xyz" in said
+
+
 def test_matrices_whose_rows_are_no_probabilities_are_refused(prc: Prc, tmp_path: Path) -> None:
     wrong = "sequential_angle.dense_vegetation.h0=[[0.1,0.8,0.2],[0.1,0.8,0.1],[0.1,0.8,0.1]]"
     result = prc("classify", npz(tmp_path), tmp_path / "labels.npy", "--preset", "street-scan", "--set", wrong)

@@ -156,6 +156,16 @@ def test_time_of_zeros_is_no_time(tmp_path: Path) -> None:
     assert "time" in LasSource(tmp_path / "b.las").dimensions
 
 
+def test_scan_angles_of_zeros_are_none(tmp_path: Path) -> None:
+    las = make(tmp_path / "a.las")
+    assert "angle" in LasSource(tmp_path / "a.las").dimensions
+    las.scan_angle = np.zeros(len(las.points), np.int16)
+    las.write(tmp_path / "b.las")
+    source = LasSource(tmp_path / "b.las")
+    assert "angle" not in source.dimensions
+    assert "scan_angle is 0 throughout the first chunk: taken as no scan angle" in source.notes
+
+
 def test_the_content_decides_not_the_suffix(tmp_path: Path) -> None:
     las = make(tmp_path / "a.laz", 3)
     wrong = (tmp_path / "a.laz").rename(tmp_path / "b.las")
@@ -615,7 +625,10 @@ def test_real_files(real_data: Path, name: str, n_records: int, back: int, chron
     for chunk in source.chunks(source.dimensions):
         part = slice(first, first + chunk.n)
         watch.see(chunk.values["time"], None)
-        for dimension in ("x", "time", "intensity", "return_number", "classification", "angle"):
+        # angles that are 0 throughout are none
+        angle = ("angle",) if "angle" in source.dimensions else ()
+        assert bool(angle) == bool(expected(las, "angle")[: len(chunk.values["x"])].any()) or first > 0
+        for dimension in ("x", "time", "intensity", "return_number", "classification", *angle):
             np.testing.assert_allclose(chunk.values[dimension], expected(las, dimension)[part], rtol=1e-15)
         first += chunk.n
     assert first == n_records

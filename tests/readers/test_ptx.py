@@ -145,6 +145,24 @@ def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
         assert block.tally == one.tally
 
 
+def test_a_position_that_was_left_out_is_no_position(tmp_path: Path) -> None:
+    points = grid_points(6, 5, missing=0)
+    text = ptx_scan(points, shift=(5e5, 5e6, 30.0), position=(0, 0, 0))
+    stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
+    (block,) = scans_of(stream)
+    np.testing.assert_allclose(block.range_m, expected(points)[0], atol=1e-4)
+    assert not stream.info.notes
+
+
+def test_missing_points_do_not_tell_the_scale_of_intensities(tmp_path: Path) -> None:
+    points = grid_points(60, 50, missing=0)
+    points[..., 3] = np.arange(3000).reshape(60, 50) % 900 + 2
+    points[:30] = [0, 0, 0, 0.5]
+    (block,) = scans_of(PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points)), AUTO))
+    assert block.intensity is not None
+    assert equal(block.intensity[30:], points[30:, :, 3].astype(np.float32))
+
+
 def test_intensities_beyond_one_stay_as_they_are(tmp_path: Path) -> None:
     points = grid_points(4, 5, missing=0)
     points[..., 3] = np.arange(20).reshape(4, 5) - 7
