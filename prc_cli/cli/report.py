@@ -16,6 +16,7 @@ from rich.table import Table
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
+    doubts,
     gate_cells,
     match_line,
     overall_line,
@@ -135,7 +136,7 @@ def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> 
         name, limit, value = gate_cells(gate)
         results().print(f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}")
     results().print(match_line(found.match))
-    for note in found.match.notes:
+    for note in (*found.match.notes, *doubts(found)):
         results().print(note)
 
 

@@ -21,6 +21,7 @@ from prc_cli.evaluation.reports import (
     NOT_SPLIT,
     Found,
     as_dict,
+    doubts,
     figure,
     gate_cells,
     match_line,
@@ -124,6 +125,8 @@ def _header(title: str, found: Evaluation | None, gates: Sequence[GateResult]) -
         word = f"{n_failed} of {len(gates)} gates failed" if n_failed else f"all {len(gates)} gates passed"
         word = word.replace("all 1 gates", "the gate").replace("1 of 1 gates failed", "the gate failed")
         yield f'<p><span class="badge {"failed" if n_failed else "passed"}">{word}</span></p>'
+    if found is not None:
+        yield from (f'<p class="doubt">{_text(doubt)}</p>' for doubt in doubts(found))
     yield "</header>"
 
 

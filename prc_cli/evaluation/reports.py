@@ -26,6 +26,9 @@ NOT_SPLIT = "unknown"
 """Name of the part that holds the pairs of which nothing is known to split by."""
 NO_INTERVALS: Mapping[str, Interval] = {}
 
+_CHANCE = 0.05
+"""Kappa below which both sides may have nothing to do with each other."""
+_ENOUGH = 1000
 _TOTALS = ("n_reference", "n_predicted", "n_agreed")
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|#~])")
 
@@ -39,7 +42,8 @@ def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
         ``n_scored``, ``n_ignored``, ``overall`` (score by name), ``classes`` (scores by class name) and
         ``confusion`` (``reference`` row names, ``predicted`` column names, ``counts``). Of an evaluation also
         ``files``, ``mapping``, ``match``, ``intervals`` (low and high by ``score.class``), ``interval_method``,
-        ``splits`` (lists of parts, each with ``name``, ``low``, ``high`` and the keys above) and ``gates``.
+        ``doubts`` (sentences), ``splits`` (lists of parts, each with ``name``, ``low``, ``high`` and the keys above)
+        and ``gates``.
     """
     table = _matrix_dict(matrix_of(found))
     if isinstance(found, Evaluation):
@@ -51,6 +55,7 @@ def as_dict(found: Found, gates: Iterable[GateResult] = ()) -> dict[str, Any]:
                 name: {"low": _defined(item.low), "high": _defined(item.high)} for name, item in found.intervals.items()
             },
             "interval_method": found.interval_method,
+            "doubts": list(doubts(found)),
             "splits": {
                 name: [
                     {"name": part.name, "low": _defined(part.low), "high": _defined(part.high)}
@@ -160,6 +165,20 @@ def match_line(match: MatchReport) -> str:
     return f"Matched by {match.method}{within}: {match.n_matched:,} pairs of {counts}{several}."
 
 
+def doubts(found: Evaluation) -> tuple[str, ...]:
+    """Return what speaks against the evaluation itself, a sentence each; none is the rule.
+
+    Equal numbers of records in another order, or a mapping of other codes, give figures that look like any others but
+    for the agreement, which is that of chance.
+    """
+    result = scores(found.matrix)
+    names = [item for item in result.classes if item.recall + item.precision >= 0]
+    if len(names) < 2 or result.n_scored < _ENOUGH or not result.kappa < _CHANCE:
+        return ()
+    told = f"The agreement is about that of chance (kappa {figure(result.kappa)})"
+    return (f"{told}: check that both sides are in the same order, and the class mapping.",)
+
+
 def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[list[str], list[list[str]]]:
     """Return header and rows of a split: part, scored records, accuracy, recall and precision of every class.
 
@@ -263,7 +282,7 @@ def _evaluation_blocks(found: Evaluation, shown: ConfusionMatrix) -> Iterator[st
         header, rows = split_table(parts, shown)
         yield _table(header, rows)
     yield match_line(found.match).replace(found.match.method, _plain(found.match.method))
-    yield from (_plain(note) for note in found.match.notes)
+    yield from (_plain(note) for note in (*found.match.notes, *doubts(found)))
     files = [f"{side} {', '.join(map(_plain, names))}" for side, names in _sides(found)]
     yield f"Files: {'; '.join(files)}. Class mapping: {_plain(found.mapping)}."
 

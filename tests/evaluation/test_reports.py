@@ -3,13 +3,15 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import Gate, check_gates
-from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown
+from prc_cli.evaluation.html import as_html
+from prc_cli.evaluation.reports import as_csv, as_dict, as_json, as_markdown, doubts
 from prc_cli.evaluation.scores import scores
 from tests.evaluation import samples
 
@@ -128,3 +130,21 @@ def test_markdown_shows_names_of_users_as_they_are() -> None:
     assert "a\\|b \\<b\\>" in text
     for table in (block.splitlines() for block in text.split("\n\n") if block.startswith("|")):
         assert len({line.replace("\\|", "").count("|") for line in table}) == 1
+
+
+def test_agreement_of_chance_is_told() -> None:
+    found = samples.evaluation()
+    assert doubts(found) == ()
+    rng = np.random.default_rng(4)
+    codes = rng.choice(2, 5000, p=[0.9, 0.1])
+    counts = np.bincount(codes * 2 + rng.permutation(codes), minlength=4).reshape(2, 2)
+    shuffled = replace(found, matrix=ConfusionMatrix(("a", "b"), ("a", "b"), counts), splits={}, intervals={})
+    (told,) = doubts(shuffled)
+    assert "about that of chance" in told
+    assert told in as_html(shuffled)
+    assert told in as_markdown(shuffled)
+    assert json.loads(as_json(shuffled))["doubts"] == [told]
+    # a file with one class has no kappa, and few records prove nothing
+    for other in ([[5000, 0], [0, 0]], [[5, 5], [5, 5]]):
+        matrix = ConfusionMatrix(("a", "b"), ("a", "b"), np.array(other))
+        assert doubts(replace(shuffled, matrix=matrix)) == ()
