@@ -41,6 +41,8 @@ NEAREST_TOLERANCE_M = 0.05
 """A few times the rounding of registered clouds. Pairs are nearest to each other, so that it may exceed the spacing."""
 RECORDS_PER_LINE = 1000
 """Records that stand for a scan line in blocks of an input whose lines are not known."""
+SORT_RECORDS = 1 << 18
+"""Records of a side sorted in memory at a time; twice as many are held while merging."""
 SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner"}
 
 
@@ -446,7 +448,7 @@ def _counted(pairs: Iterator[Pairs], tally: JoinTally) -> Iterator[Pairs]:
 
 def _stream(side: Side, names: tuple[str, ...], *, on_disk: bool) -> Iterator[Columns]:
     """Read a side, in the order of its keys where that was asked for."""
-    source = sorted_by_time(side) if on_disk else side
+    source = sorted_by_time(side, run_records=SORT_RECORDS, merge_records=2 * SORT_RECORDS) if on_disk else side
     for chunk in source.chunks(names):
         values = dict(chunk.values)
         if KEY in values:

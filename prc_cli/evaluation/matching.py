@@ -36,7 +36,11 @@ AXES = ("x", "y", "z")
 MAX_HELD = 1 << 23
 """Records of one side that may have a say at one place of the sweep."""
 MAX_RETURN = 255
+STEP_RECORDS = 1 << 17
+"""Records that a sweep takes from a stream at a time: trees of more do not fit the caches."""
 _USED = "used"
+_TREE = {"balanced_tree": False, "compact_nodes": False}
+"""Medians are slow where many points share a coordinate, as on a grid."""
 
 
 class UnsortedError(Exception):
@@ -79,7 +83,7 @@ class Match:
 
 
 def in_key_order(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
-    """Hand on a stream, and raise :class:`UnsortedError` where its keys go back."""
+    """Hand on a stream in small steps, and raise :class:`UnsortedError` where its keys go back."""
     last = -math.inf
     for chunk in chunks:
         key = chunk[KEY]
@@ -88,7 +92,8 @@ def in_key_order(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
         if key[0] < last or (key[1:] < key[:-1]).any():
             raise UnsortedError(side)
         last = float(key[-1])
-        yield chunk
+        for first in range(0, len(key), STEP_RECORDS):
+            yield {name: values[first : first + STEP_RECORDS] for name, values in chunk.items()}
 
 
 def join_by_key(
@@ -222,14 +227,14 @@ def match_places(left: F64, right: F64, tolerance: float, *, one_to_one: bool = 
     left_value, right_value = left_value - origin, right_value - origin
     # the bound is exclusive
     bound = float(np.nextafter(tolerance, math.inf))
-    _, found = cKDTree(right_value).query(left_value, distance_upper_bound=bound, workers=-1)
+    _, found = cKDTree(right_value, **_TREE).query(left_value, distance_upper_bound=bound, workers=-1)
     near = found < len(right_value)
     partner = np.where(near, found, -1).astype(np.int64)
     if one_to_one:
         asked = np.unique(partner[near])
         if len(asked):
             back = np.full(len(right_value), -1)
-            _, back[asked] = cKDTree(left_value).query(right_value[asked], workers=-1)
+            _, back[asked] = cKDTree(left_value, **_TREE).query(right_value[asked], workers=-1)
             own = np.arange(len(left_value))
             partner[near & (back[partner] != own)] = -1
         return _pair_groups(left_group, right_group, partner, None, None)
@@ -317,7 +322,7 @@ def _sweep(
             behind.read()
         limit = min((side.last for side in sides if side.is_open), default=math.inf)
         high = limit if math.isinf(limit) else float(np.nextafter(limit - reach, -math.inf)) if reach else limit
-        if high <= low:
+        if high <= low or not (math.isinf(limit) or _is_worth(sides, low, high)):
             continue
         one, other = (side.between(low - reach, limit) for side in sides)
         if len(one[KEY]):
@@ -340,6 +345,15 @@ def _sweep(
         for side in sides:
             side.drop(high - reach)
         low = high
+
+
+def _is_worth(sides: tuple[_Side, _Side], low: float, high: float) -> bool:
+    """Whether a window decides at least half as many records as it has to look at.
+
+    Where records are dense against the tolerance, small steps would look at the same ones again and again.
+    """
+    decided = sum(side.count(low, high) for side in sides)
+    return 2 * decided >= sum(side.n_held for side in sides)
 
 
 class _Side:
@@ -366,6 +380,16 @@ class _Side:
         if len(chunk[KEY]) > MAX_HELD:
             problem = f"more than {MAX_HELD} records within the tolerance of key {chunk[KEY][0]:.9g}"
             raise InputError(self._name, problem, "give a smaller tolerance, or match by something else")
+
+    @property
+    def n_held(self) -> int:
+        """Number of records held."""
+        return len(self._held[KEY])
+
+    def count(self, low: float, high: float) -> int:
+        """Return the number of records with ``low <= key < high``."""
+        first, stop = np.searchsorted(self._held[KEY], [low, high])
+        return int(stop - first)
 
     def between(self, low: float, high: float) -> Columns:
         """Return views of the records with ``low <= key < high``."""
