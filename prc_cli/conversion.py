@@ -17,7 +17,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_name
+from prc_cli.core.files import atomic_output, remove_stale, temporary_name
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.pipeline import Counts, Progress, run_record
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, open_source, suffix_of
@@ -58,7 +58,6 @@ class ConversionSummary:
     n_shots: int
     n_returned: int
     """Shots with a range."""
-    seconds: float = 0.0
 
     def as_dict(self) -> dict[str, object]:
         """Return the run record with what was lost, for JSON."""
@@ -74,7 +73,6 @@ class Facts:
     n_extra: int = 0
     scanners: dict[int, int] = field(default_factory=dict)
     """M by scanner."""
-    first_line: int | None = None
 
     def add(self, block: ScanBlock) -> Facts:
         """Return the facts with one more block."""
@@ -176,10 +174,10 @@ def check_unchanged(source: Path, size: int, mtime_ns: int) -> None:
 
 def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
     """Change the compression of a LAS or LAZ file and nothing else."""
-    las = read_las(source)
-    check_output(record_path(output), overwrite=True)
+    las, before = read_las(source), source.stat()
     with atomic_output(output) as temporary:
         notices = copy_las(las, output, temporary)
+        check_unchanged(source, before.st_size, before.st_mtime_ns)
         record = RunRecord(
             config=loaded.config.to_table(),
             input=fingerprint(source),
@@ -379,7 +377,8 @@ def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, .
     directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*_LAS, *_TABLES)
     if shape.nadir_rad is not None and not directed and suffix != ".bin":
         angle = float(np.rad2deg(shape.nadir_rad))
-        told.append(f"straight down is at scan angle {angle:.6g} deg: read it with --set input.nadir={angle:.6g}")
+        lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
+        told.append(f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}")
     return tuple(told)
 
 

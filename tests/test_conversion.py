@@ -19,6 +19,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExis
 from prc_cli.core.stream import ScanBlock
 from prc_cli.pipeline import label_blocks, open_stream
 from prc_cli.readers.regroup import join
+from tests.readers.organised_files import ptx_scan, write_text
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
 
 CELLS = (".csv", ".csv.gz", ".csv.zst", ".npz", ".bin")
@@ -207,6 +208,24 @@ def test_classes_and_registered_coordinates_go_along(tmp_path: Path) -> None:
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert table(tmp_path / "a.parquet").column_names == lines[0].split(",")
     assert table(tmp_path / "a.parquet").num_rows == len(lines) - 1
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".las"])
+def test_the_scans_of_a_ptx_stay_apart(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(4)
+    text = ""
+    for n_lines, m in ((5, 7), (4, 9)):
+        points = rng.uniform(1.0, 30.0, (n_lines, m, 3))
+        points[1, 2:4] = 0.0  # shots without return
+        text += ptx_scan(points)
+    source, out = write_text(tmp_path / "a.ptx", text), tmp_path / f"out{suffix}"
+    convert(source, out)
+    before, after = scans(source, config()), scans(out, config(scanner="point_source_id"))
+    assert [block.range_m.shape for block in before.values()] == [(5, 7), (4, 9)]
+    for left, right in zip(before.values(), after.values(), strict=True):
+        assert same_bits(left.range_m, right.range_m)
+    with pytest.raises(OutputError, match="a range image holds one scanner"):
+        convert(source, tmp_path / "out.npz")
 
 
 def test_what_is_lost_is_listed(drive: Path, tmp_path: Path) -> None:

@@ -42,7 +42,8 @@ class RawStream(StagedStreamWriter):
         """Settle the record by the first block."""
         shape = self.shape
         self._m, angle_rad = item.block.points_per_line, item.block.angle_rad
-        if angle_rad is not None:
+        # beside registered heights every record has its angle: together they tell where down is, as in the input
+        if angle_rad is not None and not shape.registered:
             degrees: F64 = np.rad2deg(angle_rad).round(10)
             self._even = even_steps(degrees)
         xyz = "<f8" if shape.registered else "<f4"
@@ -83,7 +84,7 @@ class RawStream(StagedStreamWriter):
         lines += ["", "[input]", 'lines = "fixed"', 'columns = "order"', 'range = "dimension:range"']
         if self._even is not None:
             lines += [f"angle_start = {self._even[0]!r}", f"angle_step = {self._even[1]!r}"]
-        if self.shape.nadir_rad is not None:
+        if self.shape.nadir_rad is not None and not self.shape.registered:
             lines += [f"nadir = {float(np.rad2deg(self.shape.nadir_rad))!r}"]
         lines += ["", "[layout]", 'endian = "little"', f"points_per_line = {self._m}", "fields = ["]
         for name in self._dtype.names or ():

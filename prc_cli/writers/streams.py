@@ -14,8 +14,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, Protocol, Self
 
-import numpy as np
-
 from prc_cli.core.errors import ConfigError, OutputError
 from prc_cli.core.files import check_output, commit, output_errors, temporary_name
 from prc_cli.core.stream import ScanBlock, StreamInfo
@@ -61,7 +59,6 @@ class StreamShape:
     codes: bool
     nadir_rad: float | None = None
     """Scan angle that points straight down [rad], None = unknown."""
-    time_origin: float | None = None
 
     @classmethod
     def of(cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool) -> StreamShape:
@@ -214,11 +211,6 @@ class StagedStreamWriter(ABC):
             raise
 
 
-def table_names(suffix: str) -> str:
-    """Return the kind of an output of a suffix, for messages."""
-    return STREAM_SUFFIXES[suffix]
-
-
 STREAM_SUFFIXES = {
     ".las": "point cloud",
     ".laz": "point cloud, compressed",
@@ -312,11 +304,6 @@ def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False
         ".bin": RawStream,
     }
     return makers[suffix](path, shape)
-
-
-def returned(block: ScanBlock) -> int:
-    """Return the number of shots of a block that have a range."""
-    return int(np.count_nonzero(~np.isnan(block.range_m)))
 
 
 def _remove(path: Path) -> None:
