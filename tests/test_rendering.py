@@ -16,7 +16,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.pipeline import classify, label_blocks, open_stream
 from prc_cli.rendering import RenderOptions, render
-from prc_cli.rendering.frames import turns_left
+from prc_cli.rendering.frames import turns
 from prc_cli.rendering.options import FIGURE_1, choose_steps
 from prc_cli.rendering.scan import choose_part, draw_scan
 from prc_cli.simulation.static_scan import StaticScanParams, simulate_static_scan
@@ -210,6 +210,19 @@ def test_static_scans_stand_upright(static: tuple[Path, Path], tmp_path: Path) -
     assert ranges.x.first > ranges.x.stop  # lines turn to the left, so the first one stands on the right
 
 
+def test_long_push_broom_drives_are_folded_upright(urban: LoadedConfig, tmp_path: Path) -> None:
+    zenith = np.linspace(170.0, 60.0, 90)
+    n = 1500
+    ranges = np.where(zenith > 95, 2.0 / np.maximum(-np.cos(np.deg2rad(zenith)), 0.05), np.nan)
+    np.savez(tmp_path / "drive.npz", range_m=np.tile(ranges, (n, 1)).astype(np.float32), zenith_deg=zenith)
+    drawing = draw_scan(tmp_path / "drive.npz", urban, RenderOptions(width=400, steps=("range",)), tmp_path)
+    assert [strip[0].x.first for strip in drawing.strips] == [0, 375, 750, 1125]
+    for (panel,) in drawing.strips:
+        assert panel.y.name == "elevation [°]"
+        assert (panel.picture[0] == 255).all()  # sky
+        assert not (panel.picture[-1] == 255).all()
+
+
 def test_prc_draws_static_scans_upright_too(static: tuple[Path, Path], urban: LoadedConfig, tmp_path: Path) -> None:
     drawing = draw_scan(static[0], urban, RenderOptions(), tmp_path)
     assert drawing.strips[0][0].y.name == "elevation [°]"
@@ -220,7 +233,10 @@ def test_the_sense_of_rotation() -> None:
     for sign in (1, -1):
         xyz = np.stack([np.cos(sign * azimuth), np.sin(sign * azimuth), np.zeros_like(azimuth)], axis=2)
         block = ScanBlock(0, np.ones(azimuth.shape, np.float32), xyz_m=xyz.astype(np.float32))
-        assert turns_left(block) == (sign > 0)
+        assert turns(block) == sign
+    still = np.tile(xyz[:1], (9, 1, 1)).astype(np.float32)
+    assert turns(ScanBlock(0, np.ones((9, 4), np.float32), xyz_m=still)) == 0
+    assert turns(ScanBlock(0, np.ones((9, 4), np.float32))) == 0
 
 
 @pytest.mark.parametrize(

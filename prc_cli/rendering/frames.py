@@ -27,6 +27,10 @@ LABEL_OF_SURFACE = np.array(
     [Label.MISSING, Label.VEGETATION, Label.HORIZONTAL, Label.VERTICAL, Label.UNCLASSIFIED], dtype=np.uint8
 )
 """Label that shows a :class:`prc_cli.core.classes.Surface` in pictures."""
+TURN_LINES = 64
+"""Lines in which a rotation is looked for."""
+LEAST_TURN_RAD = 1e-4
+"""Smallest step of azimuth between lines that is a rotation [rad]."""
 SEGMENT_COLOURS = 1 << 30
 """Segment ids are drawn modulo this number."""
 
@@ -74,10 +78,11 @@ def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> I
         raise ConfigError("--station", f"found {station}, but {path} holds {shown}")
 
 
-def count_lines(stream: ScanStream, station: int | None) -> int:
+def count_lines(stream: ScanStream, station: int | None, loaded: LoadedConfig) -> int:
     """Return the lines of one scanner; reads the stream where nothing else tells."""
     info = stream.info
-    if info.n_lines is not None and info.format not in ("PTX", "E57") and station is None:
+    alone = loaded.config.input.scanner == "none" and info.format not in ("PTX", "E57") and station is None
+    if info.n_lines is not None and alone:
         return info.n_lines
     return sum(block.n_lines for block in of_station(stream.blocks(), station, info.path))
 
@@ -177,18 +182,19 @@ def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
     return np.argsort(-np.abs(beam_rad), kind="stable")
 
 
-def turns_left(block: ScanBlock) -> bool:
-    """Tell whether lines follow one another anticlockwise, seen from above: a picture then begins on its right."""
+def turns(block: ScanBlock) -> int:
+    """Tell how a scanner turns from line to line, seen from above.
+
+    Returns
+    -------
+    int
+        1 anticlockwise, so that a picture begins on its right; -1 clockwise; 0 not at all, or not known.
+    """
     if block.xyz_m is None or block.n_lines < 2:
-        return False
-    x, y = (block.xyz_m[..., axis].astype(np.float64) for axis in (0, 1))
+        return 0
+    x, y = (block.xyz_m[: TURN_LINES + 1, :, axis].astype(np.float64) for axis in (0, 1))
     with np.errstate(invalid="ignore"):
-        length = np.hypot(x, y)
-        flat = length > 0
-    step = np.zeros(0)
-    for line in range(min(block.n_lines - 1, 64)):
-        both = flat[line] & flat[line + 1]
-        cross = x[line, both] * y[line + 1, both] - y[line, both] * x[line + 1, both]
-        dot = x[line, both] * x[line + 1, both] + y[line, both] * y[line + 1, both]
-        step = np.concatenate([step, np.arctan2(cross, dot)])
-    return bool(step.size and np.median(step) > 0)
+        step = np.arctan2(x[:-1] * y[1:] - y[:-1] * x[1:], x[:-1] * x[1:] + y[:-1] * y[1:])
+        step = step[(np.hypot(x, y)[:-1] > 0) & (np.hypot(x, y)[1:] > 0)]
+    middle = float(np.median(step)) if step.size else 0.0
+    return int(np.sign(middle)) if abs(middle) > LEAST_TURN_RAD else 0

@@ -46,13 +46,15 @@ from prc_cli.rendering.frames import (
     frames,
     of_station,
     open_for_pictures,
-    turns_left,
+    turns,
     upright,
 )
 from prc_cli.rendering.options import CAPTIONS, REFERENCE_STEPS, RenderOptions, choose_steps
 
 STRIP_HEIGHT, PANEL_HEIGHT = 380, 800
 """Highest picture of a strip of a folded drive, and of any other [pixels]."""
+FOLD_FROM = 2
+"""Vertical lines that do not turn are folded from so many widths of a picture on."""
 PAGE_ROOM = 140
 """Room for headline and key of a page [pixels]."""
 
@@ -153,13 +155,13 @@ def draw_scan(
     for side in (given, reference):
         if side is not None:
             side.check(stream.info.n_records)
-    part = choose_part(options, loaded, count_lines(stream, options.station))
+    part = choose_part(options, loaded, count_lines(stream, options.station, loaded))
     first = next(of_station(stream.blocks(), options.station, stream.info.path), None)
     if first is None:
         raise InputError(str(source), "found no scan lines, expected at least one")
     layout = _choose_layout(first, part, len(steps), options)
     labelled = given is None and bool(set(steps) - {"range", "intensity", "reference"})
-    kept = _Kept(beam_rad=first.beam_rad, leftwards=turns_left(first))
+    kept = _Kept(beam_rad=first.beam_rad, leftwards=turns(first) > 0)
     blocks = of_station(stream.blocks(), options.station, stream.info.path)
     for frame in frames(blocks, loaded, steps, classify=labelled):
         frame = _with_classes(frame, words, given, reference)
@@ -226,7 +228,9 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, n_lines: int) -> P
 def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOptions) -> _Layout:
     n, m = part.stop - part.first, first.points_per_line
     width = options.width
-    if upright(first.beam_rad) is not None and not options.figure1:
+    # a scan that turns is one panorama; a push-broom drive goes on and on and is folded
+    panorama = n <= FOLD_FROM * width or turns(first)
+    if upright(first.beam_rad) is not None and not options.figure1 and panorama:
         return _Layout("upright", -(-n // width), -(-m // PANEL_HEIGHT), n, 1)
     if options.figure1 or options.block is not None or n <= m:
         room = max(200, (options.height - PAGE_ROOM) // n_steps - FRAME_HEIGHT)
@@ -401,7 +405,7 @@ def _panel(
     order = upright(None if kept.beam_rad is None else kept.beam_rad[:: layout.column_step])
     if layout.kind == "paper":
         return Panel(title, picture, across, along, note, bar, (), caption, zoom_for(m, n))
-    if layout.kind == "strips" or order is None:
+    if order is None:
         zoom = zoom_for(layout.strip, m)
         return Panel(title, picture.swapaxes(0, 1), along, across, note, bar, (), caption, zoom)
     assert kept.beam_rad is not None
@@ -409,7 +413,7 @@ def _panel(
     if kept.leftwards:
         picture, along = picture[:, ::-1], Axis("line", lines[1], lines[0])
     side = _elevations(kept.beam_rad[:: layout.column_step], order, m * layout.column_step)
-    return Panel(title, picture, along, side, note, bar, (), caption, _upright_zoom(n, m))
+    return Panel(title, picture, along, side, note, bar, (), caption, _upright_zoom(layout.strip, m))
 
 
 def _upright_zoom(n: int, m: int) -> tuple[int, int]:
