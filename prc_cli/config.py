@@ -92,7 +92,16 @@ PRESETS: dict[str, dict[str, Any]] = {
                 },
             },
             "dense_vegetation": {"initial_h0": _THIRDS, "end": "sprt", "backdate": False},
-            "ground": {"resume": False, "jump_m": 1000.0},
+            "ground": {
+                "height_points": 0,
+                "renew": "accepted",
+                "memory_heights": 0,
+                "resume": False,
+                "bridge": 0,
+                "jump_m": 1000.0,
+                "least_heights": 1,
+                "height_tolerance_m": 0.0,
+            },
             "curb": {"grouping_m": 2.0, "under_sigmas": 0.0},
             "car": {
                 "ground_layer_m": 0.0,
