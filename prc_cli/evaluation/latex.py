@@ -96,10 +96,15 @@ def _scores(shown: ConfusionMatrix, evaluation: Evaluation | None) -> str:
 
 
 def _splits(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
+    """Recall and precision apart: side by side they are wider than a page."""
     for number, (split, parts) in enumerate(found.splits.items()):
         header, rows = split_table(parts, shown)
-        lines = [[escape(name), _count(int(n)), *cells] for name, n, *cells in rows]
-        yield _table(f"Scores by {escape(split)}.", f"split-{number}", [escape(cell) for cell in header], lines)
+        for score in ("recall", "precision"):
+            places = [i for i, title in enumerate(header) if title.startswith(f"{score} ")]
+            names = [escape(header[i].removeprefix(f"{score} ")) for i in places]
+            lines = [[escape(row[0]), _count(int(row[1])), *(row[i] for i in places)] for row in rows]
+            caption = f"{score.capitalize()} by {escape(split)}."
+            yield _table(caption, f"{score}-{number}", ["Part", "Records", *names], lines)
 
 
 def _source(found: Evaluation | None) -> str:

@@ -15,7 +15,7 @@ NASTY = '50%_a&b {x} $y$ #1 ^~\\end{table} <|>"\n%.npy'
 
 def test_tables_of_an_evaluation() -> None:
     text = as_latex(samples.evaluation())
-    assert text.count(r"\begin{table}") == text.count(r"\end{table}") == text.count(r"\toprule") == 5
+    assert text.count(r"\begin{table}") == text.count(r"\end{table}") == text.count(r"\toprule") == 7
     assert r"2\,073" in text
     assert r"\textbf{0.991}" in text  # recall of ground
     assert "Matched by time within 1e-06 s: 3,212 pairs" in text
