@@ -77,9 +77,10 @@ def _block(sensor: SensorEstimate, params: PrcParams) -> Advice:
 def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[Advice, Advice]:
     support, need = params.support, PLATEAU_SHARE[params.environment]
     noise = sensor.noise_at(sensor.range_quantiles_m["75%"]) or 0.0
+    # either is judged with the other one wide open, so that one tight threshold does not hide the other
     rows = (
-        ("zeta_s", support.zeta_s, curves.zetas_s, curves.over_zeta_s(_on(curves.zetas_p, support.zeta_p))),
-        ("zeta_p", support.zeta_p, curves.zetas_p, curves.over_zeta_p(_on(curves.zetas_s, support.zeta_s))),
+        ("zeta_s", support.zeta_s, curves.zetas_s, curves.over_zeta_s(PLATEAU_M)),
+        ("zeta_p", support.zeta_p, curves.zetas_p, curves.over_zeta_p(PLATEAU_M)),
     )
     found = []
     for name, configured, grid, shares in rows:
