@@ -279,3 +279,10 @@ def test_segments_of_a_method_without_segments_are_told(prc: Prc, tmp_path: Path
     result = prc("classify", npz(tmp_path), tmp_path / "labels.csv", "--preset", "street-scan", "--segment-ids")
     assert result.code == 0
     assert "every segment id is 0" in result.err
+
+
+def test_text_without_names_asks_for_a_layout(prc: Prc, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.csv", points()[0].reshape(-1, 4)[:500, :3])
+    result = prc("classify", tmp_path / "a.csv", tmp_path / "labels.npy", "--preset", "street-scan")
+    assert result.code == 1
+    assert "name the columns in a layout" in result.err

@@ -108,3 +108,19 @@ def test_a_frame_cut_short_is_refused(real_data: Path, tmp_path: Path) -> None:
     loaded = load_config(ROOT / "sample_configs" / "kitti_frame.toml")
     with pytest.raises(InputError, match=r"found 49 rings, expected 64 as input.points_per_line says"):
         open_stream(tmp_path / "short.bin", loaded)
+
+
+def test_a_scanner_that_nods_is_for_prc(real_data: Path) -> None:
+    options = {"input": {"points_per_line": 360, "range": "sensor-xyz", "max_range": 32.7}}
+    with pytest.raises(InputError, match="the lines are not vertical lines") as caught:
+        opened(real_data / "organised" / "scan000.3d", load_config(options=options))
+    assert "--method prc" in caught.value.hint
+
+
+def test_a_mirror_that_sweeps_while_the_head_turns(real_data: Path, tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "formats.md").read_text()
+    recipe = next(part for part in text.split("```toml\n") if 'lines = "elevation:20"' in part).split("```")[0]
+    (tmp_path / "recipe.toml").write_text(recipe)
+    stream = opened(real_data / "organised" / "car_cloud401.csv", load_config(tmp_path / "recipe.toml"))
+    assert stream.info.points_per_line == 253
+    beams_of(stream)
