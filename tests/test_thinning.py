@@ -17,7 +17,8 @@ from prc_cli.config import LoadedConfig, load_config
 from prc_cli.conversion import convert
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.pipeline import classify
-from prc_cli.thinning import CLASSIFY, keep_by_pattern, keep_by_spacing, parse_rules, thin
+from prc_cli.thinning import CLASSIFY, parse_rules, thin
+from prc_cli.thinning.selection import keep_by_pattern, keep_by_spacing
 from prc_cli.writers.las_copy import read_las
 from tests.street import angles, street
 from tests.test_conversion import config, same_bits, scans, two_scanners

@@ -7,15 +7,12 @@ for byte; other formats are written anew, as :mod:`prc_cli.conversion` does.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
 from prc_cli.conversion import (
@@ -28,18 +25,19 @@ from prc_cli.conversion import (
     prepare_output,
     record_of_scanners,
 )
-from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, temporary_name
-from prc_cli.core.stream import ExtraReturns, ScanBlock, ScanStream, StreamInfo
-from prc_cli.core.types import F64, I32, I64, Mask
+from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import I32, Mask
 from prc_cli.pipeline import Counts, Progress, label_blocks, run_record
 from prc_cli.readers import LAS_SUFFIXES, suffix_of
 from prc_cli.readers.beams import with_beams
 from prc_cli.readers.grid import GridStream
 from prc_cli.readers.labels import open_codes
+from prc_cli.thinning.rules import ThinRule, parse_rules
+from prc_cli.thinning.selection import choose, without
 from prc_cli.writers.las_copy import check_copied, copy_las, read_las
-from prc_cli.writers.options import HIGH_NOISE_CODE
 from prc_cli.writers.record import RunRecord, record_path
 from prc_cli.writers.record_values import RecordValues
 from prc_cli.writers.spool import Spool
@@ -47,27 +45,6 @@ from prc_cli.writers.streams import NO_CODE, StreamItem, open_stream_writer, out
 
 CLASSIFY = "classify"
 """Labels: those that the classifier gives on the way."""
-MAX_DENOMINATOR = 1_000_000
-"""Finest fraction of a class."""
-MAX_SPACING_M = 10_000.0
-_GOLDEN = 0.618
-"""Shift of the pattern from line to line, as a share of its period: no stripes."""
-
-
-@dataclass(frozen=True, slots=True)
-class ThinRule:
-    """What is kept of a class."""
-
-    name: str
-    codes: tuple[int, ...]
-    """Class codes that are meant."""
-    share: Fraction | None = None
-    """Share of the shots, in a pattern of line and column; 0 = none, 1 = all."""
-    spacing_m: float | None = None
-    """Least distance between shots of the class in a line [m]."""
-
-    def __str__(self) -> str:
-        return f"{self.name}={self.share if self.spacing_m is None else f'{self.spacing_m:g} m'}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,150 +89,6 @@ class ThinningSummary:
         }
 
 
-def parse_rules(
-    keep: Iterable[str] = (), spacing: Iterable[str] = (), drop: Iterable[str] = (), codes: ClassCodes | None = None
-) -> tuple[ThinRule, ...]:
-    """Turn what was typed into rules; noise is dropped unless a rule names it.
-
-    Parameters
-    ----------
-    keep : iterable of str
-        ``CLASS=FRACTION``, as ``ground=1/4`` or ``vegetation=0.5``.
-    spacing : iterable of str
-        ``CLASS=METRES``, as ``ground=0.1``.
-    drop : iterable of str
-        Classes of which nothing is kept.
-    codes : ClassCodes, optional
-        Codes of the class names; a class may be given by its number as well.
-
-    Raises
-    ------
-    ConfigError
-        When a class is unknown (the nearest is named) or named twice, or a number makes no sense.
-
-    Examples
-    --------
-    >>> [str(rule) for rule in parse_rules(["ground=1/4"], ["building=0.1"])]
-    ['ground=1/4', 'building=0.1 m', 'noise=0']
-    """
-    table = codes or ClassCodes()
-    rules: list[ThinRule] = []
-    for text in keep:
-        name, value = _split(text, "--keep", "FRACTION", "ground=1/4")
-        rules.append(ThinRule(name, _codes(name, "--keep", table), share=_share(text, value)))
-    for text in spacing:
-        name, value = _split(text, "--spacing", "METRES", "ground=0.1")
-        rules.append(ThinRule(name, _codes(name, "--spacing", table), spacing_m=_metres(text, value)))
-    rules.extend(ThinRule(name.strip(), _codes(name.strip(), "--drop", table), share=Fraction(0)) for name in drop)
-    named = {code for rule in rules for code in rule.codes}
-    left = tuple(code for code in _codes("noise", "noise", table) if code not in named)
-    if left and table.noise not in named:
-        rules.append(ThinRule("noise", left, share=Fraction(0)))
-    seen: dict[int, str] = {}
-    for rule in rules:
-        for code in rule.codes:
-            if code in seen:
-                problem = f"class code {code} is named twice, as {seen[code]} and {rule}"
-                raise ConfigError("classes to thin", problem, "give one rule a class")
-            seen[code] = str(rule)
-    return tuple(rules)
-
-
-def _split(text: str, option: str, what: str, example: str) -> tuple[str, str]:
-    name, sign, value = (part.strip() for part in text.partition("="))
-    if not (name and sign and value):
-        raise ConfigError(option, f"found {text!r}, expected CLASS={what}", f"for example {option} {example}")
-    return name, value
-
-
-def _share(text: str, value: str) -> Fraction:
-    try:
-        share = Fraction(value)
-    except (ValueError, ZeroDivisionError):
-        share = Fraction(-1)
-    if not 0 <= share <= 1 or share.denominator > MAX_DENOMINATOR:
-        problem = f"found {text!r}, expected a fraction from 0 to 1 with a denominator up to {MAX_DENOMINATOR}"
-        raise ConfigError("--keep", problem, "for example --keep ground=1/4")
-    return share
-
-
-def _metres(text: str, value: str) -> float:
-    try:
-        metres = float(value)
-    except ValueError:
-        metres = math.nan
-    if not 0 < metres <= MAX_SPACING_M:
-        problem = f"found {text!r}, expected a distance above 0, up to {MAX_SPACING_M:g} m"
-        raise ConfigError("--spacing", problem, "for example --spacing ground=0.1")
-    return metres
-
-
-def _codes(name: str, option: str, table: ClassCodes) -> tuple[int, ...]:
-    """Return the codes of a class name or number."""
-    names = {label.name.lower(): table.code(label) for label in Label if label is not Label.MISSING}
-    if name.lower() == "noise":
-        return tuple(dict.fromkeys((table.noise, HIGH_NOISE_CODE)))
-    if name.lower() in names:
-        return (names[name.lower()],)
-    if name.isdecimal() and int(name) < 2**31:
-        return (int(name),)
-    near = difflib.get_close_matches(name.lower(), names, n=1, cutoff=0.4)
-    hint = f"did you mean {near[0]!r}?" if near else f"known classes: {', '.join(names)}, or a class code"
-    raise ConfigError(option, f"unknown class {name!r}", hint)
-
-
-def keep_by_pattern(line: NDArray[np.integer], column: NDArray[np.integer], share: Fraction) -> Mask:
-    """Mark the shots that a share leaves: evenly along a line, shifted from line to line.
-
-    Examples
-    --------
-    >>> grid = np.indices((4, 8))
-    >>> keep_by_pattern(grid[0], grid[1], Fraction(1, 4)).astype(int)
-    array([[1, 0, 0, 0, 1, 0, 0, 0],
-           [0, 0, 1, 0, 0, 0, 1, 0],
-           [1, 0, 0, 0, 1, 0, 0, 0],
-           [0, 0, 1, 0, 0, 0, 1, 0]])
-    """
-    part, whole = share.numerator, share.denominator
-    shift = max(round(_GOLDEN * whole / max(part, 1)), 1)
-    place = (column.astype(np.int64) + shift * (line.astype(np.int64) % whole)) % whole
-    kept: Mask = place * part % whole < part
-    return kept
-
-
-def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
-    """Mark along every line the first chosen shot and every next one that is far enough from the last one marked.
-
-    Parameters
-    ----------
-    position_m : (lines, M, d) float64
-        Coordinates [m], finite where chosen.
-    chosen : (lines, M) bool
-    spacing_m : float
-        Least distance [m].
-
-    Returns
-    -------
-    (lines, M) bool
-
-    Examples
-    --------
-    >>> position = np.arange(6.0)[None, :, None]
-    >>> keep_by_spacing(position, np.ones((1, 6), np.bool_), 2.5).astype(int)
-    array([[1, 0, 0, 1, 0, 0]])
-    """
-    kept = np.zeros(chosen.shape, np.bool_)
-    last = np.full((len(chosen), position_m.shape[2]), np.inf)
-    # all lines together, column by column
-    by_column = np.ascontiguousarray(position_m.transpose(1, 0, 2))
-    for column in np.flatnonzero(chosen.any(axis=0)):
-        away = ((by_column[column] - last) ** 2).sum(axis=1)
-        taken = chosen[:, column] & ~(away < spacing_m**2)
-        kept[taken, column] = True
-        last[taken] = by_column[column][taken]
-    return kept
-
-
 @dataclass(slots=True)
 class _Tally:
     """Returns by class code."""
@@ -268,62 +101,6 @@ class _Tally:
         for into, part in ((self.n_input, codes), (self.n_kept, codes[kept])):
             for code, count in zip(*(found.tolist() for found in np.unique(part, return_counts=True)), strict=True):
                 into[code] = into.get(code, 0) + count
-
-
-def choose(item: StreamItem, codes: I32, extra_codes: I32, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
-    """Mark the returns of a block that stay.
-
-    A further return follows the share of its own class in its own cell, or, under a spacing, the return that stands for
-    its shot.
-
-    Parameters
-    ----------
-    item : StreamItem
-    codes : (lines, M) int32
-        Class code of every cell.
-    extra_codes : (n,) int32
-        Class codes of the further returns.
-    rules : tuple of ThinRule
-
-    Returns
-    -------
-    kept : (lines, M) bool
-        False where there is no range.
-    kept_extra : (n,) bool
-    """
-    block, extra = item.block, item.block.extra
-    kept = ~np.isnan(block.range_m)
-    kept_extra = ~np.isnan(extra.range_m)
-    line = (block.first_line + np.arange(block.n_lines, dtype=np.int64))[:, None]
-    column = np.arange(block.points_per_line, dtype=np.int64)[None, :]
-    spaced = np.zeros(len(extra), np.bool_)
-    for rule in rules:
-        chosen, chosen_extra = kept & np.isin(codes, rule.codes), np.isin(extra_codes, rule.codes)
-        if rule.share is not None:
-            kept &= ~chosen | keep_by_pattern(line, column, rule.share)
-            if chosen_extra.any():
-                cells = (extra.line.astype(np.int64) + block.first_line, extra.column)
-                kept_extra &= ~chosen_extra | keep_by_pattern(*cells, rule.share)
-        elif rule.spacing_m is not None:
-            if chosen.any():
-                kept &= ~chosen | keep_by_spacing(_positions(item), chosen, rule.spacing_m)
-            spaced |= chosen_extra
-    kept_extra &= ~spaced | kept[extra.line, extra.column]
-    return kept, kept_extra
-
-
-def _positions(item: StreamItem) -> F64:
-    """Coordinates of every cell: relative to the scanner, else in the scan plane, else as registered."""
-    block = item.block
-    if block.xyz_m is not None:
-        return block.xyz_m.astype(np.float64)
-    if block.angle_rad is not None:
-        ranges = block.range_m.astype(np.float64)
-        return np.stack([ranges * np.cos(block.angle_rad), ranges * np.sin(block.angle_rad)], axis=-1)
-    if item.registered_m is not None:
-        return item.registered_m
-    problem = "found neither scan angles nor coordinates, expected one of them to measure distances by"
-    raise ConfigError("--spacing", problem, "give input.angle_start and input.angle_step, or thin with --keep")
 
 
 def thin(
@@ -557,45 +334,6 @@ class _Run:
         record = run_record(info, self.facts.counts, self.loaded)
         record = replace(record, notices=(*record.notices, note, *told, *hints))
         return record_of_scanners(record, self.facts)
-
-
-def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
-    """Return a block without the returns that are dropped; where others of a shot stay, the nearest takes its cell."""
-    block, extra = item.block, item.block.extra
-    range_m = np.where(kept, block.range_m, np.float32(np.nan))
-    xyz = None if block.xyz_m is None else np.where(kept[..., None], block.xyz_m, np.float32(np.nan))
-    intensity = None if block.intensity is None else np.where(kept, block.intensity, np.float32(np.nan))
-    codes = None if item.codes is None else np.where(kept, item.codes, np.int32(NO_CODE))
-    registered = None if item.registered_m is None else np.where(kept[..., None], item.registered_m, np.nan)
-    stays = np.flatnonzero(kept_extra)
-    orphans = stays[np.isnan(range_m[extra.line[stays], extra.column[stays]])]
-    if len(orphans):
-        heirs = _first_of_cell(extra, orphans, block.points_per_line)
-        at = (extra.line[heirs], extra.column[heirs])
-        range_m[at] = extra.range_m[heirs]
-        if xyz is not None and block.xyz_m is not None:
-            xyz[at] = block.xyz_m[at] * (extra.range_m[heirs] / block.range_m[at])[:, None]
-        if codes is not None and item.extra_codes is not None:
-            codes[at] = item.extra_codes[heirs]
-        if registered is not None and item.extra_registered_m is not None:
-            registered[at] = item.extra_registered_m[heirs]
-        stays = np.setdiff1d(stays, heirs)
-    left = ExtraReturns(extra.line[stays], extra.column[stays], extra.range_m[stays], extra.record[stays])
-    return StreamItem(
-        replace(block, range_m=range_m, xyz_m=xyz, intensity=intensity, extra=left),
-        codes,
-        None if item.extra_codes is None else item.extra_codes[stays],
-        registered,
-        None if item.extra_registered_m is None else item.extra_registered_m[stays],
-    )
-
-
-def _first_of_cell(extra: ExtraReturns, which: I64, points_per_line: int) -> I64:
-    """Return the nearest of some further returns for every cell."""
-    cell = extra.line[which].astype(np.int64) * points_per_line + extra.column[which]
-    order = np.lexsort((extra.range_m[which], cell))
-    first = np.unique(cell[order], return_index=True)[1]
-    return which[order[first]]
 
 
 def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
