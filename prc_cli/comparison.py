@@ -527,7 +527,7 @@ def _longest_axis(side: Side) -> str:
             header = place[0].header
             low, high = np.minimum(low, header.mins), np.maximum(high, header.maxs)
             continue
-        for chunk in replace(side, files=[file], key="x").chunks(AXES):
+        for chunk in Side([file], "x").chunks(AXES):
             if chunk.n:
                 xyz = np.stack([chunk.values[axis] for axis in AXES])
                 low, high = np.minimum(low, xyz.min(axis=1)), np.maximum(high, xyz.max(axis=1))

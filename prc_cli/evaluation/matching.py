@@ -6,8 +6,9 @@ pairs depend neither on how the streams are cut nor on what was paired before.
 
 Two records are a pair if each is the nearest of the other and both lie within the tolerance. A record whose own partner
 was filtered away is therefore left alone, and does not take that of its neighbour. Records that cannot be told
-apart (one time, one place) are paired in their order where both sides have as many of them, and left out
-otherwise: which of them is missing, nobody knows.
+apart (one time, one place) are paired in their order where both sides have as many of them. Otherwise, nobody knows
+which of them is missing: they are left out, unless those of the side that has more are all of one class. Then it does
+not matter; so it is for points that overlapping tiles hold twice.
 """
 
 from __future__ import annotations
@@ -28,10 +29,14 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 Pairs: TypeAlias = tuple[Columns, Columns]
 """Left and right records, the k-th of either a pair."""
 
+_Both: TypeAlias = tuple[NDArray[Any], NDArray[Any]]
+
 KEY = "key"
 """Column that the streams are sorted by, float64, finite."""
 RETURN = "return"
 """Column that must be equal in a pair where both sides have it, int64."""
+CODE = "code"
+"""Class code, int64; not needed, but tells whether it matters which of several records is paired."""
 AXES = ("x", "y", "z")
 MAX_HELD = 1 << 23
 """Records of one side that may have a say at one place of the sweep."""
@@ -126,7 +131,7 @@ def join_by_key(
     """
 
     def pair(one: Columns, other: Columns) -> Match:
-        return match_keys(one[KEY], other[KEY], tolerance, one.get(RETURN), other.get(RETURN))
+        return match_keys(one[KEY], other[KEY], tolerance, _both(one, other, RETURN), _both(one, other, CODE))
 
     yield from _sweep(left, right, tolerance, pair, tally, names)
 
@@ -169,13 +174,25 @@ def join_by_place(
     """
 
     def pair(one: Columns, other: Columns) -> Match:
-        return match_places(_xyz(one), _xyz(other), tolerance, one_to_one=one_to_one)
+        classes = _both(one, other, CODE)
+        return match_places(_xyz(one), _xyz(other), tolerance, classes, one_to_one=one_to_one)
 
     yield from _sweep(left, right, tolerance, pair, tally, names)
 
 
-def match_keys(left: F64, right: F64, tolerance: float, left_return: Any = None, right_return: Any = None) -> Match:
+def match_keys(
+    left: F64, right: F64, tolerance: float, returns: _Both | None = None, classes: _Both | None = None
+) -> Match:
     """Pair sorted keys in memory.
+
+    Parameters
+    ----------
+    left, right : (n,) float64
+        Keys, ascending.
+    tolerance : float
+        Largest difference, in their unit.
+    returns, classes : (left, right), optional
+        Return numbers, which must be equal in a pair, and class codes.
 
     Examples
     --------
@@ -188,15 +205,15 @@ def match_keys(left: F64, right: F64, tolerance: float, left_return: Any = None,
     to_right, to_left = _nearest(left_value, right_value), _nearest(right_value, left_value)
     own = np.arange(len(left_value))
     if not len(left_value) or not len(right_value):
-        return _pair_groups(left_group, right_group, np.full(len(left_value), -1), None, None)
+        return _pair_groups(left_group, right_group, np.full(len(left_value), -1))
     near = np.abs(right_value[to_right] - left_value) <= tolerance
     partner = np.where(near & (to_left[to_right] == own), to_right, -1)
-    if left_return is None or right_return is None:
-        left_return = right_return = None
-    return _pair_groups(left_group, right_group, partner, left_return, right_return)
+    return _pair_groups(left_group, right_group, partner, returns, classes)
 
 
-def match_places(left: F64, right: F64, tolerance: float, *, one_to_one: bool = True) -> Match:
+def match_places(
+    left: F64, right: F64, tolerance: float, classes: _Both | None = None, *, one_to_one: bool = True
+) -> Match:
     """Pair places in memory.
 
     Parameters
@@ -205,6 +222,8 @@ def match_places(left: F64, right: F64, tolerance: float, *, one_to_one: bool = 
         Coordinates [m].
     tolerance : float
         Largest distance [m].
+    classes : (left, right), optional
+        Class codes.
     one_to_one : bool
         See :func:`join_by_place`.
 
@@ -221,7 +240,7 @@ def match_places(left: F64, right: F64, tolerance: float, *, one_to_one: bool = 
     left_value, left_group = _places(left)
     right_value, right_group = _places(right)
     if not len(left_value) or not len(right_value):
-        return _pair_groups(left_group, right_group, np.full(len(left_value), -1), None, None)
+        return _pair_groups(left_group, right_group, np.full(len(left_value), -1))
     # coordinates of a projection are millions of metres: the trees work beside the origin
     origin = right_value[0]
     left_value, right_value = left_value - origin, right_value - origin
@@ -237,7 +256,7 @@ def match_places(left: F64, right: F64, tolerance: float, *, one_to_one: bool = 
             _, back[asked] = cKDTree(left_value, **_TREE).query(right_value[asked], workers=-1)
             own = np.arange(len(left_value))
             partner[near & (back[partner] != own)] = -1
-        return _pair_groups(left_group, right_group, partner, None, None)
+        return _pair_groups(left_group, right_group, partner, classes=classes)
     first = np.full(len(right_value), len(right), np.int64)
     np.minimum.at(first, right_group, np.arange(len(right)))
     chosen = np.flatnonzero(partner[left_group] >= 0)
@@ -245,7 +264,13 @@ def match_places(left: F64, right: F64, tolerance: float, *, one_to_one: bool = 
     return Match(chosen, first[partner[left_group[chosen]]], none, np.zeros(len(chosen), np.bool_))
 
 
-def _pair_groups(left_group: I64, right_group: I64, partner: I64, left_return: Any, right_return: Any) -> Match:
+def _pair_groups(
+    left_group: I64,
+    right_group: I64,
+    partner: I64,
+    returns: _Both | None = None,
+    classes: _Both | None = None,
+) -> Match:
     """Pair the members of groups that are partners, the k-th with the k-th; see the top of this module."""
     group_of_right = np.full(int(right_group.max(initial=-1)) + 1, -1, np.int64)
     paired = np.flatnonzero(partner >= 0)
@@ -254,9 +279,9 @@ def _pair_groups(left_group: I64, right_group: I64, partner: I64, left_return: A
     right_code = group_of_right[right_group] if len(right_group) else right_group
     left_at, right_at = np.flatnonzero(left_code >= 0), np.flatnonzero(right_code >= 0)
     left_code, right_code = left_code[left_at], right_code[right_at]
-    if left_return is not None:
-        left_code = left_code * (MAX_RETURN + 1) + np.clip(left_return[left_at], 0, MAX_RETURN).astype(np.int64)
-        right_code = right_code * (MAX_RETURN + 1) + np.clip(right_return[right_at], 0, MAX_RETURN).astype(np.int64)
+    if returns is not None:
+        left_code = left_code * (MAX_RETURN + 1) + np.clip(returns[0][left_at], 0, MAX_RETURN).astype(np.int64)
+        right_code = right_code * (MAX_RETURN + 1) + np.clip(returns[1][right_at], 0, MAX_RETURN).astype(np.int64)
     order = np.argsort(left_code, kind="stable")
     left_at, left_code = left_at[order], left_code[order]
     order = np.argsort(right_code, kind="stable")
@@ -265,12 +290,27 @@ def _pair_groups(left_group: I64, right_group: I64, partner: I64, left_return: A
     right_first = np.searchsorted(right_code, codes, side="left")
     right_count = np.searchsorted(right_code, codes, side="right") - right_first
     equal = left_count == right_count
-    many = np.repeat(left_count > 1, left_count)
-    # all records of a group stand together: the k-th of the left lies as far behind the first as that of the right
-    shift = np.repeat(right_first - left_first, left_count)
-    kept = np.flatnonzero(np.repeat(equal, left_count))
-    unclear = np.repeat(~equal & (right_count > 0), left_count)
-    return Match(left_at[kept], right_at[kept + shift[kept]], left_at[unclear], many[kept])
+    n_pairs = np.where(equal, left_count, 0)
+    if classes is not None and not equal.all():
+        left_alike = _alike(classes[0][left_at], left_first, left_count)
+        right_alike = _alike(classes[1][right_at], right_first, right_count)
+        clear = np.where(left_count > right_count, left_alike, right_alike)
+        n_pairs = np.where(equal | clear, np.minimum(left_count, right_count), 0)
+    # the members of a group stand together on either side
+    member = np.arange(n_pairs.sum()) - np.repeat(np.cumsum(n_pairs) - n_pairs, n_pairs)
+    left_pair = left_at[np.repeat(left_first, n_pairs) + member]
+    right_pair = right_at[np.repeat(right_first, n_pairs) + member]
+    unclear = np.repeat((n_pairs == 0) & (right_count > 0), left_count)
+    return Match(left_pair, right_pair, left_at[unclear], np.repeat(equal & (left_count > 1), n_pairs))
+
+
+def _alike(classes: NDArray[Any], first: I64, count: I64) -> Mask:
+    """Return for every run of records whether it is of one class."""
+    changes = np.zeros(len(classes) + 1, np.int64)
+    if len(classes) > 1:
+        np.cumsum(classes[1:] != classes[:-1], out=changes[1:-1])
+    alike: Mask = changes[np.maximum(first + count - 1, 0)] == changes[np.minimum(first, max(len(classes) - 1, 0))]
+    return alike
 
 
 def _groups(key: F64) -> tuple[F64, I64]:
@@ -298,6 +338,10 @@ def _nearest(values: F64, among: F64) -> I64:
     above = np.clip(np.searchsorted(among, values), 0, len(among) - 1)
     below = np.maximum(above - 1, 0)
     return np.where(np.abs(values - among[below]) <= np.abs(among[above] - values), below, above).astype(np.int64)
+
+
+def _both(one: Columns, other: Columns, name: str) -> _Both | None:
+    return (one[name], other[name]) if name in one and name in other else None
 
 
 def _xyz(columns: Columns) -> F64:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -183,8 +183,8 @@ class Side:
         InputError
             When a file is damaged, an id is no whole number, or labels and points differ in number.
         """
-        for name in ("n_records", "n_not_finite"):
-            setattr(self.tally, name, 0)
+        for item in fields(SideTally):
+            setattr(self.tally, item.name, item.default)
         first = 0
         for index, file in enumerate(self.files):
             n_before = first

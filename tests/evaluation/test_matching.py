@@ -57,12 +57,15 @@ def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, i
             continue
         numbers = {int(r) for r in left["return"][left[KEY] == key]} if "return" in left else {None}
         for number in numbers:
-            members = []
+            members, ats = [], []
             for side, value in ((left, key), (right, other)):
                 here = side[KEY] == value
-                members.append(side["id"][here if number is None else here & (side["return"] == number)])
-            if len(members[0]) == len(members[1]):
-                found |= set(zip(members[0].tolist(), members[1].tolist(), strict=True))
+                ats.append(np.flatnonzero(here if number is None else here & (side["return"] == number)))
+                members.append(side["id"][ats[-1]])
+            larger = max((0, 1), key=lambda side: len(members[side]))
+            clear = "code" in left and len({int((left, right)[larger]["code"][at]) for at in ats[larger]}) == 1
+            if len(members[0]) == len(members[1]) or clear:
+                found |= set(zip(members[0].tolist(), members[1].tolist(), strict=False))
     return found
 
 
@@ -79,11 +82,12 @@ def test_keys(left: list[float], right: list[float], tolerance: float, seed: int
 
 
 @given(data=st.data(), n=st.integers(0, 30), m=st.integers(0, 30), seed=st.integers(0, 99))
-def test_keys_and_return_numbers(data: st.DataObject, n: int, m: int, seed: int) -> None:
+def test_keys_return_numbers_and_classes(data: st.DataObject, n: int, m: int, seed: int) -> None:
     sides = []
     for k in (n, m):
         key = data.draw(st.lists(st.integers(0, 8).map(float), min_size=k, max_size=k))
         sides.append(keyed(key, data.draw(st.lists(st.integers(1, 3), min_size=k, max_size=k))))
+        sides[-1]["code"] = np.array(data.draw(st.lists(st.sampled_from([2, 2, 2, 6]), min_size=k, max_size=k)), int)
     pairs = join_by_key(cut(sides[0], seed), cut(sides[1], seed + 1), 0.1, JoinTally(), NAMES)
     assert pairs_of(pairs) == by_hand(sides[0], sides[1], 0.1)
 
