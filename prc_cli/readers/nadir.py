@@ -46,8 +46,9 @@ MAX_FALL = 1.05
 """Metres that a height may fall a metre of range; rounding leaves a little over 1."""
 MIN_SPREAD = 1e-3
 """Least ratio of the two extents of a fit of heights."""
-MIN_LEAN_RAD = math.radians(3.0)
-"""Scan planes that lean over by less are taken as upright: heights are wrong by less than 0.14 %."""
+MIN_LEAN_RAD = math.radians(6.0)
+"""Scan planes that lean over by less are taken as upright: heights are wrong by less than 0.6 %, and fits of upright
+profilers come to 5 deg."""
 LEAST_STEP_RAD = 1e-6
 """Angles closer than this are equal."""
 DECIMALS = 10
