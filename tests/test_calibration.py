@@ -120,6 +120,13 @@ def test_angular_step_is_found_from_straight_lines(step_deg: float) -> None:
     assert measure(corridor(0.005, 0.0, step_deg), angle_rad=angle).step_rad == pytest.approx(np.deg2rad(0.3))
 
 
+@pytest.mark.parametrize("metres", [1e-7, 1e12])
+def test_ranges_in_no_sensible_unit_still_give_finite_figures(metres: float) -> None:
+    found = measure(np.full((5, 60), metres, np.float32))
+    assert found.range_quantiles_m["50%"] == pytest.approx(metres, rel=0.03)
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
 def test_foliage_has_neither_noise_nor_step() -> None:
     image = np.random.default_rng(3).uniform(3.0, 20.0, (100, 400)).astype(np.float32)
     found = measure(image)

@@ -29,6 +29,7 @@ from prc_cli.calibration.sensor import SensorEstimate, SensorMeter
 from prc_cli.classifiers.prc.surfaces import area_threshold
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import output_errors
 from prc_cli.core.stream import ReadTally, ScanStream
 from prc_cli.core.types import I64
 from prc_cli.evaluation.confusion import refuse_poor_match
@@ -249,12 +250,14 @@ def _spool(codes: CodeSource, mapping: ClassMapping, spool: Any, n_records: int,
         n += len(found)
         n_scored += int(np.count_nonzero(found >= 0))
         if n <= n_records:
-            spool.write(found.tobytes())
+            with output_errors(Path(tempfile.gettempdir()) / "prc-calibrate"):
+                spool.write(found.tobytes())
     refuse_poor_match(n, n_records, codes.path, path)
     if not n_scored:
         problem = f"none of {n} records has a class that is scored, expected a reference that overlaps the stream"
         raise InputError(codes.path, problem, "check --mapping and --reference-dimension")
-    spool.flush()
+    with output_errors(Path(tempfile.gettempdir()) / "prc-calibrate"):
+        spool.flush()
     return np.memmap(spool, "<i2", "r", shape=(n,))
 
 

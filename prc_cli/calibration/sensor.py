@@ -35,7 +35,7 @@ _RANGE_EDGES: F64 = np.geomspace(0.25, 512.0, 45)
 """Range bins for the noise, four an octave [m]."""
 _NOISE_EDGES: F64 = np.geomspace(1e-6, 10.0, 281)
 """Deviation bins, forty a decade [m]."""
-_LENGTH_EDGES: F64 = np.geomspace(1e-5, 1e5, 1001)
+_LENGTH_EDGES: F64 = np.geomspace(1e-9, 1e39, 4801)
 """Bins for ranges and range differences, a hundred a decade [m]."""
 _STEP_EDGES: F64 = np.geomspace(1e-5, 0.2, 861)
 """Bins for the angular step, two hundred a decade [rad]."""
