@@ -233,7 +233,7 @@ def test_the_sense_of_rotation() -> None:
     for sign in (1, -1):
         xyz = np.stack([np.cos(sign * azimuth), np.sin(sign * azimuth), np.zeros_like(azimuth)], axis=2)
         block = ScanBlock(0, np.ones(azimuth.shape, np.float32), xyz_m=xyz.astype(np.float32))
-        assert turns(block) == sign
+        assert turns(block) == pytest.approx(sign * np.deg2rad(5.0), abs=1e-5)
     still = np.tile(xyz[:1], (9, 1, 1)).astype(np.float32)
     assert turns(ScanBlock(0, np.ones((9, 4), np.float32), xyz_m=still)) == 0
     assert turns(ScanBlock(0, np.ones((9, 4), np.float32))) == 0
@@ -357,6 +357,12 @@ def test_clouds_that_nobody_classified_show_heights(urban: LoadedConfig, tmp_pat
     np.save(tmp_path / "labels.npy", np.full(5_000, 5, np.uint8))
     chosen = RenderOptions(view="top", labels=tmp_path / "labels.npy")
     assert render(source, tmp_path / "b.png", urban, chosen).counts == {"vegetation": 5_000}
+    np.save(tmp_path / "reference.npy", np.full(5_000, 1200))
+    chosen = RenderOptions(view="top", reference=tmp_path / "reference.npy", mapping="oakland")
+    assert render(source, tmp_path / "r.png", urban, chosen).counts == {"ground": 5_000}
+    with pytest.raises(ConfigError, match="--reference: given together with --labels"):
+        both = RenderOptions(view="top", reference=tmp_path / "reference.npy", labels=tmp_path / "labels.npy")
+        render(source, tmp_path / "q.png", urban, both)
     np.save(tmp_path / "short.npy", np.full(4_999, 5, np.uint8))
     with pytest.raises(InputError, match=r"short\.npy: found 4,999 labels, expected 5,000, one a record"):
         render(source, tmp_path / "c.png", urban, RenderOptions(view="top", labels=tmp_path / "short.npy"))

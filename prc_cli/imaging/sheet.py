@@ -267,7 +267,8 @@ def choose_columns(panels: Sequence[Panel], max_height: int) -> int:
 
     def badness(columns: int) -> tuple[bool, float]:
         width, height = size(columns)
-        return height > max_height, abs(math.log(width / height / 1.2))
+        free = -len(panels) % columns
+        return height > max_height, abs(math.log(width / height / 1.2)) + 0.6 * free
 
     return min(range(1, min(len(panels), 4) + 1), key=badness)
 

@@ -189,10 +189,13 @@ def draw_cloud(
 def _check_options(options: RenderOptions) -> None:
     for name, given in (
         ("--steps", options.steps), ("--block", options.block), ("--only-lines", options.lines),
-        ("--figure1", options.figure1 or None), ("--reference", options.reference),
+        ("--figure1", options.figure1 or None),
     ):  # fmt: skip
         if given is not None:
             raise ConfigError(name, f"belongs to the scan view, found --view {options.view}", "leave one of them out")
+    if options.labels is not None and options.reference is not None:
+        where = "--reference"
+        raise ConfigError(where, "given together with --labels, expected one of them to colour a cloud by")
 
 
 def _look(cloud: Cloud) -> tuple[Sample, bool]:
@@ -214,13 +217,22 @@ def _choose_colour(cloud: Cloud, options: RenderOptions, has_classes: bool) -> C
     if options.colour is not None:
         return options.colour
     # what is not LAS is a scan that can be classified on the spot
-    return "class" if options.labels is not None or has_classes or not cloud.has_own_classes else "height"
+    given = options.labels is not None or options.reference is not None
+    return "class" if given or has_classes or not cloud.has_own_classes else "height"
 
 
 def _classes(
     cloud: Cloud, options: RenderOptions, words: Vocabulary, folder: Path, progress: Progress | None, *, has_own: bool
 ) -> RecordClasses:  # fmt: skip
     """Return the class of every record: of the label file, else of the file itself, else classify it now."""
+    if options.reference is not None:
+        return read_classes(
+            options.reference,
+            options.reference_dimension,
+            lambda codes: words.turn(codes, "reference"),
+            folder,
+            "classes",
+        )
     path, dimension = options.labels, options.labels_dimension
     if path is None and has_own:
         return read_classes(cloud.source, dimension, words.turn_las, folder, "classes")

@@ -182,19 +182,20 @@ def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
     return np.argsort(-np.abs(beam_rad), kind="stable")
 
 
-def turns(block: ScanBlock) -> int:
+def turns(block: ScanBlock) -> float:
     """Tell how a scanner turns from line to line, seen from above.
 
     Returns
     -------
-    int
-        1 anticlockwise, so that a picture begins on its right; -1 clockwise; 0 not at all, or not known.
+    float
+        Azimuth from line to line [rad]: positive anticlockwise, so that a picture begins on its right; negative
+        clockwise; 0 not at all, or not known.
     """
     if block.xyz_m is None or block.n_lines < 2:
-        return 0
+        return 0.0
     x, y = (block.xyz_m[: TURN_LINES + 1, :, axis].astype(np.float64) for axis in (0, 1))
     with np.errstate(invalid="ignore"):
         step = np.arctan2(x[:-1] * y[1:] - y[:-1] * x[1:], x[:-1] * x[1:] + y[:-1] * y[1:])
         step = step[(np.hypot(x, y)[:-1] > 0) & (np.hypot(x, y)[1:] > 0)]
     middle = float(np.median(step)) if step.size else 0.0
-    return int(np.sign(middle)) if abs(middle) > LEAST_TURN_RAD else 0
+    return middle if abs(middle) > LEAST_TURN_RAD else 0.0

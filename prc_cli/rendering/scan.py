@@ -51,8 +51,8 @@ from prc_cli.rendering.frames import (
 )
 from prc_cli.rendering.options import CAPTIONS, REFERENCE_STEPS, RenderOptions, choose_steps
 
-STRIP_HEIGHT, PANEL_HEIGHT = 380, 800
-"""Highest picture of a strip of a folded drive, and of any other [pixels]."""
+STRIP_HEIGHT, PANEL_HEIGHT, UPRIGHT_HEIGHT = 380, 800, 1100
+"""Highest picture of a strip of a folded drive, of a drive that needs no folding, of an upright scan [pixels]."""
 FOLD_FROM = 2
 """Vertical lines that do not turn are folded from so many widths of a picture on."""
 PAGE_ROOM = 140
@@ -100,7 +100,7 @@ class _Kept:
     n_compared: int = 0
     n_differing: int = 0
     beam_rad: F64 | None = None
-    leftwards: bool = False
+    turn_rad: float = 0.0
     tally: ReadTally = field(default_factory=ReadTally)
     n_read: int = 0
 
@@ -161,7 +161,7 @@ def draw_scan(
         raise InputError(str(source), "found no scan lines, expected at least one")
     layout = _choose_layout(first, part, len(steps), options)
     labelled = given is None and bool(set(steps) - {"range", "intensity", "reference"})
-    kept = _Kept(beam_rad=first.beam_rad, leftwards=turns(first) > 0)
+    kept = _Kept(beam_rad=first.beam_rad, turn_rad=turns(first))
     blocks = of_station(stream.blocks(), options.station, stream.info.path)
     for frame in frames(blocks, loaded, steps, classify=labelled):
         frame = _with_classes(frame, words, given, reference)
@@ -229,9 +229,9 @@ def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOp
     n, m = part.stop - part.first, first.points_per_line
     width = options.width
     # a scan that turns is one panorama; a push-broom drive goes on and on and is folded
-    panorama = n <= FOLD_FROM * width or turns(first)
+    panorama = n <= FOLD_FROM * width or turns(first) != 0
     if upright(first.beam_rad) is not None and not options.figure1 and panorama:
-        return _Layout("upright", -(-n // width), -(-m // PANEL_HEIGHT), n, 1)
+        return _Layout("upright", -(-n // width), -(-m // UPRIGHT_HEIGHT), n, 1)
     if options.figure1 or options.block is not None or n <= m:
         room = max(200, (options.height - PAGE_ROOM) // n_steps - FRAME_HEIGHT)
         return _Layout("paper", -(-n // room), -(-m // width), n, 1)
@@ -410,16 +410,34 @@ def _panel(
         return Panel(title, picture.swapaxes(0, 1), along, across, note, bar, (), caption, zoom)
     assert kept.beam_rad is not None
     picture = picture[:, order].swapaxes(0, 1)
-    if kept.leftwards:
+    if kept.turn_rad > 0:
         picture, along = picture[:, ::-1], Axis("line", lines[1], lines[0])
     side = _elevations(kept.beam_rad[:: layout.column_step], order, m * layout.column_step)
-    return Panel(title, picture, along, side, note, bar, (), caption, _upright_zoom(layout.strip, m))
+    return Panel(
+        title, picture, along, side, note, bar, (), caption, _upright_zoom(layout.strip, m, _shape(kept, layout))
+    )
 
 
-def _upright_zoom(n: int, m: int) -> tuple[int, int]:
-    """Return factors that make few rings high enough to be looked at."""
-    across, down = zoom_for(n, m, least=(800, 240))
-    return across, max(down, across)
+def _shape(kept: _Kept, layout: _Layout) -> float | None:
+    """Return the height of a drawn cell by its width, as angles from the scanner; None = not known."""
+    if not kept.turn_rad or kept.beam_rad is None or len(kept.beam_rad) < 2:
+        return None
+    step = float(np.median(np.abs(np.diff(kept.beam_rad))))
+    return step * layout.column_step / (abs(kept.turn_rad) * layout.line_step)
+
+
+def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
+    """Return factors that keep the shape of things, if it is known, and make few rings high enough to be looked at.
+
+    >>> _upright_zoom(720, 501, 0.5), _upright_zoom(345, 1074, 0.5), _upright_zoom(2198, 64, 2.4)
+    ((2, 1), (2, 1), (1, 4))
+    """
+    across = min(-(-800 // n), 4)
+    down = across if shape is None else max(1, round(across * shape))
+    while across > 1 and m * down > 1600:
+        across -= 1
+        down = across if shape is None else max(1, round(across * shape))
+    return across, max(down, -(-240 // m))
 
 
 def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
