@@ -38,7 +38,9 @@ def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False)
     for side, other in ((predicted, reference), (reference, predicted)):
         if not side.is_dir():
             problem = f"a file against the folder {other}" if side.exists() else "no such folder"
-            raise InputError(str(side), problem, "give two files or two folders")
+            raise InputError(
+                str(side), problem, "give two files or two folders, or match by time, dimension or nearest"
+            )
     left, right = _by_name(predicted), _by_name(reference)
     if allow_missing and left.keys() & right.keys():
         return tuple((left[name], right[name]) for name in sorted(left.keys() & right.keys()))
