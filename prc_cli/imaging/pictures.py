@@ -9,15 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_output
 from prc_cli.core.types import F64, U8, Mask
 
 MISSING_COLOUR = LABEL_COLOURS[Label.MISSING]
@@ -82,8 +79,8 @@ def range_bar(limits_m: tuple[float, float]) -> Bar:
     near, far = limits_m
     powers = range(math.floor(math.log10(near)), math.ceil(math.log10(far)) + 1)
     values = [factor * 10.0**power for power in powers for factor in (1, 2, 5)]
-    if sum(near <= value <= far for value in values) < 2:  # a narrow scale has no round numbers inside
-        values = [near, math.sqrt(near * far), far]
+    if sum(near <= value <= far for value in values) < 3:  # a narrow scale has too few of these inside
+        values = _even_values(near, far)
     inside = [value for value in values if near <= value * (1 + 1e-9) and value <= far * (1 + 1e-9)]
     ticks = tuple((math.log(value / near) / math.log(far / near), f"{value:.3g}") for value in inside)
     return Bar(colour_map()[::-1], ticks)
@@ -125,10 +122,15 @@ def value_bar(limits: tuple[float, float], unit: str) -> Bar:
     ['-2', '-1', '0', '1', '2', '3']
     """
     low, high = limits
+    values = _even_values(low, high)
+    return Bar(colour_map(), tuple(((value - low) / (high - low), f"{value:.6g}") for value in values), unit)
+
+
+def _even_values(low: float, high: float) -> list[float]:
+    """Return three to seven multiples of 1, 2 or 5 times a power of ten."""
     step = 10.0 ** math.floor(math.log10((high - low) / 3))
     step *= next(factor for factor in (1, 2, 5, 10) if (high - low) / (factor * step) <= 6)
-    values = [step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
-    return Bar(colour_map(), tuple(((value - low) / (high - low), f"{value:.6g}") for value in values), unit)
+    return [step * i for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 
 
 def class_picture(classes: NDArray[np.integer], colours: U8) -> U8:
@@ -212,25 +214,6 @@ def segment_picture(segments: NDArray[np.integer]) -> U8:
 def mask_picture(mask: Mask) -> U8:
     """Draw a binary image: true = white, false = black, (lines, M) bool to (lines, M, 3) uint8."""
     return np.repeat(np.where(mask, np.uint8(255), np.uint8(0))[..., None], 3, axis=2)
-
-
-def write_png(path: Path, image: Image.Image | U8) -> None:
-    """Write a picture as PNG; the file exists whole or not at all.
-
-    Parameters
-    ----------
-    path : Path
-        Output; replaced if it exists (callers refuse that beforehand where they must).
-    image : PIL image or (height, width, 3) uint8
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
-    picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
-    with atomic_output(path) as temporary:
-        picture.save(temporary, format="PNG")
 
 
 @cache
