@@ -84,6 +84,8 @@ class EvaluateOptions:
     """``nearest``: only pairs that are nearest to each other; else a reference record may serve several."""
     allow_missing: bool = False
     """Whether files of a folder that have no partner in the other one are left out instead of refused."""
+    pool: bool = False
+    """Whether all files of a side are one, whatever their names: tiles of one name that are cut differently."""
 
 
 @dataclass(slots=True)
@@ -119,8 +121,8 @@ def evaluate_all(
     ----------
     predicted, reference : sequence of path
         As many on either side: the k-th of one is compared with the k-th of the other. Two folders: the files of one
-        name (but for the suffix). A file against a folder, folders whose names differ, or different numbers, where
-        the match is not by order: all files of a side are one, for example the tiles of a reference.
+        name (but for the suffix). A file against a folder, folders whose names differ, different numbers, or
+        ``pool``, where the match is not by order: all files of a side are one, for example the tiles of a reference.
     mapping : ClassMapping, name or path
         Which codes mean which class on either side: a preset name, a TOML file or a mapping.
     options : EvaluateOptions, optional
@@ -257,6 +259,8 @@ def _check(options: EvaluateOptions) -> None:
             raise ConfigError("tolerance", f"records matched by {options.match} have none", "leave it out")
         if not math.isfinite(tolerance) or tolerance < 0 or (tolerance == 0 and options.match == "nearest"):
             raise ConfigError("tolerance", f"found {tolerance:g}, expected a finite number above 0")
+    if options.pool and options.match == "order":
+        raise ConfigError("pool", "records of pooled files have no order", "match by time, dimension or nearest")
     if not 0 <= options.min_matched <= 1:
         raise ConfigError("min_matched", f"found {options.min_matched:g}, expected a share from 0 to 1")
     if options.intervals is not None and options.intervals not in METHODS:
@@ -288,8 +292,13 @@ def _pools(predicted: list[Path], reference: list[Path], options: EvaluateOption
     """Return which files of either side are compared with which."""
     if not predicted or not reference:
         raise ConfigError("files", "found none on one side, expected predicted and reference files")
+    for path in (*predicted, *reference):
+        if not path.exists():
+            raise InputError(str(path), "no such file or folder, expected class codes", "check the name")
     pooled: list[tuple[list[Path], list[Path]]] = []
-    if len(predicted) != len(reference):
+    if options.pool:
+        pooled.append((files_of(predicted), files_of(reference)))
+    elif len(predicted) != len(reference):
         if options.match == "order":
             problem = f"found {len(predicted)} predicted and {len(reference)} reference files, expected as many"
             raise ConfigError("files", problem, "give pairs, or match by time, dimension or nearest")
@@ -318,7 +327,7 @@ def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[P
     try:
         return [([a], [b]) for a, b in pair_files(one, other, allow_missing=options.allow_missing)]
     except InputError:
-        if options.match == "order" or not (one.exists() and other.exists()):
+        if options.match == "order":
             raise
     return [(files_of([one]), files_of([other]))]
 

@@ -260,6 +260,17 @@ def test_pairs_in_a_list_and_a_folder_of_points(drive: Drive, folder: Path, tmp_
         run(labels, [folder / "tiles", tmp_path / "other"], match="time", predicted_points=tmp_path / "points")
 
 
+def test_tiles_of_one_name_that_are_cut_differently(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for k, record in enumerate(np.array_split(np.random.default_rng(2).permutation(drive.n), 4)):
+        path = tmp_path / "run" / f"tile_{k}.laz"
+        write_las(path, drive.xyz[record], drive.label[record], drive.time_s[record], record)
+    assert_same(run(tmp_path / "run", folder / "tiles", match="time", pool=True), drive.matrix())
+    assert "expected at least 50 %" in refused(
+        InputError, lambda: run(tmp_path / "run", folder / "tiles", match="time")
+    )
+
+
 def test_split_by_scanner(drive: Drive, folder: Path, tmp_path: Path) -> None:
     source = np.arange(drive.n) % 3
     write_las(tmp_path / "run.las", drive.xyz, drive.label, drive.time_s, np.arange(drive.n), source=source)
@@ -342,6 +353,7 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
     [
         ({"match": "colour"}, "found 'colour', expected one of: order, time, dimension:NAME, nearest"),
         ({"tolerance": 1.0}, "records matched by order have none"),
+        ({"pool": True}, "records of pooled files have no order"),
         ({"match": "nearest", "tolerance": 0.0}, "expected a finite number above 0"),
         ({"min_matched": 2.0}, "expected a share from 0 to 1"),
         ({"intervals": "guess"}, "expected one of: jackknife, bootstrap"),
@@ -375,6 +387,7 @@ def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
     (tmp_path / "half.csv").write_text("record,class\n0.5,2\n1,2\n")
     message = refused(InputError, lambda: run(tmp_path / "half.csv", folder / "tiles", match="dimension:record"))
     assert "expected a whole number below 2^53" in message
+    assert "nowhere: no such file" in refused(InputError, lambda: run(folder / "tiles", tmp_path / "nowhere"))
     message = refused(ConfigError, lambda: run([folder / "labels.npy"] * 2, [folder / "labels.npy"]))
     assert "2 predicted and 1 reference files" in message
     with pytest.raises(InputError, match="codes that the class mapping does not list: 99"):

@@ -62,6 +62,7 @@ _OPTIONS = [
     click.option(
         "--allow-missing", is_flag=True, help="Leave out files of a folder that have no partner in the other."
     ),
+    click.option("--pool", is_flag=True, help="Take all files of a side as one, whatever their names; not with order."),
     click.option(
         "--tolerance",
         type=float,
@@ -229,6 +230,7 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         seed=options["seed"],
         one_to_one=not options["several"],
         allow_missing=options["allow_missing"],
+        pool=options["pool"],
     )
 
 
