@@ -172,9 +172,14 @@ def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, he
         if place < room:  # the name of the axis stands at its end
             draw.text((LEFT + place, bottom + _TICK + 3), text, fill=PALE_INK, font=small, anchor="ma")
     draw.text((LEFT + width, bottom + _TICK + 3), panel.x.name, fill=PALE_INK, font=small, anchor="ra")
-    for place, text in panel.y.ticks(height, 48):
+    marks = panel.y.ticks(height, 48)
+    for place, text in marks:
         draw.line((LEFT - _TICK - 1, top + place, LEFT - 2, top + place), fill=PALE_INK)
         draw.text((LEFT - _TICK - 5, top + place), text, fill=PALE_INK, font=small, anchor="rm")
+    if max((draw.textlength(text, font=small) for _, text in marks), default=0) > LEFT - _TICK - 32:
+        # long numbers leave no room beside them
+        draw.text((LEFT - _TICK - 5, top - 14), panel.y.name, fill=PALE_INK, font=small, anchor="rs")
+        return
     side = Image.new("L", (max(1, math.ceil(draw.textlength(panel.y.name, font=small)) + 2), 24), 0)
     ImageDraw.Draw(side).text((1, 1), panel.y.name, fill=255, font=small)
     turned = side.rotate(90, expand=True)
