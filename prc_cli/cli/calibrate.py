@@ -33,31 +33,75 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale
 
 @click.command()
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="CONFIG.toml",
-              help="Write the calibrated configuration, every value with its reason.")
-@click.option("--plot", type=click.Path(path_type=Path), metavar="FILE.svg",
-              help="Draw the shares of supported shots and of background over the thresholds.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="CONFIG.toml",
+    help="Write the calibrated configuration, every value with its reason.",
+)
+@click.option(
+    "--plot",
+    type=click.Path(path_type=Path),
+    metavar="FILE.svg",
+    help="Draw the shares of supported shots and of background over the thresholds.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
-@click.option("--reference", type=click.Path(path_type=Path), metavar="LABELS",
-              help="Codes of the records of INPUT, in their order: search the parameters that agree best.")
-@click.option("--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml",
-              help="Which codes mean which class.")
+@click.option(
+    "--reference",
+    type=click.Path(path_type=Path),
+    metavar="LABELS",
+    help="Codes of the records of INPUT, in their order: search the parameters that agree best.",
+)
+@click.option(
+    "--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml", help="Which codes mean which class."
+)
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes.")
-@click.option("--objective", default=MEAN_F1, show_default=True, metavar="SCORE",
-              help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground.")
-@click.option("--training-share", type=float, default=0.6, show_default=True, metavar="SHARE",
-              help="Share of the groups of lines that the search sees; the others give the honest figure.")
-@click.option("--budget", type=click.IntRange(2, 100_000), default=300, show_default=True,
-              help="Sets of parameters tried at most.")
-@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True,
-              help="Draws the training lines.")
-@click.option("--keep", multiple=True, metavar="KEY",
-              help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies.")
-@click.option("--max-shots", type=click.IntRange(min=1000), default=4_000_000, show_default=True,
-              help="Shots kept in memory for the search; longer inputs are sampled.")
+@click.option(
+    "--objective",
+    default=MEAN_F1,
+    show_default=True,
+    metavar="SCORE",
+    help="What the search maximises: mean_f1, balanced_accuracy, kappa, accuracy or e.g. f1.ground.",
+)
+@click.option(
+    "--training-share",
+    type=float,
+    default=0.6,
+    show_default=True,
+    metavar="SHARE",
+    help="Share of the groups of lines that the search sees; the others give the honest figure.",
+)
+@click.option(
+    "--budget",
+    type=click.IntRange(2, 100_000),
+    default=300,
+    show_default=True,
+    help="Sets of parameters tried at most.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Draws the training lines."
+)
+@click.option(
+    "--keep",
+    multiple=True,
+    metavar="KEY",
+    help="Key that is not searched, e.g. prc.support.zeta_p; it takes what the sensor implies.",
+)
+@click.option(
+    "--max-shots",
+    type=click.IntRange(min=1000),
+    default=4_000_000,
+    show_default=True,
+    help="Shots kept in memory for the search; longer inputs are sampled.",
+)
 @stream_options
-@click.option("--format", "form", type=click.Choice(["table", "json", "markdown"]),
-              help="How the result is printed.  [default: table]")
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["table", "json", "markdown"]),
+    help="How the result is printed.  [default: table]",
+)
 @click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for).")
 def calibrate(

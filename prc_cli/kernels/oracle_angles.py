@@ -19,10 +19,14 @@ def signed_angles(
         valid = [k for k in range(n_beams[row]) if np.isfinite(range_m[row, k])]
         points = {k: xyz_m[row, k].astype(np.float64) for k in valid}
 
-        def first_far(here: int, others: list[int], points: dict[int, F64] = points) -> int | None:
+        ranges = range_m[row].astype(np.float64)
+
+        def first_far(
+            here: int, others: list[int], points: dict[int, F64] = points, ranges: F64 = ranges
+        ) -> int | None:
             for other in others[:max_beams]:
                 chord = points[other] - points[here]
-                depth = float(range_m[row, other]) - float(range_m[row, here])
+                depth = ranges[other] - ranges[here]
                 counted = float(chord @ chord)
                 if depth_m > 0:
                     counted += max(abs(depth) - depth_m, 0.0) ** 2 - depth**2
