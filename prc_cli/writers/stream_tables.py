@@ -180,4 +180,5 @@ def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
     """Return a column; NaN and missing codes are empty cells."""
     if values.dtype.kind == "f":
         return pa.array(values, kind, mask=np.isnan(values))
-    return pa.array(values.astype(kind.to_pandas_dtype()), kind, mask=values == NO_CODE)
+    # the kinds of whole numbers have the names that NumPy gives them
+    return pa.array(values.astype(str(kind)), kind, mask=values == NO_CODE)
