@@ -100,7 +100,7 @@ ORGANISED: dict[str, dict[str, Any]] = {
         "range": "sensor-xyz",
         "columns": "angle",
         "angle_start": -36.0,
-        "angle_step": 0.25,
+        "angle_step": 0.5,
     },
 }
 """What has to be said of organised files, by suffix; docs/formats.md explains it."""
@@ -115,8 +115,13 @@ try:
     main(sys.argv[1:])
 except SystemExit as stop:
     code = stop.code or 0
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-print(peak / 1024 if sys.platform != "darwin" else peak / 1024**2)
+try:
+    # getrusage would count the process that started this one
+    with open("/proc/self/status") as status:
+        peak = next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
+except OSError:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
+print(peak)
 sys.exit(code)
 """
 
