@@ -5,7 +5,8 @@ The functions below are what the commands themselves call; they are loaded on fi
 
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)
-['classify', 'classify_ranges', 'evaluate', 'load_config', 'open_stream']
+['calibrate', 'classify', 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'load_config', 'open_stream', \
+'render', 'thin', 'transfer']
 """
 
 from __future__ import annotations
@@ -14,14 +15,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from prc_cli.comparison import evaluate
+    from prc_cli.calibration.calibrate import calibrate
+    from prc_cli.comparison import evaluate, evaluate_all
     from prc_cli.config import load_config
+    from prc_cli.conversion import convert
+    from prc_cli.label_transfer import transfer
     from prc_cli.pipeline import classify, classify_ranges, open_stream
+    from prc_cli.rendering import render
+    from prc_cli.thinning import thin
 
 __version__ = "0.1.0"
-__all__ = ["classify", "classify_ranges", "evaluate", "load_config", "open_stream"]
+__all__ = [
+    "calibrate",
+    "classify",
+    "classify_ranges",
+    "convert",
+    "evaluate",
+    "evaluate_all",
+    "load_config",
+    "open_stream",
+    "render",
+    "thin",
+    "transfer",
+]
 
-_HOME = {"evaluate": "prc_cli.comparison", "load_config": "prc_cli.config"}
+_HOME = {
+    "calibrate": "prc_cli.calibration.calibrate",
+    "convert": "prc_cli.conversion",
+    "evaluate": "prc_cli.comparison",
+    "evaluate_all": "prc_cli.comparison",
+    "load_config": "prc_cli.config",
+    "render": "prc_cli.rendering",
+    "thin": "prc_cli.thinning",
+    "transfer": "prc_cli.label_transfer",
+}
 
 
 def __getattr__(name: str) -> Any:

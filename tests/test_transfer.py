@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
-from prc_cli.transfer import TransferOptions, TransferSummary, transfer
+from prc_cli.label_transfer import TransferOptions, TransferSummary, transfer
 from tests.writers.lasbytes import parse
 
 N = 5000
