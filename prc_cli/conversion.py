@@ -40,6 +40,8 @@ from prc_cli.writers.streams import (
 XYZ = ("x", "y", "z")
 _LAS = (".las", ".laz")
 _TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet")
+NOT_READ = "not read: "
+"""Starts the assumptions of readers about what they pass over."""
 _STREAM_NAMES = frozenset(
     ("range", "scan_line", "column", "angle", "time", *XYZ, "intensity", "return_number", "number_of_returns")
 )
@@ -137,7 +139,7 @@ def convert(
             if progress is not None:
                 progress(item.block.n_lines)
         info = opened.info
-        losses = find_losses(output, opened, facts)
+        losses = find_losses(output, opened, facts, writer.losses)
         record = run_record(info, facts.counts, loaded)
         told = tuple(f"not kept: {loss}" for loss in losses)
         record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts)))
@@ -200,6 +202,8 @@ class OpenedItems:
     items: Iterator[StreamItem]
     source: RecordSource | None
     stream: ScanStream
+    n_odd_codes: int = 0
+    """Class codes that are no whole numbers, or of more than 32 bits."""
 
     @property
     def grid(self) -> GridStream | None:
@@ -241,8 +245,9 @@ def open_items(
     axes = XYZ if xyz and first.xyz_m is None and set(XYZ) <= set(has) else ()
     with contextlib.ExitStack() as stack:
         carried: RecordValues | None = None
+        n_odd = 0
         if records is not None and (class_name is not None or axes):
-            carried = _carry(records, class_name, axes, output, stack)
+            carried, n_odd = _carry(records, class_name, axes, output, stack)
         item = _item(first, carried)
         scanners = loaded.config.input.scanner != "none" or stream.info.format in ("PTX", "E57")
         returns = stream.rules.has_returns if isinstance(stream, GridStream) else stream.info.format == "E57"
@@ -253,13 +258,14 @@ def open_items(
             for block in blocks:
                 yield _item(block, carried)
 
-        yield OpenedItems(stream.info, shape, items(), records, stream)
+        yield OpenedItems(stream.info, shape, items(), records, stream, n_odd)
 
 
 def _carry(
     records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
-) -> RecordValues:
-    """Put classes and coordinates of all records into a temporary file."""
+) -> tuple[RecordValues, int]:
+    """Put classes and coordinates of all records into a temporary file; also count the codes that are no codes."""
+    n_odd = 0
     fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
     path = temporary_name(output)
     stack.callback(lambda: path.unlink(missing_ok=True))
@@ -274,9 +280,10 @@ def _carry(
         if class_name is not None:
             given = np.asarray(chunk.values[class_name], np.float64)
             whole = np.isfinite(given) & (given == np.floor(given)) & (np.abs(given) < 2**31)
+            n_odd += int(np.count_nonzero(~whole & ~np.isnan(given)))
             rows["code"] = np.where(whole, given, NO_CODE)
         values.append(rows)
-    return values
+    return values, n_odd
 
 
 def _item(block: ScanBlock, carried: RecordValues | None) -> StreamItem:
@@ -294,9 +301,11 @@ def _item(block: ScanBlock, carried: RecordValues | None) -> StreamItem:
     return item
 
 
-def find_losses(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, ...]:
-    """Say what the input has and the output does not hold, one sentence each."""
-    return tuple(_losses(stream_suffix(output), opened, facts))
+def find_losses(output: Path, opened: OpenedItems, facts: Facts, written: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Say what the input has and the output does not hold, one sentence each, those of the writer first."""
+    n_odd = opened.n_odd_codes
+    odd = (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",) if n_odd else ()
+    return (*written, *odd, *_losses(stream_suffix(output), opened, facts))
 
 
 def _losses(suffix: str, opened: OpenedItems, facts: Facts) -> Iterator[str]:
@@ -347,6 +356,10 @@ def _las_losses(shape: StreamShape, facts: Facts, n_missing: int) -> Iterator[st
 
 def _record_losses(opened: OpenedItems) -> Iterator[str]:
     """Name the dimensions of the input that the stream knows nothing of."""
+    for assumption in opened.info.assumptions:
+        # readers of organised scans and arrays say there what they pass over
+        if assumption.value.startswith(NOT_READ):
+            yield f"{assumption.value.removeprefix(NOT_READ)}, which the stream does not hold"
     records = opened.source
     if records is None:
         return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExis
 from prc_cli.core.stream import ScanBlock
 from prc_cli.pipeline import label_blocks, open_stream
 from prc_cli.readers.regroup import join
-from tests.readers.organised_files import ptx_scan, write_text
+from tests.readers.organised_files import Scan, e57_fields, grid_points, ptx_scan, write_e57, write_text
 from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
 
 CELLS = (".csv", ".csv.gz", ".csv.zst", ".npz", ".bin")
@@ -340,3 +341,58 @@ def test_a_damaged_input_leaves_nothing(drive: Path, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="line 9001"):
             convert(tmp_path / "b.csv", tmp_path / "out" / f"o{suffix}")
     assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".csv.gz", ".npz"])
+def test_the_colours_of_a_ptx_are_named_among_the_losses(tmp_path: Path, suffix: str) -> None:
+    text = ptx_scan(grid_points(4, 30), colour=True)
+    summary = convert(write_text(tmp_path / "a.ptx", text), tmp_path / f"a{suffix}")
+    assert any(loss.startswith("colour,") for loss in summary.losses)
+    plain = convert(write_text(tmp_path / "b.ptx", ptx_scan(grid_points(4, 30))), tmp_path / f"b{suffix}")
+    assert not any("colour" in loss for loss in plain.losses)
+
+
+def test_the_colours_of_an_e57_are_named_among_the_losses(tmp_path: Path) -> None:
+    points = grid_points(4, 30)
+    fields = e57_fields(points)
+    fields["colorRed"] = np.arange(len(fields["cartesianX"])) % 256
+    summary = convert(write_e57(tmp_path / "a.e57", [Scan(fields)]), tmp_path / "a.laz")
+    assert any(loss.startswith("colorRed,") for loss in summary.losses)
+
+
+def test_codes_that_las_cannot_hold_are_the_first_loss(tmp_path: Path) -> None:
+    rows = [
+        f"{line},{column},{5 + column / 100},{code}"
+        for line in range(3)
+        for column, code in enumerate((1200, 2, 1400, -3))
+    ]
+    source = write_text(tmp_path / "a.csv", "\n".join(["line,column,range,class", *rows]) + "\n")
+    summary = convert(source, tmp_path / "a.laz")
+    assert summary.losses[0] == "9 class codes outside 0 to 255: written as 1 (unclassified)"
+    assert "not kept: " + summary.losses[0] in summary.record.notices
+    assert not any("class codes" in text for text in summary.record.notices if not text.startswith("not kept: "))
+    assert sorted(set(laspy.read(tmp_path / "a.laz").classification)) == [1, 2]
+    assert not any("class codes" in loss for loss in convert(source, tmp_path / "a.parquet").losses)
+
+
+def test_codes_that_are_no_codes_are_a_loss(tmp_path: Path) -> None:
+    rows = [f"{line},{column},5.5,{code}" for line in range(3) for column, code in enumerate(("1.5", "2", "", "3"))]
+    source = write_text(tmp_path / "a.csv", "\n".join(["line,column,range,class", *rows]) + "\n")
+    summary = convert(source, tmp_path / "b.csv.gz")
+    assert summary.losses[0].startswith("3 class codes that are no whole numbers")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".csv.zst", ".parquet"])
+def test_an_interrupt_leaves_no_file_and_no_words(
+    drive: Path, tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def stop(n_lines: int) -> None:
+        raise KeyboardInterrupt
+
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(KeyboardInterrupt):
+        convert(drive, tmp_path / f"a{suffix}", progress=stop)
+    # Arrow closes streams that were forgotten when they are destroyed, and complains on the descriptor itself
+    gc.collect()
+    assert sorted(tmp_path.iterdir()) == before
+    assert capfd.readouterr().err == ""

@@ -31,6 +31,14 @@ class LasStream(LasBuilder):
         self._n_codes_lost = 0
         self._has_offset = False
 
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Class codes that a byte does not hold."""
+        if not self._n_codes_lost:
+            return ()
+        unknown = f"{self._codes.unclassified} ({Label.UNCLASSIFIED.name.lower()})"
+        return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {unknown}",)
+
     def add_item(self, item: StreamItem) -> None:
         """Take a block (see :class:`prc_cli.writers.streams.StreamWriter`)."""
         block = item.block
@@ -83,9 +91,3 @@ class LasStream(LasBuilder):
         if other.any() and item.extra_registered_m is not None:
             xyz[other] = item.extra_registered_m[shots.extra[other]]
         return self._whole_steps(xyz, scan, shots)
-
-    def _write(self, record: Any) -> Any:
-        if self._n_codes_lost:
-            unknown = f"{self._codes.unclassified} ({Label.UNCLASSIFIED.name.lower()})"
-            self._notice(f"{self._n_codes_lost} class codes outside 0 to 255 were written as {unknown}")
-        return super()._write(record)

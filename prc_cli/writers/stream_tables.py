@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
@@ -83,9 +84,11 @@ class CsvStream(_TableStream):
         kind = {".gz": "gzip", ".zst": "zstd"}.get(self.path.suffix.lower())
         sink: Any = pa.PythonFile(self._handle, mode="w")
         self._sink = sink if kind is None else pa.CompressedOutputStream(sink, kind)
+        self._stack.callback(_close, self._sink)
         self._sink.write((",".join(self._columns) + "\n").encode())
         options = pa.csv.WriteOptions(include_header=False, quoting_style="none")
         self._writer = pa.csv.CSVWriter(self._sink, self._schema, write_options=options)
+        self._stack.callback(_close, self._writer)
 
     def _put(self, table: pa.Table) -> None:
         self._writer.write_table(table)
@@ -103,6 +106,7 @@ class ParquetStream(_TableStream):
         self._handle = self._temporary.open("wb")
         self._stack.callback(self._handle.close)
         self._writer = pa.parquet.ParquetWriter(self._handle, self._schema)
+        self._stack.callback(_close, self._writer)
 
     def _put(self, table: pa.Table) -> None:
         self._writer.write_table(table)
@@ -110,6 +114,12 @@ class ParquetStream(_TableStream):
     def _write(self) -> None:
         self._writer.close()
         self._handle.close()
+
+
+def _close(stream: Any) -> None:
+    """Close what Arrow would else close too late, with a complaint on stderr; a file that is given up may be broken."""
+    with contextlib.suppress(OSError, ValueError, pa.ArrowException):
+        stream.close()
 
 
 def _rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:

@@ -85,6 +85,10 @@ class StreamWriter(Protocol):
     def notices(self) -> tuple[str, ...]:
         """What the writer had to decide, in plain words; complete after :meth:`finish`."""
 
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What the output could not hold of the blocks so far, known to the writer alone."""
+
     def __enter__(self) -> Self:
         """Create the temporary files beside the output."""
 
@@ -126,6 +130,11 @@ class StagedStreamWriter(ABC):
     def notices(self) -> tuple[str, ...]:
         """What the writer had to decide, in plain words."""
         return tuple(self._notices)
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What the output could not hold of the blocks so far."""
+        return ()
 
     def __enter__(self) -> Self:
         try:
