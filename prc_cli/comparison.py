@@ -259,6 +259,9 @@ def _check(options: EvaluateOptions) -> None:
             raise ConfigError("tolerance", f"records matched by {options.match} have none", "leave it out")
         if not math.isfinite(tolerance) or tolerance < 0 or (tolerance == 0 and options.match == "nearest"):
             raise ConfigError("tolerance", f"found {tolerance:g}, expected a finite number above 0")
+    if not options.one_to_one and options.match != "nearest":
+        problem = f"records matched by {options.match} have one partner, --several asks for more"
+        raise ConfigError("--several", problem, "leave it out, or give --match nearest")
     if options.pool and options.match == "order":
         raise ConfigError("pool", "records of pooled files have no order", "match by time, dimension or nearest")
     if not 0 <= options.min_matched <= 1:
@@ -340,7 +343,8 @@ def _note_missing(paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, 
         if missing:
             shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
             who = ("predicted", "reference")[k]
-            counts.note(f"{len(missing)} {who} files have no partner, left out: {shown}")
+            have = "file has" if len(missing) == 1 else "files have"
+            counts.note(f"{len(missing)} {who} {have} no partner, left out: {shown}")
 
 
 def _keys(options: EvaluateOptions) -> tuple[str, str]:
@@ -417,7 +421,7 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
     for name in wanted:
         if name not in (*has, *other_has) and name in asked:
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
-            hint = "tell points_per_line, or name the points of the labels"
+            hint = "give -M, or --predicted-points with the points of the labels"
             raise ConfigError(f"split by {SPLITS[name]}", problem, hint)
     ours = [name for name in wanted if name in has]
     theirs = [name for name in wanted if name not in has and name in other_has]

@@ -238,11 +238,11 @@ def test_folders_pool_by_name(drive: Drive, tmp_path: Path) -> None:
     assert_same(found, drive.matrix(everything))
     assert [part.name for part in found.splits["lines"]] == ["a.npy lines 0-999", "b.npy lines 0-999"]
     np.save(tmp_path / "truth" / "c.npy", drive.truth)
-    with pytest.raises(InputError, match="1 files have no partner in .*run: c"):
+    with pytest.raises(InputError, match="1 file has no partner in .*run: c"):
         run(tmp_path / "run", tmp_path / "truth")
     found = run(tmp_path / "run", tmp_path / "truth", allow_missing=True)
     assert_same(found, drive.matrix(everything))
-    assert any("no partner" in note and "c" in note for note in found.match.notes)
+    assert "1 reference file has no partner, left out: c.npy" in found.match.notes
 
 
 def test_pairs_in_a_list_and_a_folder_of_points(drive: Drive, folder: Path, tmp_path: Path) -> None:
@@ -353,6 +353,8 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
     [
         ({"match": "colour"}, "found 'colour', expected one of: order, time, dimension:NAME, nearest"),
         ({"tolerance": 1.0}, "records matched by order have none"),
+        ({"one_to_one": False}, "--several: records matched by order have one partner"),
+        ({"one_to_one": False, "match": "time"}, "leave it out, or give --match nearest"),
         ({"pool": True}, "records of pooled files have no order"),
         ({"match": "nearest", "tolerance": 0.0}, "expected a finite number above 0"),
         ({"min_matched": 2.0}, "expected a share from 0 to 1"),
@@ -363,7 +365,7 @@ def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_
         ({"match": "nearest"}, "no 'x' to match by"),
         ({"match": "dimension:shot"}, "no 'shot' to match by"),
         ({"split_range_m": (20.0,)}, "no range to split by"),
-        ({"split_lines": 5}, "tell points_per_line"),
+        ({"split_lines": 5}, "give -M, or --predicted-points"),
         ({"split_scanner": True}, "no scanner to split by"),
     ],
 )

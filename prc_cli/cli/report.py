@@ -20,6 +20,7 @@ from prc_cli.evaluation.reports import (
     gate_cells,
     match_line,
     overall_line,
+    percent,
     split_table,
     with_interval,
 )
@@ -103,7 +104,7 @@ def print_evaluation(matrix: ConfusionMatrix, found: Scores, intervals: Mapping[
     for name in shown.predicted_names:
         table.add_column(name, justify="right")
     for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True):
-        cells = (f"{count:,} ({share:.1%})" for count, share in zip(counts, shares, strict=True))
+        cells = (f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True))
         table.add_row(name, *cells)
     results().print(table)
     table = Table(title="scores")

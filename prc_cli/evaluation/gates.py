@@ -42,7 +42,7 @@ def parse_gate(text: str, mapping: ClassMapping) -> Gate:
     Raises
     ------
     ConfigError
-        No number, a number above 1 or below -1, an unknown score or class.
+        No number, a number above 1 or below -1, an unknown score or class, a class of one side only.
 
     Examples
     --------
@@ -83,6 +83,10 @@ def refuse_failed(results: Iterable[GateResult]) -> None:
     """
     failed = [item for item in results if not item.passed]
     if failed:
-        told = [f"found {item.value:.4f}, demanded at least {item.limit:.4f}" for item in failed]
+        told = [f"found {_found(item.value)}, demanded at least {item.limit:.4f}" for item in failed]
         more = "; ".join(f"{item.name}: {text}" for item, text in zip(failed[1:], told[1:], strict=True))
         raise GateError(failed[0].name, told[0], more)
+
+
+def _found(value: float) -> str:
+    return "undefined (no such records)" if math.isnan(value) else f"{value:.4f}"

@@ -60,7 +60,7 @@ def block_intervals(
         raise ConfigError("intervals", f"found {method!r}, expected one of: {', '.join(METHODS)}")
     if len(blocks) < 2:
         problem = f"intervals need at least 2 blocks with scored pairs, found {len(blocks)}"
-        raise InputError("intervals", problem, "make the blocks shorter, or tell the points per line")
+        raise InputError("intervals", problem, "make the blocks shorter with --interval-lines, or give -M")
     total = blocks.sum(axis=0)
     centre = {name: float(values[0]) for name, values in all_scores(total[None], *names).items()}
     found = (

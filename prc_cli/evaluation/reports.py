@@ -207,7 +207,11 @@ def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[lis
 
 def gate_cells(gate: GateResult) -> tuple[str, str, str]:
     """Return name, limit and value of a gate as text."""
-    return gate.name, f"{gate.limit:g}", "-" if math.isnan(gate.value) else f"{gate.value:.4f}"
+    return (
+        gate.name,
+        f"{gate.limit:g}",
+        "undefined (no such records)" if math.isnan(gate.value) else f"{gate.value:.4f}",
+    )
 
 
 def figure(value: float) -> str:

@@ -44,6 +44,8 @@ class Scores:
 
     classes: tuple[ClassScores, ...]
     """Every class of either side: rows first, then columns that are no rows."""
+    scored: tuple[str, ...]
+    """Names of the classes on both sides, which have scores."""
     n_scored: int
     n_ignored: int
     accuracy: float
@@ -86,6 +88,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
     expected = _ratio(sum(rows[name] * columns[name] for name in shared), total * total)
     return Scores(
         classes=classes,
+        scored=shared,
         n_scored=total,
         n_ignored=matrix.n_ignored,
         accuracy=observed,
@@ -107,7 +110,7 @@ def gate_value(found: Scores, name: str) -> float:
     Raises
     ------
     ConfigError
-        Unknown score or class; those that exist are named.
+        Unknown score or class, or a class of one side only, which has no scores; those that exist are named.
 
     Examples
     --------
@@ -119,11 +122,13 @@ def gate_value(found: Scores, name: str) -> float:
     score, dot, class_name = name.partition(".")
     if not dot and score in OVERALL_SCORES:
         return float(getattr(found, score))
-    by_name = {item.name: item for item in found.classes}
+    by_name = {item.name: item for item in found.classes if item.name in found.scored}
     if score in CLASS_SCORES and class_name in by_name:
         return float(getattr(by_name[class_name], score))
     if dot and score in CLASS_SCORES:
-        problem = f"found class {class_name!r}, expected one of: {', '.join(by_name)}"
+        alone = class_name in (item.name for item in found.classes)
+        why = ", which the mapping does not have on both sides" if alone else ""
+        problem = f"found class {class_name!r}{why}, expected one of: {', '.join(by_name)}"
     else:
         per_class = ", ".join(f"{item}.CLASS" for item in CLASS_SCORES)
         problem = f"found score {name!r}, expected one of: {', '.join(OVERALL_SCORES)}, {per_class}"

@@ -49,7 +49,8 @@ def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False)
         (reference, predicted, right.keys() - left.keys()),
     ):
         if lonely:
-            problem = f"{len(lonely)} files have no partner in {other}: {_listed(lonely)}"
+            have = "file has" if len(lonely) == 1 else "files have"
+            problem = f"{len(lonely)} {have} no partner in {other}: {_listed(lonely)}"
             raise InputError(str(folder), problem, "give partners the same name but for the suffix, or use --pair")
     return tuple((left[name], right[name]) for name in sorted(left))
 

@@ -138,6 +138,13 @@ def test_pictures_are_put_into_the_page(prc: Prc, pair: tuple[Path, Path], tmp_p
         (["--picture", "none.png", "--output", "r.html"], 1, "none.png: cannot be read"),
         (["--picture", "reference/a.csv", "--output", "r.html"], 1, "reference/a.csv: is no PNG picture"),
         (["--fail-under", "recall.road=1", "--output", "r.html"], 2, "score: found class 'road'"),
+        (
+            ["--fail-under", "recall.noise=1", "--mapping", "oakland"],
+            2,
+            "which the mapping does not have on both sides",
+        ),
+        (["--several"], 2, "--several: records matched by order have one partner"),
+        (["--intervals", "jackknife"], 1, "make the blocks shorter with --interval-lines, or give -M"),
         (["--match", "magic"], 2, "magic"),
         (["--pair", "none.npy", "reference/a.csv"], 1, "none.npy: no such file"),
         (["--pair", "run", "reference/a.csv"], 1, "a file against the folder run"),
@@ -184,3 +191,12 @@ def test_page_of_a_dense_stream_has_pictures_of_its_own(prc: Prc, pair: tuple[Pa
     text = page.read_text(encoding="utf-8")
     assert text.count("data:image/png;base64,") == 3
     assert "Predicted, lines 0-1 of a.npy" in text
+
+
+def test_undefined_figures_are_told_in_words(prc: Prc, tmp_path: Path) -> None:
+    pair = save(tmp_path, "a", [2, 2, 6], [2, 2, 2])
+    code, out, err = prc(*pair, "--fail-under", "recall.building=0.5")
+    assert code == 3
+    assert "recall.building: found undefined (no such records), demanded at least 0.5" in err
+    assert "(-)" in out
+    assert "nan" not in out + err

@@ -102,7 +102,9 @@ def test_table_i_as_row_shares(zeta_p: str) -> None:
     found = scores(shown)
     recalls = [gate_value(found, f"recall.{name}") for name in shown.predicted_names]
     assert recalls == pytest.approx([TABLE_I[zeta_p][i][i] for i in range(4)], abs=0.001)
-    assert math.isnan(gate_value(found, "recall.other"))
+    assert math.isnan(found.classes[-1].recall)
+    assert found.classes[-1].name == "other"
+    assert "other" not in found.scored
 
 
 @pytest.mark.parametrize(

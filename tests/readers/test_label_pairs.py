@@ -29,8 +29,8 @@ def test_folders_pair_by_name_without_suffix(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("run", "reference", "message"),
     [
-        (("a.npy",), ("a.csv", "b.csv"), "reference: 1 files have no partner in .*run: b; give partners"),
-        (("a.npy", "b.npy"), ("a.csv",), "run: 1 files have no partner in .*reference: b"),
+        (("a.npy",), ("a.csv", "b.csv"), "reference: 1 file has no partner in .*run: b; give partners"),
+        (("a.npy", "b.npy"), ("a.csv",), "run: 1 file has no partner in .*reference: b"),
         (("a.npy", "a.csv"), ("a.las",), "run: a.csv and a.npy have one name"),
         ((), ("a.las",), "run: no files with class codes in it"),
         (("a.txt.md",), ("a.las",), "run: no files with class codes in it"),
