@@ -11,7 +11,7 @@ from PIL import Image
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
-from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError
+from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.pipeline import classify, label_blocks, open_stream
@@ -273,8 +273,12 @@ def test_parts_that_are_not_there(options: dict[str, object], expected: str, urb
     [
         ("urban", {"block": 0, "lines": (0, 5)}, "--block: given together with --only-lines"),
         ("street-scan", {"block": 0}, "--block: the sequential-angle method has no blocks; give --only-lines A:B"),
-        ("street-scan", {"figure1": True}, "--steps|--figure1"),
-        ("urban", {"station": 4}, r"--station: found 4, but .*drive\.npz holds 0"),
+        (
+            "street-scan",
+            {"figure1": True},
+            "--figure1: belongs to prc, found the method sequential-angle; add --method prc",
+        ),
+        ("urban", {"station": 4}, r"--station: found 4, but .*drive\.npz holds one, number 0"),
         ("urban", {"steps": ("intensity",)}, "--steps: found 'intensity', but the input has none"),
         ("urban", {"view": "top", "block": 0}, "--block: belongs to the scan view, found --view top"),
     ],
@@ -301,7 +305,7 @@ def test_labels_of_another_length(urban: LoadedConfig, tmp_path: Path, n: int, s
 
 
 def test_outputs_that_are_none(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"a\.pdf: found the suffix '\.pdf', expected one of: \.png \.html"):
+    with pytest.raises(ConfigError, match=r"a\.pdf: found the suffix '\.pdf', expected one of: \.png \.html"):
         render(drive, tmp_path / "a.pdf", urban)
     (tmp_path / "a.png").write_bytes(b"old")
     with pytest.raises(OutputExistsError, match="exists already"):
@@ -373,5 +377,33 @@ def test_no_cloud_without_coordinates(tmp_path: Path, suffix: str) -> None:
     source = tmp_path / f"drive.{suffix}"
     {"npz": write_npz, "csv": write_csv, "bin": write_raw}[suffix](source, street())
     config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
-    with pytest.raises(InputError, match="no coordinates for a cloud: .*; draw the scan .leave --view out."):
+    with pytest.raises(InputError, match="no coordinates for a cloud: .*; draw the scan .leave --view out.") as caught:
         render(source, tmp_path / "a.png", config, RenderOptions(view="top"))
+    assert "sensor-xyz" not in str(caught.value)
+
+
+def test_hairlines_from_above_have_room_beside_them(urban: LoadedConfig, tmp_path: Path) -> None:
+    las = laspy.read(write_cloud(tmp_path / "cloud.las", np.full(5_000, 2, np.uint8)))
+    las.x = 650_300 + 0.01 * (las.x - 650_300)
+    las.write(tmp_path / "hairline.las")
+    result = render(tmp_path / "hairline.las", tmp_path / "a.png", urban, RenderOptions(view="top", width=500))
+    assert 0.2 < result.size[0] / result.size[1] < 1.0
+    assert result.size[1] < 1200
+
+
+def test_a_cloud_says_how_many_returns_it_leaves_out(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    azimuth = np.repeat(np.deg2rad(np.arange(0, 360, 1.0)), 2)
+    xyz = np.column_stack([8 * np.cos(azimuth), 8 * np.sin(azimuth), np.full(azimuth.shape, -1.0)])
+    rings = [xyz + np.array([0, 0, -0.06 * ring]) + rng.normal(0, 1e-5, xyz.shape) for ring in range(64)]
+    points = np.column_stack([np.concatenate(rings), np.ones(64 * len(xyz))]).astype("<f4")
+    points.tofile(tmp_path / "frame.bin")
+    config = load_config(Path(__file__).parents[1] / "sample_configs" / "kitti_frame.toml")
+    result = render(
+        tmp_path / "frame.bin", tmp_path / "a.png", config, RenderOptions(view="top", colour="range", width=300)
+    )
+    (note,) = [note for note in result.notes if "not drawn" in note]
+    left_out = int(note.split()[0].replace(",", ""))
+    outside = sum(int(note.split()[0].replace(",", "")) for note in result.notes if "outside" in note)
+    assert left_out > 0
+    assert result.n_points + outside + left_out == len(points)

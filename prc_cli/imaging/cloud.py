@@ -18,10 +18,12 @@ from prc_cli.core.types import F32, F64, U8, Mask
 EMPTY = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 FIELD_OF_VIEW_DEG = 38.0
 """Horizontal angle of the perspective."""
-FRAMED = (2.0, 98.0)
+FRAMED = (0.05, 99.95)
 """Percentiles of the points that a view must hold."""
-MARGIN = 0.05
+MARGIN = 0.03
 """Share of a view that stays free on every side."""
+NARROWEST = 0.35
+"""Least width by height, and height by width, of a view from above: what is narrower has free room beside it."""
 SHADE = 26.0
 """How strongly steps in depth darken."""
 SAMPLE = 1 << 17
@@ -88,6 +90,7 @@ class FromAbove:
         """Return the view that holds nearly all points of a sample, (n, 3) float64 [m]."""
         low, high = np.percentile(sample, FRAMED, axis=0)
         middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.05) * (1 + 2 * MARGIN)
+        half[:2] = np.maximum(half[:2], NARROWEST * half[1::-1])
         metres = float(max(2 * half[0] / width, 2 * half[1] / height))
         # pixels of a round size are easier to reckon with, but the view should fill the picture
         size = max(1, math.ceil(2 * half[0] / metres - 1e-9)), max(1, math.ceil(2 * half[1] / metres - 1e-9))

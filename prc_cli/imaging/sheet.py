@@ -172,7 +172,7 @@ def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, he
         if place < room:  # the name of the axis stands at its end
             draw.text((LEFT + place, bottom + _TICK + 3), text, fill=PALE_INK, font=small, anchor="ma")
     draw.text((LEFT + width, bottom + _TICK + 3), panel.x.name, fill=PALE_INK, font=small, anchor="ra")
-    marks = panel.y.ticks(height, 48)
+    marks = panel.y.ticks(height, max(48, height // 24))
     for place, text in marks:
         draw.line((LEFT - _TICK - 1, top + place, LEFT - 2, top + place), fill=PALE_INK)
         draw.text((LEFT - _TICK - 5, top + place), text, fill=PALE_INK, font=small, anchor="rm")

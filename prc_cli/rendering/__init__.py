@@ -10,7 +10,7 @@ from pathlib import Path
 
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig
-from prc_cli.core.errors import OutputError
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.imaging.page import html_page
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
@@ -53,7 +53,7 @@ def render(
     Raises
     ------
     ConfigError
-        Unknown step or view, block or lines out of range.
+        Unknown step, view or suffix of the output; block or lines out of range.
     InputError
         Damaged input; labels of another length; no coordinates for a cloud.
     OutputError
@@ -63,7 +63,7 @@ def render(
     chosen = RenderOptions() if options is None else options
     if output.suffix.lower() not in SUFFIXES:
         problem = f"found the suffix {output.suffix!r}, expected one of: {' '.join(SUFFIXES)}"
-        raise OutputError(str(output), problem, "rename the output")
+        raise ConfigError(str(output), problem, "rename the output")
     inputs = tuple(path for path in (source, chosen.labels, chosen.reference, *config.files) if path is not None)
     check_output(output, overwrite=overwrite, inputs=inputs)
     remove_stale(output)

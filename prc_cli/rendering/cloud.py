@@ -33,6 +33,8 @@ AXES = ("x", "y", "z")
 NO_CLASSES = (0, 1)
 """Class codes of a LAS file that nobody classified."""
 POINTS_AT_ONCE = 1 << 20
+HIGHEST_PERSPECTIVE, HIGHEST_FROM_ABOVE = 0.75, 1.5
+"""Largest height of a picture by its largest width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +47,8 @@ class Points:
     """(n,) int64, record of the input; -1 = none."""
     values: dict[str, F64]
     """(n,) float64 by name: ``range``, ``intensity``, ``classification``, where the input has them."""
+    n_without: int = 0
+    """Further returns and records outside the lines beside them, whose coordinates the stream does not hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +112,11 @@ class Cloud:
             if block.intensity is not None:
                 values["intensity"] = block.intensity[seen].astype(np.float64)
             chosen = {name: value for name, value in values.items() if name in names}
-            yield Points(block.xyz_m[seen].astype(np.float64), block.records()[seen], chosen)
+            n_without = len(block.extra) + block.tally.n_unplaced
+            yield Points(block.xyz_m[seen].astype(np.float64), block.records()[seen], chosen, n_without)
 
 
-_HINT = "draw the scan (leave --view out), or give --range trajectory:FILE, origin:X,Y,Z or sensor-xyz"
+_HINT = "draw the scan (leave --view out), or give a file that has x, y, z"
 
 
 def draw_cloud(
@@ -142,7 +147,7 @@ def draw_cloud(
     _check_options(options)
     check_input(source)
     cloud = Cloud.open(source, loaded, options.station)
-    sample, has_classes = _look(cloud)
+    sample, has_classes, n_without = _look(cloud)
     kept = sample.rows()
     if not len(kept):
         raise InputError(str(source), "found no point with coordinates", "check --range and the layout")
@@ -154,10 +159,14 @@ def draw_cloud(
         known = None if cloud.records is None else cloud.records.n_records
         classes.check(known)
     camera: Camera = (
-        FromAbove.around(kept[:, :3], options.width, options.height)
+        FromAbove.around(kept[:, :3], options.width, min(options.height, round(HIGHEST_FROM_ABOVE * options.width)))
         if options.view == "top"
         else Perspective.around(
-            kept[:, :3], options.azimuth_deg, options.elevation_deg, options.width, min(options.height, options.width)
+            kept[:, :3],
+            options.azimuth_deg,
+            options.elevation_deg,
+            options.width,
+            min(options.height, round(HIGHEST_PERSPECTIVE * options.width)),
         )
     )
     paint = _Paint.choose(colour, kept, words, classes, source)
@@ -177,11 +186,13 @@ def draw_cloud(
     }
     head = f"{source.name} · {names[options.view]} · {sample.n_seen:,} points by {colour}"
     n_out = sample.n_seen - buffer.n_inside
-    notes = (f"{n_out:,} points lie outside the picture",) if n_out else ()
+    notes = [f"{n_out:,} points lie outside the picture"] if n_out else []
+    if n_without:
+        notes.append(f"{n_without:,} further returns or records that share a cell with another are not drawn")
     key = words.table.key(counts) if colour == "class" else ()
     found = {name: int(count) for name, count in zip(words.table.names, counts, strict=True) if count}
     result = RenderResult(
-        (), (0, 0), head, counts=found if colour == "class" else None, n_points=buffer.n_inside, notes=notes
+        (), (0, 0), head, counts=found if colour == "class" else None, n_points=buffer.n_inside, notes=tuple(notes)
     )
     return panel, key, result
 
@@ -198,19 +209,20 @@ def _check_options(options: RenderOptions) -> None:
         raise ConfigError(where, "given together with --labels, expected one of them to colour a cloud by")
 
 
-def _look(cloud: Cloud) -> tuple[Sample, bool]:
-    """Read all points once: a sample for the frame and the scales, and whether the file was classified."""
+def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
+    """Read all points once: a sample for the frame and the scales, whether it was classified, what has no place."""
     sample = Sample(5)
-    has_classes = False
+    has_classes, n_without = False, 0
     names = ("range", "intensity", "classification") if cloud.has_own_classes else ("range", "intensity")
     for points in cloud.points(names):
         finite = np.isfinite(points.xyz).all(axis=1)
         none = np.full(len(points.xyz), np.nan)
         rows = np.column_stack([points.xyz, *(points.values.get(name, none) for name in ("range", "intensity"))])
         sample.add(rows[finite])
+        n_without += points.n_without
         if not has_classes and "classification" in points.values:
             has_classes = bool((~np.isin(points.values["classification"], NO_CLASSES)).any())
-    return sample, has_classes
+    return sample, has_classes, n_without
 
 
 def _choose_colour(cloud: Cloud, options: RenderOptions, has_classes: bool) -> ColourBy:

@@ -74,7 +74,9 @@ def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> I
         else:
             others.add(block.scanner)
     if not found and others:
-        shown = ", ".join(str(number) for number in sorted(others)[:20])
+        numbers = ", ".join(str(number) for number in sorted(others)[:20])
+        shown = f"one, number {numbers}" if len(others) == 1 else f"{len(others)}, numbers {numbers}"
+        shown += ", ..." if len(others) > 20 else ""
         raise ConfigError("--station", f"found {station}, but {path} holds {shown}")
 
 

@@ -145,8 +145,8 @@ def draw_scan(
         Damaged input, labels of another length.
     """
     method = loaded.config.method
-    steps = choose_steps(method, options)
     _check_part(method, options)
+    steps = choose_steps(method, options)
     words = vocabulary(options, loaded.config.classes)
     stream = open_for_pictures(loaded, source)
     # labels are checked first: they are small, and classifying may take long
@@ -181,7 +181,10 @@ def _check_part(method: str, options: RenderOptions) -> None:
     if options.block is not None and options.lines is not None:
         raise ConfigError("--block", "given together with --only-lines, expected one of them")
     if options.figure1 and method == SEQUENTIAL_ANGLE:
-        raise ConfigError("--figure1", "the figure shows the steps of prc, found the method sequential-angle", _METHOD)
+        raise ConfigError("--figure1", "belongs to prc, found the method sequential-angle", _METHOD)
+    if options.figure1 and options.labels is not None:
+        problem = "the figure shows the steps of prc, which a label file does not hold"
+        raise ConfigError("--figure1", problem, "leave --labels out")
     if options.block is not None and method == SEQUENTIAL_ANGLE:
         hint = "give --only-lines A:B"
         raise ConfigError("--block", "the sequential-angle method has no blocks", hint)

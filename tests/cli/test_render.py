@@ -76,13 +76,13 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
         (["--view", "perspective", "--from", "east"], 2, ["--from: found 'east', expected AZIMUTH,ELEVATION"]),
         (["--view", "perspective", "--from", "10,95"], 2, ["elevation from -90 to 90"]),
         (["--view", "top", "--figure1"], 2, ["--figure1: belongs to the scan view"]),
-        (["--figure1", "--method", "sequential-angle"], 2, ["possible here: range, intensity, coarse, dense, ground"]),
+        (["--figure1", "--method", "sequential-angle"], 2, ["--figure1: belongs to prc"]),
         (["--mapping", "nothing"], 2, ["class mapping: found 'nothing', expected a .toml file or one of"]),
     ):
         refused(prc("render", drive, out, "--quiet", *options), code, *parts)
         assert not out.exists()
-    refused(prc("render", drive, tmp_path / "a.jpg"), 1, "expected one of: .png .html")
-    refused(prc("render", drive, drive), 1, "found the suffix '.npz'")
+    refused(prc("render", drive, tmp_path / "a.jpg"), 2, "expected one of: .png .html")
+    refused(prc("render", drive, drive), 2, "found the suffix '.npz'")
     out.write_bytes(b"old")
     refused(prc("render", drive, out), 2, "exists already", "--overwrite")
     assert prc("render", drive, out, "--overwrite").code == 0
