@@ -167,6 +167,11 @@ def evaluate_all(
     matrix = counts.parts["all"].matrix(0)
     intervals, method = _intervals(counts, matrix, options, by_lines=by_lines)
     files = dict.fromkeys(names), dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files)
+    splits = {
+        SPLITS[name]: _scored_parts(_parts(counts.parts[name], name, names, options), SPLITS[name], counts)
+        for name in _asked(options)
+        if name in SPLITS
+    }
     match = MatchReport(
         options.match,
         counts.n_predicted,
@@ -176,9 +181,6 @@ def evaluate_all(
         tuple(sentence.replace("{n}", str(n)) for sentence, n in counts.notes.items()),
         counts.n_reference_matched,
     )
-    splits = {
-        SPLITS[name]: _parts(counts.parts[name], name, names, options) for name in _asked(options) if name in SPLITS
-    }
     label = "" if isinstance(mapping, ClassMapping) else str(mapping)
     return Evaluation(tuple(files[0]), tuple(files[1]), label, match, matrix, splits, intervals, method)
 
@@ -582,6 +584,18 @@ def _parts(counts: GroupedCounts, name: str, files: Sequence[str], options: Eval
     if UNKNOWN in counts.groups:
         parts.append(SplitPart("unknown", math.nan, math.nan, counts.matrix(UNKNOWN)))
     return tuple(parts)
+
+
+def _scored_parts(parts: Sequence[SplitPart], split: str, counts: _Counts) -> tuple[SplitPart, ...]:
+    """Leave out parts that have nothing to say, and note how many records they ignore."""
+    empty = [part for part in parts if not part.matrix.n_scored]
+    if empty:
+        n_ignored = sum(part.matrix.n_ignored for part in empty)
+        many = (
+            "1 part without scored records is" if len(empty) == 1 else f"{len(empty)} parts without scored records are"
+        )
+        counts.note(f"by {split}: {many} left out, with {n_ignored} ignored records")
+    return tuple(part for part in parts if part.matrix.n_scored)
 
 
 def _intervals(

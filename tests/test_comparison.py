@@ -281,13 +281,24 @@ def test_split_by_scanner(drive: Drive, folder: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(part.matrix.counts, drive.matrix(chosen).counts)
 
 
-def test_pairs_of_unknown_range_are_a_part(drive: Drive, folder: Path) -> None:
+def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_left_out(
+    drive: Drive, folder: Path
+) -> None:
     np.save(folder / "truth.npy", drive.truth)
-    options = {"predicted_points": folder / "raw.csv.gz", "split_range_m": (20.0, 40.0)}
+    options = {"predicted_points": folder / "raw.csv.gz", "split_range_m": (20.0, 40.0, 99.0)}
     found = run(folder / "labels.npy", folder / "truth.npy", **options)
     names = [part.name for part in found.splits["range"]]
-    assert names == ["0-20 m", "20-40 m", "from 40 m", "unknown"]
-    assert found.splits["range"][3].matrix.n_ignored == drive.missing.sum()
+    assert names == ["0-20 m", "20-40 m", "40-99 m"]
+    assert sum(part.matrix.n_scored for part in found.splits["range"]) == found.matrix.n_scored
+    # nothing is farther; ranges are unknown of missing shots alone, none of which is scored
+    note = f"by range: 2 parts without scored records are left out, with {drive.missing.sum()} ignored records"
+    assert note in found.match.notes
+    # a part of their own where they are scored
+    truth = np.where(drive.missing, 2, 6).astype(np.uint8)
+    np.save(folder / "all.npy", truth)
+    found = run(folder / "all.npy", folder / "all.npy", **{**options, "split_range_m": (20.0,)})
+    assert [part.name for part in found.splits["range"]][-1] == "unknown"
+    assert found.splits["range"][-1].matrix.n_scored == drive.missing.sum()
     # the reference may be the one that knows
     np.save(folder / "truth.npy", drive.truth)
     swapped = run(folder / "labels.npy", folder / "truth.npy", reference_points=folder / "raw.csv.gz", split_lines=150)

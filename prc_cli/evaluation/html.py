@@ -276,15 +276,17 @@ def _split(split: str, parts: Sequence[SplitPart], shown: ConfusionMatrix) -> It
         keys = (_legend_key(name, places[name]) for name in names)
         yield f'<div class="legend">{"".join(keys)}</div><div class="pair">'
         ticks = [_tick(split, part) for part in drawn]
-        # the lines of every file begin at 0
-        breaks = {i + 1 for i, (part, after) in enumerate(pairwise(drawn)) if after.low <= part.low}
+        # the lines of every file begin at 0, and parts may have been left out
+        breaks = {i + 1 for i, (part, after) in enumerate(pairwise(drawn)) if after.low != part.high}
         for score in ("recall", "precision"):
             curves = [Curve(name, tuple(getattr(part[name], score) for part in found), places[name]) for name in names]
             names_of = [part.name for part in drawn]
             axis = _AXES.get(split, split)
             chart = line_chart(f"{score} by {split}", axis, names_of, counts, curves, ticks, breaks)
             yield f"<div><h3>{score.capitalize()}</h3>{chart}</div>"
-        broken = "where its score is undefined" + (", and where the next file begins" if breaks else "")
+        broken = "where its score is undefined" + (
+            ", and where parts are left out or the next file begins" if breaks else ""
+        )
         yield f'</div><p class="note">n: scored records of a part. A curve is broken {broken}.</p>'
     _, rows = split_table(parts, shown)
     yield f'<details{" open" if len(parts) <= 12 else ""}><summary>Table</summary><div class="wide">'

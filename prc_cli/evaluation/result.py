@@ -59,8 +59,9 @@ class Evaluation:
     match: MatchReport
     matrix: ConfusionMatrix
     splits: dict[str, tuple[SplitPart, ...]]
-    """Parts by what was split by: ``range``, ``lines``, ``scanner``; their matrices add up to ``matrix`` but for pairs
-    whose range, line or scanner is not known, which are a part of their own named ``unknown``."""
+    """Parts by what was split by: ``range``, ``lines``, ``scanner``; pairs whose range, line
+    or scanner is not known are a part of their own named ``unknown``. The counts add up to those of ``matrix``; parts
+    without scored records are left out, and the ignored records with them."""
     intervals: dict[str, Interval]
     """By the name that ``--fail-under`` takes, ``recall.ground``; empty where they were not asked for."""
     interval_method: str = ""
