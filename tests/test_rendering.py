@@ -14,6 +14,7 @@ from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
+from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.pipeline import classify, label_blocks, open_stream
 from prc_cli.rendering import RenderOptions, render
 from prc_cli.rendering.frames import turns
@@ -76,7 +77,8 @@ def test_the_whole_drive_shows_every_class_where_it_is(drive: Path, urban: Loade
     assert np.array_equal(strip[1].picture, colours[labels])
     assert drawing.counts == {label.name.lower(): n for label in Label if (n := int((labels == label).sum()))}
     assert drawing.thinned_by == (1, 1)
-    shares = {text.split()[0]: text for text, _ in drawing.key}
+    shares = {text.split()[0]: text for text, _ in strip[1].key}
+    assert not drawing.key
     seen = labels[labels != Label.MISSING]
     assert shares["ground"] == f"ground {100 * (seen == Label.GROUND).mean():.1f} %"
     assert shares["no"].startswith("no return")
@@ -184,6 +186,31 @@ def test_differences_are_counted_and_shown(drive: Path, urban: LoadedConfig, tmp
     blue = (difference.picture == LABEL_COLOURS[Label.GROUND]).all(axis=2)
     assert np.array_equal(blue, wrong)
     assert f"of {drawing.n_compared:,} shots differ" in difference.note
+
+
+def test_returns_that_are_not_scored_are_not_drawn_as_missing(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+    labels = labels_of(drive, urban)
+    seen = labels != Label.MISSING
+    codes = np.full(labels.shape, 1200)  # ground of oakland
+    codes[:30] = 1305  # ignored there
+    np.save(tmp_path / "codes.npy", codes.ravel())
+    (tmp_path / "m.toml").write_text(
+        "ignore = [1305]\n[predicted]\nbuilding = [6]\nground = [2]\n[reference]\nground = [1200]\n"
+    )
+    np.save(tmp_path / "labels.npy", np.full(labels.size, 6))
+    chosen = RenderOptions(
+        labels=tmp_path / "labels.npy", reference=tmp_path / "codes.npy", mapping=tmp_path / "m.toml",
+        steps=("classes", "reference", "difference"),
+    )  # fmt: skip
+    classes, reference, difference = draw_scan(drive, urban, chosen, tmp_path).strips[0]
+    assert (classes.picture == LABEL_COLOURS[Label.BUILDING]).all()
+    for panel in (reference, difference):
+        marked = (panel.picture == NOT_SCORED_COLOUR).all(axis=2)
+        assert marked[:30][seen[:30]].all()
+        assert not marked[30:].any()
+        assert any(text.startswith("not scored") for text, _ in panel.key)
+    assert [text for text, _ in classes.key] == ["building 100.0 %"]
+    assert not any("%" in text for text, _ in difference.key if not text.startswith("no return"))
 
 
 def test_reference_codes_of_others_go_through_a_mapping(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:

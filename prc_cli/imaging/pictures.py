@@ -141,25 +141,32 @@ def class_picture(classes: NDArray[np.integer], colours: U8) -> U8:
 
 AGREE_COLOUR = (222, 222, 222)
 """Where predicted and reference class are the same."""
+NOT_SCORED_COLOUR = (196, 180, 224)
+"""Returns whose class is not compared."""
 
 
-def difference_picture(predicted: U8, reference: U8, colours: U8) -> U8:
+def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int | None = None) -> U8:
     """Show where two classifications differ.
 
     Parameters
     ----------
     predicted, reference : (lines, M) uint8
-        Places in the table of classes; 0 = not scored.
+        Places in the table of classes; 0 = none.
     colours : (n, 3) uint8
         Colour of every class.
+    unscored : int, optional
+        Place in the table that means not scored.
 
     Returns
     -------
     (lines, M, 3) uint8
-        Pale grey where both agree, the colour of the predicted class where they do not, white where either has none.
+        Pale grey where both agree, the colour of the predicted class where they do not, :data:`NOT_SCORED_COLOUR`
+        where either is not scored, white where either has none.
     """
     picture = colours[predicted]
     picture[predicted == reference] = AGREE_COLOUR
+    if unscored is not None:
+        picture[(predicted == unscored) | (reference == unscored)] = NOT_SCORED_COLOUR
     picture[(predicted == 0) | (reference == 0)] = MISSING_COLOUR
     return np.asarray(picture, np.uint8)
 

@@ -81,6 +81,7 @@ class Panel:
     """Shown in grey behind the title."""
     bar: Bar | None = None
     key: Key = ()
+    """Colours of this picture, explained below it."""
     caption: str = ""
     """A sentence or two for pages with text."""
     zoom: tuple[int, int] = (1, 1)
@@ -149,7 +150,10 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
         raise InputError(panel.title, problem)
     width, height = panel.size
     top = TITLE_HEIGHT if with_title else MARGIN // 2
-    canvas = Image.new("RGB", (LEFT + width + RIGHT, top + height + AXIS_HEIGHT), "white")
+    # pages with text write the key below the picture themselves
+    rows = key_rows(panel.key, width + RIGHT - MARGIN) if with_title else []
+    foot = KEY_HEIGHT * len(rows) + (MARGIN if rows else 0)
+    canvas = Image.new("RGB", (LEFT + width + RIGHT, top + height + AXIS_HEIGHT + foot), "white")
     draw = ImageDraw.Draw(canvas)
     enlarged = picture.repeat(panel.zoom[1], axis=0).repeat(panel.zoom[0], axis=1)
     canvas.paste(Image.fromarray(np.ascontiguousarray(enlarged)), (LEFT, top))
@@ -161,7 +165,17 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
     _draw_axes(draw, panel, top, width, height)
     if panel.bar is not None:
         _draw_bar(canvas, draw, panel.bar, LEFT + width + 18, top, height)
+    _draw_key(draw, rows, top + height + AXIS_HEIGHT)
     return canvas
+
+
+def _draw_key(draw: ImageDraw.ImageDraw, rows: list[list[tuple[int, str, Colour]]], top: int) -> None:
+    for row in rows:
+        for left, text, colour in row:
+            at = LEFT + left
+            draw.rectangle((at, top + 4, at + 30, top + 25), fill=colour, outline=(90, 90, 90))
+            draw.text((at + 40, top + 15), text, fill=INK, font=font(_KEY), anchor="lm")
+        top += KEY_HEIGHT
 
 
 def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, height: int) -> None:
@@ -253,12 +267,7 @@ def draw_sheet(head: str, panels: Sequence[Panel], key: Key = (), *, columns: in
             canvas.paste(image, (left_edge, top))
             left_edge += image.width
         top += row_height
-    for row in rows:
-        for left, text, colour in row:
-            at = LEFT + left
-            draw.rectangle((at, top + 4, at + 30, top + 25), fill=colour, outline=(90, 90, 90))
-            draw.text((at + 40, top + 15), text, fill=INK, font=font(_KEY), anchor="lm")
-        top += KEY_HEIGHT
+    _draw_key(draw, rows, top)
     return canvas
 
 

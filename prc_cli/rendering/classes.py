@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.types import I64, U8
+from prc_cli.core.types import I64, U8, Mask
 from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping
+from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.readers.labels import NO_CODE, open_codes
 from prc_cli.rendering.options import RenderOptions
 
@@ -67,6 +68,15 @@ class Vocabulary:
     table: ClassTable
     mapping: ClassMapping | None
     codes: ClassCodes
+
+    @property
+    def unscored(self) -> int:
+        """Place of what has a return but no class, the last one of the table."""
+        return len(self.table.names) - 1
+
+    def mark_unscored(self, places: U8, seen: Mask) -> U8:
+        """Tell returns without a class from shots without a return, (...) uint8 and (...) bool to (...) uint8."""
+        return np.where((places == 0) & seen, np.uint8(self.unscored), places)
 
     def turn(self, codes: I64, side: Side) -> U8:
         """Turn class codes of a side into places in the table.
@@ -133,7 +143,13 @@ class Vocabulary:
 def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
     """Return the classes of a run: the program's own, or those that a mapping names."""
     if options.mapping is None:
-        return Vocabulary(LABEL_TABLE, None, codes)
+        return Vocabulary(
+            ClassTable(
+                (*LABEL_NAMES, NOT_SCORED), np.vstack([LABEL_TABLE.colours, NOT_SCORED_COLOUR]).astype(np.uint8)
+            ),
+            None,
+            codes,
+        )
     mapping = load_mapping(options.mapping)
     names = dict.fromkeys((*mapping.names("reference"), *mapping.names("predicted")))
     # in the order of the program's own classes, what it does not know behind them
@@ -146,7 +162,8 @@ def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
         LABEL_COLOURS[Label(LABEL_NAMES.index(name))] if name in LABEL_NAMES else UNCLASSIFIED_COLOUR
         for name in ordered
     ]
-    return Vocabulary(ClassTable((NOT_SCORED, *ordered), np.array(colours, np.uint8)), mapping, codes)
+    names_of = (LABEL_NAMES[Label.MISSING], *ordered, NOT_SCORED)
+    return Vocabulary(ClassTable(names_of, np.array([*colours, NOT_SCORED_COLOUR], np.uint8)), mapping, codes)
 
 
 @dataclass(frozen=True, slots=True)

@@ -294,6 +294,7 @@ class _Paint:
         """Return the colours of some points, and their classes."""
         if self.classes is not None:
             places = self.classes.look_up(points.record[part])
+            places = self.words.mark_unscored(places, np.ones(places.shape, bool))
             return self.words.table.colours[places], places
         values = points.xyz[part, 2] if self.by == "height" else points.values[self.by][part]
         picture = range_picture if self.by == "range" else value_picture

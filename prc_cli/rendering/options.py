@@ -58,8 +58,8 @@ CAPTIONS: dict[str, tuple[str, str]] = {
     "reference": ("reference", "Classes of the reference."),
     "difference": (
         "differences, in the colour of the predicted class",
-        "Pale grey where prediction and reference agree; else the colour of what was predicted; white where either has "
-        "no class.",
+        "Pale grey where prediction and reference agree; else the colour of what was predicted; pale violet where "
+        "either is not scored, white where there is no return.",
     ),
 }
 """Title and caption of every step."""

@@ -28,10 +28,11 @@ from prc_cli.imaging.pictures import (
     value_limits,
     value_picture,
 )
-from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Key, Panel, zoom_for
+from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Colour, Key, Panel, zoom_for
 from prc_cli.pipeline import Progress
 from prc_cli.rendering.classes import (
     LABEL_TABLE,
+    NOT_SCORED,
     ClassTable,
     RecordClasses,
     Vocabulary,
@@ -49,7 +50,7 @@ from prc_cli.rendering.frames import (
     turns,
     upright,
 )
-from prc_cli.rendering.options import CAPTIONS, REFERENCE_STEPS, RenderOptions, choose_steps
+from prc_cli.rendering.options import CAPTIONS, RenderOptions, choose_steps
 
 STRIP_HEIGHT, PANEL_HEIGHT, UPRIGHT_HEIGHT = 380, 800, 1100
 """Highest picture of a strip of a folded drive, of a drive that needs no folding, of an upright scan [pixels]."""
@@ -95,8 +96,8 @@ class _Kept:
     """What is kept of the stream while it passes: thinned images, full counts."""
 
     planes: dict[str, list[Plane]] = field(default_factory=dict)
-    labels: I64 | None = None
-    reference: I64 | None = None
+    counts: dict[str, I64] = field(default_factory=dict)
+    """Shots by class of every image of classes, thinned out or not."""
     n_compared: int = 0
     n_differing: int = 0
     beam_rad: F64 | None = None
@@ -174,7 +175,7 @@ def draw_scan(
         for side in (given, reference):
             if side is not None and stream.info.n_records is None and options.station is None:
                 side.check(max(kept.tally.n_records, kept.n_read))
-    return _draw(kept, part, layout, steps, words, compared=given is not None or options.mapping is not None)
+    return _draw(kept, part, layout, steps, words, given=given is not None)
 
 
 def _check_part(method: str, options: RenderOptions) -> None:
@@ -256,13 +257,13 @@ def _with_classes(
     if given is None and reference is None:
         return frame
     planes = dict(frame.planes)
-    record = frame.block.records()
+    record, seen = frame.block.records(), ~np.isnan(frame.block.range_m)
     if given is not None:
-        planes["classes"] = planes["predicted"] = given.look_up(record)
+        planes["classes"] = planes["predicted"] = words.mark_unscored(given.look_up(record), seen)
     elif "classes" in planes:
-        planes["predicted"] = words.turn_labels(planes["classes"])
+        planes["predicted"] = words.mark_unscored(words.turn_labels(planes["classes"]), seen)
     if reference is not None:
-        planes["reference"] = reference.look_up(record)
+        planes["reference"] = words.mark_unscored(reference.look_up(record), seen)
     return replace(frame, planes=planes)
 
 
@@ -279,15 +280,14 @@ def _keep(
         return
     inside = {name: plane[low:high] for name, plane in frame.planes.items()}
     size = max(len(words.table.names), len(Label))
-    for side in ("classes", "reference"):
+    for side in ("classes", "predicted", "reference", "coarse", "dense"):
         if side in inside:
             counts = np.bincount(inside[side].ravel(), minlength=size)
-            if side == "classes":
-                kept.labels = counts if kept.labels is None else kept.labels + counts
-            else:
-                kept.reference = counts if kept.reference is None else kept.reference + counts
+            kept.counts[side] = counts + kept.counts.get(side, 0)
     if "predicted" in inside and "reference" in inside:
-        both = (inside["predicted"] > 0) & (inside["reference"] > 0)
+        both = np.ones(inside["reference"].shape, bool)
+        for name in ("predicted", "reference"):
+            both &= (inside[name] > 0) & (inside[name] != words.unscored)
         kept.n_compared += int(np.count_nonzero(both))
         kept.n_differing += int(np.count_nonzero(both & (inside["predicted"] != inside["reference"])))
     start = (part.first - block.first_line - low) % layout.line_step
@@ -299,45 +299,71 @@ def _keep(
 
 
 def _draw(
-    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, *, compared: bool
+    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, *, given: bool
 ) -> Drawing:  # fmt: skip
     planes = {name: np.concatenate(parts) for name, parts in kept.planes.items()}
-    given = compared and "classes" in planes and "predicted" in planes and planes["classes"] is planes["predicted"]
-    own = LABEL_TABLE if not given else words.table
+    own = words.table if given else LABEL_TABLE
     painter = _Painter(planes, steps, words, own)
+    if layout.kind != "strips":
+        painter.keys = _keys(kept, words, own)
     if kept.n_compared:
         painter.notes["difference"] = (
             f"{share_text(kept.n_differing, kept.n_compared)} of {kept.n_compared:,} shots differ"
         )
     strips = tuple(_strips(painter, kept, part, layout))
-    key, counts = _key(kept, steps, words, own)
+    key = _shared_key(kept, steps, words, own) if layout.kind == "strips" else ()
+    side, table = ("classes", own) if "classes" in kept.counts else ("reference", words.table)
+    found = kept.counts.get(side, np.zeros(len(table.names), np.int64))
+    counts = {name: int(count) for name, count in zip(table.names, found, strict=False) if count}
     return Drawing(
         strips, layout.strips_per_page, key, part, steps, (layout.line_step, layout.column_step), counts,
         kept.n_compared, kept.n_differing,
     )  # fmt: skip
 
 
-def _key(kept: _Kept, steps: tuple[str, ...], words: Vocabulary, own: ClassTable) -> tuple[Key, dict[str, int]]:
-    """Return the key of the classes that occur, and their counts."""
-    table, counts = own, kept.labels
-    if counts is None:
-        table, counts = words.table, kept.reference
-    if counts is None:
-        return (), {}
-    counts = counts[: len(table.names)]
-    key = table.key(counts)
-    if kept.reference is not None and set(steps) & set(REFERENCE_STEPS):
-        present = {text.rsplit(" ", 2)[0] for text, _ in key}
-        others = words.table.key(kept.reference[: len(words.table.names)])
-        key += tuple((f"{text.rsplit(' ', 2)[0]} (reference)", colour) for text, colour in others
-                     if text.rsplit(" ", 2)[0] not in present)  # fmt: skip
-    if "difference" in steps:
-        key += (("both agree", AGREE_COLOUR),)
-    if counts[0]:
-        key += (
-            (f"no return ({share_text(int(counts[0]), int(counts.sum()))} of all shots)", LABEL_COLOURS[Label.MISSING]),
-        )
-    return key, {name: int(count) for name, count in zip(table.names, counts, strict=True) if count}
+def _keys(kept: _Kept, words: Vocabulary, own: ClassTable) -> dict[str, Key]:
+    """Return the key of every picture of classes: what occurs in it, with its shares."""
+    tables = {"classes": own, "reference": words.table, "coarse": LABEL_TABLE, "dense": LABEL_TABLE}
+    keys: dict[str, Key] = {}
+    for step, counts in kept.counts.items():
+        if step in tables:
+            keys[step] = tables[step].key(counts[: len(tables[step].names)])
+            if counts[0]:
+                share = share_text(int(counts[0]), int(counts.sum()))
+                keys[step] += ((f"{_NO_RETURN} ({share} of all shots)", LABEL_COLOURS[Label.MISSING]),)
+    if "predicted" in kept.counts and "reference" in kept.counts:
+        counts = kept.counts["predicted"].copy()
+        counts[words.unscored] += kept.counts["reference"][words.unscored]
+        keys["difference"] = (("both agree", AGREE_COLOUR), *_names(words.table, counts))
+    return keys
+
+
+_NO_RETURN = "no return"
+
+
+def _names(table: ClassTable, counts: I64) -> Key:
+    """Return the classes that occur, without shares, which would be those of one of several pictures."""
+    order = [*range(1, len(table.names)), 0]
+    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in order if counts[i]]
+    return tuple((name, (int(colour[0]), int(colour[1]), int(colour[2]))) for name, colour in found)
+
+
+def _shared_key(kept: _Kept, steps: tuple[str, ...], words: Vocabulary, own: ClassTable) -> Key:
+    """Return one key for a sheet of strips: with shares where they can be those of one picture only."""
+    keys = _keys(kept, words, own)
+    shown = [step for step in steps if step in keys]
+    if len(shown) == 1:
+        return keys[shown[0]]
+    entries: dict[tuple[str, Colour], None] = {}
+    for step in shown:
+        table = own if step == "classes" else LABEL_TABLE if step in ("coarse", "dense") else words.table
+        if step == "difference":
+            entries |= dict.fromkeys(keys[step])
+        else:
+            entries |= dict.fromkeys(_names(table, kept.counts[step][: len(table.names)]))
+    # what is no class stands at the end
+    last = (NOT_SCORED, "both agree", _NO_RETURN)
+    return tuple(sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1))
 
 
 @dataclass(slots=True)
@@ -349,6 +375,8 @@ class _Painter:
     words: Vocabulary
     own: ClassTable
     notes: dict[str, str] = field(default_factory=dict)
+    keys: dict[str, Key] = field(default_factory=dict)
+    """Keys of single pictures, where the sheet has none for all."""
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -377,7 +405,7 @@ class _Painter:
         reference = self.planes["reference"][lines]
         if step == "reference":
             return class_picture(reference, self.words.table.colours), None
-        return difference_picture(plane, reference, self.words.table.colours), None
+        return difference_picture(plane, reference, self.words.table.colours, self.words.unscored), None
 
 
 def _strips(painter: _Painter, kept: _Kept, part: Part, layout: _Layout) -> Iterator[tuple[Panel, ...]]:
@@ -404,20 +432,20 @@ def _panel(
     n, m = picture.shape[:2]
     along = Axis("line", *lines)
     across = Axis("column", 0, m * layout.column_step)
-    note = painter.notes.get(step, "")
+    note, key = painter.notes.get(step, ""), painter.keys.get(step, ())
     order = upright(None if kept.beam_rad is None else kept.beam_rad[:: layout.column_step])
     if layout.kind == "paper":
-        return Panel(title, picture, across, along, note, bar, (), caption, zoom_for(m, n))
+        return Panel(title, picture, across, along, note, bar, key, caption, zoom_for(m, n))
     if order is None:
         zoom = zoom_for(layout.strip, m)
-        return Panel(title, picture.swapaxes(0, 1), along, across, note, bar, (), caption, zoom)
+        return Panel(title, picture.swapaxes(0, 1), along, across, note, bar, key, caption, zoom)
     assert kept.beam_rad is not None
     picture = picture[:, order].swapaxes(0, 1)
     if kept.turn_rad > 0:
         picture, along = picture[:, ::-1], Axis("line", lines[1], lines[0])
     side = _elevations(kept.beam_rad[:: layout.column_step], order, m * layout.column_step)
     return Panel(
-        title, picture, along, side, note, bar, (), caption, _upright_zoom(layout.strip, m, _shape(kept, layout))
+        title, picture, along, side, note, bar, key, caption, _upright_zoom(layout.strip, m, _shape(kept, layout))
     )
 
 
