@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.errors import PrcError
 from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.charts import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
 from prc_cli.evaluation.mapping import Side as SideName
+from prc_cli.readers.label_pairs import files_of, stem_of
 from prc_cli.readers.labels import open_codes
+from prc_cli.readers.options import InputConfig
 from prc_cli.readers.sides import LINE, Side, SideFile
+from prc_cli.rendering.frames import open_for_pictures, upright
 
 MAX_LINES = 600
 """Scan lines in a picture."""
 _MAX_CELLS = 1 << 22
 _WIDTH, _HEIGHT = 1200, 480
+_LABELS_ALONE = (".npy", ".label")
 _NONE, _AGREE = (255, 255, 255), (222, 222, 222)
 
 
@@ -28,10 +37,12 @@ def class_pictures(
     mapping: ClassMapping,
     points_per_line: int | None = None,
     dimensions: tuple[str | None, str | None] = (None, None),
+    points: tuple[Path | None, Path | None] = (None, None),
 ) -> tuple[tuple[str, bytes], ...]:
     """Draw the first scan lines of a dense stream as predicted, as in the reference, and where they differ.
 
-    Time runs to the right, columns run down. Of long lines every so many shots are drawn.
+    Time runs to the right. Lines stand as in ``prc render``: the sky at the top where either file, or its points, tell
+    where down is; else columns run down. Of long lines every so many shots are drawn.
 
     Parameters
     ----------
@@ -44,6 +55,8 @@ def class_pictures(
         long.
     dimensions : (predicted, reference)
         Columns with the codes; None = found by name.
+    points : (predicted, reference)
+        The points that labels alone belong to, files or folders.
 
     Returns
     -------
@@ -72,9 +85,10 @@ def class_pictures(
     n_lines = min(len(places) for places in found) // points_per_line
     if not n_lines:
         return ()
-    every = -(-points_per_line // _HEIGHT)
+    beside = (_points_of(path, where) for (_, path), where in zip(sides, points, strict=True) if where is not None)
+    rows = _rows((*beside, predicted, reference), points_per_line, -(-points_per_line // _HEIGHT))
     first, second = (
-        places[: n_lines * points_per_line].reshape(n_lines, points_per_line)[:, ::every].T for places in found
+        places[: n_lines * points_per_line].reshape(n_lines, points_per_line)[:, rows].T for places in found
     )
     differ = np.where(first == second, np.uint8(len(names) + 1), first)
     differ[(first == 0) | (second == 0)] = 0
@@ -84,6 +98,28 @@ def class_pictures(
         (f"Reference, {lines} of {reference.name}", _png(second, names)),
         ("Where they differ, in the colour of the predicted class; grey: they agree", _png(differ, names)),
     )
+
+
+def _points_of(labels: Path, where: Path) -> Path:
+    """Return the file of the points that a file of labels belongs to."""
+    return next((path for path in files_of([where]) if stem_of(path) == stem_of(labels)), where)
+
+
+def _rows(paths: Iterable[Path], points_per_line: int, every: int) -> NDArray[np.intp]:
+    """Return the columns that are drawn, from the top."""
+    config = LoadedConfig(RunConfig(input=InputConfig(points_per_line=points_per_line)))
+    columns = np.arange(0, points_per_line, every)
+    for path in paths:
+        if path.suffix.lower() in _LABELS_ALONE:
+            continue
+        # what cannot be read as a stream does not tell, and lies as its columns do
+        with suppress(PrcError):
+            block = next(iter(open_for_pictures(config, path).blocks()), None)
+            if block is None or block.beam_rad is None or block.points_per_line != points_per_line:
+                continue
+            order = upright(block.beam_rad[::every])
+            return columns if order is None else columns[order]
+    return columns
 
 
 def _line_length(path: Path, dimension: str | None) -> int | None:

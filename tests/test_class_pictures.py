@@ -70,3 +70,45 @@ def test_lines_that_a_file_numbers_need_no_m(tmp_path: Path) -> None:
     for lengths in ((4, 3, 4), (8,)):
         assert class_pictures(tmp_path / "labels.npy", write(lengths), MAPPING) == ()
     assert class_pictures(tmp_path / "labels.npy", tmp_path / "labels.npy", MAPPING) == ()
+
+
+@pytest.mark.parametrize("rising", [True, False])
+@pytest.mark.parametrize("folder", [True, False])
+def test_the_sky_is_at_the_top_whichever_way_the_columns_run(tmp_path: Path, *, rising: bool, folder: bool) -> None:
+    m, n = 60, 40
+    beam = np.deg2rad(np.linspace(20, 120, m))
+    beam = beam if rising else beam[::-1]
+    # a scanner 2 m over the ground, and a wall 15 m away
+    range_m = np.minimum(np.where(np.cos(beam) > 0.01, 2.0 / np.maximum(np.cos(beam), 0.01), 99.0), 15.0 / np.sin(beam))
+    x, z = range_m * np.sin(beam), -range_m * np.cos(beam)
+    rows = [
+        f"{range_m[k]:.4f},{x[k]:.4f},{0.01 * line:.4f},{z[k]:.4f},{line},{k}" for line in range(n) for k in range(m)
+    ]
+    points = tmp_path / "points"
+    points.mkdir()
+    (points / "labels.csv").write_text("\n".join(["range,x,y,z,scan_line,column", *rows]) + "\n")
+    codes = np.tile(np.where(z < -1.99, 2, 7), n).astype(np.uint8)
+    np.save(tmp_path / "labels.npy", codes)
+    pair = tmp_path / "labels.npy", tmp_path / "labels.npy"
+    mapping = ClassMapping(predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)})
+    where = points if folder else points / "labels.csv"
+    found = class_pictures(*pair, mapping, m, points=(where, None))
+    image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))
+    assert tuple(image[0, 0].tolist()) == colour("noise")
+    assert tuple(image[-1, 0].tolist()) == colour("ground")
+
+
+@pytest.mark.data
+def test_a_street_stands_as_in_its_rendering(real_data: Path) -> None:
+    street = real_data / "oakland" / "oakland_1.csv.gz"
+    found = class_pictures(
+        street,
+        street,
+        ClassMapping(unlisted="other", predicted={"ground": ("1200-1206",)}, reference={"ground": ("1200-1206",)}),
+        229,
+    )
+    image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))
+    ground = (image == np.array(colour("ground"))).all(axis=2).sum(axis=1)
+    tenth = len(ground) // 10
+    assert ground[-tenth:].max() > 1000
+    assert ground[:tenth].max() < 50

@@ -185,9 +185,10 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     gates = check_gates(scores(found.matrix), demanded)
     if how.match == "order" and page_wanted:
         dimensions = how.predicted_dimension, how.reference_dimension
+        points = how.predicted_points, how.reference_points
         pictures = (
             *class_pictures(
-                Path(found.predicted[0]), Path(found.reference[0]), mapping, how.points_per_line, dimensions
+                Path(found.predicted[0]), Path(found.reference[0]), mapping, how.points_per_line, dimensions, points
             ),
             *pictures,
         )
