@@ -4,8 +4,10 @@ there."""
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -179,6 +181,42 @@ def test_thresholds_on_the_plateau_stay_and_others_are_raised(tmp_path: Path) ->
     assert advice(corridor(0.03, 0.0), tmp_path, prc={"support": {"zeta_s": 0.0}})["prc.support.zeta_s"].value
 
 
+def test_a_curve_that_supports_nothing_has_no_plateau(tmp_path: Path) -> None:
+    # ranges from an origin a thousand kilometres away, as of points in a projected system
+    far = (1.063e6 + np.random.default_rng(3).uniform(0, 2000, (20, 60))).astype(np.float32)
+    found = advice(far, tmp_path)
+    for key in ("prc.support.zeta_s", "prc.support.zeta_p"):
+        assert found[key].value == found[key].before == 1.0
+        assert found[key].reason.startswith("as configured: the curve has no plateau, since 10 m supports no more than")
+    (note,) = (note for note in calibrate(tmp_path / "drive.npz").notes if "origin" in note)
+    assert re.match("the median range is some 10[56][0-9] km: beyond 20 km the origin of the scanner is wrong", note)
+    assert not any("origin" in note for note in calibrate(write_npz(tmp_path / "near.npz", street())).notes)
+
+
+def test_the_figure_marks_what_was_chosen_and_stays_in_its_frame(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    for zeta_p, told in ((1.0, "zeta_p = 1 m<"), (500.0, "zeta_p = 500 m<")):
+        found = calibrate(source, load_config(options={"prc": {"support": {"zeta_p": zeta_p}}}))
+        root = ElementTree.fromstring(as_svg(found))
+        lines = [e for e in root.iter() if e.get("class") == "chosen"]
+        at = [float(e.attrib["x1"]) for e in lines]
+        assert [e.attrib["x1"] for e in lines] == [e.attrib["x2"] for e in lines]
+        assert len(at) == 3
+        assert at[2] < at[1] <= at[0], "d_c = 0.06 m, zeta_s = 1 m, zeta_p"
+        assert told in as_svg(found)
+        frame = max(float(e.attrib["x2"]) for e in root.iter() if e.get("stroke") == "#ddd")
+        assert max(at) <= frame + 0.1
+        # a digit of 13 px is some 8 px wide
+        ticks = [e for e in root.iter() if e.get("y") == "370"]
+        ends = [
+            float(e.attrib["x"]) + (4 * len(e.text or "") if e.get("text-anchor") == "middle" else 0) for e in ticks
+        ]
+        assert [e.text for e in ticks][-1] == "100"
+        assert max(ends) <= frame + 0.1
+        points = " ".join(e.attrib["points"] for e in root.iter() if e.tag.endswith("polyline")).split()
+        assert max(float(point.split(",")[0]) for point in points) <= frame + 0.1
+
+
 def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
     """A street and, as its reference, what the classifier says with parameters that are not the preset's."""
     source = write_npz(folder / "street.npz", street(n_lines))
@@ -270,9 +308,7 @@ def test_reports(tmp_path: Path) -> None:
     assert "| prc.background.d_c | 0.05 |" in as_markdown(found)
     figure = as_svg(found)
     assert figure.count("<polyline") == 3
-    import xml.etree.ElementTree as ET
-
-    ET.fromstring(figure)
+    ElementTree.fromstring(figure)
 
 
 def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:
@@ -319,7 +355,7 @@ def test_unusable_references_are_refused(tmp_path: Path) -> None:
     ("options", "message"),
     [
         ({"objective": "beauty"}, "found score 'beauty', expected one of: mean_f1, accuracy"),
-        ({"objective": "f1.dragon"}, "found class 'dragon'"),
+        ({"objective": "f1.dragon"}, "found score 'f1.dragon', expected one of: f1"),
         ({"training_share": 1.0}, "--training-share: found 1"),
         ({"keep": ("prc.support.zeta",)}, "--keep: found 'prc.support.zeta'"),
         ({"mapping": "nowhere"}, "class mapping: found 'nowhere'"),

@@ -43,6 +43,8 @@ SHOTS_AT_ONCE = 1 << 18
 """Shots measured at a time; results do not depend on it, but for the few pairs of lines across two of them."""
 LEAST_LINES = 3
 """Scan lines that a support decision needs: the shot's own and both neighbours."""
+FAR_M = 20_000.0
+"""Range that no laser scanner on the ground reaches [m]."""
 GROUPS = 40
 """Groups of lines that a stream is cut into for training and held-out lines, if they are not too large."""
 
@@ -326,6 +328,11 @@ def _found_advice(advice: tuple[Advice, ...], found: SearchResult, config: RunCo
 
 def _notes(sensor: SensorEstimate) -> tuple[str, ...]:
     notes = []
+    if (middle := sensor.range_quantiles_m["50%"]) > FAR_M:
+        notes.append(
+            f"the median range is some {middle / 1000:.0f} km: beyond {FAR_M / 1000:g} km the origin of the "
+            "scanner is wrong, or the unit; see prc info, and do not use these parameters"
+        )
     if sensor.sigma_m is None:
         notes.append("no stretch of the stream is flat: the noise of the sensor was not measured")
     if sensor.step_rad is None:

@@ -24,6 +24,8 @@ PLATEAU_M = 10.0
 """Threshold beyond which the share of supported shots has stopped to rise (Fig. 4, upper end of both ranges)."""
 PLATEAU_SHARE = {"urban": 0.95, "forest": 0.5}
 """Part of the share at :data:`PLATEAU_M` that a threshold has to reach. In forest thresholds are tight on purpose."""
+LEAST_PLATEAU = 0.2
+"""Share of the returns that :data:`PLATEAU_M` has to support for a curve to say anything about its threshold."""
 LEAST_AREA = 12.0
 """Pixels of the smallest patch that is a surface: three lines of four shots, in which the middle line is supported."""
 
@@ -87,7 +89,13 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
         plateau = float(shares[np.searchsorted(grid, PLATEAU_M)])
         good = (shares >= need * plateau) & (grid >= ZETA_SIGMAS * noise)
         at = float(shares[np.searchsorted(grid, _on(grid, configured))])
-        if configured > 0 and good[np.searchsorted(grid, configured)]:
+        if plateau < LEAST_PLATEAU:
+            value = configured
+            reason = (
+                f"as configured: the curve has no plateau, since {PLATEAU_M:g} m supports no more than {plateau:.1%} "
+                "of the returns"
+            )
+        elif configured > 0 and good[np.searchsorted(grid, configured)]:
             value = configured
             reason = f"on the plateau of its curve: supports {at:.1%} of the returns, {PLATEAU_M:g} m {plateau:.1%}"
         else:

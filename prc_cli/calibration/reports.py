@@ -150,7 +150,9 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73")
 def as_svg(found: Calibration) -> str:
     """Draw the supported share over zeta_p and zeta_s (Lehtola et al. 2019, Fig. 4) and the background over d_c."""
     curves = found.curves
-    low, high = math.log10(curves.zetas_p[0]), math.log10(curves.zetas_p[-1])
+    grids = (curves.zetas_p, curves.zetas_s, curves.lengths)
+    first, last = float(min(grid[0] for grid in grids)), float(max(grid[-1] for grid in grids))
+    low, high = math.log10(first), math.log10(last)
 
     def x(value: float) -> float:
         return _LEFT + (math.log10(value) - low) / (high - low) * (WIDTH - _LEFT - _RIGHT)
@@ -172,12 +174,16 @@ def as_svg(found: Calibration) -> str:
         at = y(tenth / 10)
         parts.append(f'<line x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{at:.1f}" y2="{at:.1f}" stroke="#ddd"/>')
         parts.append(f'<text x="{_LEFT - 8}" y="{at + 4:.1f}" text-anchor="end">{tenth * 10} %</text>')
-    for power in range(round(low), round(high) + 1):
+    for power in range(math.ceil(low), math.floor(high) + 1):
         at = x(10.0**power)
+        # the last one ends at its line, so that it stays inside the frame
+        anchor = "end" if at > WIDTH - _RIGHT - 16 else "middle"
         parts.append(f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}" stroke="#ddd"/>')
-        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - _BOTTOM + 18}" text-anchor="middle">{10.0**power:g}</text>')
+        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - _BOTTOM + 18}" text-anchor="{anchor}">{10.0**power:g}</text>')
     middle = (_LEFT + WIDTH - _RIGHT) / 2
     parts.append(f'<text x="{middle}" y="{HEIGHT - _BOTTOM + 36}" text-anchor="middle">threshold [m]</text>')
+    prc = found.config.config.prc
+    chosen = (("zeta_p", prc.support.zeta_p), ("zeta_s", prc.support.zeta_s), ("d_c", prc.background.d_c))
     drawn = (
         ("supported over zeta_p, zeta_s = 1 m", curves.zetas_p, curves.over_zeta_p(1.0), ""),
         ("supported over zeta_s, zeta_p = 1 m", curves.zetas_s, curves.over_zeta_s(1.0), ' stroke-dasharray="7 3"'),
@@ -186,10 +192,28 @@ def as_svg(found: Calibration) -> str:
     for place, ((name, grid, shares, dash), colour) in enumerate(zip(drawn, _COLOURS, strict=True)):
         line = f'fill="none" stroke="{colour}" stroke-width="2"{dash}'
         parts.append(f'<polyline points="{path(grid, shares)}" {line}/>')
+        key, value = chosen[place]
+        parts += _chosen(
+            key, value, x(min(max(value, first), last)), place, colour, dash, inside=first <= value <= last
+        )
         left, at = _LEFT + 8 + (place % 2) * 320, HEIGHT - 30 + (place // 2) * 20
         parts.append(f'<line x1="{left}" x2="{left + 36}" y1="{at}" y2="{at}" {line}/>')
         parts.append(f'<text x="{left + 44}" y="{at + 4}">{escape(name)}</text>')
     return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _chosen(key: str, value: float, at: float, place: int, colour: str, dash: str, *, inside: bool) -> list[str]:
+    """Mark the chosen threshold of a curve by an upright line; off the scale it is at the edge and says so."""
+    anchor, gap = ("end", -5) if at > WIDTH - 180 else ("start", 5)
+    half = (_TOP + HEIGHT - _BOTTOM) // 2
+    told = f"{key} = {value:g} m" + ("" if inside else " (off the scale)")
+    return [
+        f'<line class="chosen" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}" '
+        f'stroke="{colour}"{dash}/>',
+        # at half height, where curves are steep or far; one below the other, since thresholds often are the same
+        f'<text x="{at + gap:.1f}" y="{half + 16 * place}" text-anchor="{anchor}" fill="{colour}" '
+        f'stroke="white" stroke-width="3" paint-order="stroke">{told}</text>',
+    ]
 
 
 def _objective(found: Calibration, scores: Any) -> float:

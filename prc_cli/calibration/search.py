@@ -20,7 +20,7 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import I64
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.evaluation.scores import Scores, gate_value, scores
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Scores, gate_value, scores
 from prc_cli.pipeline import label_blocks
 
 MEAN_F1 = "mean_f1"
@@ -297,8 +297,14 @@ def check_objective(objective: str, mapping: ClassMapping) -> None:
         return
     try:
         gate_value(scores(ConfusionMatrix.empty(mapping)), objective)
-    except ConfigError as error:
-        raise ConfigError("--objective", error.problem.replace("one of: ", f"one of: {MEAN_F1}, ")) from None
+    except ConfigError:
+        score = objective.partition(".")[0]
+        if score in CLASS_SCORES:
+            names = [f"{score}.{name}" for name in mapping.scored_names]
+        else:
+            names = [MEAN_F1, *OVERALL_SCORES, *(f"{name}.CLASS" for name in CLASS_SCORES)]
+        expected = ", ".join(names)
+        raise ConfigError("--objective", f"found score {objective!r}, expected one of: {expected}") from None
 
 
 def figures(found: Scores, objective: str) -> dict[str, float | None]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from rich.table import Table
 
 from prc_cli.calibration.calibrate import Calibration, SearchOptions
@@ -133,7 +134,9 @@ def calibrate(
         check_output(path, overwrite=overwrite, inputs=inputs)
         remove_stale(path)
     search = None
-    if reference is not None:
+    if reference is None:
+        _refuse_search_options()
+    else:
         search = SearchOptions(
             reference, mapping, reference_dimension, objective, training_share, budget, seed, max_shots, keep
         )
@@ -151,6 +154,20 @@ def calibrate(
     if not quiet:
         for path in wanted:
             console().print(f"wrote {path}", soft_wrap=True)
+
+
+SEARCH_OPTIONS = (
+    "mapping", "reference_dimension", "objective", "training_share", "budget", "seed", "keep", "max_shots"
+)  # fmt: skip
+"""Options that say how the search is done, which there is none of without a reference."""
+
+
+def _refuse_search_options() -> None:
+    context = click.get_current_context()
+    for name in SEARCH_OPTIONS:
+        if context.get_parameter_source(name) not in (ParameterSource.DEFAULT, None):
+            message = f"--{name.replace('_', '-')} needs --reference"
+            raise click.UsageError(message)
 
 
 @contextlib.contextmanager

@@ -65,9 +65,21 @@ def test_wrong_options(prc: Prc, tmp_path: Path) -> None:
         (["--plot", tmp_path / "curves.png"], "ends in .svg"),
         (["--json", "--format", "markdown"], "contradict"),
         (["--reference", source, "--objective", "beauty"], "found score 'beauty'"),
+        (["--reference", source, "--objective", "f1.houses"], "'f1.houses', expected one of: f1.noise, f1.ground, f1."),
+        (["--objective", "beauty"], "--objective needs --reference"),
+        (["--objective", "mean_f1"], "--objective needs --reference"),
+        (["--budget", 9], "--budget needs --reference"),
+        (["--mapping", "prc"], "--mapping needs --reference"),
+        (["--keep", "prc.support.zeta_p"], "--keep needs --reference"),
+        (["--training-share", 0.5], "--training-share needs --reference"),
+        (["--seed", 1], "--seed needs --reference"),
+        (["--max-shots", 5000], "--max-shots needs --reference"),
+        (["--reference-dimension", "class"], "--reference-dimension needs --reference"),
         (["--reference", source, "--keep", "prc.zeta"], "--keep: found 'prc.zeta'"),
         (["--reference", tmp_path / "none.npy"], "no such file"),
     ):
         result = prc("calibrate", source, *options)
         assert result.code in (1, 2), message
         assert message in result.err
+        assert result.code == 2 or "needs" not in message
+        assert "mean_f1, ground" not in result.err
