@@ -152,7 +152,10 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
     top = TITLE_HEIGHT if with_title else MARGIN // 2
     # pages with text write the key below the picture themselves
     rows = key_rows(panel.key, width + RIGHT - MARGIN) if with_title else []
-    foot = KEY_HEIGHT * len(rows) + (MARGIN if rows else 0)
+    needed = font(_TITLE).getlength(panel.title) + 16 + font(_SMALL).getlength(panel.note)
+    wrapped = with_title and bool(panel.note) and needed > width + RIGHT  # no room beside the title
+    note_height = 30 if wrapped else 0
+    foot = note_height + KEY_HEIGHT * len(rows) + (MARGIN if rows else 0)
     canvas = Image.new("RGB", (LEFT + width + RIGHT, top + height + AXIS_HEIGHT + foot), "white")
     draw = ImageDraw.Draw(canvas)
     enlarged = picture.repeat(panel.zoom[1], axis=0).repeat(panel.zoom[0], axis=1)
@@ -161,11 +164,14 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
     if with_title:
         draw.text((LEFT, top - 8), panel.title, fill=INK, font=font(_TITLE), anchor="ls")
         begin = LEFT + draw.textlength(panel.title, font=font(_TITLE)) + 16
-        draw.text((begin, top - 8), panel.note, fill=PALE_INK, font=font(_SMALL), anchor="ls")
+        if wrapped:
+            draw.text((LEFT, top + height + AXIS_HEIGHT + 4), panel.note, fill=PALE_INK, font=font(_SMALL), anchor="la")
+        else:
+            draw.text((begin, top - 8), panel.note, fill=PALE_INK, font=font(_SMALL), anchor="ls")
     _draw_axes(draw, panel, top, width, height)
     if panel.bar is not None:
         _draw_bar(canvas, draw, panel.bar, LEFT + width + 18, top, height)
-    _draw_key(draw, rows, top + height + AXIS_HEIGHT)
+    _draw_key(draw, rows, top + height + AXIS_HEIGHT + note_height)
     return canvas
 
 

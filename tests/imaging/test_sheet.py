@@ -89,6 +89,17 @@ def test_sheets_hold_head_pictures_and_key() -> None:
     assert len(np.unique(right.reshape(-1, 3), axis=0)) > 60  # the colour bar
 
 
+def test_the_key_of_a_picture_stands_below_it() -> None:
+    key = (("ground", (1, 2, 3)), ("car", (4, 5, 6)))
+    sheet = np.asarray(draw_sheet("", [panel(plain(300, 700)), panel(plain(300, 700), key=key)], columns=2))
+    for _, colour in key:
+        rows, columns = np.nonzero((sheet == colour).all(axis=2))
+        assert columns.min() > sheet.shape[1] // 2
+        assert rows.min() > 300
+    alone = draw_panel(panel(plain(300, 700), key=key), with_title=False)
+    assert not (np.asarray(alone) == key[0][1]).all(axis=2).any()  # pages with text write it themselves
+
+
 def test_many_high_pictures_stand_beside_each_other() -> None:
     high = [panel(plain(800, 700)) for _ in range(6)]
     assert choose_columns(high, 6000) == 3
