@@ -7,11 +7,12 @@ from pathlib import Path
 
 import click
 
-from prc_cli.cli.report import console, line_progress, print_classes, print_evaluation
+from prc_cli.cli.report import compiling_note, console, line_progress, print_classes, print_evaluation
 from prc_cli.config import load_config
 from prc_cli.demo import STATIC, run_demo
 from prc_cli.evaluation.reports import as_dict
 from prc_cli.evaluation.scores import scores
+from prc_cli.pipeline import load_classifier
 from prc_cli.simulation.street import StreetParams
 
 
@@ -38,12 +39,16 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
     \b
     Example: prc demo --output /tmp/prc-demo
     """
+    street, scan = load_config(preset="urban"), load_config(preset="street-scan")
+    with compiling_note(quiet=quiet):
+        load_classifier(street)
+        load_classifier(scan)
     with line_progress("simulated street", quiet=quiet) as progress:
         result = run_demo(
             output,
-            load_config(preset="urban"),
+            street,
             StreetParams(seed=seed, n_lines=lines),
-            static_config=load_config(preset="street-scan"),
+            static_config=scan,
             static_params=STATIC.model_copy(update={"seed": seed}),
             overwrite=overwrite,
             progress=progress,
@@ -53,9 +58,10 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
         click.echo(json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2))
     if quiet:
         return
-    for part in parts.values():
+    for method, part in parts.items():
         print_classes(part.summary)
         if not json_wanted:
+            click.echo(f"\n{method}: labels against those of the simulator")
             print_evaluation(part.matrix, scores(part.matrix))
     for path in result.files:
         console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
