@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import Any, BinaryIO, Protocol, Self
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -38,8 +38,8 @@ class Columns:
     """(n,) arrays of the optional columns, by name."""
 
 
-class LabelWriter(Protocol):
-    """What :func:`prc_cli.writers.open_writer` gives; use it as a context manager."""
+class Writer(Protocol):
+    """What every writer is for those that use it: a context manager whose output exists whole or not at all."""
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -53,15 +53,6 @@ class LabelWriter(Protocol):
     ) -> None:
         """Remove every temporary file; without :meth:`finish` nothing is left."""
 
-    def add(self, block: LabelledBlock) -> None:
-        """Take the labels of a block.
-
-        Raises
-        ------
-        OutputError
-            When they cannot be written (disk full) or cannot be held by the output.
-        """
-
     def finish(self, record: RunRecord) -> RunRecord:
         """Write the output and ``<output>.prc.json``, give both their names; return the record as written.
 
@@ -74,28 +65,28 @@ class LabelWriter(Protocol):
         """
 
 
-class StagedWriter(ABC):
-    """A :class:`LabelWriter` that fills temporary files and renames them at the end.
+class LabelWriter(Writer, Protocol):
+    """What :func:`prc_cli.writers.open_writer` gives."""
 
-    Parameters
-    ----------
-    columns : sequence of OptionalColumn
-        What is asked for and the output can hold. The first block tells what the method of the run finds; the rest is
-        left out with a notice.
-    """
+    def add(self, block: LabelledBlock) -> None:
+        """Take the labels of a block.
 
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, columns: Sequence[OptionalColumn]) -> None:
+        Raises
+        ------
+        OutputError
+            When they cannot be written (disk full) or cannot be held by the output.
+        """
+
+
+class StagedOutput(ABC):
+    """A :class:`Writer` that fills temporary files and renames them at the end."""
+
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self._codes = codes
-        self._options = options
-        self._optional = tuple(columns)
-        self._settled = False
-        self._names = class_names(codes, options)
-        self._lookup = codes.lookup()
-        self._counts = np.zeros(256, np.int64)
         self._notices: list[str] = []
-        self._temporary = temporary_name(path)
-        self._record_temporary = temporary_name(record_path(path))
+        self._files: list[tuple[Path, Path]] = []
+        self._temporary = self._output(path)
+        self._record_temporary = self._output(record_path(path))
         self._stack = contextlib.ExitStack()
 
     @property
@@ -106,8 +97,8 @@ class StagedWriter(ABC):
     def __enter__(self) -> Self:
         try:
             with output_errors(self.path):
-                for path in (self._temporary, self._record_temporary):
-                    self._stack.callback(_remove, path)
+                for temporary, _ in self._files:
+                    self._stack.callback(remove_quietly, temporary)
                 self._start()
         except BaseException:
             self._stack.close()
@@ -118,6 +109,60 @@ class StagedWriter(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
         self._stack.close()
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Open temporary files; what must be closed or removed goes on ``self._stack``."""
+
+    def _output(self, path: Path) -> Path:
+        """Name a file that the writer makes; return its temporary name."""
+        self._files.append((temporary_name(path), path))
+        return self._files[-1][0]
+
+    def _notice(self, text: str) -> None:
+        if text not in self._notices:
+            self._notices.append(text)
+
+    def _commit(self) -> None:
+        """Give the files their names; take back those that this run made if a later one fails.
+
+        The output goes first, being the one that others may hold open.
+        """
+        for temporary, _ in self._files[1:]:
+            with temporary.open("rb+") as handle:
+                os.fsync(handle.fileno())
+        made: list[Path] = []
+        try:
+            for temporary, path in self._files:
+                existed = path.exists()
+                commit(temporary, path)
+                if not existed:
+                    made.append(path)
+        except BaseException:
+            for path in made:
+                remove_quietly(path)
+            raise
+
+
+class StagedWriter(StagedOutput):
+    """A :class:`LabelWriter` that is staged.
+
+    Parameters
+    ----------
+    columns : sequence of OptionalColumn
+        What is asked for and the output can hold. The first block tells what the method of the run finds; the rest is
+        left out with a notice.
+    """
+
+    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, columns: Sequence[OptionalColumn]) -> None:
+        super().__init__(path)
+        self._codes = codes
+        self._options = options
+        self._optional = tuple(columns)
+        self._settled = False
+        self._names = class_names(codes, options)
+        self._lookup = codes.lookup()
+        self._counts = np.zeros(256, np.int64)
 
     def add(self, block: LabelledBlock) -> None:
         """Take the labels of a block (see :class:`LabelWriter`)."""
@@ -135,10 +180,6 @@ class StagedWriter(ABC):
         return record
 
     @abstractmethod
-    def _start(self) -> None:
-        """Open temporary files; what must be closed or removed goes on ``self._stack``."""
-
-    @abstractmethod
     def _begin(self) -> None:
         """Prepare for the first block; ``self._optional`` is final now."""
 
@@ -149,15 +190,11 @@ class StagedWriter(ABC):
     def _write(self, record: RunRecord) -> RunRecord:
         """Fill and close ``self._temporary``; return the completed record."""
 
-    def _notice(self, text: str) -> None:
-        if text not in self._notices:
-            self._notices.append(text)
-
     def _spool(self, dtype: DTypeLike, fill: Any, n_records: int | None) -> Spool:
         path = temporary_name(self.path)
-        self._stack.callback(_remove, path)
+        self._stack.callback(remove_quietly, path)
         spool = Spool(path, dtype, fill, n_records=n_records)
-        self._stack.callback(_close, spool)  # runs before the removal: Windows keeps open files
+        self._stack.callback(close_quietly, spool)  # runs before the removal: Windows keeps open files
         return spool
 
     def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
@@ -206,19 +243,6 @@ class StagedWriter(ABC):
             for code in np.flatnonzero(self._counts)
         )
         return record.with_written(classes, self.notices)
-
-    def _commit(self) -> None:
-        """Give output and record their names; the output goes first, being the one that others may hold open."""
-        existed = self.path.exists()
-        with self._record_temporary.open("rb+") as handle:
-            os.fsync(handle.fileno())
-        commit(self._temporary, self.path)
-        try:
-            commit(self._record_temporary, record_path(self.path))
-        except BaseException:
-            if not existed:
-                _remove(self.path)
-            raise
 
 
 class ScatterWriter(StagedWriter):
@@ -295,11 +319,13 @@ class ScatterWriter(StagedWriter):
             yield Columns(codes, dict(zip(names, values, strict=True)))
 
 
-def _remove(path: Path) -> None:
+def remove_quietly(path: Path) -> None:
+    """Remove a file of ours on the way out, if it is there."""
     with contextlib.suppress(OSError):
         path.unlink(missing_ok=True)
 
 
-def _close(spool: Spool) -> None:
+def close_quietly(handle: Spool | BinaryIO) -> None:
+    """Close after a failure, when a full disk may refuse the last buffer."""
     with contextlib.suppress(OSError):
-        spool.close()
+        handle.close()

@@ -5,19 +5,17 @@ A stream writer takes blocks as they come and puts the file and its run record i
 
 from __future__ import annotations
 
-import contextlib
-import os
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import BinaryIO, Protocol, Self
+from typing import BinaryIO, Protocol
 
 from prc_cli.core.errors import ConfigError, OutputError
-from prc_cli.core.files import check_output, commit, output_errors, temporary_name
+from prc_cli.core.files import check_output, output_errors, temporary_name
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I32
+from prc_cli.writers.base import StagedOutput, Writer, close_quietly, remove_quietly
 from prc_cli.writers.record import RunRecord, record_path
 
 NO_CODE = -1
@@ -78,24 +76,12 @@ class StreamShape:
         )
 
 
-class StreamWriter(Protocol):
-    """What :func:`open_stream_writer` gives; use it as a context manager."""
-
-    @property
-    def notices(self) -> tuple[str, ...]:
-        """What the writer had to decide, in plain words; complete after :meth:`finish`."""
+class StreamWriter(Writer, Protocol):
+    """What :func:`open_stream_writer` gives."""
 
     @property
     def losses(self) -> tuple[str, ...]:
         """What the output could not hold of the blocks so far, known to the writer alone."""
-
-    def __enter__(self) -> Self:
-        """Create the temporary files beside the output."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
-        """Remove every temporary file; without :meth:`finish` nothing is left."""
 
     def add_item(self, item: StreamItem) -> None:
         """Take a block.
@@ -106,51 +92,22 @@ class StreamWriter(Protocol):
             When it cannot be written (disk full), or is of a kind that the output cannot hold.
         """
 
-    def finish(self, record: RunRecord) -> RunRecord:
-        """Write what is left, give the outputs their names; return the record as written."""
 
-
-class StagedStreamWriter(ABC):
-    """A :class:`StreamWriter` that fills temporary files and renames them at the end."""
+class StagedStreamWriter(StagedOutput):
+    """A :class:`StreamWriter` that is staged."""
 
     one_scanner = ""
     """What the output is called where it can hold a single scanner only; empty = it can hold several."""
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
-        self.path = path
+        super().__init__(path)
         self.shape = shape
         self._scanner: int | None = None
-        self._notices: list[str] = []
-        self._files: list[tuple[Path, Path]] = []
-        self._temporary = self._output(path)
-        self._record_temporary = self._output(record_path(path))
-        self._stack = contextlib.ExitStack()
-
-    @property
-    def notices(self) -> tuple[str, ...]:
-        """What the writer had to decide, in plain words."""
-        return tuple(self._notices)
 
     @property
     def losses(self) -> tuple[str, ...]:
         """What the output could not hold of the blocks so far."""
         return ()
-
-    def __enter__(self) -> Self:
-        try:
-            with output_errors(self.path):
-                for temporary, _ in self._files:
-                    self._stack.callback(_remove, temporary)
-                self._start()
-        except BaseException:
-            self._stack.close()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None:
-        self._stack.close()
 
     def add_item(self, item: StreamItem) -> None:
         """Take a block (see :class:`StreamWriter`)."""
@@ -175,49 +132,19 @@ class StagedStreamWriter(ABC):
         return record
 
     @abstractmethod
-    def _start(self) -> None:
-        """Open temporary files; what must be closed or removed goes on ``self._stack``."""
-
-    @abstractmethod
     def _add(self, item: StreamItem) -> None: ...
 
     @abstractmethod
     def _write(self) -> None:
         """Write what is left and close every temporary file."""
 
-    def _output(self, path: Path) -> Path:
-        """Name a file that the writer makes; return its temporary name."""
-        self._files.append((temporary_name(path), path))
-        return self._files[-1][0]
-
     def _scratch(self) -> BinaryIO:
         """Open a temporary file that is gone at the end."""
         path = temporary_name(self.path)
-        self._stack.callback(_remove, path)
+        self._stack.callback(remove_quietly, path)
         handle = path.open("w+b")
-        self._stack.callback(_close, handle)
+        self._stack.callback(close_quietly, handle)
         return handle
-
-    def _notice(self, text: str) -> None:
-        if text not in self._notices:
-            self._notices.append(text)
-
-    def _commit(self) -> None:
-        """Give the files their names, the output first; take back those that this run made if a later one fails."""
-        for temporary, _ in self._files[1:]:
-            with temporary.open("rb+") as handle:
-                os.fsync(handle.fileno())
-        made: list[Path] = []
-        try:
-            for temporary, path in self._files:
-                existed = path.exists()
-                commit(temporary, path)
-                if not existed:
-                    made.append(path)
-        except BaseException:
-            for path in made:
-                _remove(path)
-            raise
 
 
 STREAM_SUFFIXES = {
@@ -313,13 +240,3 @@ def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False
         ".bin": RawStream,
     }
     return makers[suffix](path, shape)
-
-
-def _remove(path: Path) -> None:
-    with contextlib.suppress(OSError):
-        path.unlink(missing_ok=True)
-
-
-def _close(handle: BinaryIO) -> None:
-    with contextlib.suppress(OSError):
-        handle.close()
