@@ -9,37 +9,20 @@ The stream is a tiled simulated street; the table is what the documentation quot
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.peak import peak_mib
+
 POINTS_PER_LINE = 2154
 
-CHILD = """
-import resource, sys
-from prc_cli.cli import main
-try:
-    main(sys.argv[1:])
-except SystemExit as stop:
-    code = stop.code or 0
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-print(peak / 1024 if sys.platform != "darwin" else peak / 1024**2)
-sys.exit(code)
-"""
 
-
-def classify(source: Path, output: Path) -> tuple[float, float]:
-    """Peak resident size [MiB] and time [s] of one run."""
-    arguments = [str(source), str(output), "--preset", "urban", "-M", str(POINTS_PER_LINE), "--quiet", "--overwrite"]
-    start = time.perf_counter()
-    result = subprocess.run(
-        [sys.executable, "-c", CHILD, "classify", *arguments], capture_output=True, text=True, check=True
-    )
-    return float(result.stdout), time.perf_counter() - start
+def classify(source: Path, output: Path) -> float:
+    """Peak resident size of one run [MiB]."""
+    options = ["--preset", "urban", "-M", str(POINTS_PER_LINE), "--quiet", "--overwrite"]
+    return peak_mib(["classify", str(source), str(output), *options])
 
 
 def write_raw(path: Path, n_lines: int) -> None:
@@ -70,7 +53,7 @@ def main() -> None:
             jobs["laz → laz"] = (folder / "built.laz", "again.laz")
             jobs["laz → npy"] = (folder / "built.laz", "again.npy")
             for job, (source, output) in jobs.items():
-                peaks.setdefault(job, []).append(classify(source, folder / output)[0])
+                peaks.setdefault(job, []).append(classify(source, folder / output))
         for job, (small, large) in peaks.items():
             print(f"| {job} | {small:.0f} MiB | {large:.0f} MiB | {large / small:.2f} |")
 

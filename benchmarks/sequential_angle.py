@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -21,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.peak import peak_mib
 from prc_cli.classifiers.sequential_angle.angles import (
     AnglesParams,
     angle_differences,
@@ -107,23 +106,6 @@ ORGANISED: dict[str, dict[str, Any]] = {
 
 HEADERLESS = "car_cloud401.csv"
 """This file has no header and blanks between its numbers."""
-
-CHILD = """
-import resource, sys
-from prc_cli.cli import main
-try:
-    main(sys.argv[1:])
-except SystemExit as stop:
-    code = stop.code or 0
-try:
-    # getrusage would count the process that started this one
-    with open("/proc/self/status") as status:
-        peak = next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
-except OSError:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
-print(peak)
-sys.exit(code)
-"""
 
 
 def street_scan(
@@ -319,10 +301,9 @@ def memory(folder: Path) -> None:
             for _ in range(times):
                 xyz.tofile(handle)
         arguments = ["classify", str(raw), str(folder / "big.npy"), "--config", str(config), "--quiet", "--overwrite"]
-        command = [sys.executable, "-c", CHILD, *arguments]
-        result = subprocess.run(command, capture_output=True, text=True, check=True)
+        peak = peak_mib(arguments)
         shots = times * xyz.shape[0] * xyz.shape[1]
-        print(f"| raw x, y, z | {times * len(xyz):,} | {shots:,} | {float(result.stdout):.0f} MiB |")
+        print(f"| raw x, y, z | {times * len(xyz):,} | {shots:,} | {peak:.0f} MiB |")
     print()
 
 
