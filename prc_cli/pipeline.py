@@ -22,7 +22,7 @@ from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
-from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.kernels import load_kernels
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
@@ -47,8 +47,6 @@ SHOTS_AT_ONCE = 1 << 18
 """Shots that the sequential-angle classifier takes at a time; its labels do not depend on it."""
 OFF_M = 0.1
 """Coordinates relative to the scanner are as far from it as their range says, but for rounding [m]."""
-FAR_M = 20_000.0
-"""Ranges from here on [m] are a sign of a wrong origin, trajectory or coordinate system."""
 
 
 @dataclass(frozen=True, slots=True)

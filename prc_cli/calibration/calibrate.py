@@ -30,7 +30,7 @@ from prc_cli.classifiers.prc.surfaces import area_threshold
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import output_errors
-from prc_cli.core.stream import ReadTally, ScanStream
+from prc_cli.core.stream import FAR_M, ReadTally, ScanStream
 from prc_cli.core.types import I64
 from prc_cli.evaluation.confusion import refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
@@ -43,8 +43,6 @@ SHOTS_AT_ONCE = 1 << 18
 """Shots measured at a time; results do not depend on it, but for the few pairs of lines across two of them."""
 LEAST_LINES = 3
 """Scan lines that a support decision needs: the shot's own and both neighbours."""
-FAR_M = 20_000.0
-"""Range that no laser scanner on the ground reaches [m]."""
 GROUPS = 40
 """Groups of lines that a stream is cut into for training and held-out lines, if they are not too large."""
 

@@ -46,6 +46,18 @@ class Surface(IntEnum):
     """A return on a line without a single angle: fewer than two returns, or all of them at one place."""
 
 
+LABEL_OF_SURFACE: tuple[Label, ...] = tuple(
+    {
+        Surface.MISSING: Label.MISSING,
+        Surface.VEGETATION: Label.VEGETATION,
+        Surface.HORIZONTAL: Label.HORIZONTAL,
+        Surface.VERTICAL: Label.VERTICAL,
+        Surface.UNDECIDED: Label.UNCLASSIFIED,
+    }[surface]
+    for surface in Surface
+)
+"""Label of every coarse class, where no later stage says otherwise."""
+
 LABEL_NAMES: tuple[str, ...] = tuple(label.name.lower() for label in Label)
 """Lower-case name of every label, by index."""
 

@@ -37,6 +37,20 @@ def open_to_read(path: Path) -> Iterator[IO[bytes]]:
         yield handle
 
 
+def suffix_of(path: Path) -> str:
+    """Return the suffix that decides the format, lower case, with the compression behind it.
+
+    >>> suffix_of(Path("drive.CSV.gz"))
+    '.csv.gz'
+    >>> suffix_of(Path("drive.1.csv.gz"))
+    '.csv.gz'
+    >>> suffix_of(Path("labels.npy.prc.json"))
+    '.json'
+    """
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    return "".join(suffixes[-2:] if suffixes[-1:] in ([".gz"], [".zst"]) else suffixes[-1:])
+
+
 def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) -> None:
     """Refuse an output before any work is done.
 

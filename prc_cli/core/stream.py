@@ -14,6 +14,9 @@ import numpy as np
 
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 
+FAR_M = 20_000.0
+"""No laser scanner on the ground measures so far [m]: a sign of a wrong origin, unit or coordinate system."""
+
 
 @dataclass(frozen=True, slots=True)
 class Assumption:

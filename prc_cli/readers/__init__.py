@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import ScanStream
 from prc_cli.readers.options import RANGES_ONLY, InputConfig, Layout
 from prc_cli.readers.records import RecordSource
@@ -78,18 +79,6 @@ ARRAY_SUFFIXES = (".npy", ".npz")
 """Range images, which are blocks of the stream already."""
 
 LAS_SUFFIXES = (".las", ".laz")
-
-
-def suffix_of(path: Path) -> str:
-    """Return the suffix that decides the reader, lower case, with the compression behind it.
-
-    >>> suffix_of(Path("drive.CSV.gz"))
-    '.csv.gz'
-    """
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    if suffixes[-1:] in ([".gz"], [".zst"]):
-        return "".join(suffixes[-2:])
-    return suffixes[-1] if suffixes else ""
 
 
 def check_input(path: Path) -> str:

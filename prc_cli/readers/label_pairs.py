@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
-from prc_cli.readers.labels import suffix_of
+from prc_cli.readers.labels import code_suffix_of
 
 _SHOWN = 4
 
@@ -78,7 +78,7 @@ def stem_of(path: Path) -> str:
     >>> stem_of(Path("drive_1.csv.gz"))
     'drive_1'
     """
-    return path.name[: len(path.name) - len(suffix_of(path))]
+    return path.name[: len(path.name) - len(code_suffix_of(path))]
 
 
 def _by_name(folder: Path) -> dict[str, Path]:
@@ -100,7 +100,7 @@ def _label_files(folder: Path) -> Iterator[Path]:
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(folder), problem, "check the name and its permissions") from error
-    return (path for path in paths if path.is_file() and suffix_of(path) and not path.name.startswith("."))
+    return (path for path in paths if path.is_file() and code_suffix_of(path) and not path.name.startswith("."))
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import open_to_read
+from prc_cli.core.files import open_to_read, suffix_of
 from prc_cli.core.types import F64, I64
 from prc_cli.readers.npy_rows import ArrayFile
 
@@ -130,7 +130,7 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     InputError
         When the file cannot be read, or its suffix is none of these.
     """
-    suffix = _suffix(path)
+    suffix = suffix_of(path)
     opener = OPENERS.get(suffix)
     if opener is None:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
@@ -140,21 +140,16 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
     return opener(path, dimension)
 
 
-def suffix_of(path: Path) -> str:
+def code_suffix_of(path: Path) -> str:
     """Return the suffix by which a file is known to hold class codes, compression included; empty if it is not.
 
-    >>> suffix_of(Path("drive.1.csv.gz"))
+    >>> code_suffix_of(Path("drive.1.csv.gz"))
     '.csv.gz'
-    >>> suffix_of(Path("labels.npy.prc.json"))
+    >>> code_suffix_of(Path("labels.npy.prc.json"))
     ''
     """
-    suffix = _suffix(path)
+    suffix = suffix_of(path)
     return suffix if suffix in OPENERS else ""
-
-
-def _suffix(path: Path) -> str:
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    return "".join(suffixes[-2:]) if suffixes[-1:] in ([".gz"], [".zst"]) else "".join(suffixes[-1:])
 
 
 def _choose(path: Path, names: list[str], dimension: str | None) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 
+from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F64, I64, Mask
 
 MIN_RISE_RAD = math.radians(10.0)
@@ -36,8 +37,6 @@ MAX_DRIFT_RAD = math.radians(15.0)
 """Change of the lean of the scan planes; where there is more the scanner nods, and its lines are not vertical lines."""
 MIN_LEVEL_RAD = math.radians(10.0)
 """Lines that rise by less, and by less than they sweep sideways, are level arcs."""
-FAR_M = 20_000.0
-"""No laser scanner on the ground measures so far [m]: coordinates with such lengths are a map's."""
 MAX_HEIGHT_OFF_M = 0.25
 """Median deviation of registered heights from the fit; where there is more, height and angle do not belong together."""
 MIN_SHOTS = 32

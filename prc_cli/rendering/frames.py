@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, initial_state, trace_block
 from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import LABEL_OF_SURFACE, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
 from prc_cli.core.types import F64
@@ -23,10 +23,6 @@ from prc_cli.rendering.options import PRC_STEPS
 
 Plane: TypeAlias = NDArray[Any]
 
-LABEL_OF_SURFACE = np.array(
-    [Label.MISSING, Label.VEGETATION, Label.HORIZONTAL, Label.VERTICAL, Label.UNCLASSIFIED], dtype=np.uint8
-)
-"""Label that shows a :class:`prc_cli.core.classes.Surface` in pictures."""
 TURN_LINES = 64
 """Lines in which a rotation is looked for."""
 LEAST_TURN_RAD = 1e-4
@@ -164,7 +160,7 @@ def _of_block(block: ScanBlock, steps: tuple[str, ...]) -> dict[str, Plane]:
 def _of_stages(block: ScanBlock, stages: StageLabels, steps: tuple[str, ...]) -> dict[str, Plane]:
     seen = ~np.isnan(block.range_m)
     images: dict[str, Callable[[], Plane]] = {
-        "coarse": lambda: LABEL_OF_SURFACE[stages.surface],
+        "coarse": lambda: np.array(LABEL_OF_SURFACE, np.uint8)[stages.surface],
         "dense": lambda: np.where(
             stages.dense_vegetation, Label.VEGETATION, np.where(seen, Label.UNCLASSIFIED, Label.MISSING)
         ).astype(np.uint8),

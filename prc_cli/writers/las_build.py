@@ -6,7 +6,6 @@ Coordinates are those of the input's sensor frame, or scan-plane coordinates ``x
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.writers.base import StagedWriter
+from prc_cli.writers.base import StagedWriter, close_quietly
 from prc_cli.writers.columns import asked_columns
 from prc_cli.writers.las_codec import (
     LASZIP_KEY,
@@ -87,7 +86,7 @@ class LasBuilder(StagedWriter):
 
     def _start(self) -> None:
         self._handle = self._temporary.open("w+b")
-        self._stack.callback(_close_quietly, self._handle)
+        self._stack.callback(close_quietly, self._handle)
 
     def _begin(self) -> None:
         self._dtype = np.dtype([*_FIELDS, *((column.name, column.dtype) for column in self._optional)])
@@ -275,9 +274,3 @@ def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[An
     if values.size and int(values.max()) >= limit:
         raise OutputError(str(path), f"{what} {int(values.max())} does not fit, LAS holds 0 to {limit - 1} here")
     return values
-
-
-def _close_quietly(handle: Any) -> None:
-    """Close after a failure, when a full disk may refuse the last buffer."""
-    with contextlib.suppress(OSError):
-        handle.close()

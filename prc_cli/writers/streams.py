@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from prc_cli.core.errors import ConfigError, OutputError
-from prc_cli.core.files import check_output, output_errors, temporary_name
+from prc_cli.core.files import check_output, output_errors, suffix_of, temporary_name
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F64, I32
 from prc_cli.writers.base import StagedOutput, Writer, close_quietly, remove_quietly
@@ -179,8 +179,7 @@ def stream_suffix(path: Path) -> str:
     prc_cli.core.errors.ConfigError: drive.xyz: found suffix '.xyz', expected one of .las .laz .csv .csv.gz .csv.zst \
 .parquet .npz .npy .bin; choose an output name that ends in one of them
     """
-    suffixes = [suffix.lower() for suffix in path.suffixes]
-    suffix = "".join(suffixes[-2:]) if suffixes[-1:] in ([".gz"], [".zst"]) else "".join(suffixes[-1:])
+    suffix = suffix_of(path)
     if suffix not in STREAM_SUFFIXES:
         problem = f"found suffix {suffix!r}, expected one of {' '.join(STREAM_SUFFIXES)}"
         raise ConfigError(str(path), problem, "choose an output name that ends in one of them")

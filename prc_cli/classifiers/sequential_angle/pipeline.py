@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -34,7 +34,7 @@ from prc_cli.classifiers.sequential_angle.ground import (
 )
 from prc_cli.classifiers.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
-from prc_cli.core.classes import Label, Surface
+from prc_cli.core.classes import LABEL_OF_SURFACE, Label, Surface
 from prc_cli.core.config import Params
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import StageLabels
@@ -267,19 +267,11 @@ def combine(rows: Undecided, curb: Mask) -> U8:
     (R, n) uint8
         :class:`prc_cli.core.classes.Label`.
     """
-    labels = _LABEL_OF_SURFACE[rows.surface]
+    labels = np.array(LABEL_OF_SURFACE, np.uint8)[rows.surface]
     labels[rows.ground] = Label.GROUND
     labels[rows.car & ~behind_curbs(rows.horizontal_m, curb)] = Label.CAR
     labels[curb] = Label.CURB
     return labels
-
-
-_LABEL_OF_SURFACE = np.zeros(len(Surface), np.uint8)
-_LABEL_OF_SURFACE[Surface.MISSING] = Label.MISSING
-_LABEL_OF_SURFACE[Surface.VEGETATION] = Label.VEGETATION
-_LABEL_OF_SURFACE[Surface.HORIZONTAL] = Label.HORIZONTAL
-_LABEL_OF_SURFACE[Surface.VERTICAL] = Label.VERTICAL
-_LABEL_OF_SURFACE[Surface.UNDECIDED] = Label.UNCLASSIFIED
 
 
 def _result(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> SequentialAngleResult:
@@ -295,9 +287,6 @@ def _result(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAn
         to_columns(rows.surface, sides, m), to_columns(rows.dense, sides, m), to_columns(height, sides, m)
     )
     return SequentialAngleResult(to_columns(labels, sides, m), stages, state)
-
-
-RowsT = TypeVar("RowsT")
 
 
 def _split(parts: tuple[Undecided, ...], n_rows: int) -> tuple[list[Undecided], tuple[Undecided, ...]]:
