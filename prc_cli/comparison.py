@@ -213,12 +213,6 @@ def evaluate(
     return evaluate_all([Path(predicted)], [Path(reference)], mapping, options=options).matrix
 
 
-def pair_chunks(left: Iterator[I64], right: Iterator[I64], names: tuple[str, str]) -> Iterator[tuple[I64, I64]]:
-    """Walk two code streams in equal steps; different lengths are refused with both counts."""
-    for one, other in pair_by_order(({CODE: c} for c in left), ({CODE: c} for c in right), names):
-        yield one[CODE], other[CODE]
-
-
 def pair_by_order(left: Iterator[Columns], right: Iterator[Columns], names: tuple[str, str]) -> Iterator[Pairs]:
     """Walk two streams of records in equal steps.
 

@@ -19,10 +19,13 @@ from prc_cli.core.config import merge, read_toml
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
-_STREAM_OPTIONS = [
+_CLASSIFIER_OPTIONS = [
     click.option("--method", type=click.Choice(["prc", "sequential-angle"]),
                  help="Classifier; default: what the preset or the configuration says, else prc."),
     click.option("--preset", type=click.Choice(list(PRESETS)), help="Parameters to start from."),
+]  # fmt: skip
+
+_INPUT_OPTIONS = [
     click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
                  help="Configuration."),
     click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE",
@@ -40,8 +43,6 @@ _STREAM_OPTIONS = [
     click.option("--trust-order", "trust_order", is_flag=True, help="Take the order of the records as it is."),
 ]  # fmt: skip
 
-_N_CLASSIFIER_OPTIONS = 2  # --method and --preset stand first
-
 _OUTPUT_OPTIONS = [
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json)."),
@@ -51,14 +52,14 @@ _OUTPUT_OPTIONS = [
 
 def stream_options(command: CommandT) -> CommandT:
     """Add the options that say how a stream is found and classified."""
-    for option in reversed(_STREAM_OPTIONS):
+    for option in reversed([*_CLASSIFIER_OPTIONS, *_INPUT_OPTIONS]):
         command = option(command)
     return command
 
 
 def input_options(command: CommandT) -> CommandT:
     """Add the options that say how a stream is found, for commands that classify nothing."""
-    for option in reversed(_STREAM_OPTIONS[_N_CLASSIFIER_OPTIONS:]):
+    for option in reversed(_INPUT_OPTIONS):
         command = option(command)
     return command
 
@@ -98,7 +99,7 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
         table = merge(table, {"input": inputs})
     method, preset = options.get("method"), options.get("preset")
     if method is not None:
-        of_preset = PRESETS[preset].get("method", "prc") if preset is not None else method
+        of_preset = load_config(preset=preset).config.method if preset is not None else method
         if of_preset != method:
             message = f"--preset {preset} is for --method {of_preset}, not {method}"
             raise click.UsageError(message)
