@@ -31,10 +31,11 @@ from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
 from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
 from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, start_heights
 from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lines
+from prc_cli.classifiers.sequential_angle.markov import HmmParams
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.comparison import evaluate
-from prc_cli.config import PRESETS, LoadedConfig, load_config
-from prc_cli.core.classes import ClassCodes
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.classes import ClassCodes, Label, Surface
 from prc_cli.core.errors import PrcError
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
@@ -151,8 +152,6 @@ def simulated(folder: Path) -> None:
     each: dict[str, ConfusionMatrix] = {}
     fine: ConfusionMatrix | None = None
     for title, setting in SETTINGS.items():
-        if setting.preset not in PRESETS:
-            continue
         first = not sums
         for seed in range(FIRST_SEED, FIRST_SEED + (SEEDS if first else MORE_SEEDS)):
             scan = simulate_static_scan(StaticScanParams.model_validate({"seed": seed} | COARSE | setting.options))
@@ -179,6 +178,98 @@ def simulated(folder: Path) -> None:
     print(as_markdown(next(iter(sums.values()))))
     if fine is not None:
         print("### The same with every class by itself\n\n" + as_markdown(fine))
+
+
+PRINTED: dict[str, dict[str, Any]] = {
+    "the preset": {},
+    "angles.chord_depth_sigmas = 0": {"angles": {"chord_depth_sigmas": 0}},
+    "ground.height_points = 0": {"ground": {"height_points": 0}},
+    'ground.renew = "accepted"': {"ground": {"renew": "accepted"}},
+    "ground.resume = false": {"ground": {"resume": False}},
+    "ground.bridge = 0": {"ground": {"bridge": 0}},
+    "ground.resume = false, ground.bridge = 0": {"ground": {"resume": False, "bridge": 0}},
+    "ground.jump_m = 1000": {"ground": {"jump_m": 1000}},
+    "curb.under_sigmas = 0": {"curb": {"under_sigmas": 0}},
+    "car.dividers.under_sigmas = 0": {"car": {"dividers": {"under_sigmas": 0}}},
+    "car.dividers.vertical_break_m = 10000": {"car": {"dividers": {"vertical_break_m": 10_000}}},
+    "car.fourier.window = 0": {"car": {"fourier": {"window": 0}}},
+    "car.fourier.enabled = false": {"car": {"fourier": {"enabled": False}}},
+    "car.ground_layer_m = 0": {"car": {"ground_layer_m": 0}},
+}
+"""One reading after the other put back to the printed text, or taken out."""
+
+VEGETATION = {
+    "street 1": {"seed": 1},
+    "street 2": {"seed": 2},
+    "street 3, beams every 0.23°": {"seed": 3, "elevation_step_deg": 0.23},
+    "street 4, every shot a leaf of its own": {"seed": 4, "leaf_m": 0.0},
+    "street 5, 10 mm of noise, told so": {"seed": 5, "noise_m": 0.01},
+}
+"""Scans that the tests for vegetation are looked at on."""
+
+
+def readings(folder: Path) -> None:
+    """What every reading of ours is worth, one at a time."""
+    names = ("ground", "curb", "car", "vegetation", "vertical")
+    found: dict[str, ConfusionMatrix] = {}
+    for seed in range(FIRST_SEED, FIRST_SEED + MORE_SEEDS):
+        source, reference = write_scan(folder, simulate_static_scan(StaticScanParams(seed=seed, **COARSE)))
+        for title, options in PRINTED.items():
+            labels = folder / "labels.npy"
+            config = load_config(preset="street-scan", options={"sequential_angle": options})
+            classify(source, labels, config, overwrite=True)
+            matrix = evaluate(labels, reference, "sequential_angle")
+            found[title] = found[title] + matrix if title in found else matrix
+    print(f"## Readings, one at a time\n\n{MORE_SEEDS} of the streets above, every class by itself.\n")
+    print("```console\n$ prc classify scan.npz labels.npy --preset street-scan --set sequential_angle.ground.bridge=0")
+    print("$ prc evaluate labels.npy reference.npy --mapping sequential_angle\n```\n")
+    print_scores(found, names)
+    print()
+
+
+def vegetation(folder: Path) -> None:
+    """The two tests for vegetation before anything else has a say, and variants of theirs."""
+    stay = tuple(tuple(0.9 if i == j else 0.05 for j in range(3)) for i in range(3))
+    uniform = (1 / 3, 1 / 3, 1 / 3)
+    slow = HmmParams(h0=stay, sigmas_deg=(20, 20, 20), initial_h0=uniform)
+    print(
+        "## The tests for vegetation\n\nLines 0.92° apart. F1 of T over all returns but those of cars and mixed ones;"
+    )
+    print("T' by the share of foliage, of cars and of all else that it takes.\n")
+    print("| scan | T | T, kept with .9, σ 20° | T, printed chords | T' foliage | T' cars | T' else | script's end |")
+    print("|---|" + "---:|" * 7)
+    for title, options in VEGETATION.items():
+        scan = simulate_static_scan(StaticScanParams.model_validate({"azimuth_step_deg": 0.92} | options))
+        items = list(scan.labelled_blocks())
+        ranges = np.concatenate([item.block.range_m for item in items])
+        xyz = np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None])
+        label = np.concatenate([item.labels for item in items])
+        lines = vertical_lines(ranges, xyz, scan.beam_rad, split_sides(scan.beam_rad), 300.0)
+        angles = AnglesParams(range_noise_m=scan.params.noise_m)
+        literal = angles.model_copy(update={"min_chord_sigmas": 0.0, "chord_depth_sigmas": 0.0})
+        signed = signed_angles(lines, angles).signed_deg
+        foliage = label == Label.VEGETATION
+        judged = ~np.isin(label, (Label.MISSING, Label.NOISE, Label.CAR))
+
+        def f1(
+            signed_deg: Any, params: HmmParams, judged: Any = judged, foliage: Any = foliage, lines: Any = lines
+        ) -> str:
+            said = coarse(signed_deg, lines, CoarseParams(vegetation=params)) == Surface.VEGETATION
+            agreed = np.count_nonzero(said & foliage & judged)
+            either = np.count_nonzero(said & judged) + np.count_nonzero(foliage & judged)
+            return f"{2 * agreed / either:.3f}"
+
+        def dense(params: DenseVegetationParams, signed: Any = signed, lines: Any = lines) -> Any:
+            flags = dense_vegetation(angle_differences(signed), params)
+            return car_surface(signed, flags, lines, CoarseParams().surfaces) == Surface.VEGETATION
+
+        usual = dense(DenseVegetationParams())
+        script = dense(DenseVegetationParams(end="sprt", backdate=False, initial_h0=uniform))
+        shares = [usual[foliage], usual[label == Label.CAR], usual[judged & ~foliage], script[foliage]]
+        printed = signed_angles(lines, literal).signed_deg
+        cells = [f1(signed, HmmParams()), f1(signed, slow), f1(printed, HmmParams())]
+        print(f"| {title} | {' | '.join([*cells, *(f'{np.mean(share):.3f}' for share in shares)])} |")
+    print()
 
 
 def kitti(folder: Path) -> None:
@@ -351,6 +442,8 @@ def stage_times(scan: StaticScan) -> dict[str, float]:
 
 PARTS: dict[str, Callable[[Path], None]] = {
     "simulated": simulated,
+    "readings": readings,
+    "vegetation": vegetation,
     "kitti": kitti,
     "oakland": oakland,
     "organised": organised,

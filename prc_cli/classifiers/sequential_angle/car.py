@@ -67,9 +67,8 @@ def cars(
     Notes
     -----
     Intervals hold road or sidewalk where less than a long flat stretch of it shows behind a car, and its first
-    point where one does. Taking horizontal points next to the ground out raises the precision from .956 to .967
-    in simulated street scans from a tripod, from .858 to .932 from 2.6 m up, where more shows over the cars; recall
-    stays (.905 to .904).
+    point where one does. Horizontal points next to the ground are taken out for that; what it is worth is a row of
+    the table of readings that ``python -m benchmarks.sequential_angle readings`` prints.
     """
     trigger = suspicious(car_surface, lines.n_beams, params.suspicious)
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, params.dividers, range_noise_m=range_noise_m)

@@ -63,8 +63,9 @@ def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
     In dense vegetation two of three signs are negative, so that the mean is not zero and F_0 grows with N, the other
     frequencies with its square root only: by its whole spectrum foliage is told in .92 of intervals of 32 angles, .65
     of 128, .20 of 256, and in none of 512. In windows of 64 angles all but .16 of 256 and .03 of 512 are told. Some
-    cars are lost either way: along a vertical side the mean is hardly above the noise. In simulated streets windows
-    find more of the cars (recall .905 against .881) at the same precision (.956); without the test it is .897.
+    cars are lost either way: along a vertical side the mean is hardly above the noise. What windows are worth in
+    simulated streets, and the test itself, are rows of the table that
+    ``python -m benchmarks.sequential_angle readings`` prints.
 
     The cost of a spectrum grows with the square of its angles, which ``max_points`` bounds.
     Frequencies that differ by less than 1e-9 of their size are taken as equal: no transform is more exact.
