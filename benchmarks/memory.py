@@ -1,4 +1,4 @@
-"""Peak resident size of ``prc classify`` at two input sizes, each run in a process of its own.
+"""Peak resident size of ``prc classify`` and ``prc calibrate`` at two input sizes, each run in a process of its own.
 
     python -m benchmarks.memory                           # 1.3 and 13 million shots
     python -m benchmarks.memory --lines 3000 30000
@@ -54,6 +54,8 @@ def main() -> None:
             jobs["laz → npy"] = (folder / "built.laz", "again.npy")
             for job, (source, output) in jobs.items():
                 peaks.setdefault(job, []).append(classify(source, folder / output))
+            config = ["-o", str(folder / "calibrated.toml"), "--overwrite", "-q", "-M", str(POINTS_PER_LINE)]
+            peaks.setdefault("raw → calibrate", []).append(peak_mib(["calibrate", str(raw), *config]))
         for job, (small, large) in peaks.items():
             print(f"| {job} | {small:.0f} MiB | {large:.0f} MiB | {large / small:.2f} |")
 
