@@ -1,0 +1,353 @@
+"""Work in threads whose results come out in order, and queues between threads that hold little.
+
+Compiled loops, decompression and file access release the interpreter's lock, so threads are enough. Nothing here
+changes a result: what comes out, and in which order, does not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Generic, TypeVar
+
+_A = TypeVar("_A")
+_B = TypeVar("_B")
+
+TICK_S = 0.2
+"""Longest wait without a look at signals [s]; where the system interrupts waits (POSIX) they are seen at once."""
+PATIENCE_S = 5.0
+"""How long a reader that is not needed any more may take to notice [s]."""
+_CGROUP = Path("/sys/fs/cgroup")
+
+
+def default_threads() -> int:
+    """Return the number of cores this process may use, at least 1: its affinity, and the quota of its container."""
+    try:
+        cores = len(os.sched_getaffinity(0))
+    except AttributeError:  # not on this system
+        cores = os.cpu_count() or 1
+    quota = _quota(_CGROUP)
+    return max(1, cores if quota is None else min(cores, math.ceil(quota)))
+
+
+def _quota(folder: Path) -> float | None:
+    """Read the cores that a control group (version 2, then 1) allows, None where it sets no limit."""
+    try:
+        share, period = (folder / "cpu.max").read_text(encoding="ascii").split()
+    except (OSError, ValueError):
+        try:
+            share, period = ((folder / "cpu" / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period"))
+        except OSError:
+            return None
+    try:
+        quota = float(share) / float(period)
+    except (ValueError, ZeroDivisionError):  # "max": no limit
+        return None
+    return quota if quota > 0 else None
+
+
+def ordered(
+    function: Callable[[_A], _B], items: Iterable[_A], *, threads: int, ahead: int | None = None
+) -> Iterator[_B]:
+    """Apply a function to items in worker threads; the results come in the order of the items.
+
+    Parameters
+    ----------
+    function : callable
+        Called once for every item. Items begin in order: when one begins, all before it have begun or ended.
+    items : iterable
+        Run in the caller's thread, and closed at the end if it can be.
+    threads : int
+        Worker threads; with 1 or fewer there are none, and an item is taken when its result is asked for.
+    ahead : int, optional
+        Items that may be taken and not yet given back as results; default twice the threads.
+
+    Yields
+    ------
+    result
+        Of every item. What ``function`` or ``items`` raise is raised at its place in the order; afterwards nothing
+        more begins. Closing the generator cancels what has not begun and waits for what has.
+
+    Examples
+    --------
+    >>> list(ordered(lambda n: n * n, range(5), threads=2))
+    [0, 1, 4, 9, 16]
+    """
+    source = iter(items)
+    try:
+        if threads <= 1:
+            for item in source:
+                yield function(item)
+        else:
+            yield from _in_threads(function, source, threads, max(1, 2 * threads if ahead is None else ahead))
+    finally:
+        _close(source)
+
+
+def _in_threads(function: Callable[[_A], _B], items: Iterator[_A], threads: int, ahead: int) -> Iterator[_B]:
+    pending: deque[Future[_B]] = deque()
+    error: Exception | None = None
+    more = True
+    pool = ThreadPoolExecutor(threads)
+    try:
+        while True:
+            while more and len(pending) < ahead:
+                try:
+                    item = next(items)
+                except StopIteration:
+                    more = False
+                except Exception as raised:  # the results before it come first
+                    more, error = False, raised
+                else:
+                    pending.append(pool.submit(function, item))
+                    del item
+            if not pending:
+                break
+            yield _wait(pending.popleft())
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    if error is not None:
+        raise error
+
+
+def _wait(future: Future[_B]) -> _B:
+    """Wait for a result such that signals are handled meanwhile on every system."""
+    while not future.done():
+        try:
+            return future.result(TICK_S)
+        except TimeoutError:
+            continue  # the wait has ended, or what it waited for: the next line tells them apart
+    return future.result()
+
+
+class Relay(Generic[_A]):
+    """A value that jobs in several threads hand on in a fixed order, such as the state between blocks.
+
+    Jobs have turns 0, 1, 2 ... and must begin in that order (:func:`ordered` sees to it), so that the job that
+    everybody waits for is always running.
+
+    Parameters
+    ----------
+    value : object
+        Before the first turn.
+    """
+
+    def __init__(self, value: _A) -> None:
+        self._value = value
+        self._turn = 0
+        self._broken = False
+        self._changed = threading.Condition()
+
+    def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> _B:
+        """Wait for a turn, let the function make a result and the value for the next turn of the one now.
+
+        Raises
+        ------
+        RelayBrokenError
+            When a job before this one failed.
+        """
+        with self._changed:
+            while self._turn != turn and not self._broken:
+                self._changed.wait(TICK_S)
+            if self._broken:
+                raise RelayBrokenError
+            value = self._value
+        try:
+            result, value = function(value)
+        except BaseException:
+            self.give_up()
+            raise
+        with self._changed:
+            self._value, self._turn = value, turn + 1
+            self._changed.notify_all()
+        return result
+
+    def give_up(self) -> None:
+        """Tell all who wait, and who will, that their turn does not come; for a job that fails elsewhere."""
+        with self._changed:
+            self._broken = True
+            self._changed.notify_all()
+
+
+class RelayBrokenError(Exception):
+    """A job before this one failed; it is that job's error which the caller of :func:`ordered` sees."""
+
+
+class _Channel(Generic[_A]):
+    """A short queue between two threads, either of which may end it."""
+
+    def __init__(self, depth: int) -> None:
+        self._items: deque[_A] = deque()
+        self._depth = max(1, depth)
+        self._changed = threading.Condition()
+        self._ended = False
+        self._left = False
+        self._error: BaseException | None = None
+
+    def put(self, item: _A) -> bool:
+        """Append an item when there is room; False, at once, when the receiver has left."""
+        with self._changed:
+            while len(self._items) >= self._depth and not self._left:
+                self._changed.wait(TICK_S)
+            if self._left:
+                return False
+            self._items.append(item)
+            self._changed.notify_all()
+            return True
+
+    def end(self, error: BaseException | None = None) -> None:
+        """Say that no more items come, because of an error or as it should be."""
+        with self._changed:
+            self._ended, self._error = True, error
+            self._changed.notify_all()
+
+    def leave(self) -> None:
+        """Say that no more items are wanted; those that wait are dropped."""
+        with self._changed:
+            self._left = True
+            self._items.clear()
+            self._changed.notify_all()
+
+    def __iter__(self) -> Iterator[_A]:
+        while True:
+            with self._changed:
+                while not (self._items or self._ended or self._left):
+                    self._changed.wait(TICK_S)
+                if not self._items:
+                    break
+                item = self._items.popleft()
+                self._changed.notify_all()
+            yield item
+            del item
+        if self._error is not None and not self._left:
+            raise self._error
+
+
+def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIENCE_S) -> Iterator[_A]:
+    """Run an iterator in a thread of its own, a few items ahead of who takes them.
+
+    Parameters
+    ----------
+    items : iterable
+        Run, and closed at the end if it can be, in the other thread.
+    depth : int
+        Items that may be ready; one more is being made.
+    patience_s : float, seconds
+        How long closing waits for an item that is being made; after that the thread ends by itself, later.
+
+    Yields
+    ------
+    item
+        In order; an error comes at its place. The thread begins when the first item is asked for.
+
+    Examples
+    --------
+    >>> list(read_ahead(iter("abc")))
+    ['a', 'b', 'c']
+    """
+    channel: _Channel[_A] = _Channel(depth)
+
+    def run() -> None:
+        source = iter(items)
+        error: BaseException | None = None
+        try:
+            for item in source:
+                if not channel.put(item):
+                    break
+                del item
+            _close(source)
+        except BaseException as raised:  # whatever it is, it belongs to who takes the items
+            error = raised
+        channel.end(error)
+
+    # a daemon: a read from a pipe that never comes back must not keep the program from ending
+    thread = threading.Thread(target=run, name="read-ahead", daemon=True)
+    thread.start()
+    try:
+        yield from channel
+    finally:
+        channel.leave()
+        thread.join(patience_s)
+
+
+class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
+    """Hand items to a sink that runs in a thread of its own.
+
+    Parameters
+    ----------
+    sink : callable
+        Called with every item, in order, in the other thread.
+    depth : int
+        Items that may wait; :meth:`put` blocks while there are so many.
+
+    Examples
+    --------
+    >>> written: list[int] = []
+    >>> with write_behind(written.append) as queue:
+    ...     for n in range(3):
+    ...         queue.put(n)
+    >>> written
+    [0, 1, 2]
+    """
+
+    def __init__(self, sink: Callable[[_A], object], *, depth: int = 2) -> None:
+        self._channel: _Channel[_A] = _Channel(depth)
+        self._sink = sink
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="write-behind", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            for item in self._channel:
+                self._sink(item)
+                del item
+        except BaseException as raised:  # raised again where the items come from
+            self._error = raised
+            self._channel.leave()
+
+    def put(self, item: _A) -> None:
+        """Pass an item on; raises what the sink raised for an earlier one."""
+        if not self._channel.put(item):
+            self.close()
+            msg = "put() after abort()"
+            raise RuntimeError(msg)
+
+    def close(self) -> None:
+        """Wait until all items are written; raises what the sink raised."""
+        self._channel.end()
+        self._join()
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+    def abort(self) -> None:
+        """Drop the items that wait, and wait for the one that is being written; its error is not raised."""
+        self._channel.leave()
+        self._join()
+
+    def _join(self) -> None:
+        while self._thread.is_alive():
+            self._thread.join(TICK_S)
+
+    def __enter__(self) -> write_behind[_A]:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+
+def _close(items: Iterator[object]) -> None:
+    """Close a generator now, not when its last reference happens to go."""
+    close = getattr(items, "close", None)
+    if close is not None:
+        close()
