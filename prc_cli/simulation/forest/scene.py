@@ -1,0 +1,102 @@
+"""The forest as a scene: bodies around a place, stems, and the way through it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from prc_cli.core.types import F64
+from prc_cli.simulation.forest.chance import CELL_M, first_number
+from prc_cli.simulation.forest.params import ForestSceneParams
+from prc_cli.simulation.forest.parts import footprints, take, triangles
+from prc_cli.simulation.forest.path import Rows
+from prc_cli.simulation.forest.stems import Stand, Stems
+from prc_cli.simulation.forest.terrain import Terrain
+from prc_cli.simulation.forest.trees import stem_bodies
+from prc_cli.simulation.world import Bodies, Material
+
+_OVERHANG_M = 6.0
+"""No body reaches farther out of its cell than this [m]."""
+_CELLS_KEPT = 400
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cell:
+    stems: Stems
+    bodies: Bodies
+    centre: F64
+    """(n, 2) float64, of the circle on the map around every body [m]."""
+    reach: F64
+    """(n,) float64, its radius [m]."""
+
+
+class ForestScene:
+    """An endless forest with a walker's rows through it; see :class:`prc_cli.simulation.world.Scene`.
+
+    It is made in square cells, each from its own random numbers, when they come into sight; those seen last are kept.
+
+    Parameters
+    ----------
+    params : ForestSceneParams
+        What kind of forest.
+    seed : int
+        The same seed gives the same forest.
+    """
+
+    def __init__(self, params: ForestSceneParams, seed: int) -> None:
+        self.params = params
+        self.terrain = Terrain(seed, params.slope_deg, params.incline_deg, params.ground_step_m)
+        self.rows = Rows(params, seed)
+        self._seed = seed
+        self._stand = Stand(params, seed, self.terrain, self.rows)
+        self._candidates = lru_cache(_CELLS_KEPT)(self._stand.candidates)
+        self._cell = lru_cache(_CELLS_KEPT)(self._make_cell)
+
+    def bodies_near(self, x_m: float, y_m: float, radius_m: float) -> Bodies:
+        """Return the bodies whose circle on the map touches the one that is asked for."""
+        parts = []
+        for cell in self._cells_near(x_m, y_m, radius_m + _OVERHANG_M):
+            far = np.hypot(cell.centre[:, 0] - x_m, cell.centre[:, 1] - y_m)
+            parts.append(take(cell.bodies, far <= radius_m + cell.reach))
+        return Bodies.join(parts)
+
+    def stems_near(self, x_m: float, y_m: float, radius_m: float) -> Stems:
+        """Return the trees whose foot stands within a circle."""
+        stems = Stems.join([cell.stems for cell in self._cells_near(x_m, y_m, radius_m)])
+        return stems.take(np.hypot(stems.base[:, 0] - x_m, stems.base[:, 1] - y_m) <= radius_m)
+
+    def path_point(self, s_m: F64) -> tuple[F64, F64]:
+        """Return the ground under the walker and where he heads.
+
+        Parameters
+        ----------
+        s_m : (n,) float64
+            Distance walked on the map [m].
+
+        Returns
+        -------
+        (n, 3) float64, (n,) float64
+            Points [m]; heading [rad], counter-clockwise from +x. Both change without jumps.
+        """
+        xy, heading = self.rows.point(np.asarray(s_m, dtype=np.float64))
+        return np.column_stack([xy, self.terrain.level(xy[:, 0], xy[:, 1])]), heading
+
+    def _cells_near(self, x_m: float, y_m: float, radius_m: float) -> Iterator[_Cell]:
+        """Yield the cells that a circle touches, in the order of their indices."""
+        for i in range(math.floor((x_m - radius_m) / CELL_M), math.floor((x_m + radius_m) / CELL_M) + 1):
+            for j in range(math.floor((y_m - radius_m) / CELL_M), math.floor((y_m + radius_m) / CELL_M) + 1):
+                beside_x = max(i * CELL_M - x_m, x_m - (i + 1) * CELL_M, 0.0)
+                beside_y = max(j * CELL_M - y_m, y_m - (j + 1) * CELL_M, 0.0)
+                if math.hypot(beside_x, beside_y) <= radius_m:
+                    yield self._cell(i, j)
+
+    def _make_cell(self, i: int, j: int) -> _Cell:
+        around = [self._candidates(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
+        stems = self._stand.stems(around[4], around)
+        bodies = Bodies.join([triangles(self.terrain.triangles(i, j), Material.SOIL), stem_bodies(stems)])
+        bodies = replace(bodies, number=first_number(self._seed, i, j) + np.arange(len(bodies)))
+        return _Cell(stems, bodies, *footprints(bodies))
