@@ -1,0 +1,252 @@
+"""Scanners as named presets: how they turn, what their beam is, what they say of a surface.
+
+Where the figures come from. Line rates, M, the dead angle and the slanted planes are those of the two papers (Lehtola
+et al. 2019, III; Stamos et al. 2012, sec. 9). Divergence, width of the beam, ambiguity interval, range noise and
+rated range follow the makers' data sheets: FARO Focus3D 120 (0.16 mrad, 153.49 m; unfiltered noise 0.6 mm at 10 m and
+0.95 mm at 25 m on white, 1.2 and 2.2 mm on dark) and Photon 80 (0.16 mrad, 3.3 mm, 76 m), Leica ScanStation2 (spot of
+4 mm, 50 000 shots a second, 300 m at 90 %), SICK LMS 2xx (361 readings of 0.5 degrees, 81.92 m at steps of 10 mm).
+The 1 MHz profiler is no make; its figures are those usual for pulsed mobile profilers. No sheet gives the noise of
+the Photon's raw stream at 48 Hz, nor the shares of lost shots, background light and reflections: these are chosen.
+
+The dead angle. The raw stream of a profiler holds a shot for every step within the field of view and none for the
+dead angle: the Focus3D makes 5040 steps a turn, and 5040 * 305 / 360 = 4270 is the paper's M. So the columns leave
+the dead angle out; they do not hold NaN for it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from prc_cli.core.config import Params
+from prc_cli.core.types import F64
+
+
+class Scanner(Params):
+    """A scanner and how it is mounted.
+
+    The angle of a column lies in the scan plane, 0 = down, positive to the left [rad]. A profiler's plane stands
+    across the drive and is turned by its mount; a static scanner (``principle`` aside, ``is_static``) shoots upright
+    lines from low to high while its head turns to the left.
+    """
+
+    is_static: bool = Field(False, description="on a tripod, upright lines; otherwise a profiler that is moved")
+    line_hz: float = Field(gt=0, le=1000, description="scan lines a second [Hz]")
+    points_per_line: int = Field(ge=2, le=100_000, description="M, shots in a scan line")
+    field_deg: float = Field(gt=0, le=360, description="angle that M shots cover; the rest of the turn is dead")
+    centre_deg: float = Field(0, ge=-180, le=180, description="middle of the line from down; positive = left [degrees]")
+    duty: float = Field(gt=0, le=1, description="share of the time from line to line in which the shots are made")
+    azimuth_step_deg: float = Field(0.115, gt=0, le=90, description="static: head's turn from line to line [degrees]")
+    first_azimuth_deg: float = Field(0, ge=-360, le=360, description="static: of the first line, 0 = x [degrees]")
+
+    slant_deg: float = Field(0, ge=-90, le=90, description="mount: tilt of the plane; lower part points back [degrees]")
+    heading_deg: float = Field(0, ge=-180, le=180, description="mount: turn of the plane to the left [degrees]")
+    roll_deg: float = Field(0, ge=-180, le=180, description="mount: turn within the plane, left side up [degrees]")
+    height_m: float = Field(gt=0, le=20, description="mount: scanner above the ground [m]")
+
+    principle: Literal["cw", "pulsed"] = Field(description="phase of a continuous wave, or time of flight of a pulse")
+    divergence_mrad: float = Field(ge=0, le=50, description="full angle of the beam [mrad]")
+    exit_mm: float = Field(gt=0, le=100, description="width of the beam as it leaves [mm]")
+    ambiguity_m: float = Field(0, ge=0, le=10_000, description="ranges are known up to multiples of it [m]; 0 = wholly")
+    pulse_m: float = Field(0.0, ge=0, le=10, description="pulsed: echoes closer than this are one return [m]")
+    max_returns: int = Field(1, ge=1, le=4, description="returns of a shot at most")
+    min_range_m: float = Field(ge=0.01, le=10, description="smallest range the scanner gives [m]")
+    max_range_m: float = Field(gt=1, le=2000, description="largest range the scanner gives [m]")
+    half_range_m: float = Field(
+        gt=1, le=5000, description="where half of the shots on a white wall, met squarely, are answered [m]"
+    )
+    resolution_m: float = Field(gt=0, le=1, description="ranges are multiples of this [m]")
+
+    noise_m: float = Field(ge=0, le=1, description="range noise close by, standard deviation [m]")
+    noise_per_m: float = Field(ge=0, le=0.1, description="its growth with range on white, met squarely [m/m]")
+    noise_spread: float = Field(
+        0.05, ge=0, le=1, description="noise as share of the depth that the beam's width spans on a slanted surface"
+    )
+    lost_share: float = Field(0.002, ge=0, le=1, description="shots lost for no reason of the surface")
+    edge_m: float = Field(0.05, gt=0, le=10, description="smaller steps are no edge that a beam could be split by [m]")
+    background_share: float = Field(0, ge=0, le=1, description="cw: shots on surfaces with a range from anywhere")
+    sky_share: float = Field(0, ge=0, le=1, description="cw: shots into the sky with a range from anywhere")
+    bright_sky_share: float = Field(0, ge=0, le=1, description="the same where the sky is bright")
+    cluster_share: float = Field(0, ge=0, le=1, description="cw: shots on surfaces that stray around them")
+    cluster_m: float = Field(0.3, gt=0, le=10, description="standard deviation of these [m]")
+    pane_share: float = Field(0.3, ge=0, le=1, description="shots on glass that the pane itself answers")
+    ghost_share: float = Field(0.1, ge=0, le=1, description="shots on glass that it mirrors: range beyond the pane")
+
+    @model_validator(mode="after")
+    def _check(self) -> Scanner:
+        if self.min_range_m >= self.max_range_m:
+            problem = "min_range_m below max_range_m"
+            raise ValueError(problem)
+        if self.pane_share + self.ghost_share > 1.0:
+            problem = "pane_share and ghost_share of together at most 1"
+            raise ValueError(problem)
+        if self.is_static and abs(self.centre_deg - 90.0) + self.field_deg / 2.0 > 90.0:
+            problem = "elevations of a static scanner within -90 and 90 degrees"
+            raise ValueError(problem)
+        return self
+
+    @property
+    def step_rad(self) -> float:
+        """Angle from column to column [rad]."""
+        return float(np.deg2rad(self.field_deg)) / self.points_per_line
+
+    @property
+    def shot_s(self) -> float:
+        """Time from shot to shot within a line [s]."""
+        return self.duty / self.line_hz / self.points_per_line
+
+    def angle_rad(self) -> F64:
+        """Return the angle of every column in the scan plane, (M,) float64, rising, 0 = down [rad]."""
+        column = np.arange(self.points_per_line, dtype=np.float64) + 0.5
+        angle: F64 = np.deg2rad(self.centre_deg - self.field_deg / 2.0) + column * self.step_rad
+        return angle
+
+    def directions(self) -> F64:
+        """Return where every column points on an even platform.
+
+        Returns
+        -------
+        (M, 3) float64
+            Unit vectors, x forward, y left, z up; of a static scanner those of a line at azimuth 0.
+        """
+        angle = self.angle_rad()
+        zero = np.zeros_like(angle)
+        if self.is_static:
+            return np.stack([np.sin(angle), zero, -np.cos(angle)], axis=1)
+        within = angle + np.deg2rad(self.roll_deg)
+        slant, heading = np.deg2rad(self.slant_deg), np.deg2rad(self.heading_deg)
+        down, left = np.cos(within), np.sin(within)
+        forward = -np.sin(slant) * down
+        return np.stack(
+            [
+                np.cos(heading) * forward - np.sin(heading) * left,
+                np.sin(heading) * forward + np.cos(heading) * left,
+                -np.cos(slant) * down,
+            ],
+            axis=1,
+        )
+
+    def line_time_s(self, first_line: int, n_lines: int) -> F64:
+        """Return when the first shot of every line is made, (n_lines,) float64 [s]."""
+        return np.arange(first_line, first_line + n_lines, dtype=np.float64) / self.line_hz
+
+    def changed(self, **values: Any) -> Scanner:
+        """Return the scanner with other values for some keys.
+
+        Raises
+        ------
+        pydantic.ValidationError
+            When a key is unknown or a value is out of its bounds.
+        """
+        return Scanner(**{**self.model_dump(), **values})
+
+
+_FARO_NOISE: dict[str, Any] = {
+    "principle": "cw",
+    "ambiguity_m": 153.49,
+    "noise_m": 0.0003,
+    "noise_per_m": 0.00003,
+    "min_range_m": 0.6,
+    "resolution_m": 0.0001,
+    "background_share": 0.008,
+    "sky_share": 0.04,
+    "bright_sky_share": 0.4,
+    "cluster_share": 0.01,
+}
+
+SCANNERS: dict[str, Scanner] = {
+    # dead angle of 40 degrees up: the paper's road is one patch in the image, so the line does not begin in it
+    "photon-80": Scanner(
+        line_hz=48.0,
+        points_per_line=2154,
+        field_deg=320.0,
+        duty=320.0 / 360.0,
+        slant_deg=25.0,
+        height_m=2.6,
+        divergence_mrad=0.16,
+        exit_mm=3.3,
+        max_range_m=76.0,
+        half_range_m=120.0,
+        **{**_FARO_NOISE, "noise_m": 0.001, "noise_per_m": 0.00006},
+    ),
+    # dead angle down and the sky amid the line (Lehtola et al. 2019, IV-C); on a backpack
+    "focus3d-120": Scanner(
+        line_hz=97.0,
+        points_per_line=4270,
+        field_deg=305.0,
+        centre_deg=180.0,
+        duty=305.0 / 360.0,
+        slant_deg=20.0,
+        height_m=2.0,
+        divergence_mrad=0.16,
+        exit_mm=3.8,
+        max_range_m=120.0,
+        half_range_m=180.0,
+        **_FARO_NOISE,
+    ),
+    # one side of the street, from down to up. The mirror turns 75 times a second, but half-degree steps take two
+    # turns, whose shots interlace: 37.5 lines a second
+    "sick-push-broom": Scanner(
+        line_hz=37.5,
+        points_per_line=361,
+        field_deg=180.5,
+        centre_deg=90.0,
+        duty=0.75,
+        height_m=2.0,
+        principle="pulsed",
+        divergence_mrad=4.4,
+        exit_mm=13.0,
+        pulse_m=0.5,
+        min_range_m=0.3,
+        max_range_m=81.91,
+        half_range_m=75.0,
+        resolution_m=0.01,
+        noise_m=0.01,
+        noise_per_m=0.0003,
+        noise_spread=0.03,
+        lost_share=0.005,
+    ),
+    "profiler-1mhz": Scanner(
+        line_hz=200.0,
+        points_per_line=5000,
+        field_deg=360.0,
+        duty=1.0,
+        slant_deg=25.0,
+        height_m=2.4,
+        principle="pulsed",
+        divergence_mrad=0.35,
+        exit_mm=4.5,
+        pulse_m=0.45,
+        max_returns=4,
+        min_range_m=1.0,
+        max_range_m=200.0,
+        half_range_m=260.0,
+        resolution_m=0.001,
+        noise_m=0.003,
+        noise_per_m=0.00003,
+    ),
+    # as Stamos et al. (2012, sec. 9) use it: upright lines from low to high, 50 000 shots a second
+    "scanstation2": Scanner(
+        is_static=True,
+        line_hz=50_000.0 / 1088,
+        points_per_line=1088,
+        field_deg=125.12,
+        centre_deg=107.56,
+        duty=1.0,
+        azimuth_step_deg=0.115,
+        height_m=1.75,
+        principle="pulsed",
+        divergence_mrad=0.1,
+        exit_mm=4.0,
+        pulse_m=0.3,
+        min_range_m=0.3,
+        max_range_m=300.0,
+        half_range_m=420.0,
+        resolution_m=0.001,
+        noise_m=0.004,
+        noise_per_m=0.00002,
+    ),
+}
+"""Every preset by name, each with the mount of its paper."""
