@@ -21,8 +21,10 @@ from prc_cli.core.files import atomic_output, remove_stale, temporary_name
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.pipeline import Counts, Progress, run_record
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, open_source, suffix_of
+from prc_cli.readers.arrays import CLASS
 from prc_cli.readers.grid import GridStream
-from prc_cli.readers.labels import NAMES
+from prc_cli.readers.labels import NAMES, open_codes
+from prc_cli.readers.npy_rows import ArrayFile
 from prc_cli.readers.records import RecordSource
 from prc_cli.writers.las_copy import copy_las, read_las
 from prc_cli.writers.record import RunRecord, fingerprint, record_path
@@ -108,7 +110,7 @@ def convert(
     source : path
         Any readable input.
     output : path
-        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin``.
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57``.
     config : LoadedConfig or RunConfig, optional
         How the stream is found in the input; not needed between LAS and LAZ.
     overwrite : bool
@@ -248,6 +250,8 @@ def open_items(
         n_odd = 0
         if records is not None and (class_name is not None or axes):
             carried, n_odd = _carry(records, class_name, axes, output, stack)
+        elif records is None and codes and suffix_of(source) == ".npz":
+            carried = _carry_array(source, stream.info, output, stack)
         item = _item(first, carried)
         scanners = loaded.config.input.scanner != "none" or stream.info.format in ("PTX", "E57")
         returns = stream.rules.has_returns if isinstance(stream, GridStream) else stream.info.format == "E57"
@@ -286,6 +290,26 @@ def _carry(
     return values, n_odd
 
 
+def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> RecordValues | None:
+    """Put the class codes of a range image into a temporary file; None where it has none."""
+    if CLASS not in ArrayFile(source).headers:
+        return None
+    found = open_codes(source, CLASS)
+    if found.n != info.n_records:
+        problem = f"the array {CLASS!r} holds {found.n} codes, expected {info.n_records}, one a shot"
+        raise InputError(str(source), problem, "give it the shape of the ranges or another name")
+    path = temporary_name(output)
+    stack.callback(lambda: path.unlink(missing_ok=True))
+    kind = np.dtype([("code", "<i4")])
+    values = RecordValues(path, kind, (NO_CODE,))
+    stack.callback(values.close)
+    for codes in found.chunks():
+        rows = np.empty(len(codes), kind)
+        rows["code"] = np.where(np.abs(codes) < 2**31, codes, NO_CODE)
+        values.append(rows)
+    return values
+
+
 def _item(block: ScanBlock, carried: RecordValues | None) -> StreamItem:
     if carried is None:
         return StreamItem(block)
@@ -322,11 +346,11 @@ def _losses(suffix: str, opened: OpenedItems, facts: Facts) -> Iterator[str]:
         ):
             if present:
                 yield what
-    if suffix in (".npy", ".npz") and shape.registered:
+    if suffix in (".npy", ".npz", ".e57") and shape.registered:
         yield "registered coordinates (x, y, z)"
+    if suffix in (".npy", ".e57") and shape.codes:
+        yield "class codes"
     if suffix in (".npy", ".npz", ".bin"):
-        if shape.codes:
-            yield "class codes"
         if facts.n_extra:
             yield f"{facts.n_extra} further returns or collisions: a range image has one range a cell"
     elif facts.n_extra and shape.intensity:
@@ -388,6 +412,7 @@ def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, .
     if suffix == ".bin":
         told.append(f"read it with --config {output.name}.toml")
     directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*_LAS, *_TABLES)
+    directed = directed or suffix == ".e57"
     if shape.nadir_rad is not None and not directed and suffix != ".bin":
         angle = float(np.rad2deg(shape.nadir_rad))
         lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""

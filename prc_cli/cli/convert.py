@@ -26,9 +26,9 @@ def convert(
 ) -> None:
     """Write IN in another format, and say what OUT cannot hold.
 
-    OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy or .bin. Between .las and .laz only the
-    compression changes. Everything else is read as a stream, as prc classify would; ranges and times keep
-    every bit. What was lost is printed and kept in OUT.prc.json.
+    OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin or .e57. Between .las and .laz only
+    the compression changes. Everything else is read as a stream, as prc classify would; ranges and times
+    keep every bit. What was lost is printed and kept in OUT.prc.json.
 
     \b
     Examples:

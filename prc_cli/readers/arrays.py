@@ -25,6 +25,8 @@ MAX_POINTS_PER_LINE = 10_000_000
 """Longest line, as for ``input.points_per_line``."""
 
 RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
+CLASS = "class"
+"""Class codes: no part of the stream, but read by those who carry or compare them."""
 ZENITH = "zenith_deg"
 ANGLES = ("angle_deg", ZENITH)
 """Names of the scan angles [deg]; the first one present is taken."""
@@ -77,7 +79,7 @@ class ArrayStream:
         if self._is_padded:
             missing = self._n_lines * self._m - self._n_records
             assumed.append(Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots"))
-        used = (self._range, *self._names, self._angles)
+        used = (self._range, *self._names, self._angles, CLASS)
         if ignored := [name for name in self._file.headers if name not in used]:
             assumed.append(Assumption("input", f"not read: {', '.join(ignored[:20])}", "they are not needed"))
         self._info = StreamInfo(
@@ -248,7 +250,9 @@ def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
         return name, "input.range names it"
     if RANGE in file.headers:
         return RANGE, "the file has an array of this name"
-    images = [name for name, header in file.headers.items() if len(header.shape) == 2 and name not in (TIME, INTENSITY)]
+    images = [
+        name for name, header in file.headers.items() if len(header.shape) == 2 and name not in (TIME, INTENSITY, CLASS)
+    ]
     if len(images) == 1:
         return images[0], "it is the only array of two dimensions"
     if not images and len(file.headers[XYZ].shape if XYZ in file.headers else ()) == XYZ_DIMENSIONS:

@@ -9,9 +9,10 @@ import io
 import shutil
 import zipfile
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.types import F64
 from prc_cli.writers.streams import StagedStreamWriter, StreamItem, StreamShape
@@ -57,7 +58,10 @@ class NpyStream(_ArrayStream):
 
 
 class NpzStream(_ArrayStream):
-    """Writer of ``range_m``, ``angle_deg``, ``time_s``, ``xyz`` and ``intensity``, as far as the stream has them."""
+    """Writer of ``range_m``, ``angle_deg``, ``time_s``, ``xyz``, ``intensity`` and ``class``, as far as there are some.
+
+    ``class`` holds class codes, (lines, M) int32; -1 = none.
+    """
 
     def __init__(self, path: Path, shape: StreamShape, *, compress: bool = False) -> None:
         super().__init__(path, shape)
@@ -71,6 +75,7 @@ class NpzStream(_ArrayStream):
             "time_s": (self.shape.times, "<f8", ()),
             "xyz": (self.shape.xyz, "<f4", (3,)),
             "intensity": (self.shape.intensity, "<f4", ()),
+            "class": (self.shape.codes, "<i4", ()),
         }
         self._parts = {
             name: (self._scratch(), dtype, rest) for name, (present, dtype, rest) in wanted.items() if present
@@ -80,7 +85,13 @@ class NpzStream(_ArrayStream):
         block = item.block
         self._m = block.points_per_line
         self._n_lines += block.n_lines
-        values = {"range_m": block.range_m, "time_s": block.time_s, "xyz": block.xyz_m, "intensity": block.intensity}
+        values: dict[str, NDArray[Any] | None] = {
+            "range_m": block.range_m,
+            "time_s": block.time_s,
+            "xyz": block.xyz_m,
+            "intensity": block.intensity,
+            "class": item.codes,
+        }
         for name, (handle, dtype, _) in self._parts.items():
             array = values[name]
             assert array is not None

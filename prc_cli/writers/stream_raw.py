@@ -23,7 +23,7 @@ def config_path(path: Path) -> Path:
 
 
 class RawStream(StagedStreamWriter):
-    """Writer of little-endian records: range, and intensity, time, x, y, z and angle as far as the stream has them."""
+    """Writer of little-endian records: range; intensity, time, x, y, z, angle and class as far as there are some."""
 
     one_scanner = "a raw dump"
 
@@ -53,6 +53,7 @@ class RawStream(StagedStreamWriter):
             ("time", "<f8", shape.times),
             *((axis, xyz, shape.xyz or shape.registered) for axis in "xyz"),
             ("angle", "<f8", shape.angles and self._even is None),
+            ("class", "<i4", shape.codes),
         ]
         return np.dtype([(name, kind) for name, kind, present in wanted if present])
 
@@ -63,7 +64,7 @@ class RawStream(StagedStreamWriter):
         shots = np.empty(block.range_m.shape, self._dtype)
         shots["range"] = block.range_m
         names = self._dtype.names or ()
-        for name, image in (("intensity", block.intensity), ("time", block.time_s)):
+        for name, image in (("intensity", block.intensity), ("time", block.time_s), ("class", item.codes)):
             if name in names and image is not None:
                 shots[name] = image
         xyz = item.registered_m if item.registered_m is not None else block.xyz_m

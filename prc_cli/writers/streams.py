@@ -154,9 +154,10 @@ STREAM_SUFFIXES = {
     ".csv.gz": "table, compressed",
     ".csv.zst": "table, compressed",
     ".parquet": "table, for other programs: prc reads no stream from it",
-    ".npz": "range image with angles, times, coordinates and intensities",
+    ".npz": "range image with angles, times, coordinates, intensities and classes",
     ".npy": "range image alone",
     ".bin": "raw dump, with a configuration beside it that reads it",
+    ".e57": "organised scans, relative to the scanner",
 }
 """Outputs that hold a stream, by suffix."""
 
@@ -177,7 +178,7 @@ def stream_suffix(path: Path) -> str:
     Traceback (most recent call last):
     ...
     prc_cli.core.errors.ConfigError: drive.xyz: found suffix '.xyz', expected one of .las .laz .csv .csv.gz .csv.zst \
-.parquet .npz .npy .bin; choose an output name that ends in one of them
+.parquet .npz .npy .bin .e57; choose an output name that ends in one of them
     """
     suffix = suffix_of(path)
     if suffix not in STREAM_SUFFIXES:
@@ -221,6 +222,7 @@ def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False
         Deflate the arrays of an ``.npz`` (as ``numpy.savez_compressed``).
     """
     from prc_cli.writers.stream_arrays import NpyStream, NpzStream
+    from prc_cli.writers.stream_e57 import E57Stream
     from prc_cli.writers.stream_las import LasStream
     from prc_cli.writers.stream_raw import RawStream
     from prc_cli.writers.stream_tables import CsvStream, ParquetStream
@@ -237,5 +239,6 @@ def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False
         ".parquet": ParquetStream,
         ".npy": NpyStream,
         ".bin": RawStream,
+        ".e57": E57Stream,
     }
     return makers[suffix](path, shape)
