@@ -10,13 +10,14 @@ from functools import lru_cache
 import numpy as np
 
 from prc_cli.core.types import F64
-from prc_cli.simulation.forest.chance import CELL_M, first_number
+from prc_cli.simulation.forest.chance import CELL_M, Purpose, first_number, generator
+from prc_cli.simulation.forest.floor import Floor
 from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.forest.parts import footprints, take, triangles
 from prc_cli.simulation.forest.path import Rows
 from prc_cli.simulation.forest.stems import Stand, Stems
 from prc_cli.simulation.forest.terrain import Terrain
-from prc_cli.simulation.forest.trees import stem_bodies
+from prc_cli.simulation.forest.trees import tree_bodies
 from prc_cli.simulation.world import Bodies, Material
 
 _OVERHANG_M = 6.0
@@ -53,6 +54,7 @@ class ForestScene:
         self.rows = Rows(params, seed)
         self._seed = seed
         self._stand = Stand(params, seed, self.terrain, self.rows)
+        self._floor = Floor(params, self.terrain, self.rows)
         self._candidates = lru_cache(_CELLS_KEPT)(self._stand.candidates)
         self._cell = lru_cache(_CELLS_KEPT)(self._make_cell)
 
@@ -97,6 +99,15 @@ class ForestScene:
     def _make_cell(self, i: int, j: int) -> _Cell:
         around = [self._candidates(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
         stems = self._stand.stems(around[4], around)
-        bodies = Bodies.join([triangles(self.terrain.triangles(i, j), Material.SOIL), stem_bodies(stems)])
-        bodies = replace(bodies, number=first_number(self._seed, i, j) + np.arange(len(bodies)))
+        to_path = self.rows.distance(stems.base[:, 0], stems.base[:, 1])
+        bodies = Bodies.join(
+            [
+                triangles(self.terrain.triangles(i, j), Material.SOIL),
+                tree_bodies(stems, to_path, self.params.leaf_density, generator(self._seed, Purpose.TREES, i, j)),
+                self._floor.growth(i, j, generator(self._seed, Purpose.FLOOR, i, j)),
+                self._floor.dead_wood(i, j, generator(self._seed, Purpose.DEAD_WOOD, i, j)),
+            ]
+        )
+        numbers = first_number(self._seed, i, j) + np.arange(len(bodies), dtype=np.float64)
+        bodies = replace(bodies, number=numbers)
         return _Cell(stems, bodies, *footprints(bodies))

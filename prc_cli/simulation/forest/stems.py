@@ -184,4 +184,5 @@ class Stand:
 def _two_normals(chance: F64) -> F64:
     """Turn pairs of uniform numbers into vectors whose length has the mean square 1 (Box and Muller 1958)."""
     length, angle = np.sqrt(-np.log1p(-chance[:, 0])), 2 * np.pi * chance[:, 1]
-    return length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    vectors: F64 = length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return vectors
