@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from prc_cli.kernels.lines import arrange_lines as arrange_lines
     from prc_cli.kernels.lines import arrange_plane as arrange_plane
     from prc_cli.kernels.markov import hmm_cusum as hmm_cusum
+    from prc_cli.kernels.shots import aim_shots as aim_shots
     from prc_cli.kernels.support import background_mask as background_mask
     from prc_cli.kernels.support import support_mask as support_mask
     from prc_cli.kernels.surfaces import dilate as dilate
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from prc_cli.kernels.verticals import first_high_verticals as first_high_verticals
 
 KERNELS: dict[str, str] = {
+    "aim_shots": "prc_cli.kernels.shots",
     "angle_differences": "prc_cli.kernels.angles",
     "arrange_lines": "prc_cli.kernels.lines",
     "arrange_plane": "prc_cli.kernels.lines",

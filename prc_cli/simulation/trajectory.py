@@ -1,0 +1,345 @@
+"""Where a scanner is and how it is turned at any time, the shots that follow from it, and both as files.
+
+Everything is a closed formula of time: sums of sines with seeded frequencies and phases, and a table of stops that is
+made by hashing. So any time can be asked for in any order and nothing grows with the length of a drive.
+
+Frames: world x, y horizontal, z up; platform x forward, y left, z up. A platform is turned by yaw about z, then pitch
+about its y (positive = nose down), then roll about its x (positive = left side up).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from prc_cli import kernels
+from prc_cli.core.config import Params
+from prc_cli.core.types import F64, I64
+from prc_cli.simulation.scanners import Scanner
+
+PathPoint = Callable[[F64], tuple[F64, F64]]
+"""A scene's way: distances (n,) float64 [m] to the ground below the platform, (n, 3) float64 [m], and heading, (n,)
+float64 [rad, 0 = x, positive to the left]; continuous both."""
+
+_KNOT_S = 0.005
+"""Poses are worked out at least this often [s]; in between, shots are interpolated."""
+_WAVE_M = 40.0
+"""Cruising speed wavers over this distance, divided by two pi [m]."""
+_SINES = 6
+"""Sines that a wobble is made of."""
+
+
+class MotionParams(Params):
+    """How the platform moves along its path and wobbles while it does."""
+
+    speed_m_s: float = Field(8.33, gt=0, le=60, description="cruising speed [m/s]; 8.33 = 30 km/h")
+    speed_variation: float = Field(0.1, ge=0, le=0.5, description="share by which the cruising speed wavers")
+    stop_every_m: float = Field(400.0, ge=0, le=10**6, description="mean way from stop to stop [m]; 0 = none")
+    stop_s: float = Field(5.0, ge=0, le=600, description="mean time of a stop [s]")
+    brake_m_s2: float = Field(1.5, gt=0, le=10, description="hardest braking, and acceleration [m/s²]")
+    roll_deg: float = Field(0.5, ge=0, le=20, description="roll by bumps, standard deviation at full speed [degrees]")
+    pitch_deg: float = Field(0.35, ge=0, le=20, description="pitch by bumps, standard deviation [degrees]")
+    yaw_deg: float = Field(0.15, ge=0, le=20, description="yaw beside the path's, standard deviation [degrees]")
+    bounce_m: float = Field(0.008, ge=0, le=1, description="up and down on the springs, standard deviation [m]")
+    wobble_hz: float = Field(2.0, gt=0, le=20, description="fastest of these wobbles [Hz]")
+    lean_deg: float = Field(0.4, ge=0, le=10, description="pitch and roll by acceleration [degrees for 1 m/s²]")
+    gait_hz: float = Field(1.8, gt=0, le=5, description="steps of a walking person [Hz]")
+    bob_m: float = Field(0.0, ge=0, le=0.5, description="walking: lowest to highest of a step [m]")
+    sway_m: float = Field(0.0, ge=0, le=0.5, description="walking: left to right of two steps [m]")
+    gait_deg: float = Field(0.0, ge=0, le=20, description="walking: swing of roll and yaw to either side [degrees]")
+
+    @model_validator(mode="after")
+    def _check_stops(self) -> MotionParams:
+        # a stop lies at 0.3 to 0.7 of its stretch, with room to brake before and to speed up after it
+        if 0.0 < 0.3 * self.stop_every_m < self.braking_m:
+            problem = f"stop_every_m of at least {self.braking_m / 0.3:.0f} at this speed and braking, or 0"
+            raise ValueError(problem)
+        return self
+
+    @property
+    def braking_s(self) -> float:
+        """Time to come to a stop, as half a cosine [s]."""
+        return float(np.pi) * self.speed_m_s / (2.0 * self.brake_m_s2)
+
+    @property
+    def braking_m(self) -> float:
+        """Way to come to a stop [m]."""
+        return self.speed_m_s * self.braking_s / 2.0
+
+
+MOTIONS: dict[str, MotionParams] = {
+    "car": MotionParams(),
+    "backpack": MotionParams(
+        speed_m_s=1.1,
+        speed_variation=0.2,
+        stop_every_m=0.0,
+        roll_deg=1.0,
+        pitch_deg=1.0,
+        yaw_deg=3.0,
+        bounce_m=0.005,
+        wobble_hz=0.6,
+        lean_deg=0.0,
+        bob_m=0.04,
+        sway_m=0.05,
+        gait_deg=2.0,
+    ),
+}
+"""How the platforms of Lehtola et al. (2019, III) move: a car in town, a person with a backpack in forest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Where a scanner is and how its platform is turned, at n times."""
+
+    position: F64
+    """(n, 3) float64, centre of the scanner in the world [m]."""
+    roll: F64
+    """(n,) float64 [rad], positive = left side up."""
+    pitch: F64
+    """(n,) float64 [rad], positive = nose down."""
+    yaw: F64
+    """(n,) float64 [rad], 0 = x, positive to the left."""
+
+    def turn(self) -> F64:
+        """Return the matrices that bring platform vectors to the world, (n, 3, 3) float64."""
+        return _turn(self.roll, self.pitch, self.yaw)
+
+
+class Platform(Protocol):
+    """Anything that carries a scanner."""
+
+    def pose(self, time_s: F64) -> Pose:
+        """Return the pose at times of at least 0, (n,) float64 [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A tripod: the same pose at all times, upright."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    """Of the scanner itself, not of the ground [m]."""
+    yaw: float = 0.0
+    """[rad]"""
+
+    def pose(self, time_s: F64) -> Pose:
+        """Return the one pose for every time, (n,) float64 [s]."""
+        zero = np.zeros(len(time_s))
+        position = np.tile([self.x_m, self.y_m, self.z_m], (len(time_s), 1))
+        return Pose(position, zero, zero, zero + self.yaw)
+
+
+class Trajectory:
+    """A drive or walk along a scene's path.
+
+    Parameters
+    ----------
+    path_point : callable
+        Ground and heading at distances, :data:`PathPoint`.
+    motion : MotionParams
+    height_m : float
+        Scanner above the ground, along the platform's own z [m].
+    seed : int
+        From 0 to below 2^63.
+    """
+
+    def __init__(self, path_point: PathPoint, motion: MotionParams, height_m: float, seed: int) -> None:
+        self.path_point = path_point
+        self.motion = motion
+        self.height_m = height_m
+        self.seed = seed
+        fastest = motion.wobble_hz
+        self._wobbles = [_Wobble(seed, channel, fastest / 8.0, fastest) for channel in range(4)]
+        self._gait_drift = _Wobble(seed, 4, 0.02, 0.1)
+
+    def progress(self, time_s: F64) -> tuple[F64, F64, F64]:
+        """Return how far the platform is.
+
+        Parameters
+        ----------
+        time_s : (n,) float64
+            At least 0 [s].
+
+        Returns
+        -------
+        distance_m, speed_m_s, acceleration_m_s2 : (n,) float64
+            Along the path, never backwards; at time 0 it is at 0 and cruising.
+        """
+        distance, speed, acceleration = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
+        share, phase = self.motion.speed_variation, _uniform(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
+        around = distance / _WAVE_M + phase
+        faster = 1.0 + share * np.cos(around)
+        acceleration = acceleration * faster - speed * speed * (share / _WAVE_M) * np.sin(around)
+        return distance + share * _WAVE_M * (np.sin(around) - np.sin(phase)), speed * faster, acceleration
+
+    def pose(self, time_s: F64) -> Pose:
+        """Return where the scanner is and how its platform is turned.
+
+        Parameters
+        ----------
+        time_s : (n,) float64
+            At least 0, in any order [s].
+
+        Returns
+        -------
+        Pose
+            Of n times.
+        """
+        time_s = np.ascontiguousarray(time_s, dtype=np.float64)
+        motion = self.motion
+        distance, speed, acceleration = self.progress(time_s)
+        ground, heading = self.path_point(distance)
+        ahead, heading_ahead = self.path_point(distance + 1.0)
+        behind, heading_behind = self.path_point(np.maximum(distance - 1.0, 0.0))
+        run = distance + 1.0 - np.maximum(distance - 1.0, 0.0)
+        slope = np.arctan((ahead[:, 2] - behind[:, 2]) / run)
+        bend = np.sin(heading_ahead - heading_behind) / run
+        moving = speed / motion.speed_m_s
+        lively = 0.1 + 0.9 * moving
+        lean = np.deg2rad(motion.lean_deg)
+        roll, pitch, yaw, bounce = (
+            scale * lively * wobble.at(time_s)
+            for scale, wobble in zip(
+                (*np.deg2rad([motion.roll_deg, motion.pitch_deg, motion.yaw_deg]), motion.bounce_m),
+                self._wobbles,
+                strict=True,
+            )
+        )
+        # two steps make a stride: the body goes up and down with each step, left and right with each stride; nobody
+        # walks like a clock
+        stride = np.pi * motion.gait_hz * time_s + 0.5 * self._gait_drift.at(time_s)
+        swing = np.deg2rad(motion.gait_deg) * moving
+        roll = roll + swing * np.sin(stride) + lean * speed * speed * bend
+        pitch = pitch + 0.5 * swing * np.sin(2.0 * stride + 1.0) - lean * acceleration - slope
+        yaw = heading + yaw + swing * np.sin(stride + 0.7)
+        up = self.height_m + bounce + 0.5 * motion.bob_m * moving * np.sin(2.0 * stride)
+        sway = 0.5 * motion.sway_m * moving * np.sin(stride + 0.3)
+        turn = _turn(roll, pitch, yaw)
+        position = ground + turn[:, :, 2] * up[:, None] + turn[:, :, 1] * sway[:, None]
+        return Pose(position, roll, pitch, yaw)
+
+    def _stop_and_go(self, time_s: F64) -> tuple[F64, F64, F64]:
+        """Return distance, speed and acceleration of a platform that cruises evenly but for its stops."""
+        motion, v = self.motion, self.motion.speed_m_s
+        stretch = motion.stop_every_m
+        if stretch == 0.0:
+            return v * time_s, np.full_like(time_s, v), np.zeros_like(time_s)
+        brake_s = motion.braking_s
+        mean_s = stretch / v + brake_s + motion.stop_s
+        # a stretch begins at its number times the mean duration, earlier or later by less than a mean stop: the sum
+        # of the stops before it telescopes
+        number = np.maximum(np.floor(time_s / mean_s).astype(np.int64) - 1, 0)
+        for _ in range(2):
+            number = number + (time_s >= self._start_s(number + 1, mean_s))
+        into = time_s - self._start_s(number, mean_s)
+        halt_s = motion.stop_s + self._early(number + 1) - self._early(number)
+        cruise_s = (0.3 + 0.4 * _uniform(self.seed, 7, number)) * stretch / v - 0.5 * brake_s
+        braking = np.clip((into - cruise_s) / brake_s, 0.0, 1.0)
+        starting = np.clip((into - cruise_s - brake_s - halt_s) / brake_s, 0.0, 1.0)
+        after = np.maximum(into - cruise_s - 2.0 * brake_s - halt_s, 0.0)
+        # v/2 (1 + cos pi x) while braking, v/2 (1 - cos pi x) while starting, and their integrals
+        ways = braking + np.sin(np.pi * braking) / np.pi + starting - np.sin(np.pi * starting) / np.pi
+        distance = number * stretch + v * (np.minimum(into, cruise_s) + 0.5 * brake_s * ways + after)
+        speed = 0.5 * v * np.maximum(2.0 + np.cos(np.pi * braking) - np.cos(np.pi * starting), 0.0)
+        acceleration = 0.5 * v * np.pi / brake_s * (np.sin(np.pi * starting) - np.sin(np.pi * braking))
+        return distance, speed, acceleration
+
+    def _start_s(self, number: I64, mean_s: float) -> F64:
+        """Return when stretches begin, (n,) float64 [s]."""
+        first = self._early(np.zeros(1, np.int64))
+        start: F64 = np.where(number == 0, 0.0, number * mean_s + self._early(number) - first)
+        return start
+
+    def _early(self, number: I64) -> F64:
+        return self.motion.stop_s * _uniform(self.seed, 6, number)
+
+
+class _Wobble:
+    """Smooth random function of time within a band: a sum of sines, variance 1."""
+
+    def __init__(self, seed: int, channel: int, slowest_hz: float, fastest_hz: float) -> None:
+        number = np.arange(_SINES, dtype=np.int64)
+        place = (number + _uniform(seed, 16 + 2 * channel, number)) / _SINES
+        self.rate = 2.0 * np.pi * slowest_hz * (fastest_hz / slowest_hz) ** place
+        self.phase = 2.0 * np.pi * _uniform(seed, 17 + 2 * channel, number)
+
+    def at(self, time_s: F64) -> F64:
+        """Return its value at times, (n,) float64."""
+        total = np.zeros_like(time_s)
+        for rate, phase in zip(self.rate, self.phase, strict=True):
+            total += np.sin(rate * time_s + phase)
+        total *= np.sqrt(2.0 / _SINES)
+        return total
+
+
+def _uniform(seed: int, channel: int, number: I64) -> F64:
+    """Hash whole numbers to 0..1, (n,) float64 (finaliser of SplitMix64, Steele et al. 2014)."""
+    start = (seed * 0x9E3779B97F4A7C15 + channel * 0xD1B54A32D192ED03) % 2**64
+    with np.errstate(over="ignore"):
+        x = number.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(start)
+        x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x = x ^ (x >> np.uint64(31))
+    return (x >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+def _turn(roll: F64, pitch: F64, yaw: F64) -> F64:
+    """Return yaw after pitch after roll as matrices, (n, 3, 3) float64."""
+    cr, sr, cp, sp, cy, sy = (f(angle) for angle in (roll, pitch, yaw) for f in (np.cos, np.sin))
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shots:
+    """Rays of consecutive scan lines."""
+
+    origin: F64
+    """(lines, M, 3) float64, world [m]."""
+    direction: F64
+    """(lines, M, 3) float64, unit vectors."""
+    time_s: F64
+    """(lines, M) float64 [s]."""
+
+
+def aim(platform: Platform, scanner: Scanner, first_line: int, n_lines: int) -> Shots:
+    """Return the rays of consecutive lines, the same whatever lines are asked for together.
+
+    Poses are worked out every few milliseconds and shots are placed between them in a straight line.
+
+    Parameters
+    ----------
+    platform : Platform
+        What carries the scanner.
+    scanner : Scanner
+    first_line, n_lines : int
+
+    Returns
+    -------
+    Shots
+        (n_lines, M).
+    """
+    m = scanner.points_per_line
+    line_s = scanner.shot_s * m
+    n_knots = 1 if scanner.is_static else max(int(np.ceil(line_s / _KNOT_S)), 1)
+    start_s = scanner.line_time_s(first_line, n_lines)
+    knot_s = start_s[:, None] + np.arange(n_knots + 1) * (line_s / n_knots)
+    pose = platform.pose(knot_s.ravel())
+    turn = pose.turn().reshape(n_lines, n_knots + 1, 3, 3)
+    if scanner.is_static:
+        line = np.arange(first_line, first_line + n_lines)
+        azimuth = np.deg2rad(scanner.first_azimuth_deg + scanner.azimuth_step_deg * line)
+        zero = np.zeros(n_lines)
+        turn = turn @ _turn(zero, zero, azimuth)[:, None]
+    position = pose.position.reshape(n_lines, n_knots + 1, 3)
+    origin, direction = kernels.aim_shots(position, np.ascontiguousarray(turn), scanner.directions())
+    return Shots(origin, direction, start_s[:, None] + np.arange(m) * scanner.shot_s)
