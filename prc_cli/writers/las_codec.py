@@ -21,8 +21,10 @@ LASZIP_KEY = ("laszip encoded", 22204)
 CHUNK_POINTS = 50_000
 """Records in a compressed chunk, laszip's own default."""
 _VARIABLE_CHUNKS = 0xFFFFFFFF
-_CHUNK_SIZE_AT = 12  # byte of the chunk size in the laszip VLR
-_ITEMS_AT = 32  # byte where the items of a record begin: number, then type, size and version of each
+CHUNK_SIZE_AT = 12
+"""Byte of the chunk size in the laszip VLR."""
+ITEMS_AT = 32
+"""Byte where the items of a record begin: number, then type, size and version of each."""
 _WAVEPACKET13 = 9  # laszip's item type
 _BATCH_RECORDS = 400_000
 _BATCH_BYTES = 32 << 20
@@ -94,20 +96,19 @@ class LazSink:
 
     def __init__(self, target: Target, laszip: bytes) -> None:
         self._target = target
-        with _codec_errors(target):
+        with codec_errors(target):
             vlr = lazrs.LazVlr(laszip)
-            # the parallel compressor holds whole chunks in memory
-            large = vlr.chunk_size() * vlr.item_size() > _BATCH_BYTES
-            self._compressor = (lazrs.LasZipCompressor if large else lazrs.ParLasZipCompressor)(target, vlr)
+            kind = lazrs.LasZipCompressor if large_chunks(vlr) else lazrs.ParLasZipCompressor
+            self._compressor = kind(target, vlr)
 
     def write(self, records: U8) -> None:
         """Append records."""
-        with _codec_errors(self._target):
+        with codec_errors(self._target):
             self._compressor.compress_many(np.ascontiguousarray(records).reshape(-1))
 
     def close(self) -> None:
         """Write the last chunk and the chunk table."""
-        with _codec_errors(self._target):
+        with codec_errors(self._target):
             self._compressor.done()
         self._target.flush()
         self._target.seek(0, 2)
@@ -138,7 +139,7 @@ def read_points(source: Source, las: LasFile, n: int) -> Iterator[U8]:
         if decompressor is None:
             source.into(records.reshape(-1).data, f"point record {first} and what follows")
         else:
-            with _decoding(source, first):
+            with decoding(source, first):
                 decompressor.decompress_many(records.reshape(-1))
         yield records
 
@@ -168,7 +169,7 @@ def tail_bounds(source: Source, las: LasFile) -> tuple[int, int]:
     n_chunks = struct.unpack("<II", source.exact(8, "the chunk table"))[1]
     if n_chunks > las.size:  # a chunk takes at least a byte
         raise damaged(las.path, f"byte {table_at}", f"found a table of {n_chunks} chunks in {las.size} bytes")
-    with _decoding(source, 0):
+    with decoding(source, 0):
         vlr = lazrs.LazVlr(laszip.payload)
         source.seek(table_at)
         table = lazrs.read_chunk_table_only(source, vlr)
@@ -194,10 +195,10 @@ def laszip_payload(las: LasFile, point_format: int, n_extra_bytes: int, *, keep:
     if old is None or has_variable_chunks(old.payload):
         return payload
     # other versions of laszip's items are read, but not written faithfully (lazrs 0.8.2: version 1 of RGB)
-    if keep and old.payload[_ITEMS_AT:] == payload[_ITEMS_AT:]:
+    if keep and old.payload[ITEMS_AT:] == payload[ITEMS_AT:]:
         return old.payload
     # other records, but chunks as they were
-    return payload[:_CHUNK_SIZE_AT] + old.payload[_CHUNK_SIZE_AT : _CHUNK_SIZE_AT + 4] + payload[_CHUNK_SIZE_AT + 4 :]
+    return payload[:CHUNK_SIZE_AT] + old.payload[CHUNK_SIZE_AT : CHUNK_SIZE_AT + 4] + payload[CHUNK_SIZE_AT + 4 :]
 
 
 def new_laszip_payload(path: Path, point_format: int, n_extra_bytes: int) -> bytes:
@@ -207,8 +208,8 @@ def new_laszip_payload(path: Path, point_format: int, n_extra_bytes: int) -> byt
     except lazrs.LazrsError as error:
         problem = f"point format {point_format} with {n_extra_bytes} extra bytes cannot be compressed ({error})"
         raise OutputError(str(path), problem, "write .las instead of .laz") from error
-    n_items = struct.unpack_from("<H", payload, _ITEMS_AT)[0]
-    for at in range(_ITEMS_AT + 2, _ITEMS_AT + 2 + 6 * n_items, 6):
+    n_items = struct.unpack_from("<H", payload, ITEMS_AT)[0]
+    for at in range(ITEMS_AT + 2, ITEMS_AT + 2 + 6 * n_items, 6):
         # lazrs calls its only way of coding waveform packets of formats 4 and 5 version 2; LASzip knows the same
         # bytes as version 1 and refuses any other
         if struct.unpack_from("<H", payload, at)[0] == _WAVEPACKET13:
@@ -218,7 +219,12 @@ def new_laszip_payload(path: Path, point_format: int, n_extra_bytes: int) -> byt
 
 def has_variable_chunks(laszip: bytes) -> bool:
     """Whether compressed chunks differ in length (COPC, for one)."""
-    return bool(struct.unpack_from("<I", laszip, _CHUNK_SIZE_AT)[0] == _VARIABLE_CHUNKS)
+    return bool(struct.unpack_from("<I", laszip, CHUNK_SIZE_AT)[0] == _VARIABLE_CHUNKS)
+
+
+def large_chunks(vlr: Any) -> bool:
+    """Whether a compressed chunk unpacks to more than a batch: the parallel coders of lazrs hold whole chunks."""
+    return bool(vlr.chunk_size() * vlr.item_size() > _BATCH_BYTES)
 
 
 def check_compressed(path: Path, output: Path, las: LasFile, checksum: int) -> None:
@@ -259,19 +265,19 @@ def _decompressor(source: Source, las: LasFile) -> Any:
     laszip = las.vlr(*LASZIP_KEY)
     if laszip is None:
         raise damaged(las.path, "byte 104", "found compressed points without a laszip VLR, expected one")
-    with _decoding(source, 0):
+    with decoding(source, 0):
         vlr = lazrs.LazVlr(laszip.payload)
         if vlr.item_size() != las.record_length:
             problem = f"found laszip items of {vlr.item_size()} bytes, expected {las.record_length} (record length)"
             raise damaged(las.path, "laszip VLR", problem)
-        # the parallel decompressor holds whole chunks in memory
-        large = vlr.uses_variable_size_chunks() or vlr.chunk_size() * las.record_length > _BATCH_BYTES
-        kind = lazrs.LasZipDecompressor if large else lazrs.ParLasZipDecompressor
+        serial = vlr.uses_variable_size_chunks() or large_chunks(vlr)
+        kind = lazrs.LasZipDecompressor if serial else lazrs.ParLasZipDecompressor
         return kind(source, laszip.payload)
 
 
 @contextlib.contextmanager
-def _decoding(source: Source, first: int) -> Iterator[None]:
+def decoding(source: Source, first: int) -> Iterator[None]:
+    """Turn what lazrs raises into the system's own error or one that names the records."""
     try:
         yield
     except BaseException as error:
@@ -285,7 +291,8 @@ def _decoding(source: Source, first: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _codec_errors(target: Target) -> Iterator[None]:
+def codec_errors(target: Target) -> Iterator[None]:
+    """Turn what lazrs raises into the system's own error or one about the output."""
     try:
         yield
     except BaseException as error:

@@ -44,6 +44,7 @@ from prc_cli.writers.las_file import (
     read_structure,
 )
 from prc_cli.writers.las_points import FORMAT_FOR_CODES, append_bytes, count_returns, set_classes, upgrade
+from prc_cli.writers.las_splice import find_chunks, splice_classes, splice_records
 from prc_cli.writers.las_tail import Tail, plan_tail
 from prc_cli.writers.las_vlrs import (
     COPC_USER,
@@ -76,6 +77,11 @@ class Plan:
     def n_appended(self) -> int:
         """Bytes appended to every record."""
         return sum(column.dtype.itemsize for column in self.appended)
+
+    def only_classes(self, las: LasFile) -> bool:
+        """Whether the points differ in nothing but their classes, stored as they were."""
+        changed = self.appended or self.replaced or self.point_format != las.point_format
+        return not changed and self.compress == las.compressed
 
 
 class LasRewriter(ScatterWriter):
@@ -213,6 +219,11 @@ class LasRewriter(ScatterWriter):
         """Write every record with its class; return CRC-32 and counts by return (of an upgraded format)."""
         checksum = 0
         returns = np.zeros(15, np.int64)
+        chunks = find_chunks(source, las) if plan.only_classes(las) else None
+        if chunks is not None:
+            codes = (columns.codes for columns in self._columns(las.n_points, splice_records(las, chunks)))
+            splice_classes(source, target, las, chunks, codes)
+            return checksum, returns
         sink: PointSink = LasSink(target)
         if plan.compress:
             sink = LazSink(target, next(vlr.payload for vlr in vlrs if vlr.key == LASZIP_KEY))
