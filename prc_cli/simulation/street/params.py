@@ -1,0 +1,27 @@
+"""What can be chosen about a street."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from prc_cli.core.config import Params
+
+Character = Literal["residential", "terraces", "suburb", "boulevard"]
+"""What a stretch of street is like."""
+CHARACTERS: tuple[Character, ...] = ("residential", "terraces", "suburb", "boulevard")
+
+
+class StreetSceneParams(Params):
+    """A street without end and what stands along it."""
+
+    character: Literal["mixed", "residential", "terraces", "suburb", "boulevard"] = Field(
+        "mixed", description="what the street is like; mixed = it changes along its length"
+    )
+    curves: float = Field(1.0, ge=0, le=1.5, description="factor on the curves; 0 = a straight street")
+    hills: float = Field(1.0, ge=0, le=2, description="factor on the slopes; 0 = a level street")
+    trees: float = Field(0.6, ge=0, le=1, description="share of the places for trees that have one")
+    parked: float = Field(0.7, ge=0, le=1, description="share of the parking places that are taken")
+    people: float = Field(0.5, ge=0, le=1, description="how busy the sidewalks are")
+    cars_per_km: float = Field(8.0, ge=0, le=40, description="oncoming cars on a kilometre of street [1/km]")

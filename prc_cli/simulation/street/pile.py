@@ -1,0 +1,127 @@
+"""How bodies are put together: a place with axes of its own, and a pile to which bodies are added."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from prc_cli.core.types import F64
+from prc_cli.simulation.world import Bodies, Material, Shape
+
+Point = tuple[float, float, float]
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A place in the world with the axes u (forward), v (to the left, or mirrored) and w (up).
+
+    Slopes tilt the ground under it: they lift points in proportion to u and v and leave uprights upright.
+    """
+
+    x: float
+    y: float
+    z: float
+    yaw: float
+    """Direction of u, counter-clockwise from +x [rad]."""
+    slope: float = 0.0
+    """Rise along u [m/m]."""
+    roll: float = 0.0
+    """Rise along v [m/m]."""
+    mirror: int = 1
+    """-1 = v points to the right."""
+
+    def at(self, u: float, v: float, w: float) -> Point:
+        """World coordinates of a point [m]."""
+        c, s, side = float(np.cos(self.yaw)), float(np.sin(self.yaw)), self.mirror * v
+        return self.x + c * u - s * side, self.y + s * u + c * side, self.z + w + self.slope * u + self.roll * v
+
+    def moved(self, u: float, v: float, w: float = 0.0, turn: float = 0.0) -> Frame:
+        """Return a frame that is upright at a point of this one."""
+        x, y, z = self.at(u, v, w)
+        return Frame(x, y, z, self.yaw + turn, mirror=self.mirror)
+
+
+@dataclass(slots=True)
+class Pile:
+    """Bodies that are being put together."""
+
+    first_number: float
+    """Identity of the first body; the others follow."""
+    velocity: Span = (0.0, 0.0)
+    """Of the bodies that are added from now on [m/s]."""
+    _shape: list[int] = field(default_factory=list)
+    _numbers: list[tuple[float, ...]] = field(default_factory=list)
+    _material: list[int] = field(default_factory=list)
+    _density: list[float] = field(default_factory=list)
+    _velocity: list[Span] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self._shape)
+
+    def _add(self, shape: Shape, numbers: tuple[float, ...], material: Material, density: float) -> None:
+        self._shape.append(int(shape))
+        self._numbers.append(numbers)
+        self._material.append(int(material))
+        self._density.append(density)
+        self._velocity.append(self.velocity)
+
+    def triangle(self, a: Point, b: Point, c: Point, material: Material) -> None:
+        """Add a triangle."""
+        self._add(Shape.TRIANGLE, (*a, *b, *c), material, 0.0)
+
+    def quad(self, corners: tuple[Point, Point, Point, Point], material: Material) -> None:
+        """Add a surface between four corners, given in their order around it, as two triangles."""
+        a, b, c, d = corners
+        self.triangle(a, b, c, material)
+        self.triangle(a, c, d, material)
+
+    def cone(self, ends: tuple[Point, Point], radii: Span, material: Material) -> None:
+        """Add a pole, trunk or branch."""
+        self._add(Shape.CONE, (*ends[0], *ends[1], *radii, 0.0), material, 0.0)
+
+    def ellipsoid(self, centre: Point, half: Point, yaw: float, material: Material, density: float = 0.0) -> None:
+        """Add a rounded body."""
+        self._add(Shape.ELLIPSOID, (*centre, *half, yaw, 0.0, 0.0), material, density)
+
+    def box(self, frame: Frame, spans: tuple[Span, Span, Span], material: Material, density: float = 0.0) -> None:
+        """Add a level box that spans (from, to) along the axes of a frame; the slopes lift it as a whole."""
+        (u0, u1), (v0, v1), (w0, w1) = spans
+        centre = frame.at((u0 + u1) / 2, (v0 + v1) / 2, (w0 + w1) / 2)
+        half = ((u1 - u0) / 2, (v1 - v0) / 2, (w1 - w0) / 2)
+        self._add(Shape.BOX, (*centre, *half, frame.yaw, 0.0, 0.0), material, density)
+
+    def bodies(self) -> Bodies:
+        """Return what was added."""
+        n = len(self._shape)
+        return Bodies(
+            shape=np.array(self._shape, dtype=np.uint8),
+            numbers=np.array(self._numbers, dtype=np.float64).reshape(n, 9),
+            material=np.array(self._material, dtype=np.uint8),
+            density=np.array(self._density, dtype=np.float64),
+            velocity=np.array(self._velocity, dtype=np.float64).reshape(n, 2),
+            number=self.first_number + np.arange(n, dtype=np.float64),
+        )
+
+
+def outlines(bodies: Bodies) -> F64:
+    """Bounds in plan.
+
+    Returns
+    -------
+    (n, 4) float64
+        Lowest x and y, highest x and y [m], at time 0; a little too large where a body is turned.
+    """
+    numbers = bodies.numbers
+    result = np.empty((len(bodies), 4))
+    triangle, cone = bodies.shape == Shape.TRIANGLE, bodies.shape == Shape.CONE
+    for axis in (0, 1):
+        corners = numbers[triangle][:, [axis, axis + 3, axis + 6]]
+        result[triangle, axis], result[triangle, axis + 2] = corners.min(axis=1), corners.max(axis=1)
+        ends, reach = numbers[cone][:, [axis, axis + 3]], numbers[cone][:, 6:8].max(axis=1)
+        result[cone, axis], result[cone, axis + 2] = ends.min(axis=1) - reach, ends.max(axis=1) + reach
+        rest = ~triangle & ~cone
+        around = np.hypot(numbers[rest, 3], numbers[rest, 4])
+        result[rest, axis], result[rest, axis + 2] = numbers[rest, axis] - around, numbers[rest, axis] + around
+    return result

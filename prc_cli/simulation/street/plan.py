@@ -1,0 +1,212 @@
+"""The plan of a street, piece by piece: junctions, what the stretch is like, lots, driveways and crossings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from prc_cli.simulation.street.params import CHARACTERS, Character
+from prc_cli.simulation.street.pile import Span
+
+PIECE_M = 30.0
+"""Length of a piece [m]."""
+PIECES_IN_BLOCK = 4
+"""A block has one junction and one character."""
+ROAD_HALF_M = 5.5
+"""Crown to curb [m]: a lane of 3.3 m and 2.2 m for parking."""
+BUILDING_LINE_M = 8.8
+"""Crown to the back of the sidewalk [m]."""
+CORNER_M = 3.0
+"""Radius of the curb around the corner of a side street [m]."""
+SIDE_WALK_M = 2.5
+"""Width of the sidewalks of side streets [m]; less than the radius, so that corners have room."""
+
+
+class Purpose(IntEnum):
+    """What random numbers are for; every purpose and place has a generator of its own."""
+
+    LINE = 0
+    BLOCK = 1
+    BORDER = 2
+    LOTS = 3
+    HOUSES = 4
+    FURNITURE = 5
+    PARKED = 6
+    TREES = 7
+    CARS = 8
+    WALKERS = 9
+    WIRES = 10
+
+
+def generator(seed: int, purpose: Purpose, number: int = 0, side: int = 1) -> np.random.Generator:
+    """Return the random numbers of one purpose at one place (piece, block, car), the same in any order of calls."""
+    place = (int(purpose) * 2 + (side > 0)) * 2**56 + number + 2**40
+    return np.random.Generator(np.random.Philox(key=np.array([seed, place], dtype=np.uint64)))
+
+
+@dataclass(frozen=True, slots=True)
+class Junction:
+    """Where a side street begins."""
+
+    s: float
+    half: float
+    """Half of the width of its road [m]."""
+    left: bool
+    right: bool
+
+    def on(self, side: int) -> bool:
+        """Whether a side street leaves on this side (1 = left)."""
+        return self.left if side > 0 else self.right
+
+    @property
+    def open(self) -> Span:
+        """Between the facades [m]."""
+        reach = self.half + SIDE_WALK_M
+        return self.s - reach, self.s + reach
+
+    @property
+    def bend(self) -> Span:
+        """Between the beginnings of the curbs' bends [m]."""
+        reach = self.half + CORNER_M
+        return self.s - reach, self.s + reach
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """A stretch of one side, behind the sidewalk."""
+
+    span: Span
+    kind: str
+    """'terrace', 'house', 'block', 'passage' or 'yard'."""
+    setback: float
+    """Of the facade behind the building line [m]."""
+    driveway: Span | None
+    """Where cars cross the sidewalk [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side of a piece."""
+
+    side: int
+    """1 = left, -1 = right."""
+    junction: Junction | None
+    lots: tuple[Lot, ...]
+    dropped: tuple[Span, ...]
+    """Where the curb is low [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a piece consists of."""
+
+    piece: int
+    start: float
+    """Distance along the street of its beginning [m]."""
+    character: Character
+    junction: Junction | None
+    crossing: Span | None
+    sides: tuple[Side, Side]
+
+
+def character_of(seed: int, piece: int, choice: str) -> Character:
+    """Return what the stretch around a piece is like."""
+    for name in CHARACTERS:
+        if choice == name:
+            return name
+    rng = generator(seed, Purpose.BLOCK, piece // PIECES_IN_BLOCK)
+    return CHARACTERS[int(rng.integers(len(CHARACTERS)))]
+
+
+def plan_of(seed: int, piece: int, choice: str) -> Plan:
+    """Lay out a piece.
+
+    Parameters
+    ----------
+    seed : int
+        Of the street.
+    piece : int
+        Its number, of any sign.
+    choice : str
+        A character, or 'mixed'.
+    """
+    start = piece * PIECE_M
+    character = character_of(seed, piece, choice)
+    rng = generator(seed, Purpose.BLOCK, piece // PIECES_IN_BLOCK, side=-1)
+    which, shift, half, sides = int(rng.integers(1, 3)), rng.uniform(-4, 4), rng.uniform(3.2, 4.2), rng.integers(3)
+    junction = crossing = None
+    if piece % PIECES_IN_BLOCK == which:
+        junction = Junction(start + 0.5 * PIECE_M + shift, half, left=bool(sides != 1), right=bool(sides != 0))
+        end = junction.bend[1] + 0.8 if shift < 0 else junction.bend[0] - 3.3
+        crossing = (end, end + 2.5)
+    left, right = (_side(seed, piece, side, character, junction, crossing) for side in (1, -1))
+    return Plan(piece, start, character, junction, crossing, (left, right))
+
+
+def _border(seed: int, piece: int, side: int) -> float:
+    return piece * PIECE_M + float(generator(seed, Purpose.BORDER, piece, side).uniform(-2.5, 2.5))
+
+
+def _side(
+    seed: int, piece: int, side: int, character: Character, junction: Junction | None, crossing: Span | None
+) -> Side:
+    rng = generator(seed, Purpose.LOTS, piece, side)
+    low, high = _border(seed, piece, side), _border(seed, piece + 1, side)
+    own = junction if junction is not None and junction.on(side) else None
+    stretches = [(low, high)] if own is None else [(low, own.open[0]), (own.open[1], high)]
+    lots = [lot for stretch in stretches for lot in _lots(rng, stretch, character)]
+    dropped = [lot.driveway for lot in lots if lot.driveway is not None]
+    if own is not None:
+        dropped = [d for d in dropped if d[1] < own.bend[0] - 0.8 or d[0] > own.bend[1] + 0.8]
+    if crossing is not None:
+        dropped = [d for d in dropped if d[1] < crossing[0] - 1.6 or d[0] > crossing[1] + 1.6] + [crossing]
+    # low curbs and their ramps stay within the piece, so that pieces meet at whole curbs
+    start = piece * PIECE_M
+    dropped = [d for d in dropped if d[0] > start + 0.9 and d[1] < start + PIECE_M - 0.9]
+    kept = tuple(
+        lot if lot.driveway in dropped else Lot(lot.span, lot.kind, lot.setback, None) for lot in lots
+    )  # fmt: skip
+    return Side(side, own, kept, tuple(sorted(dropped)))
+
+
+_WIDTHS: dict[Character, Span] = {
+    "terraces": (6.0, 11.0),
+    "residential": (9.0, 15.0),
+    "suburb": (13.0, 18.0),
+    "boulevard": (11.0, 18.0),
+}
+
+
+def _lots(rng: np.random.Generator, stretch: Span, character: Character) -> list[Lot]:
+    """Share a stretch among lots of roughly equal width."""
+    low, high = stretch
+    width = rng.uniform(*_WIDTHS[character])
+    count = max(1, round((high - low) / width))
+    cuts = low + (high - low) * np.arange(count + 1) / count
+    cuts[1:-1] += rng.uniform(-1.0, 1.0, count - 1)
+    lots = []
+    for u0, u1 in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        kind, setback = _kind(rng, character, u1 - u0)
+        driveway = None
+        if kind in ("house", "yard") and u1 - u0 > 8 and rng.random() < 0.7:
+            driveway = (u1 - 3.3, u1 - 0.6)
+        elif kind == "passage":
+            driveway = (0.5 * (u0 + u1) - 1.4, 0.5 * (u0 + u1) + 1.4)
+        lots.append(Lot((u0, u1), kind, setback, driveway))
+    return lots
+
+
+def _kind(rng: np.random.Generator, character: Character, width: float) -> tuple[str, float]:
+    chance, depth = rng.random(), rng.random()
+    if character == "terraces":
+        kind = "passage" if chance < 0.08 else "yard" if chance < 0.14 else "terrace"
+        return kind, 0.0 if depth < 0.7 else 0.3
+    if character == "suburb":
+        return ("yard" if chance < 0.15 or width < 8 else "house"), 3.5 + 3.0 * depth
+    if character == "boulevard":
+        return ("yard" if chance < 0.1 else "terrace" if chance < 0.5 else "block"), 0.0 if chance < 0.5 else 2.5
+    if chance < 0.35:
+        return "terrace", 0.0
+    return ("yard" if chance < 0.5 or width < 8 else "house" if chance < 0.8 else "block"), 2.0 + 2.0 * depth

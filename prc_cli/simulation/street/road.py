@@ -1,0 +1,248 @@
+"""The ground: road with a crown, curbs that drop at driveways and crossings, sidewalks, land and side streets.
+
+One surface of triangles that share their corners. Across the street it is made of strips between lines of constant
+distance from the crown; along the street its lines are straight between stations of 5 m, so that corners that stand
+on a line between stations leave no cracks.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from prc_cli.core.types import F64
+from prc_cli.simulation.street.centreline import Centreline
+from prc_cli.simulation.street.pile import Pile, Point, Span
+from prc_cli.simulation.street.plan import (
+    BUILDING_LINE_M,
+    CORNER_M,
+    PIECE_M,
+    ROAD_HALF_M,
+    Junction,
+    Plan,
+    Side,
+)
+from prc_cli.simulation.world import Material
+
+STATION_M = 5.0
+FAR_M = 62.0
+"""The ground ends this far from the crown [m]."""
+_FRONT_M = 14.8
+"""Front gardens end here [m]."""
+_CROSS_FALL = 0.0225
+_WALK_SLOPE = 0.02
+_RAMP_M = 1.4
+"""Width of the strip beside the curb: verge, or the ramp of a dropped curb [m]."""
+_BATTER_M = 0.02
+"""The top of a curb stands back from its foot by this much [m]."""
+_LOW_CURB_M = 0.03
+_DROP_M = 0.6
+"""Way along the street in which a curb drops [m]."""
+
+
+class Ground:
+    """Heights and triangles of the ground.
+
+    Parameters
+    ----------
+    line : Centreline
+        Where the street runs.
+    curb_m : float
+        Height of the curbs [m].
+    """
+
+    def __init__(self, line: Centreline, curb_m: float) -> None:
+        self.line = line
+        self.curb_m = curb_m
+
+    def road(self, s_m: F64, d_m: F64) -> F64:
+        """Height of the road's surface, continued under the sidewalks and the land; (n,) float64 [m].
+
+        Parameters
+        ----------
+        s_m, d_m : (n,) float64
+            Distance along the street and to the left of the crown [m].
+        """
+        away = np.abs(d_m)
+        slope = np.where(d_m > 0, self.line.side_slope(s_m, 1), self.line.side_slope(s_m, -1))
+        fall = -_CROSS_FALL * np.minimum(away, ROAD_HALF_M)
+        walk = _WALK_SLOPE * np.clip(away - ROAD_HALF_M, 0.0, BUILDING_LINE_M - ROAD_HALF_M)
+        result: F64 = self.line.height(s_m) + fall + walk + slope * np.maximum(away - BUILDING_LINE_M, 0.0)
+        return result
+
+    def height(self, s_m: float, d_m: float) -> float:
+        """Height of the ground at a place that is neither in a side street nor at a dropped curb [m]."""
+        raised = self.curb_m if abs(d_m) > ROAD_HALF_M else 0.0
+        return float(self.road(np.array([s_m]), np.array([d_m]))[0]) + raised
+
+    def lay(self, pile: Pile, plan: Plan) -> None:
+        """Add the ground of a piece."""
+        mesh = _Mesh(self, plan.start, pile)
+        base = mesh.s.tolist()
+        for side in plan.sides:
+            for s0, s1 in itertools.pairwise(base):
+                mesh.strip((s0, s1), (0.0, side.side * ROAD_HALF_M), 0.0, Material.ASPHALT)
+            verge = plan.character in ("suburb", "boulevard")
+            for low, high in _stretches(side, base):
+                mesh.kerbside(_stops(side, base, (low, high), self.curb_m), side, verge=verge)
+            self._land(mesh, side, base, plan)
+            if side.junction is not None:
+                _side_street(mesh, side.junction, side.side, self.curb_m)
+
+    def _land(self, mesh: _Mesh, side: Side, base: list[float], plan: Plan) -> None:
+        """Front gardens, courtyards and what lies behind the houses, but for side streets."""
+        ways = [lot.driveway for lot in side.lots if lot.driveway is not None]
+        junction, top = side.junction, self.curb_m
+        more = [s for way in ways for s in way]
+        if junction is not None:
+            more += [*junction.open, *_edges(junction)]
+        every = [s for s in sorted({*base, *more}) if base[0] <= s <= base[-1]]
+        soil = plan.character == "terraces" or (plan.piece % 3 == 1 and plan.character == "residential")
+        land = Material.SOIL if soil else Material.GRASS
+        for s0, s1 in itertools.pairwise(every):
+            middle = 0.5 * (s0 + s1)
+            paved = land
+            if junction is not None and junction.open[0] < middle < junction.open[1]:
+                if _edges(junction)[0] < middle < _edges(junction)[1]:
+                    continue
+                paved = Material.SIDEWALK
+            drive = any(low < middle < high for low, high in ways)
+            front = Material.SIDEWALK if drive else paved
+            mesh.strip((s0, s1), (side.side * BUILDING_LINE_M, side.side * _FRONT_M), top, front)
+            mesh.strip((s0, s1), (side.side * _FRONT_M, side.side * FAR_M), top, paved)
+
+
+class _Mesh:
+    """Turns places of the street into corners: straight between the stations."""
+
+    def __init__(self, ground: Ground, start: float, pile: Pile) -> None:
+        self.ground, self.start, self.pile = ground, start, pile
+        self.s: F64 = start + STATION_M * np.arange(int(PIECE_M / STATION_M) + 1, dtype=np.float64)
+        line, crown = ground.line, np.zeros(self.s.shape)
+        heading = line.heading(self.s)
+        self._rows: list[list[float]] = np.column_stack(
+            [
+                line.place(self.s, crown),
+                -np.sin(heading),
+                np.cos(heading),
+                line.height(self.s),
+                line.side_slope(self.s, 1),
+                line.side_slope(self.s, -1),
+            ]
+        ).tolist()
+
+    def point(self, s: float, d: float, up: float) -> Point:
+        """Corner at a height above the (continued) road [m]."""
+        i = min(max(int((s - self.start) // STATION_M), 0), len(self._rows) - 2)
+        f = (s - self.start) / STATION_M - i
+        x, y, left, ahead, z, *slopes = (
+            (1 - f) * one + f * two for one, two in zip(self._rows[i], self._rows[i + 1], strict=True)
+        )
+        away = abs(d)
+        fall = _WALK_SLOPE * min(max(away - ROAD_HALF_M, 0.0), BUILDING_LINE_M - ROAD_HALF_M)
+        fall -= _CROSS_FALL * min(away, ROAD_HALF_M)
+        beyond = max(away - BUILDING_LINE_M, 0.0) * slopes[0 if d > 0 else 1]
+        return x + d * left, y + d * ahead, z + fall + beyond + up
+
+    def strip(self, along: Span, across: Span, up: float, material: Material) -> None:
+        """Add a strip at a height above the road."""
+        (s0, s1), (d0, d1) = along, across
+        corners = self.point(s0, d0, up), self.point(s1, d0, up), self.point(s1, d1, up), self.point(s0, d1, up)
+        self.pile.quad(corners, material)
+
+    def kerbside(self, stops: list[tuple[float, float, float, float, float]], side: Side, *, verge: bool) -> None:
+        """Add gutter corners, curb, verge and sidewalk along stops (s and d of the curb's foot and top, its height)."""
+        top, gutter, back = self.ground.curb_m, side.side * ROAD_HALF_M, side.side * BUILDING_LINE_M
+        lines = []
+        for s_foot, d_foot, s_top, d_top, curb in stops:
+            inner = d_top + (BUILDING_LINE_M - d_top) * _RAMP_M / (BUILDING_LINE_M - ROAD_HALF_M)
+            lines.append(
+                (
+                    self.point(s_foot, gutter, 0.0),
+                    self.point(s_foot, side.side * d_foot, 0.0),
+                    self.point(s_top, side.side * d_top, curb),
+                    self.point(s_top, side.side * inner, top),
+                    self.point(s_top, back, top),
+                )
+            )
+        for one, two, a, b in zip(stops[:-1], stops[1:], lines[:-1], lines[1:], strict=True):
+            green = verge and min(one[4], two[4]) >= top - 1e-9 and max(one[1], two[1]) <= ROAD_HALF_M
+            materials = (
+                Material.ASPHALT,
+                Material.CURB,
+                Material.GRASS if green else Material.SIDEWALK,
+                Material.SIDEWALK,
+            )
+            for i, material in enumerate(materials):
+                if i == 0 and max(one[1], two[1]) <= ROAD_HALF_M:
+                    continue
+                self.pile.quad((a[i], b[i], b[i + 1], a[i + 1]), material)
+
+
+def _edges(junction: Junction) -> Span:
+    """Where the tops of a side street's curbs run [m]."""
+    return junction.s - junction.half - _BATTER_M, junction.s + junction.half + _BATTER_M
+
+
+def _stretches(side: Side, base: list[float]) -> list[Span]:
+    if side.junction is None:
+        return [(base[0], base[-1])]
+    return [(base[0], side.junction.s - side.junction.half), (side.junction.s + side.junction.half, base[-1])]
+
+
+def _stops(
+    side: Side, base: list[float], stretch: Span, curb_m: float
+) -> list[tuple[float, float, float, float, float]]:
+    """Places along a curb: s and d of its foot, s and d of its top, its height [m]; d without its sign."""
+    low, high = stretch
+    straight_low, straight_high = low, high
+    arc: list[tuple[float, float, float, float, float]] = []
+    junction = side.junction
+    if junction is not None:
+        end = -1 if high < junction.s else 1
+        middle = junction.bend[0] if end < 0 else junction.bend[1]
+        straight_low, straight_high = (low, middle) if end < 0 else (middle, high)
+        for a in np.linspace(0.0, 0.5 * np.pi, 5).tolist():
+            foot, top = CORNER_M, CORNER_M - _BATTER_M
+            into, out = float(np.sin(a)), float(np.cos(a))
+            centre = ROAD_HALF_M + CORNER_M
+            arc.append(
+                (middle - end * foot * into, centre - foot * out, middle - end * top * into, centre - top * out, curb_m)
+            )
+        arc = arc if end < 0 else arc[::-1]
+    knots, heights = [], []
+    for d0, d1 in side.dropped:
+        knots += [d0 - _DROP_M, d0, d1, d1 + _DROP_M]
+        heights += [curb_m, _LOW_CURB_M, _LOW_CURB_M, curb_m]
+    places = sorted({s for s in (*base, *knots, straight_low, straight_high) if straight_low <= s <= straight_high})
+    curbs = np.interp(places, knots, heights).tolist() if knots else [curb_m] * len(places)
+    straight = [
+        (s, ROAD_HALF_M, s, ROAD_HALF_M + _BATTER_M, h) for s, h in zip(places, curbs, strict=True)
+    ]  # fmt: skip
+    if not arc:
+        return straight
+    return straight[:-1] + arc if high < (junction.s if junction else 0.0) else arc + straight[1:]
+
+
+def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> None:
+    """Add the road of a side street, with a crown that grows out of the main road, and its curbs."""
+    corner = ROAD_HALF_M + CORNER_M
+    across = [ROAD_HALF_M, corner, BUILDING_LINE_M, _FRONT_M, FAR_M]
+    low, high = junction.s - junction.half, junction.s + junction.half
+    inner = mesh.s[(mesh.s > low) & (mesh.s < high)].tolist()
+    along = sorted({low, *inner, junction.s, high})
+
+    def crown(s: float, d: float) -> float:
+        return _CROSS_FALL * (junction.half - abs(s - junction.s)) * min((d - ROAD_HALF_M) / CORNER_M, 1.0)
+
+    for s0, s1 in itertools.pairwise(along):
+        for d0, d1 in itertools.pairwise(across):
+            places = ((s0, d0), (s1, d0), (s1, d1), (s0, d1))
+            a, b, c, d = (mesh.point(s, side * away, crown(s, away)) for s, away in places)
+            mesh.pile.quad((a, b, c, d), Material.ASPHALT)
+    for foot, top in ((low, low - _BATTER_M), (high, high + _BATTER_M)):
+        for d0, d1 in itertools.pairwise(across):
+            a, b = mesh.point(foot, side * d0, 0.0), mesh.point(foot, side * d1, 0.0)
+            c, d = mesh.point(top, side * d1, curb_m), mesh.point(top, side * d0, curb_m)
+            mesh.pile.quad((a, b, c, d), Material.CURB)

@@ -1,0 +1,119 @@
+"""The street as a scene: bodies around a place, made piece by piece."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import fields
+from threading import Lock
+
+import numpy as np
+
+from prc_cli.core.types import F64, Mask
+from prc_cli.simulation.street.centreline import LANE_M, Centreline
+from prc_cli.simulation.street.houses import build_houses
+from prc_cli.simulation.street.params import StreetSceneParams
+from prc_cli.simulation.street.pile import Pile, outlines
+from prc_cli.simulation.street.plan import PIECE_M, Purpose, generator, plan_of
+from prc_cli.simulation.street.road import Ground
+from prc_cli.simulation.world import Bodies
+
+_KEPT_PIECES = 64
+"""Pieces that are remembered: more than are in sight at once."""
+_REACH_M = 40.0
+"""Bodies of a piece stay within this way along the street from its ends, as seen from the crown [m]."""
+_NUMBERS = 2.0**14
+"""Identities that a piece has room for."""
+_FIRST = 2.0**38
+"""Shift of the identities, so that those of pieces before the start are not negative."""
+
+
+class StreetScene:
+    """A street without end.
+
+    Pieces of 30 m are made when they are looked at, each from generators of its own that are keyed by the seed and
+    its number, so that nothing depends on how a place was reached.
+
+    Parameters
+    ----------
+    params : StreetSceneParams, optional
+        What the street is like.
+    seed : int
+        The same seed gives the same street.
+    """
+
+    def __init__(self, params: StreetSceneParams | None = None, seed: int = 1) -> None:
+        self.params = params if params is not None else StreetSceneParams()
+        self.seed = seed
+        rng = generator(seed, Purpose.LINE)
+        self.line = Centreline(rng, self.params.curves, self.params.hills)
+        self.ground = Ground(self.line, rng.uniform(0.11, 0.14))
+        self._pieces: OrderedDict[int, tuple[Bodies, F64]] = OrderedDict()
+        self._lock = Lock()
+
+    def path_point(self, s_m: F64) -> tuple[F64, F64]:
+        """Return the ground under the platform.
+
+        Parameters
+        ----------
+        s_m : (n,) float64
+            Distance driven, measured in plan along the middle of the right-hand lane [m].
+
+        Returns
+        -------
+        (n, 3) float64, (n,) float64
+            x, y, z of the road [m]; heading, 0 = +x, counter-clockwise [rad].
+        """
+        s = np.asarray(s_m, dtype=np.float64)
+        z = self.ground.road(s, np.full(s.shape, LANE_M))
+        return np.column_stack([self.line.lane(s), z]), self.line.heading(s)
+
+    def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
+        """Return the bodies that have a part within a circle; see :class:`prc_cli.simulation.world.Scene`.
+
+        Parameters
+        ----------
+        x_m, y_m, radius_m : float
+            The circle [m].
+        time_s : float
+            When it is looked at [s]; decides which of those that move are there.
+
+        Returns
+        -------
+        Bodies
+            Those of the pieces in the order of the pieces.
+        """
+        middle = self.line.nearest(x_m, y_m)
+        # lines of equal s converge on the inner side of a curve, where bodies are nearer than s tells
+        reach = 1.35 * radius_m + _REACH_M
+        first, last = (int(np.floor((middle + way) / PIECE_M)) for way in (-reach, reach))
+        parts = []
+        for number in range(first, last + 1):
+            bodies, bounds = self._piece(number)
+            gap_x = np.maximum(np.maximum(bounds[:, 0] - x_m, x_m - bounds[:, 2]), 0.0)
+            gap_y = np.maximum(np.maximum(bounds[:, 1] - y_m, y_m - bounds[:, 3]), 0.0)
+            parts.append(_part(bodies, gap_x**2 + gap_y**2 <= radius_m**2))
+        return Bodies.join(parts)
+
+    def _piece(self, number: int) -> tuple[Bodies, F64]:
+        """Bodies of a piece and their bounds in plan."""
+        with self._lock:
+            known = self._pieces.get(number)
+            if known is None:
+                bodies = self._make(number)
+                known = self._pieces[number] = bodies, outlines(bodies)
+                if len(self._pieces) > _KEPT_PIECES:
+                    self._pieces.popitem(last=False)
+            else:
+                self._pieces.move_to_end(number)
+        return known
+
+    def _make(self, number: int) -> Bodies:
+        pile = Pile((number + _FIRST / _NUMBERS) * _NUMBERS)
+        plan = plan_of(self.seed, number, self.params.character)
+        self.ground.lay(pile, plan)
+        build_houses(pile, self.ground, plan, self.seed)
+        return pile.bodies()
+
+
+def _part(bodies: Bodies, kept: Mask) -> Bodies:
+    return Bodies(*(getattr(bodies, f.name)[kept] for f in fields(bodies)))
