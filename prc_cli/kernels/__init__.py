@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from prc_cli.kernels.angles import signed_angles as signed_angles
     from prc_cli.kernels.calibration import bend_histogram as bend_histogram
     from prc_cli.kernels.calibration import support_histogram as support_histogram
+    from prc_cli.kernels.casting import cast_shots as cast_shots
     from prc_cli.kernels.coarse import surface_image as surface_image
     from prc_cli.kernels.components import fill_holes as fill_holes
     from prc_cli.kernels.components import label_components as label_components
@@ -49,6 +50,7 @@ KERNELS: dict[str, str] = {
     "background_mask": "prc_cli.kernels.support",
     "bend_histogram": "prc_cli.kernels.calibration",
     "car_intervals": "prc_cli.kernels.dividers",
+    "cast_shots": "prc_cli.kernels.casting",
     "connect_verticals": "prc_cli.kernels.curb",
     "cut_verticals": "prc_cli.kernels.dividers",
     "dilate": "prc_cli.kernels.surfaces",
