@@ -64,21 +64,21 @@ def cast(
     yaw = np.where(bodies.shape >= Shape.ELLIPSOID, bodies.numbers[:, 6], 0.0)
     return Hits(
         *kernels.cast_shots(
-            np.ascontiguousarray(origin_m, dtype=np.float64),
-            np.ascontiguousarray(direction, dtype=np.float64),
-            np.ascontiguousarray(times),
-            np.ascontiguousarray(t_min, dtype=np.float64),
+            *(_plain(numbers) for numbers in (origin_m, direction, times, t_min)),
             first_shot,
-            np.ascontiguousarray(bodies.shape),
-            np.ascontiguousarray(bodies.numbers),
+            np.require(bodies.shape, np.uint8, "CW"),
+            _plain(bodies.numbers),
             np.stack([np.cos(yaw), np.sin(yaw)], axis=1),
-            np.ascontiguousarray(bodies.density),
-            np.ascontiguousarray(bodies.velocity),
-            np.ascontiguousarray(bodies.number),
+            *(_plain(numbers) for numbers in (bodies.density, bodies.velocity, bodies.number)),
             search_order(bodies),
             _QUANTILES,
         )
     )
+
+
+def _plain(numbers: F64) -> F64:
+    """Return numbers as the kernel takes them, without a copy where they are so already."""
+    return np.require(numbers, np.float64, "CW")
 
 
 def search_order(bodies: Bodies) -> I64:
