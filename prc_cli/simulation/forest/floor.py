@@ -74,7 +74,7 @@ class Floor:
         ):
             place = self._places(share * self._params.herbs_per_ha, i, j, chance)
             n = len(place)
-            half = np.column_stack([chance.uniform(0.3, 1.2, (n, 2)), chance.uniform(low, high, n)])
+            half = np.column_stack([chance.uniform(0.4, 1.4, (n, 2)), chance.uniform(low, high, n)])
             leaves = density * self._params.leaf_density * chance.uniform(0.6, 1.4, n)
             parts.append(ellipsoids(place, half, chance.uniform(0, np.pi, n), material, leaves))
         return Bodies.join(parts)
@@ -96,19 +96,19 @@ class Floor:
         return ellipsoids(centre[keep], half[keep], yaw[keep], Material.UNDERGROWTH, density[keep])
 
     def _saplings(self, i: int, j: int, chance: np.random.Generator) -> Bodies:
-        """Return young spruces: a thin stem and two tufts, the upper one narrow."""
+        """Return young spruces: a thin stem and three tufts, one narrower than the other."""
         place = self._places(self._params.saplings_per_ha, i, j, chance)
-        tall = chance.uniform(0.6, 3.2, len(place))
-        width = tall * chance.uniform(0.2, 0.35, len(place))
-        density = 2.0 * self._params.leaf_density * chance.uniform(0.6, 1.4, (len(place), 2))
+        tall = 0.6 + 4.4 * chance.random(len(place)) ** 2
+        width = 0.15 + tall * chance.uniform(0.12, 0.25, len(place))
+        density = 2.0 * self._params.leaf_density * chance.uniform(0.6, 1.4, (len(place), 3))
         keep = self._off_path(place, width)
         place, tall, width, density = place[keep], tall[keep], width[keep], density[keep]
         up = np.zeros_like(place)
         up[:, 2] = tall
         foot = 0.004 + 0.008 * tall
         stems = cones(place, place + up, foot, 0.2 * foot, Material.UNDERGROWTH)
-        centre = place[:, None] + up[:, None] * np.array([0.32, 0.72])[:, None]
-        half = np.stack([width[:, None] * (1.0, 0.5)] * 2 + [tall[:, None] * (0.28, 0.28)], axis=-1)
+        centre = place[:, None] + up[:, None] * np.array([0.25, 0.52, 0.8])[:, None]
+        half = np.stack([width[:, None] * (1.0, 0.7, 0.35)] * 2 + [tall[:, None] * (0.2, 0.2, 0.2)], axis=-1)
         tufts = ellipsoids(centre, half, np.zeros(half.shape[:2]), Material.UNDERGROWTH, density)
         return Bodies.join([stems, tufts])
 

@@ -30,8 +30,8 @@ class ForestSceneParams(Params):
     mounds_per_ha: float = Field(250.0, ge=0, le=5000, description="mounds and boulders per hectare")
 
     shrubs_per_ha: float = Field(500.0, ge=0, le=10_000, description="shrubs per hectare")
-    saplings_per_ha: float = Field(400.0, ge=0, le=10_000, description="young spruces per hectare")
-    herbs_per_ha: float = Field(2500.0, ge=0, le=20_000, description="patches of dwarf shrubs and herbs per hectare")
+    saplings_per_ha: float = Field(500.0, ge=0, le=10_000, description="young spruces per hectare")
+    herbs_per_ha: float = Field(4000.0, ge=0, le=20_000, description="patches of dwarf shrubs and herbs per hectare")
     logs_per_ha: float = Field(120.0, ge=0, le=5000, description="dead stems and branches on the ground per hectare")
     stumps_per_ha: float = Field(150.0, ge=0, le=5000, description="stumps per hectare")
 
@@ -39,3 +39,34 @@ class ForestSceneParams(Params):
     row_spacing_m: float = Field(10.0, ge=2, le=100, description="distance between them [m]")
     wander_m: float = Field(0.6, ge=0, le=2, description="how far the walker strays from a straight row [m]")
     clearance_m: float = Field(0.6, ge=0.1, le=2, description="no stem comes nearer to the path than this [m]")
+
+
+PRESETS: dict[str, ForestSceneParams] = {
+    "mixed": ForestSceneParams(),
+    "pine-heath": ForestSceneParams(
+        stems_per_ha=450,
+        dbh_mean_m=0.26,
+        pine_share=0.93,
+        spruce_share=0.02,
+        birch_share=0.05,
+        slope_deg=3,
+        shrubs_per_ha=100,
+        saplings_per_ha=120,
+        herbs_per_ha=4500,
+        logs_per_ha=50,
+    ),
+    "dense-spruce": ForestSceneParams(
+        stems_per_ha=1000,
+        dbh_mean_m=0.19,
+        pine_share=0.05,
+        spruce_share=0.85,
+        birch_share=0.10,
+        slope_deg=7,
+        mounds_per_ha=500,
+        shrubs_per_ha=250,
+        saplings_per_ha=600,
+        herbs_per_ha=3000,
+        logs_per_ha=250,
+    ),
+}
+"""Forests by name: the mature mixed stand, an open heath of pines, a thicket of spruces on stony ground."""

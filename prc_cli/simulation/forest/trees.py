@@ -15,7 +15,6 @@ _FOOT_M = 0.35
 """Height up to which roots widen a stem [m]."""
 _HEADROOM_M = 3.3
 """Where a crown would hang over the path, it begins above this [m]."""
-_TUFTS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +25,12 @@ class _Habit:
     """Where the crown begins, share of the height."""
     crown_radius: tuple[float, float]
     """Half width of the crown: at no diameter [m], growth per metre of diameter."""
+    tufts: int
+    """Ellipsoids of leaves, one above the other."""
+    tuft_radius: float
+    """Half width of a tuft over that of the crown."""
+    tuft_height: float
+    """Half height of a tuft over the distance to the next."""
     leaf_density: float
     """Leaf area per volume of the tufts [m²/m³]."""
     tip: float
@@ -42,9 +47,9 @@ class _Habit:
 
 
 _HABITS = {
-    Species.PINE: _Habit((0.5, 0.7), (0.5, 5.0), 0.9, 0.75, 0.45, 4, (0.3, 1.2), 4, (-0.1, 0.6)),
-    Species.SPRUCE: _Habit((0.08, 0.3), (0.5, 4.5), 1.3, 0.2, 0.1, 7, (0.5, 1.6), 4, (-0.4, 0.0)),
-    Species.BIRCH: _Habit((0.3, 0.55), (0.5, 5.0), 0.7, 0.55, 0.35, 1, (0.3, 0.8), 5, (0.4, 1.0)),
+    Species.PINE: _Habit((0.5, 0.7), (0.5, 6.0), 6, 0.55, 0.9, 1.1, 0.7, 0.6, 3, (0.3, 1.2), 4, (-0.1, 0.6)),
+    Species.SPRUCE: _Habit((0.08, 0.3), (0.5, 5.0), 5, 1.0, 0.65, 1.3, 0.15, 0.05, 5, (0.5, 1.6), 3, (-0.4, 0.0)),
+    Species.BIRCH: _Habit((0.3, 0.55), (0.5, 5.5), 5, 0.65, 0.9, 0.7, 0.5, 0.45, 1, (0.3, 0.8), 4, (0.4, 1.0)),
 }
 
 
@@ -94,18 +99,19 @@ def _crowns(stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chan
 
     # tufts one above the other, the crown narrowing from one to the next
     length = stems.height - base
-    level = (np.arange(_TUFTS) + 0.5) / _TUFTS
-    width = radius[:, None] * (1 - (1 - habit.tip) * level) * chance.uniform(0.75, 1.0, (n, _TUFTS))
+    level = (np.arange(habit.tufts) + 0.5) / habit.tufts
+    narrowing = 1 - (1 - habit.tip) * level
+    width = habit.tuft_radius * radius[:, None] * narrowing * chance.uniform(0.7, 1.0, (n, habit.tufts))
     centre = _on_axis(stems, base[:, None] + length[:, None] * level)
-    aside = chance.normal(0.0, habit.scatter / 2, (n, _TUFTS, 2)).clip(-habit.scatter, habit.scatter)
-    centre[..., :2] += aside * radius[:, None, None]
-    tall = np.broadcast_to(length[:, None] / _TUFTS * 0.7, width.shape)
+    aside = chance.uniform(-habit.scatter, habit.scatter, (n, habit.tufts, 2))
+    centre[..., :2] += aside * radius[:, None, None] * narrowing[:, None]
+    tall = np.broadcast_to(length[:, None] / habit.tufts * habit.tuft_height, width.shape)
     half = np.stack([width, width * chance.uniform(0.7, 1.0, width.shape), tall], axis=-1)
     # above the top is no leaf, and below the headroom none bars the path
     low, high = base[:, None] + stems.base[:, 2:], (stems.base[:, 2] + stems.height)[:, None] + 0.3
     half[..., 2] = np.minimum(half[..., 2], np.minimum(high - centre[..., 2], centre[..., 2] - low).clip(0.15))
-    density = habit.leaf_density * leaf_density * chance.uniform(0.6, 1.4, (n, _TUFTS))
-    leaves = ellipsoids(centre, half, chance.uniform(0, np.pi, (n, _TUFTS)), Material.LEAVES, density)
+    density = habit.leaf_density * leaf_density * chance.uniform(0.6, 1.4, (n, habit.tufts))
+    leaves = ellipsoids(centre, half, chance.uniform(0, np.pi, (n, habit.tufts)), Material.LEAVES, density)
 
     live = _branches(
         stems, base[:, None] + length[:, None] * 0.7 * chance.random((n, habit.live)), radius, habit, chance
