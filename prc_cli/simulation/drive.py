@@ -1,0 +1,279 @@
+"""Simulated scans: scene, scanner, what carries it and what it makes of surfaces, as a stream with reference labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlock, StreamInfo
+from prc_cli.core.threads import ordered
+from prc_cli.core.types import F32, F64, U8
+from prc_cli.simulation.casting import Hits, cast
+from prc_cli.simulation.scanners import Scanner
+from prc_cli.simulation.sensor import Measured, goes_behind, scan
+from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
+from prc_cli.simulation.world import Bodies
+
+LINES_AT_ONCE = 64
+"""Lines that are simulated together, always the same ones, so that nothing depends on the blocks that are asked for."""
+LINES_LOOKED_AT = 1 << 12
+"""Lines whose places are worked out together when the end of a drive is looked for."""
+MOST_LINES = 2**31 - 1
+BEHIND_M = 0.01
+"""What is seen through a surface lies farther behind it than this [m]."""
+INTENSITY_SCALE = np.float32(4096.0)
+"""Intensity of a white wall at 10 m; it grows with the root of the power, so that near and far fit 16 bits."""
+
+BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]
+"""Bodies around x, y within a radius [m] at a time [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedBlock:
+    """Consecutive lines of a simulated scan."""
+
+    labelled: LabelledBlock
+    """Ranges, times, intensities, and the reference label of every return."""
+    world_m: F64 | None = None
+    """(lines, M, 3) float64, where every return was measured, from the true pose [m]; NaN = missing."""
+    extra_world_m: F64 | None = None
+    """(n, 3) float64, the same for further returns."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedScan:
+    """A simulated scan; a :class:`prc_cli.core.stream.ScanStream` whose reference labels are known.
+
+    Nothing is kept: every call of :meth:`blocks` simulates again, some lines at a time.
+
+    Parameters
+    ----------
+    name : str
+        What is simulated.
+    bodies_near : callable
+        The scene.
+    scanner : Scanner
+    platform : Platform
+        What carries the scanner.
+    seed : int
+        Of the noise, from 0 to below 2^63.
+    n_lines : int
+        Scan lines.
+    sight_m : float
+        Nothing farther is simulated [m].
+    threads : int
+        They change the time that it takes and nothing else.
+    with_xyz, with_world : bool
+        Whether coordinates relative to the scanner and registered coordinates are worked out.
+    """
+
+    name: str
+    bodies_near: BodiesNear
+    scanner: Scanner
+    platform: Platform
+    seed: int
+    n_lines: int
+    sight_m: float
+    threads: int = 1
+    with_xyz: bool = False
+    with_world: bool = False
+    relabel: Callable[[F64], U8] | None = None
+    """Reference labels by place, (n, 3) [m] to (n,), instead of those of what was hit; needs ``with_world``."""
+
+    @property
+    def info(self) -> StreamInfo:
+        """What is known of the stream."""
+        scanner = self.scanner
+        return StreamInfo(
+            path=self.name,
+            format="simulation",
+            points_per_line=scanner.points_per_line,
+            n_records=self.n_lines * scanner.points_per_line,
+            n_lines=self.n_lines,
+            angle_rad=scanner.angle_rad(),
+            line_hz=scanner.line_hz,
+            nadir_rad=0.0 if scanner.is_static else -float(np.deg2rad(scanner.roll_deg)),
+            fall=1.0 if scanner.is_static else float(np.cos(np.deg2rad(scanner.slant_deg))),
+            assumptions=(Assumption("seed", str(self.seed), "the same seed gives the same scan"),),
+        )
+
+    def blocks(self, lines: int = LINES_AT_ONCE) -> Iterator[ScanBlock]:
+        """Simulate from the start; the values do not depend on how many ``lines`` a block has."""
+        return (item.block for item in self.labelled_blocks(lines))
+
+    def labelled_blocks(self, lines: int = LINES_AT_ONCE) -> Iterator[LabelledBlock]:
+        """Simulate from the start, with reference labels.
+
+        Parameters
+        ----------
+        lines : int
+            Lines in a block at most, at least 1.
+
+        Yields
+        ------
+        LabelledBlock
+            Labels of the materials (:data:`prc_cli.simulation.world.PROPERTIES`), NOISE where the range has nothing
+            to do with a surface, MISSING.
+
+        Raises
+        ------
+        ConfigError
+            When ``lines`` is below 1.
+        """
+        if lines < 1:
+            where = "lines"
+            raise ConfigError(where, f"found {lines}, expected at least 1 line in a block")
+        for item in self.simulated():
+            for first in range(0, item.labelled.block.n_lines, lines):
+                yield _cut(item.labelled, slice(first, first + lines))
+
+    def simulated(self) -> Iterator[SimulatedBlock]:
+        """Simulate from the start, with reference labels and registered coordinates.
+
+        Yields
+        ------
+        SimulatedBlock
+            Of :data:`LINES_AT_ONCE` lines, the last one of fewer.
+        """
+        return ordered(self._lines, range(0, self.n_lines, LINES_AT_ONCE), threads=self.threads)
+
+    def _lines(self, first: int) -> SimulatedBlock:
+        """Simulate the lines from a multiple of :data:`LINES_AT_ONCE` on."""
+        scanner, m = self.scanner, self.scanner.points_per_line
+        n_lines = min(LINES_AT_ONCE, self.n_lines - first)
+        shots = aim(self.platform, scanner, first, n_lines)
+        start, end = shots.origin[0, 0], shots.origin[-1, -1]
+        middle, travelled = (start + end) / 2.0, float(np.hypot(*(end - start)[:2]))
+        when_s = float(shots.time_s[0, 0] + shots.time_s[-1, -1]) / 2.0
+        bodies = self.bodies_near(float(middle[0]), float(middle[1]), self.sight_m + travelled, when_s)
+        found = self._measure(bodies, shots, first)
+        ranges = found.range_m
+        at = found.extra_line, found.extra_column
+        extra = ExtraReturns(*at, found.extra_range_m, (first + at[0].astype(np.int64)) * m + at[1])
+        angle_rad = scanner.angle_rad()
+        block = ScanBlock(
+            first,
+            ranges,
+            time_s=shots.time_s,
+            xyz_m=_relative(scanner, first, ranges) if self.with_xyz else None,
+            intensity=_counts(found.intensity, ranges),
+            angle_rad=angle_rad,
+            beam_rad=angle_rad if scanner.is_static else None,
+            extra=extra,
+            is_last=first + n_lines == self.n_lines,
+        )
+        labelled = LabelledBlock(block, found.label, found.extra_label)
+        if not self.with_world:
+            return SimulatedBlock(labelled)
+        own = shots.origin + ranges[..., None] * shots.direction
+        further = shots.origin[at] + found.extra_range_m[:, None] * shots.direction[at]
+        if self.relabel is not None:
+            labels, extra_labels = self.relabel(own.reshape(-1, 3)).reshape(ranges.shape), self.relabel(further)
+            labelled = replace(labelled, labels=labels, extra_labels=extra_labels)
+        return SimulatedBlock(labelled, own, further)
+
+    def _measure(self, bodies: Bodies, shots: Shots, first: int) -> Measured:
+        """Cast the shots, once more behind what light passes, and let the scanner measure."""
+        scanner, m = self.scanner, self.scanner.points_per_line
+        hits = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m))
+        beyond = goes_behind(hits, bodies, scanner, first, self.seed)
+        behind = None
+        if beyond.any():
+            start_m = np.where(beyond, hits.t + BEHIND_M, np.inf)
+            behind = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m))
+        return scan(hits, bodies, scanner, first, self.seed, behind)
+
+    def _in_sight(self, hits: Hits) -> Hits:
+        """Forget what is farther than is simulated: whether it is among the bodies depends on where they end."""
+        far = hits.t > self.sight_m
+        hits.t[far], hits.body[far], hits.facing[far] = np.inf, -1, 0.0
+        return hits
+
+
+def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
+    """Return how many whole lines a platform makes until it has gone so far, at least 1.
+
+    Raises
+    ------
+    ConfigError
+        When it takes more lines than can be counted.
+    """
+    first = 0
+    while first < MOST_LINES:
+        start_s = scanner.line_time_s(first, LINES_LOOKED_AT)
+        there = platform.progress(start_s)[0] >= length_m
+        if there.any():
+            return max(1, first + int(np.argmax(there)))
+        first += LINES_LOOKED_AT
+    where = "length_m"
+    raise ConfigError(where, f"found {length_m:g}, expected a drive of at most {MOST_LINES} lines")
+
+
+def _counts(power: F32, range_m: F32) -> F32:
+    """Return intensities as scanners store them, whole numbers from 0 to 65535; NaN where there is no return."""
+    counts = np.minimum(np.rint(INTENSITY_SCALE * np.sqrt(power)), 65535.0)
+    counts[np.isnan(range_m)] = np.nan
+    found: F32 = counts.astype(np.float32, copy=False)
+    return found
+
+
+def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
+    """Return the coordinates of returns relative to the scanner, x forward, y left, z up, (lines, M, 3) float32 [m].
+
+    Of a static scanner x points where the head's azimuth is 0.
+    """
+    columns = scanner.directions()
+    if not scanner.is_static:
+        found: F32 = (range_m[..., None] * columns).astype(np.float32)
+        return found
+    azimuth = np.deg2rad(
+        scanner.first_azimuth_deg + scanner.azimuth_step_deg * np.arange(first_line, first_line + len(range_m))
+    )
+    flat = range_m * columns[:, 0]
+    parts = (np.cos(azimuth)[:, None] * flat, np.sin(azimuth)[:, None] * flat, range_m * columns[:, 2])
+    return np.stack(parts, axis=-1).astype(np.float32)
+
+
+def _cut(item: LabelledBlock, rows: slice) -> LabelledBlock:
+    """Return some lines of a block."""
+    block = item.block
+    if rows.start == 0 and rows.stop >= block.n_lines:
+        return item
+    inside = (block.extra.line >= rows.start) & (block.extra.line < rows.stop)
+    extra = ExtraReturns(
+        block.extra.line[inside] - np.int32(rows.start),
+        block.extra.column[inside],
+        block.extra.range_m[inside],
+        block.extra.record[inside],
+    )
+    part = replace(
+        block,
+        first_line=block.first_line + rows.start,
+        range_m=block.range_m[rows],
+        time_s=None if block.time_s is None else block.time_s[rows],
+        xyz_m=None if block.xyz_m is None else block.xyz_m[rows],
+        intensity=None if block.intensity is None else block.intensity[rows],
+        extra=extra,
+        is_last=block.is_last and rows.stop >= block.n_lines,
+    )
+    return LabelledBlock(part, item.labels[rows], item.extra_labels[inside])
+
+
+def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
+    """Return the height of what lies under a place [m]; ``z_m`` where nothing does.
+
+    Parameters
+    ----------
+    bodies_near : callable
+        The scene.
+    x_m, y_m, z_m : float
+        The place, about at the ground [m]: what is higher than a metre above it is not looked at.
+    """
+    origin = np.array([[[x_m, y_m, z_m + 1.0]] * 2])
+    down = np.array([[[0.0, 0.0, -1.0]] * 2])
+    t = cast(bodies_near(x_m, y_m, 1.0, 0.0), origin, down, np.zeros((1, 2))).t
+    return z_m + 1.0 - float(t[0, 0]) if np.isfinite(t[0, 0]) else z_m
