@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from prc_cli.kernels.lines import arrange_lines as arrange_lines
     from prc_cli.kernels.lines import arrange_plane as arrange_plane
     from prc_cli.kernels.markov import hmm_cusum as hmm_cusum
+    from prc_cli.kernels.sensor import goes_behind as goes_behind
+    from prc_cli.kernels.sensor import sense as sense
     from prc_cli.kernels.shots import aim_shots as aim_shots
     from prc_cli.kernels.support import background_mask as background_mask
     from prc_cli.kernels.support import support_mask as support_mask
@@ -58,6 +60,7 @@ KERNELS: dict[str, str] = {
     "find_modes": "prc_cli.kernels.ground",
     "first_high_verticals": "prc_cli.kernels.verticals",
     "first_triggers": "prc_cli.kernels.suspicious",
+    "goes_behind": "prc_cli.kernels.sensor",
     "ground_rows": "prc_cli.kernels.ground",
     "hmm_cusum": "prc_cli.kernels.markov",
     "label_components": "prc_cli.kernels.components",
@@ -65,6 +68,7 @@ KERNELS: dict[str, str] = {
     "main_height": "prc_cli.kernels.ground",
     "possible_curbs": "prc_cli.kernels.curb",
     "potential_heights": "prc_cli.kernels.ground",
+    "sense": "prc_cli.kernels.sensor",
     "signed_angles": "prc_cli.kernels.angles",
     "stable_intervals": "prc_cli.kernels.fourier",
     "support_histogram": "prc_cli.kernels.calibration",

@@ -74,6 +74,10 @@ class Scanner(Params):
     pane_share: float = Field(0.3, ge=0, le=1, description="shots on glass that the pane itself answers")
     ghost_share: float = Field(0.1, ge=0, le=1, description="shots on glass that it mirrors: range beyond the pane")
 
+    leaves_share: float = Field(
+        0.4, ge=0, le=1, description="shots on a leaf that also pass by it, where there are several returns"
+    )
+
     @model_validator(mode="after")
     def _check(self) -> Scanner:
         if self.min_range_m >= self.max_range_m:

@@ -1,0 +1,449 @@
+"""What a scanner says of the surfaces that its beams meet: echoes, their mixture, loss, noise and stray light.
+
+Random numbers are hashes of seed, line, column and purpose, so that they depend on nothing else. Powers are in 1/m²:
+share of the light that comes back from a surface, times the cosine of incidence, over the square of the range.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.kernels.cache import helper, kernel
+
+STEP, EXIT, DIVERGENCE, AMBIGUITY, PULSE, NEAREST, FARTHEST, HALF_POWER, RESOLUTION = range(9)
+"""Places in ``figures``; angles in radians, lengths in metres. Ambiguity 0 = none."""
+NOISE, NOISE_PER_M, NOISE_SPREAD, LOST, EDGE, BACKGROUND, SKY, BRIGHT_SKY, CLUSTER, CLUSTER_M = range(9, 19)
+PANE, GHOST, LEAVES, IS_CW, MAX_RETURNS = range(19, 24)
+
+GLASS, LEAVED, CURVED = 1, 2, 4
+"""Bits of what a body is."""
+LABEL_MISSING, LABEL_NOISE = 0, 2
+"""As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
+
+_FOR_NOISE, _FOR_LOSS, _FOR_STRAY, _FOR_PLACE, _FOR_GLASS, _FOR_LEAVES, _FOR_EDGE, _FOR_ECHO, _FOR_SKY = range(9)
+_WHITE = 0.9
+"""Share of light that comes back from what data sheets call white."""
+_FLASH = 0.9986
+"""Cosine of three degrees: glass that is met squarely mirrors the beam back."""
+_SKY_COLUMNS, _SKY_LINES = 24, 100
+"""Bright patches of the sky: so many to a line, and of so many lines."""
+
+_HITS = "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))"
+
+
+@helper
+def _mix(x: np.uint64) -> np.uint64:
+    """Scramble 64 bits (finaliser of SplitMix64, Steele et al. 2014)."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@helper
+def _key(seed: int, line: int) -> np.uint64:
+    return _mix(_mix(np.uint64(seed)) + np.uint64(line) * np.uint64(0x9E3779B97F4A7C15))
+
+
+@helper
+def _draw(key: np.uint64, column: int, purpose: int) -> float:
+    """Return a number in 0..1 for a shot and a purpose."""
+    bits = key + np.uint64(column) * np.uint64(0xD1B54A32D192ED03) + np.uint64(purpose) * np.uint64(0x8CB92BA72F3D8DD7)
+    return np.float64(_mix(bits) >> np.uint64(11)) * 2.0**-53
+
+
+@helper
+def _normal(uniform: float, quantiles: F64) -> float:
+    """Return the quantile of the standard normal law, from a table."""
+    place = uniform * (quantiles.shape[0] - 1)
+    i = int(place)
+    return quantiles[i] + (place - i) * (quantiles[i + 1] - quantiles[i])
+
+
+@helper
+def _cosine(facing: float) -> float:
+    return min(max(abs(facing), 0.02), 1.0)
+
+
+@helper
+def _slope(facing: float) -> float:
+    """Return the tangent of the angle of incidence."""
+    cosine = _cosine(facing)
+    return np.sqrt(1.0 - cosine * cosine) / cosine
+
+
+@helper
+def _goes_on(key: np.uint64, column: int, what: int, facing: float, figures: F64) -> bool:
+    """Tell whether what lies behind the first surface matters: seen through glass, or passing by a leaf."""
+    if what & GLASS:
+        return abs(facing) < _FLASH and _draw(key, column, _FOR_GLASS) >= figures[PANE] + figures[GHOST]
+    return what & LEAVED != 0 and figures[MAX_RETURNS] > 1.0 and _draw(key, column, _FOR_LEAVES) < figures[LEAVES]
+
+
+@helper
+def _other_share(
+    key: np.uint64, t: F64, body: I32, facing: F64, kind: U8, figures: F64, column: int, side: int
+) -> float:
+    """Return the share of the beam, up to half, that falls on what the neighbour sees; 0 where there is no edge.
+
+    The edge lies anywhere between the two shots, each of which it splits if it is within its width.
+    """
+    other = column + side
+    if other < 0 or other >= t.shape[0]:
+        return 0.0
+    one, two = body[column], body[other]
+    near = min(t[column], t[other])
+    if two >= 0:
+        if kind[two, 1] & GLASS or (one == two and not kind[one, 1] & LEAVED):
+            return 0.0
+        # slanted planes have steps too; of round bodies and leaves the slope says nothing of their edge
+        slope = 0.0 if kind[one, 1] & (LEAVED | CURVED) else _slope(facing[column])
+        slope = max(slope, 0.0 if kind[two, 1] & (LEAVED | CURVED) else _slope(facing[other]))
+        if abs(t[other] - t[column]) <= figures[EDGE] + 2.0 * figures[STEP] * near * slope:
+            return 0.0
+    beside = _draw(key, min(column, other), _FOR_EDGE)
+    if side < 0:
+        beside = 1.0 - beside
+    width = figures[EXIT] + figures[DIVERGENCE] * near
+    return max(0.5 - beside * (figures[STEP] * near) / width, 0.0)
+
+
+@helper
+def _first_echo(
+    key: np.uint64, t: float, facing: float, column: int, about: tuple[float, float], kind: U8, figures: F64, echo: F64
+) -> int:
+    """Write the echo of the first surface, if it gives any; return how many that are."""
+    what, label = kind[1], kind[0]
+    reflectance = about[0]
+    distance = t
+    cosine = _cosine(facing)
+    if what & GLASS:
+        if abs(facing) >= _FLASH:
+            reflectance = 1.0
+        else:
+            chance = _draw(key, column, _FOR_GLASS)
+            if chance >= figures[PANE] + figures[GHOST]:
+                return 0
+            if chance >= figures[PANE]:
+                # what the pane mirrors lies as far before it as it seems behind; the same for all of a pane
+                distance = t * (1.3 + 1.7 * about[1])
+                reflectance = 0.3
+                label = LABEL_NOISE
+    echo[0, 0] = distance
+    echo[0, 1] = reflectance * cosine / (distance * distance)
+    echo[0, 2] = 0.0 if what & LEAVED else _slope(facing)
+    echo[0, 3] = label
+    return 1
+
+
+@helper
+def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: int) -> int:
+    """Put an echo in its place by range."""
+    i = n
+    while i > 0 and echo[i - 1, 0] > t:
+        for j in range(4):
+            echo[i, j] = echo[i - 1, j]
+        i -= 1
+    echo[i, 0] = t
+    echo[i, 1] = power
+    echo[i, 2] = slope
+    echo[i, 3] = label
+    return n + 1
+
+
+@helper
+def _merge(echo: F64, n: int, figures: F64) -> int:
+    """Make one of echoes that the scanner cannot tell apart: all of them, or those within a pulse."""
+    kept = 0
+    for i in range(1, n):
+        gap = echo[i, 0] - echo[kept, 0]
+        if figures[IS_CW] == 0.0 and gap > figures[PULSE]:
+            kept += 1
+            for j in range(4):
+                echo[kept, j] = echo[i, j]
+            continue
+        share = echo[i, 1] / (echo[kept, 1] + echo[i, 1])
+        if gap * (1.0 - share) <= figures[EDGE]:
+            echo[kept, 2] = echo[i, 2]
+            echo[kept, 3] = echo[i, 3]
+        elif gap * share > figures[EDGE]:
+            echo[kept, 2] = 0.0
+            echo[kept, 3] = LABEL_NOISE
+        echo[kept, 0] += share * gap
+        echo[kept, 1] += echo[i, 1]
+    return kept + 1
+
+
+@helper
+def _is_answered(power: float, chance: float, figures: F64) -> bool:
+    """Tell whether an echo is found: half of those at the power of the half range, by the fourth power of it."""
+    strength = power / figures[HALF_POWER]
+    fourth = strength * strength * strength * strength
+    return chance * (1.0 + fourth) < fourth * (1.0 - figures[LOST])
+
+
+@helper
+def _sigma(power: float, t: float, slope: float, figures: F64) -> float:
+    """Return the range noise: by weakness, and by the depth that the beam's width spans on a slanted surface."""
+    width = figures[EXIT] + figures[DIVERGENCE] * t
+    return figures[NOISE] + figures[NOISE_PER_M] * np.sqrt(_WHITE / power) + figures[NOISE_SPREAD] * width * slope
+
+
+@helper
+def _brightness(seed: int, line: int, column: int, n_columns: int) -> float:
+    """Return 0 for sky and 1 for bright sky, smooth from patch to patch."""
+    i = line // _SKY_LINES
+    v = (line - i * _SKY_LINES) / _SKY_LINES
+    place = column * _SKY_COLUMNS / n_columns
+    j = int(place)
+    u = place - j
+    before, after = _key(seed, i), _key(seed, i + 1)
+    early = _draw(before, j, _FOR_SKY) * (1.0 - u) + _draw(before, j + 1, _FOR_SKY) * u
+    late = _draw(after, j, _FOR_SKY) * (1.0 - u) + _draw(after, j + 1, _FOR_SKY) * u
+    return min(max(6.0 * (early * (1.0 - v) + late * v) - 3.6, 0.0), 1.0)
+
+
+@helper
+def _rounded(t: float, figures: F64) -> float:
+    """Return the range as it is given, NaN outside of the limits."""
+    steps = np.floor(t / figures[RESOLUTION] + 0.5) * figures[RESOLUTION]
+    return steps if figures[NEAREST] <= steps <= figures[FARTHEST] else np.nan
+
+
+@kernel(f"boolean[:, ::1]({_HITS}, uint8[:, ::1], float64[::1], int64, int64)")
+def goes_behind(hits: tuple[F64, I32, F64], kind: U8, figures: F64, first_line: int, seed: int) -> Mask:
+    """Mark the shots whose light goes on behind the surface that it meets first.
+
+    Parameters
+    ----------
+    hits : tuple
+        Range (lines, M) float64 [m], body (lines, M) int32, -1 = none, cosine of incidence (lines, M) float64.
+    kind : (n, 2) uint8
+        Label of every body, and bits of what it is.
+    figures : (24,) float64
+        Of the scanner.
+    first_line : int
+    seed : int
+        At least 0.
+
+    Returns
+    -------
+    (lines, M) bool
+    """
+    body, facing = hits[1], hits[2]
+    behind = np.zeros(body.shape, np.bool_)
+    for i in range(body.shape[0]):
+        key = _key(seed, first_line + i)
+        for column in range(body.shape[1]):
+            one = body[i, column]
+            if one >= 0 and kind[one, 1] & (GLASS | LEAVED):
+                behind[i, column] = _goes_on(key, column, kind[one, 1], facing[i, column], figures)
+    return behind
+
+
+@helper
+def _echoes(
+    key: np.uint64,
+    line: tuple[F64, I32, F64],
+    behind: tuple[float, int, float],
+    surface: F64,
+    kind: U8,
+    figures: F64,
+    column: int,
+    echo: F64,
+) -> int:
+    """Write all that comes back of a shot, from near to far; return how many echoes that are."""
+    t, body, facing = line
+    one = body[column]
+    about = (surface[one, 0], surface[one, 1])
+    n = _first_echo(key, t[column], facing[column], column, about, kind[one], figures, echo)
+    what = kind[one, 1]
+    if behind[1] >= 0 and (what & (GLASS | LEAVED)) and _goes_on(key, column, what, facing[column], figures):
+        two = behind[1]
+        part = 0.6
+        if n == 1:
+            part = 0.2 + 0.6 * _draw(key, column, _FOR_ECHO)
+            echo[0, 1] *= 1.0 - part
+        power = part * surface[two, 0] * _cosine(behind[2]) / (behind[0] * behind[0])
+        slope = 0.0 if kind[two, 1] & LEAVED else _slope(behind[2])
+        n = _add_echo(echo, n, behind[0], power, slope, kind[two, 0])
+    if what & GLASS:
+        return n
+    for side in (-1, 1):
+        share = _other_share(key, t, body, facing, kind, figures, column, side)
+        if share > 0.0:
+            for j in range(n):
+                echo[j, 1] *= 1.0 - share
+            two = body[column + side]
+            if two >= 0:
+                far = t[column + side]
+                power = share * surface[two, 0] * _cosine(facing[column + side]) / (far * far)
+                slope = 0.0 if kind[two, 1] & LEAVED else _slope(facing[column + side])
+                n = _add_echo(echo, n, far, power, slope, kind[two, 0])
+            break
+    return _merge(echo, n, figures)
+
+
+@helper
+def _find(key: np.uint64, column: int, figures: F64, quantiles: F64, echo: F64, n: int) -> int:
+    """Keep the echoes that are found, at most as many as the scanner gives, with noise on their ranges."""
+    found = 0
+    for i in range(n):
+        chance = _draw(key, column, _FOR_LOSS + 16 * i)
+        if not _is_answered(echo[i, 1], chance, figures):
+            continue
+        deviate = _normal(_draw(key, column, _FOR_NOISE + 16 * i), quantiles)
+        t = echo[i, 0] + deviate * _sigma(echo[i, 1], echo[i, 0], echo[i, 2], figures)
+        label = echo[i, 3]
+        if figures[AMBIGUITY] > 0.0 and t >= figures[AMBIGUITY]:
+            t -= np.floor(t / figures[AMBIGUITY]) * figures[AMBIGUITY]
+            label = LABEL_NOISE
+        t = _rounded(t, figures)
+        if np.isnan(t):
+            continue
+        # a scanner of one return takes the strongest
+        if figures[MAX_RETURNS] == 1.0 and found == 1:
+            if echo[i, 1] <= echo[0, 1]:
+                continue
+            found = 0
+        if found < figures[MAX_RETURNS]:
+            echo[found, 0] = t
+            echo[found, 1] = echo[i, 1]
+            echo[found, 3] = label
+            found += 1
+    return found
+
+
+@helper
+def _stray(
+    key: np.uint64,
+    place: tuple[int, int, int],
+    seed: int,
+    is_sky: bool,
+    figures: F64,
+    quantiles: F64,
+    echo: F64,
+    n: int,
+) -> int:
+    """Let background light replace or move the range of a continuous wave; return how many returns that makes."""
+    line, column, n_columns = place
+    chance = _draw(key, column, _FOR_STRAY)
+    if n == 0:
+        share = figures[SKY]
+        if is_sky:
+            share += (figures[BRIGHT_SKY] - share) * _brightness(seed, line, column, n_columns)
+    else:
+        share = figures[BACKGROUND]
+        if share <= chance < share + figures[CLUSTER]:
+            off = _normal(_draw(key, column, _FOR_PLACE), quantiles) * figures[CLUSTER_M]
+            t = _rounded(echo[0, 0] + off, figures)
+            echo[0, 0] = t
+            if abs(off) > figures[EDGE]:
+                echo[0, 3] = LABEL_NOISE
+            return 0 if np.isnan(t) else n
+    if chance >= share:
+        return n
+    reach = figures[AMBIGUITY] if figures[AMBIGUITY] > 0.0 else figures[FARTHEST]
+    t = _rounded(_draw(key, column, _FOR_PLACE) * reach, figures)
+    echo[0, 0] = t
+    echo[0, 1] = figures[HALF_POWER]
+    echo[0, 3] = LABEL_NOISE
+    return 0 if np.isnan(t) else 1
+
+
+@kernel(
+    "Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))"
+    f"({_HITS}, {_HITS}, float64[:, ::1], uint8[:, ::1], float64[::1], float64[::1], int64, int64)"
+)
+def sense(
+    hits: tuple[F64, I32, F64],
+    behind: tuple[F64, I32, F64],
+    surface: F64,
+    kind: U8,
+    figures: F64,
+    quantiles: F64,
+    first_line: int,
+    seed: int,
+) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
+    """Turn what the beams of consecutive lines meet into what the scanner says.
+
+    Parameters
+    ----------
+    hits, behind : tuple
+        Nearest surface of every shot, and the one behind it: range (lines, M) float64 [m] from the scanner, body
+        (lines, M) int32, -1 = none, cosine of incidence (lines, M) float64. ``behind`` of no lines = not looked for.
+    surface : (n, 2) float64
+        Of every body: share of light that comes back, and a number in 0..1 that tells what it mirrors.
+    kind : (n, 2) uint8
+        Of every body: label, and bits of what it is.
+    figures : (24,) float64
+        Of the scanner, in the order of the constants above.
+    quantiles : (k,) float64
+        Of the standard normal law, evenly spaced from 0 to 1, finite.
+    first_line : int
+        At least 0.
+    seed : int
+        At least 0.
+
+    Returns
+    -------
+    range_m : (lines, M) float32
+        NaN = missing.
+    label : (lines, M) uint8
+    intensity : (lines, M) float32
+        Power over that of white at 10 m, met squarely; 0 = missing.
+    extra : (e, 2) int32
+        Line and column of further returns, by line, column and range.
+    extra_range_m : (e,) float32
+    extra_label : (e,) uint8
+    extra_intensity : (e,) float32
+    """
+    n_lines, m = hits[0].shape
+    ranges = np.full((n_lines, m), np.float32(np.nan), np.float32)
+    labels = np.zeros((n_lines, m), np.uint8)
+    intensities = np.zeros((n_lines, m), np.float32)
+    room = n_lines * m * 2 if figures[MAX_RETURNS] > 1.0 else 0
+    extra = np.empty((room, 2), np.int32)
+    extra_range, extra_label = np.empty(room, np.float32), np.empty(room, np.uint8)
+    extra_intensity = np.empty(room, np.float32)
+    n_extra = 0
+    echo = np.empty((4, 4), np.float64)
+    looked = behind[0].shape[0] == n_lines
+    for i in range(n_lines):
+        key = _key(seed, first_line + i)
+        line = (hits[0][i], hits[1][i], hits[2][i])
+        for column in range(m):
+            is_sky = line[1][column] < 0
+            n = 0
+            if not is_sky:
+                second = (np.inf, np.int32(-1), 1.0)
+                if looked:
+                    second = (behind[0][i, column], behind[1][i, column], behind[2][i, column])
+                n = _echoes(key, line, second, surface, kind, figures, column, echo)
+                n = _find(key, column, figures, quantiles, echo, n)
+            if figures[IS_CW] != 0.0:
+                place = (first_line + i, column, m)
+                n = _stray(key, place, seed, is_sky, figures, quantiles, echo, n)
+            for j in range(n):
+                intensity = echo[j, 1] / (_WHITE / 100.0)
+                if j == 0:
+                    ranges[i, column] = np.float32(echo[0, 0])
+                    labels[i, column] = np.uint8(echo[0, 3])
+                    intensities[i, column] = np.float32(intensity)
+                else:
+                    extra[n_extra, 0] = i
+                    extra[n_extra, 1] = column
+                    extra_range[n_extra] = np.float32(echo[j, 0])
+                    extra_label[n_extra] = np.uint8(echo[j, 3])
+                    extra_intensity[n_extra] = np.float32(intensity)
+                    n_extra += 1
+    kept = slice(0, n_extra)
+    return (
+        ranges,
+        labels,
+        intensities,
+        extra[kept].copy(),
+        extra_range[kept].copy(),
+        extra_label[kept].copy(),
+        extra_intensity[kept].copy(),
+    )

@@ -1,0 +1,194 @@
+"""What a scanner makes of the surfaces its beams meet: ranges, labels, intensities and further returns.
+
+How it is thought (the loops are in :mod:`prc_cli.kernels.sensor`):
+
+- An echo has a power, ``reflectance * cos(incidence) / range²``. Half of the echoes are found at the power of a white
+  wall at the scanner's half range; the odds grow with the fourth power, so dark, grazing and far surfaces drop out.
+- Range noise grows with the weakness of the echo, so with range, incidence and darkness alike, and with the depth that
+  the beam's width spans on a slanted surface.
+- Between two neighbours of a line whose ranges step, there is an edge at a random place. A beam that is wide enough to
+  reach it is split, so the share of split shots is the beam's width over the distance of the shots. A continuous wave
+  gives a range in between, weighted by power; a pulse gives two returns, or a mixture if they are closer than the
+  pulse is long. Only neighbours within the line count: a line depends on nothing but itself.
+- Glass answers with the pane (always where it is met squarely), a ghost beyond it, or lets the light through.
+- Background light gives a continuous wave a range from anywhere within the ambiguity interval, oftenest where the sky
+  is bright, and moves some ranges off their surface. Ranges beyond the interval come back wrapped.
+
+A range that is not that of a surface is labelled NOISE; a mixture within ``edge_m`` of a surface is that surface's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from statistics import NormalDist
+from typing import Protocol
+
+import numpy as np
+
+from prc_cli import kernels
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.simulation.scanners import Scanner
+from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
+
+_GLASS, _LEAVED, _CURVED = 1, 2, 4
+_QUANTILES = 4096
+
+
+class Struck(Protocol):
+    """Nearest surface of every shot, as the caster gives it."""
+
+    @property
+    def t(self) -> F64:
+        """(lines, M) float64, range from the scanner [m], inf = none."""
+
+    @property
+    def body(self) -> I32:
+        """(lines, M) int32, index among the bodies, -1 = none."""
+
+    @property
+    def facing(self) -> F64:
+        """(lines, M) float64, cosine of incidence."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """What the scanner says of consecutive lines."""
+
+    range_m: F32
+    """(lines, M) float32, nearest return [m]; NaN = missing."""
+    label: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Label` of what the range is of."""
+    intensity: F32
+    """(lines, M) float32, power over that of a white wall at 10 m; 0 = missing."""
+    extra_line: I32
+    """(e,) int32, line within the block of every further return, sorted by line, column and range."""
+    extra_column: I32
+    """(e,) int32."""
+    extra_range_m: F32
+    """(e,) float32 [m]."""
+    extra_label: U8
+    """(e,) uint8."""
+    extra_intensity: F32
+    """(e,) float32."""
+
+
+def goes_behind(hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int, seed: int) -> Mask:
+    """Mark the shots for which what lies behind the first surface matters.
+
+    They see through glass, or pass by a leaf with a scanner of several returns. Cast them again from just behind
+    their first surface and give the result to :func:`scan`, ranges counted from the scanner.
+
+    Parameters
+    ----------
+    hits : Struck
+        Nearest surface of every shot, (lines, M).
+    bodies : Bodies
+        What the hits count.
+    scanner : Scanner
+    first_line : int
+        Number of the first line.
+    seed : int
+        From 0 to below 2^63; the same as for :func:`scan`.
+
+    Returns
+    -------
+    (lines, M) bool
+    """
+    _, kind = _about(bodies)
+    mask: Mask = kernels.goes_behind(_arrays(hits), kind, _figures(scanner), first_line, seed)
+    return mask
+
+
+def scan(
+    hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int, seed: int, behind: Struck | None = None
+) -> Measured:
+    """Turn what the beams meet into what the scanner says.
+
+    Parameters
+    ----------
+    hits : Struck
+        Nearest surface of every shot, (lines, M).
+    bodies : Bodies
+        What the hits count.
+    scanner : Scanner
+    first_line : int
+        Number of the first line, at least 0; with the seed it decides all that is random.
+    seed : int
+        From 0 to below 2^63.
+    behind : Struck, optional
+        Next surface of the shots that :func:`goes_behind` marks, (lines, M); what it holds for others is not read.
+        Without it nothing is seen through glass.
+
+    Returns
+    -------
+    Measured
+        (lines, M).
+    """
+    surface, kind = _about(bodies)
+    nothing = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
+    second = nothing if behind is None else _arrays(behind)
+    ranges, labels, intensities, extra, *further = kernels.sense(
+        _arrays(hits), second, surface, kind, _figures(scanner), _quantiles(), first_line, seed
+    )
+    lines, columns = np.ascontiguousarray(extra[:, 0]), np.ascontiguousarray(extra[:, 1])
+    return Measured(ranges, labels, intensities, lines, columns, *further)
+
+
+def _arrays(hits: Struck) -> tuple[F64, I32, F64]:
+    return (
+        np.ascontiguousarray(hits.t, dtype=np.float64),
+        np.ascontiguousarray(hits.body, dtype=np.int32),
+        np.ascontiguousarray(hits.facing, dtype=np.float64),
+    )
+
+
+def _about(bodies: Bodies) -> tuple[F64, U8]:
+    """Return reflectance and a number in 0..1 of every body, (n, 2), and label and bits of what it is, (n, 2)."""
+    reflectance = np.array([PROPERTIES[material].reflectance for material in Material])
+    label = np.array([PROPERTIES[material].label for material in Material], dtype=np.uint8)
+    is_glass = np.array([PROPERTIES[material].is_glass for material in Material])
+    # neighbouring numbers, as of the panes of one house, shall differ: the golden ratio spreads them
+    surface = np.stack([reflectance[bodies.material], (bodies.number * 0.6180339887498949) % 1.0], axis=1)
+    curved = (bodies.shape == Shape.CONE) | (bodies.shape == Shape.ELLIPSOID)
+    bits = _GLASS * is_glass[bodies.material] + _LEAVED * (bodies.density > 0.0) + _CURVED * curved
+    return surface, np.stack([label[bodies.material], bits.astype(np.uint8)], axis=1)
+
+
+def _figures(scanner: Scanner) -> F64:
+    """Return the scanner's numbers in the order of the kernel."""
+    figures = [
+        scanner.step_rad,
+        scanner.exit_mm / 1000.0,
+        scanner.divergence_mrad / 1000.0,
+        scanner.ambiguity_m,
+        scanner.pulse_m,
+        scanner.min_range_m,
+        scanner.max_range_m,
+        0.9 / scanner.half_range_m**2,
+        scanner.resolution_m,
+        scanner.noise_m,
+        scanner.noise_per_m,
+        scanner.noise_spread,
+        scanner.lost_share,
+        scanner.edge_m,
+        scanner.background_share,
+        scanner.sky_share,
+        scanner.bright_sky_share,
+        scanner.cluster_share,
+        scanner.cluster_m,
+        scanner.pane_share,
+        scanner.ghost_share,
+        scanner.leaves_share,
+        scanner.principle == "cw",
+        scanner.max_returns,
+    ]
+    return np.array(figures, dtype=np.float64)
+
+
+@lru_cache(maxsize=1)
+def _quantiles() -> F64:
+    """Return quantiles of the standard normal law from 0 to 1, (4097,) float64, both ends at 4.2."""
+    law = NormalDist()
+    inner = [law.inv_cdf(i / _QUANTILES) for i in range(1, _QUANTILES)]
+    return np.array([-4.2, *inner, 4.2])
