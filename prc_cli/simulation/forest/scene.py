@@ -27,7 +27,6 @@ _CELLS_KEPT = 400
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Cell:
-    stems: Stems
     bodies: Bodies
     centre: F64
     """(n, 2) float64, of the circle on the map around every body [m]."""
@@ -56,19 +55,21 @@ class ForestScene:
         self._stand = Stand(params, seed, self.terrain, self.rows)
         self._floor = Floor(params, self.terrain, self.rows)
         self._candidates = lru_cache(_CELLS_KEPT)(self._stand.candidates)
+        self._stems = lru_cache(_CELLS_KEPT)(self._make_stems)
         self._cell = lru_cache(_CELLS_KEPT)(self._make_cell)
 
     def bodies_near(self, x_m: float, y_m: float, radius_m: float) -> Bodies:
         """Return the bodies whose circle on the map touches the one that is asked for."""
         parts = []
-        for cell in self._cells_near(x_m, y_m, radius_m + _OVERHANG_M):
+        for i, j in _cells_near(x_m, y_m, radius_m + _OVERHANG_M):
+            cell = self._cell(i, j)
             far = np.hypot(cell.centre[:, 0] - x_m, cell.centre[:, 1] - y_m)
             parts.append(take(cell.bodies, far <= radius_m + cell.reach))
         return Bodies.join(parts)
 
     def stems_near(self, x_m: float, y_m: float, radius_m: float) -> Stems:
         """Return the trees whose foot stands within a circle."""
-        stems = Stems.join([cell.stems for cell in self._cells_near(x_m, y_m, radius_m)])
+        stems = Stems.join([self._stems(i, j) for i, j in _cells_near(x_m, y_m, radius_m)])
         return stems.take(np.hypot(stems.base[:, 0] - x_m, stems.base[:, 1] - y_m) <= radius_m)
 
     def path_point(self, s_m: F64) -> tuple[F64, F64]:
@@ -87,18 +88,12 @@ class ForestScene:
         xy, heading = self.rows.point(np.asarray(s_m, dtype=np.float64))
         return np.column_stack([xy, self.terrain.level(xy[:, 0], xy[:, 1])]), heading
 
-    def _cells_near(self, x_m: float, y_m: float, radius_m: float) -> Iterator[_Cell]:
-        """Yield the cells that a circle touches, in the order of their indices."""
-        for i in range(math.floor((x_m - radius_m) / CELL_M), math.floor((x_m + radius_m) / CELL_M) + 1):
-            for j in range(math.floor((y_m - radius_m) / CELL_M), math.floor((y_m + radius_m) / CELL_M) + 1):
-                beside_x = max(i * CELL_M - x_m, x_m - (i + 1) * CELL_M, 0.0)
-                beside_y = max(j * CELL_M - y_m, y_m - (j + 1) * CELL_M, 0.0)
-                if math.hypot(beside_x, beside_y) <= radius_m:
-                    yield self._cell(i, j)
+    def _make_stems(self, i: int, j: int) -> Stems:
+        around = [self._candidates(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
+        return self._stand.stems(around[4], around)
 
     def _make_cell(self, i: int, j: int) -> _Cell:
-        around = [self._candidates(i + di, j + dj) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
-        stems = self._stand.stems(around[4], around)
+        stems = self._stems(i, j)
         to_path = self.rows.distance(stems.base[:, 0], stems.base[:, 1])
         bodies = Bodies.join(
             [
@@ -110,4 +105,14 @@ class ForestScene:
         )
         numbers = first_number(self._seed, i, j) + np.arange(len(bodies), dtype=np.float64)
         bodies = replace(bodies, number=numbers)
-        return _Cell(stems, bodies, *footprints(bodies))
+        return _Cell(bodies, *footprints(bodies))
+
+
+def _cells_near(x_m: float, y_m: float, radius_m: float) -> Iterator[tuple[int, int]]:
+    """Yield the cells that a circle touches, in the order of their indices."""
+    for i in range(math.floor((x_m - radius_m) / CELL_M), math.floor((x_m + radius_m) / CELL_M) + 1):
+        for j in range(math.floor((y_m - radius_m) / CELL_M), math.floor((y_m + radius_m) / CELL_M) + 1):
+            beside_x = max(i * CELL_M - x_m, x_m - (i + 1) * CELL_M, 0.0)
+            beside_y = max(j * CELL_M - y_m, y_m - (j + 1) * CELL_M, 0.0)
+            if math.hypot(beside_x, beside_y) <= radius_m:
+                yield i, j
