@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,7 +35,7 @@ class Frame:
 
     def at(self, u: float, v: float, w: float) -> Point:
         """World coordinates of a point [m]."""
-        c, s, side = float(np.cos(self.yaw)), float(np.sin(self.yaw)), self.mirror * v
+        c, s, side = math.cos(self.yaw), math.sin(self.yaw), self.mirror * v
         return self.x + c * u - s * side, self.y + s * u + c * side, self.z + w + self.slope * u + self.roll * v
 
     def moved(self, u: float, v: float, w: float = 0.0, turn: float = 0.0) -> Frame:

@@ -35,8 +35,8 @@ class Purpose(IntEnum):
     FURNITURE = 5
     PARKED = 6
     TREES = 7
-    CARS = 8
-    WALKERS = 9
+    GARDENS = 8
+    MOVERS = 9
     WIRES = 10
 
 
@@ -134,15 +134,22 @@ def plan_of(seed: int, piece: int, choice: str) -> Plan:
     """
     start = piece * PIECE_M
     character = character_of(seed, piece, choice)
-    rng = generator(seed, Purpose.BLOCK, piece // PIECES_IN_BLOCK, side=-1)
-    which, shift, half, sides = int(rng.integers(1, 3)), rng.uniform(-4, 4), rng.uniform(3.2, 4.2), rng.integers(3)
-    junction = crossing = None
-    if piece % PIECES_IN_BLOCK == which:
-        junction = Junction(start + 0.5 * PIECE_M + shift, half, left=bool(sides != 1), right=bool(sides != 0))
-        end = junction.bend[1] + 0.8 if shift < 0 else junction.bend[0] - 3.3
+    junction, crossing = junction_of(seed, piece), None
+    if junction is not None:
+        early = junction.s < start + 0.5 * PIECE_M
+        end = junction.bend[1] + 0.8 if early else junction.bend[0] - 3.3
         crossing = (end, end + 2.5)
     left, right = (_side(seed, piece, side, character, junction, crossing) for side in (1, -1))
     return Plan(piece, start, character, junction, crossing, (left, right))
+
+
+def junction_of(seed: int, piece: int) -> Junction | None:
+    """Return the junction of a piece, if it has one: one in four has."""
+    rng = generator(seed, Purpose.BLOCK, piece // PIECES_IN_BLOCK, side=-1)
+    which, shift, half, sides = int(rng.integers(1, 3)), rng.uniform(-4, 4), rng.uniform(3.2, 4.2), rng.integers(3)
+    if piece % PIECES_IN_BLOCK != which:
+        return None
+    return Junction((piece + 0.5) * PIECE_M + shift, half, left=bool(sides != 1), right=bool(sides != 0))
 
 
 def _border(seed: int, piece: int, side: int) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from prc_cli.core.types import F64
 from prc_cli.simulation.street.centreline import Centreline
-from prc_cli.simulation.street.pile import Pile, Point, Span
+from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
 from prc_cli.simulation.street.plan import (
     BUILDING_LINE_M,
     CORNER_M,
@@ -75,6 +75,18 @@ class Ground:
         """Height of the ground at a place that is neither in a side street nor at a dropped curb [m]."""
         raised = self.curb_m if abs(d_m) > ROAD_HALF_M else 0.0
         return float(self.road(np.array([s_m]), np.array([d_m]))[0]) + raised
+
+    def spot(self, s: float, d: float, *, tilted: bool) -> tuple[float, float, float, float, float, float]:
+        """Place and height [m], heading [rad], slopes along and to the left, 0 where not asked for."""
+        at = np.array([s, s - 1.0, s + 1.0])
+        heading = self.line.heading(at)
+        (x, y), *_ = self.line.place(at, np.full(3, d)).tolist()
+        z = self.road(at, np.full(3, d)).tolist()
+        up = self.curb_m if abs(d) > ROAD_HALF_M else 0.0
+        if not tilted:
+            return x, y, z[0] + up, float(heading[0]), 0.0, 0.0
+        roll = -float(np.sign(d)) * _CROSS_FALL if abs(d) < ROAD_HALF_M else 0.0
+        return x, y, z[0] + up, float(heading[0]), 0.5 * (z[2] - z[1]), roll
 
     def lay(self, pile: Pile, plan: Plan) -> None:
         """Add the ground of a piece."""
@@ -246,3 +258,9 @@ def _side_street(mesh: _Mesh, junction: Junction, side: int, curb_m: float) -> N
             a, b = mesh.point(foot, side * d0, 0.0), mesh.point(foot, side * d1, 0.0)
             c, d = mesh.point(top, side * d1, curb_m), mesh.point(top, side * d0, curb_m)
             mesh.pile.quad((a, b, c, d), Material.CURB)
+
+
+def frame_at(ground: Ground, s: float, d: float, mirror: int = 1, *, tilted: bool = False) -> Frame:
+    """Return a frame on the ground with u along the street; ``tilted`` = with the slopes of the road."""
+    x, y, z, yaw, slope, roll = ground.spot(s, d, tilted=tilted)
+    return Frame(x, y, z, yaw, slope, roll * mirror, mirror)

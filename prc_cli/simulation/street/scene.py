@@ -11,7 +11,9 @@ import numpy as np
 from prc_cli.core.types import F64, Mask
 from prc_cli.simulation.street.centreline import LANE_M, Centreline
 from prc_cli.simulation.street.houses import build_houses
+from prc_cli.simulation.street.movers import TIME_STEP_S, movers_near, streams_of
 from prc_cli.simulation.street.params import StreetSceneParams
+from prc_cli.simulation.street.pieces import build_kerbs
 from prc_cli.simulation.street.pile import Pile, outlines
 from prc_cli.simulation.street.plan import PIECE_M, Purpose, generator, plan_of
 from prc_cli.simulation.street.road import Ground
@@ -47,6 +49,7 @@ class StreetScene:
         rng = generator(seed, Purpose.LINE)
         self.line = Centreline(rng, self.params.curves, self.params.hills)
         self.ground = Ground(self.line, rng.uniform(0.11, 0.14))
+        self._streams = streams_of(self.params)
         self._pieces: OrderedDict[int, tuple[Bodies, F64]] = OrderedDict()
         self._lock = Lock()
 
@@ -75,12 +78,13 @@ class StreetScene:
         x_m, y_m, radius_m : float
             The circle [m].
         time_s : float
-            When it is looked at [s]; decides which of those that move are there.
+            When it is looked at [s]; decides which of those that move are there. Ask again after
+            ``TIME_STEP_S``: they leave a curved street after a while, for they go straight on.
 
         Returns
         -------
         Bodies
-            Those of the pieces in the order of the pieces.
+            Those that stand in the order of the pieces, then those that move.
         """
         middle = self.line.nearest(x_m, y_m)
         # lines of equal s converge on the inner side of a curve, where bodies are nearer than s tells
@@ -92,7 +96,9 @@ class StreetScene:
             gap_x = np.maximum(np.maximum(bounds[:, 0] - x_m, x_m - bounds[:, 2]), 0.0)
             gap_y = np.maximum(np.maximum(bounds[:, 1] - y_m, y_m - bounds[:, 3]), 0.0)
             parts.append(_part(bodies, gap_x**2 + gap_y**2 <= radius_m**2))
-        return Bodies.join(parts)
+        step = int(np.floor(time_s / TIME_STEP_S))
+        moving = movers_near(self.ground, self.seed, self._streams, middle, 1.2 * radius_m + 10.0, step)
+        return Bodies.join([*parts, moving])
 
     def _piece(self, number: int) -> tuple[Bodies, F64]:
         """Bodies of a piece and their bounds in plan."""
@@ -112,6 +118,7 @@ class StreetScene:
         plan = plan_of(self.seed, number, self.params.character)
         self.ground.lay(pile, plan)
         build_houses(pile, self.ground, plan, self.seed)
+        build_kerbs(pile, self.ground, plan, self.params, self.seed)
         return pile.bodies()
 
 

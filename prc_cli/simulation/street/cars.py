@@ -1,0 +1,191 @@
+"""Cars, vans and lorries: a body with wheel arches, a cabin of glass with a roof and pillars, wheels, and a gap below.
+
+Measures are those of common models: cars 3.8 to 4.8 m long, 1.75 to 1.85 m wide and 1.45 to 1.65 m high with 16 to
+20 cm of ground clearance and tyres of 62 to 66 cm; vans 5 to 5.6 m long and 1.95 to 2.5 m high; lorries of 7.5 t.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
+from prc_cli.simulation.world import Material
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """Measures of a car; u is forward from its middle, w is up [m]."""
+
+    half: float
+    wide: float
+    """Half of its width."""
+    clearance: float
+    tyre: float
+    """Radius of a tyre."""
+    axles: Span
+    """Rear, front."""
+    deck: tuple[tuple[float, float], ...]
+    """Upper edge of the body from the rear to the front, (u, w)."""
+    cabin: tuple[float, float, float, float]
+    """Foot of the rear window, rear and front of the roof, foot of the windscreen."""
+    roof: float
+    lean: float
+    """The roof is narrower than the waist by this much on either side."""
+    glazed: bool
+    """False = a van or lorry whose cabin has panes at its front only."""
+
+    def waist(self, u: float) -> float:
+        """Upper edge of the body [m]."""
+        places, heights = zip(*self.deck, strict=True)
+        return float(np.interp(u, places, heights))
+
+
+def draw_model(rng: np.random.Generator) -> Model:
+    """Draw a car, now and then a van."""
+    u = rng.random(6).tolist()
+    if u[0] < 0.12:
+        return _van(u)
+    half, tyre = 1.9 + 0.45 * u[1], 0.31 + 0.02 * u[2]
+    roof, hatch = 1.45 + 0.08 * u[3] + (0.15 if u[0] > 0.8 else 0.0), u[4] < 0.6
+    waist = 0.62 * roof
+    rear = -half + (0.10 if hatch else 0.75)
+    deck = (
+        (-half, 0.50),
+        (-half + 0.05, waist - 0.03),
+        (half - 1.20, waist),
+        (half - 0.25, 0.72),
+        (half, 0.48),
+    )
+    cabin = (rear, rear + (0.45 if hatch else 0.75), half - 1.95, half - 1.10)
+    wide = 0.875 + 0.05 * u[5]
+    return Model(half, wide, 0.17 + 0.03 * u[2], tyre, (-0.60 * half, 0.64 * half), deck, cabin, roof, 0.17, True)
+
+
+def _van(u: list[float]) -> Model:
+    half, roof = 2.5 + 0.3 * u[1], 1.95 + 0.55 * u[3]
+    deck = ((-half, 1.10), (half - 0.85, 1.10), (half - 0.15, 0.85), (half, 0.50))
+    cabin = (-half + 0.02, -half + 0.12, half - 1.55, half - 0.75)
+    return Model(half, 0.98, 0.20, 0.33, (-0.58 * half, 0.66 * half), deck, cabin, roof, 0.10, u[4] < 0.3)
+
+
+def car(pile: Pile, frame: Frame, model: Model) -> None:
+    """Add a car.
+
+    Parameters
+    ----------
+    pile : Pile
+        Where its bodies go.
+    frame : Frame
+        Its middle on the road; u forward. The frame's slopes tilt it.
+    model : Model
+        Its measures.
+    """
+    _body(pile, frame, model)
+    _cabin(pile, frame, model)
+    under = (-model.half + 0.15, model.half - 0.15), (-model.wide + 0.25, model.wide - 0.25)
+    pile.box(frame, (*under, (model.clearance + 0.02, 0.62)), Material.CAR_BODY)
+    for axle in model.axles:
+        for side in (-1.0, 1.0):
+            wheel = frame.at(axle, side * (model.wide - 0.12), model.tyre)
+            pile.ellipsoid(wheel, (model.tyre, 0.13, model.tyre), frame.yaw, Material.TYRE)
+
+
+def _body(pile: Pile, frame: Frame, model: Model) -> None:
+    """Flanks with arches over the wheels, bonnet and boot, ends."""
+    arch, above = model.tyre + 0.05, 2 * model.tyre + 0.04
+    low = [(-model.half, model.clearance + 0.1)]
+    for axle in model.axles:
+        low += [(axle - arch, model.clearance), (axle - 0.6 * arch, above), (axle + 0.6 * arch, above)]
+        low += [(axle + arch, model.clearance)]
+    low += [(model.half, model.clearance + 0.1)]
+    for side in (-1.0, 1.0):
+        for (u0, w0), (u1, w1) in itertools.pairwise(low):
+            a, b = frame.at(u0, side * model.wide, w0), frame.at(u1, side * model.wide, w1)
+            top = [frame.at(u, side * (model.wide - 0.03), model.waist(u)) for u in (u0, u1)]
+            pile.quad((a, b, top[1], top[0]), Material.CAR_BODY)
+    inner = model.wide - 0.03
+    for (u0, w0), (u1, w1) in zip(model.deck[:-1], model.deck[1:], strict=True):
+        corners = (u0, -inner, w0), (u1, -inner, w1), (u1, inner, w1), (u0, inner, w0)
+        a, b, c, d = (frame.at(*corner) for corner in corners)
+        pile.quad((a, b, c, d), Material.CAR_BODY)
+    for end in (-model.half, model.half):
+        places = (
+            (-model.wide, low[0][1]),
+            (model.wide, low[0][1]),
+            (inner, model.waist(end)),
+            (-inner, model.waist(end)),
+        )
+        a, b, c, d = (frame.at(end, v, w) for v, w in places)
+        pile.quad((a, b, c, d), Material.CAR_BODY)
+
+
+def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
+    """Windows all around under a roof, and what is seen through them: seats."""
+    back, roof_back, roof_front, front = model.cabin
+    wide, narrow = model.wide - 0.04, model.wide - model.lean
+
+    def corner(u: float, side: float, *, up: bool) -> Point:
+        return frame.at(u, side * (narrow if up else wide), model.roof if up else model.waist(u) - 0.02)
+
+    side_glass = Material.CAR_GLASS if model.glazed else Material.CAR_BODY
+    for side in (-1.0, 1.0):
+        a, b = corner(back, side, up=False), corner(front, side, up=False)
+        c, d = corner(roof_front, side, up=True), corner(roof_back, side, up=True)
+        pile.quad((a, b, c, d), side_glass)
+        if not model.glazed:
+            _door_pane(pile, frame, model, side)
+    for foot, top, material in ((front, roof_front, Material.CAR_GLASS), (back, roof_back, side_glass)):
+        a, b = corner(foot, -1.0, up=False), corner(foot, 1.0, up=False)
+        c, d = corner(top, 1.0, up=True), corner(top, -1.0, up=True)
+        pile.quad((a, b, c, d), material)
+    a, b = corner(roof_back, -1.0, up=True), corner(roof_back, 1.0, up=True)
+    c, d = corner(roof_front, 1.0, up=True), corner(roof_front, -1.0, up=True)
+    pile.quad((a, b, c, d), Material.CAR_BODY)
+    # the rim of the roof above the panes
+    rim = (
+        (roof_back - 0.05, roof_front + 0.05),
+        (-narrow - 0.03, narrow + 0.03),
+        (model.roof - 0.07, model.roof - 0.01),
+    )
+    pile.box(frame, rim, Material.CAR_BODY)
+    if model.glazed:
+        for u in (roof_front - 0.3, 0.5 * (back + roof_front) + 0.2):
+            seats = ((u - 0.35, u - 0.2), (-0.6, 0.6), (0.6, model.roof - 0.25))
+            pile.box(frame, seats, Material.CAR_BODY)
+
+
+def _door_pane(pile: Pile, frame: Frame, model: Model, side: float) -> None:
+    """Side window of a van's cabin, a little before its flank."""
+    back, front = model.cabin[2] - 0.35, model.cabin[3] - 0.25
+    share = [0.12, 0.62]
+    rise = model.roof - model.waist(back)
+
+    def spot(u: float, up: float) -> Point:
+        wide = model.wide - 0.04 + (model.wide - model.lean - model.wide + 0.04) * up
+        return frame.at(u, side * (wide + 0.01), model.waist(u) + up * rise)
+
+    a, b, c, d = spot(back, share[0]), spot(front, share[0]), spot(front - 0.4, share[1]), spot(back, share[1])
+    pile.quad((a, b, c, d), Material.CAR_GLASS)
+
+
+def lorry(pile: Pile, frame: Frame, length: float) -> None:
+    """Add a small lorry: a cabin with a windscreen before a box on wheels."""
+    half, wide = 0.5 * length, 1.15
+    pile.box(frame, ((-half, half - 1.9), (-wide - 0.05, wide + 0.05), (1.0, 3.3)), Material.CAR_BODY)
+    pile.box(frame, ((-half + 0.3, half - 0.2), (-0.45, 0.45), (0.55, 1.0)), Material.CAR_BODY)
+    pile.box(frame, ((half - 1.75, half), (-wide, wide), (0.5, 1.45)), Material.CAR_BODY)
+    pile.box(frame, ((half - 1.75, half - 0.15), (-wide + 0.05, wide - 0.05), (1.45, 2.55)), Material.CAR_BODY)
+    corners = (half - 0.02, -1.0, 1.5), (half - 0.02, 1.0, 1.5), (half - 0.13, 1.0, 2.4), (half - 0.13, -1.0, 2.4)
+    a, b, c, d = (frame.at(*corner) for corner in corners)
+    pile.quad((a, b, c, d), Material.CAR_GLASS)
+    for side in (-1.0, 1.0):
+        v = side * (wide - 0.04)
+        spots = (half - 1.3, v, 1.5), (half - 0.35, v, 1.5), (half - 0.45, v, 2.3), (half - 1.3, v, 2.3)
+        a, b, c, d = (frame.at(*spot) for spot in spots)
+        pile.quad((a, b, c, d), Material.CAR_GLASS)
+        for axle in (-half + 1.4, half - 0.9):
+            wheel = frame.at(axle, side * (wide - 0.16), 0.42)
+            pile.ellipsoid(wheel, (0.42, 0.16, 0.42), frame.yaw, Material.TYRE)
