@@ -1,0 +1,239 @@
+"""``prc simulate``: scans of worlds that are known, with the reference class of every shot."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from rich.table import Table
+
+from prc_cli.cli.options import output_options
+from prc_cli.cli.report import console, line_progress, results
+from prc_cli.config import parse_assignment
+from prc_cli.core.classes import Label
+from prc_cli.core.config import merge
+from prc_cli.simulate import SCENES, Beside, Kind, SimulationSummary, load_settings
+from prc_cli.simulate import simulate as simulate_file
+from prc_cli.simulation.scanners import SCANNERS
+
+CommandT = TypeVar("CommandT", bound=Callable[..., Any])
+
+
+def _option(*names: str, **attributes: Any) -> Callable[[CommandT], CommandT]:
+    return click.option(*names, **attributes)
+
+
+_OUTPUT = [
+    _option("-o", "--output", type=click.Path(path_type=Path), required=True, metavar="OUT", help="File to write."),
+    _option("--labels", type=click.Path(path_type=Path), metavar="FILE.npy",
+            help="Reference class of every record; written by itself where OUT cannot hold it."),
+]  # fmt: skip
+_PLACE = [
+    _option("--seed", type=click.IntRange(0, 2**63 - 1), help="Another seed, another world.  [default: 1]"),
+    _option("--lines", type=click.IntRange(min=1), help="Scan lines, instead of a length."),
+    _option("--sight", type=click.FloatRange(min=1), metavar="METRES", help="Nothing farther is simulated."),
+]
+_LENGTH = [
+    _option("--length", type=click.FloatRange(min=0, min_open=True), metavar="METRES", help="Way of the platform."),
+    _option("--duration", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Instead of a length."),
+    _option("--speed", type=click.FloatRange(min=0, min_open=True), metavar="M/S", help="Cruising speed."),
+    _option("--mount-slant", type=float, metavar="DEGREES", help="Tilt of the scan plane, its lower part backwards."),
+    _option("--mount-heading", type=float, metavar="DEGREES", help="Turn of the scan plane to the left."),
+    _option("--trajectory", type=click.Path(path_type=Path), metavar="FILE",
+            help="Also write where the scanner was: .csv, or .sbet."),
+]  # fmt: skip
+_PARAMETERS = [
+    _option("--noise", type=click.FloatRange(min=0), metavar="METRES", help="Range noise close by."),
+    _option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
+            help="Parameters, in tables [scene], [scanner] and [trajectory] or [station]."),
+    _option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Any of them, e.g. scene.trees=0.9."),
+    _option("--threads", type=click.IntRange(min=1), help="Threads; they do not change a byte."),
+    _option("--overwrite", is_flag=True, help="Replace existing outputs."),
+]  # fmt: skip
+
+
+def _options(*groups: list[Any]) -> Callable[[CommandT], CommandT]:
+    def add(command: CommandT) -> CommandT:
+        for option in reversed([option for group in groups for option in group]):
+            command = option(command)
+        return output_options(command)
+
+    return add
+
+
+def _presets(kind: Kind) -> list[Any]:
+    static = kind == "street-scan"
+    scanners = [name for name, scanner in SCANNERS.items() if scanner.is_static == static]
+    return [
+        _option("--scanner", type=click.Choice(scanners), help="Preset; see prc simulate scanners."),
+        _option("--scene", type=click.Choice(list(SCENES[kind])), help="Preset."),
+    ]
+
+
+@click.group()
+def simulate() -> None:
+    """Simulate a scan of a street or a forest, with the reference class of every shot.
+
+    OUT is any format that prc convert writes: .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin or
+    .e57. The same parameters and seed give the same bytes. Parameters and version stand in OUT.prc.json.
+
+    \b
+    Examples:
+      prc simulate street -o drive.laz --length 900 --seed 7
+      prc simulate forest -o walk.npz --length 120 --stems stems.csv
+      prc simulate street-scan -o station.npz
+      prc simulate scanners
+    """
+
+
+@simulate.command()
+@_options(_OUTPUT, _LENGTH, _PLACE, _presets("street"), _PARAMETERS)
+def street(**options: Any) -> None:
+    """Simulate a drive down a street.
+
+    Point clouds and tables hold registered coordinates from the true pose beside the ranges.
+
+    \b
+    Examples:
+      prc simulate street -o drive.laz --length 900 --seed 7 --trajectory drive.csv
+      prc simulate street -o drive.npz --scanner profiler-1mhz --speed 14 --set trajectory.stop_every_m=0
+      prc simulate street -o drive.e57 --config terraces.toml
+    """
+    _run("street", options)
+
+
+@simulate.command()
+@_options(_OUTPUT, _LENGTH, _PLACE, _presets("forest"), _PARAMETERS)
+@click.option("--stems", type=click.Path(path_type=Path), metavar="FILE.csv", help="Also list the trees by the way.")
+@click.option("--reference", type=click.Choice(["truth", "cylinders"]), default="truth", show_default=True,
+              help="What was hit; or cylinders around stems, ground by height, noise elsewhere.")  # fmt: skip
+def forest(**options: Any) -> None:
+    """Simulate a walk through a forest.
+
+    With --reference cylinders the classes are those that the rule of Lehtola et al. (2019, III) gives.
+
+    \b
+    Examples:
+      prc simulate forest -o walk.laz --length 120 --stems stems.csv
+      prc simulate forest -o walk.npz --reference cylinders --scene dense-spruce
+    """
+    _run("forest", options)
+
+
+@simulate.command("street-scan")
+@_options(_OUTPUT, _PLACE, _presets("street-scan"), _PARAMETERS)
+def street_scan(**options: Any) -> None:
+    """Simulate a static scan of a street, upright lines from a tripod.
+
+    \b
+    Examples:
+      prc simulate street-scan -o station.npz
+      prc simulate street-scan -o station.e57 --set station.turn_deg=90 --set station.along_m=200
+    """
+    _run("street-scan", options)
+
+
+@simulate.command()
+@click.option("--json", "as_json", is_flag=True, help="Every parameter, as JSON.")
+def scanners(as_json: bool) -> None:
+    """List the scanners that can be simulated.
+
+    \b
+    Example: prc simulate scanners --json
+    """
+    if as_json:
+        click.echo(json.dumps({name: scanner.model_dump() for name, scanner in SCANNERS.items()}, indent=2))
+        return
+    table = Table(title="scanners")
+    headings = ("name", "lines/s", "shots a line", "field", "range", "noise", "returns", "kind")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in ("name", "kind") else "right")
+    for name, scanner in SCANNERS.items():
+        kind = "static" if scanner.is_static else f"profiler, slant {scanner.slant_deg:g}°"
+        table.add_row(
+            name, f"{scanner.line_hz:.4g}", f"{scanner.points_per_line:,}", f"{scanner.field_deg:g}°",
+            f"{scanner.max_range_m:g} m", f"{1000 * scanner.noise_m:g} mm", str(scanner.max_returns),
+            f"{kind}, {'phase' if scanner.principle == 'cw' else 'pulse'}",
+        )  # fmt: skip
+    results().print(table)
+
+
+_KEYS = {
+    "seed": "seed",
+    "lines": "lines",
+    "sight": "sight_m",
+    "length": "length_m",
+    "duration": "duration_s",
+    "speed": "trajectory.speed_m_s",
+    "mount_slant": "scanner.slant_deg",
+    "mount_heading": "scanner.heading_deg",
+    "noise": "scanner.noise_m",
+    "scanner": "scanner.name",
+    "scene": "scene.name",
+}
+"""What options stand for."""
+
+
+def _table(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the parameters that were given as options; named ones win over --set."""
+    table: dict[str, Any] = {}
+    for assignment in options["assignments"]:
+        table = merge(table, parse_assignment(assignment))
+    for option, key in _KEYS.items():
+        value = options.get(option)
+        if value is not None:
+            nested: Any = value
+            for part in reversed(key.split(".")):
+                nested = {part: nested}
+            table = merge(table, nested)
+    return table
+
+
+def _run(kind: Kind, options: dict[str, Any]) -> None:
+    extents = [name for name in ("length", "duration", "lines") if options.get(name) is not None]
+    if len(extents) > 1:
+        message = f"--{extents[0]} and --{extents[1]} contradict each other"
+        raise click.UsageError(message)
+    settings = load_settings(kind, options["config_file"], _table(options))
+    output, quiet = options["output"], options["quiet"]
+    start = time.perf_counter()
+    with line_progress(output.name, quiet=quiet) as progress:
+        summary = simulate_file(
+            kind,
+            output,
+            settings,
+            beside=Beside(options.get("trajectory"), options["labels"], options.get("stems")),
+            reference=options.get("reference", "truth"),
+            threads=options["threads"],
+            overwrite=options["overwrite"],
+            progress=progress,
+        )
+    if options["as_json"]:
+        click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
+    if not quiet:
+        _print_summary(summary, time.perf_counter() - start, verbose=options["verbose"])
+
+
+def _print_summary(summary: SimulationSummary, seconds: float, *, verbose: bool) -> None:
+    counts, record = summary.counts, summary.record
+    total = int(counts.labels.sum())
+    if verbose:
+        table = Table(title="reference")
+        for heading in ("class", "shots", "share"):
+            table.add_column(heading, justify="left" if heading == "class" else "right")
+        for label in Label:
+            if counts.labels[label]:
+                share = f"{counts.labels[label] / total:.1%}"
+                table.add_row(label.name.lower(), f"{counts.labels[label]:,}", share)
+        console().print(table)
+    for notice in record.notices:
+        console().print(notice if notice.startswith("not kept: ") else f"note: {notice}", soft_wrap=True)
+    for path in summary.files:
+        console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
+    rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
+    what = f"{counts.n_lines:,} lines of {record.points_per_line:,} shots"
+    console().print(f"{what} in {seconds:.1f} s ({rate:.2g} million a second)", soft_wrap=True)
