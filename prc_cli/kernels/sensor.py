@@ -29,6 +29,13 @@ _FLASH = 0.9986
 _SKY_COLUMNS, _SKY_LINES = 24, 100
 """Bright patches of the sky: so many to a line, and of so many lines."""
 
+_GHOST_REFLECTANCE = 0.1
+"""Of what a pane mirrors, the loss at the pane included twice."""
+_NOTHING = 128
+"""Bit of a shot that meets nothing."""
+_T, _POWER, _SLOPE, _STEEP, _LABEL, _BEFORE, _AFTER, _N_WORK = range(8)
+"""Rows of what is worked out for a line: of its shots, and the shares of their beams on what the neighbours see."""
+
 _HITS = "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))"
 
 
@@ -49,7 +56,7 @@ def _key(seed: int, line: int) -> np.uint64:
 def _draw(key: np.uint64, column: int, purpose: int) -> float:
     """Return a number in 0..1 for a shot and a purpose."""
     bits = key + np.uint64(column) * np.uint64(0xD1B54A32D192ED03) + np.uint64(purpose) * np.uint64(0x8CB92BA72F3D8DD7)
-    return np.float64(_mix(bits) >> np.uint64(11)) * 2.0**-53
+    return float(_mix(bits) >> np.uint64(11)) * 2.0**-53
 
 
 @helper
@@ -57,7 +64,7 @@ def _normal(uniform: float, quantiles: F64) -> float:
     """Return the quantile of the standard normal law, from a table."""
     place = uniform * (quantiles.shape[0] - 1)
     i = int(place)
-    return quantiles[i] + (place - i) * (quantiles[i + 1] - quantiles[i])
+    return float(quantiles[i] + (place - i) * (quantiles[i + 1] - quantiles[i]))
 
 
 @helper
@@ -69,7 +76,7 @@ def _cosine(facing: float) -> float:
 def _slope(facing: float) -> float:
     """Return the tangent of the angle of incidence."""
     cosine = _cosine(facing)
-    return np.sqrt(1.0 - cosine * cosine) / cosine
+    return float(np.sqrt(1.0 - cosine * cosine) / cosine)
 
 
 @helper
@@ -81,58 +88,72 @@ def _goes_on(key: np.uint64, column: int, what: int, facing: float, figures: F64
 
 
 @helper
-def _other_share(
-    key: np.uint64, t: F64, body: I32, facing: F64, kind: U8, figures: F64, column: int, side: int
-) -> float:
-    """Return the share of the beam, up to half, that falls on what the neighbour sees; 0 where there is no edge.
-
-    The edge lies anywhere between the two shots, each of which it splits if it is within its width.
-    """
-    other = column + side
-    if other < 0 or other >= t.shape[0]:
-        return 0.0
-    one, two = body[column], body[other]
-    near = min(t[column], t[other])
-    if two >= 0:
-        if kind[two, 1] & GLASS or (one == two and not kind[one, 1] & LEAVED):
-            return 0.0
+def _prepare(t: F64, body: I32, facing: F64, surface: F64, kind: U8, figures: F64, work: F64, what: U8) -> None:
+    """Write power, slope and label of what every shot of a line meets, and what it is."""
+    for column in range(t.shape[0]):
+        one = body[column]
+        if one < 0:
+            what[column] = _NOTHING
+            work[_T, column] = np.inf
+            continue
+        what[column] = kind[one, 1]
+        work[_T, column] = t[column]
+        work[_LABEL, column] = kind[one, 0]
+        work[_POWER, column] = surface[one, 0] * _cosine(facing[column]) / (t[column] * t[column])
+        slope = _slope(facing[column])
+        work[_SLOPE, column] = 0.0 if kind[one, 1] & LEAVED else slope
         # slanted planes have steps too; of round bodies and leaves the slope says nothing of their edge
-        slope = 0.0 if kind[one, 1] & (LEAVED | CURVED) else _slope(facing[column])
-        slope = max(slope, 0.0 if kind[two, 1] & (LEAVED | CURVED) else _slope(facing[other]))
-        if abs(t[other] - t[column]) <= figures[EDGE] + 2.0 * figures[STEP] * near * slope:
-            return 0.0
-    beside = _draw(key, min(column, other), _FOR_EDGE)
-    if side < 0:
-        beside = 1.0 - beside
-    width = figures[EXIT] + figures[DIVERGENCE] * near
-    return max(0.5 - beside * (figures[STEP] * near) / width, 0.0)
+        work[_STEEP, column] = 0.0 if kind[one, 1] & (LEAVED | CURVED) else slope
 
 
 @helper
-def _first_echo(
-    key: np.uint64, t: float, facing: float, column: int, about: tuple[float, float], kind: U8, figures: F64, echo: F64
-) -> int:
-    """Write the echo of the first surface, if it gives any; return how many that are."""
-    what, label = kind[1], kind[0]
-    reflectance = about[0]
-    distance = t
-    cosine = _cosine(facing)
-    if what & GLASS:
-        if abs(facing) >= _FLASH:
-            reflectance = 1.0
-        else:
-            chance = _draw(key, column, _FOR_GLASS)
-            if chance >= figures[PANE] + figures[GHOST]:
-                return 0
-            if chance >= figures[PANE]:
-                # what the pane mirrors lies as far before it as it seems behind; the same for all of a pane
-                distance = t * (1.3 + 1.7 * about[1])
-                reflectance = 0.3
-                label = LABEL_NOISE
-    echo[0, 0] = distance
-    echo[0, 1] = reflectance * cosine / (distance * distance)
-    echo[0, 2] = 0.0 if what & LEAVED else _slope(facing)
-    echo[0, 3] = label
+def _split(key: np.uint64, body: I32, work: F64, what: U8, figures: F64) -> None:
+    """Write the shares of every beam, up to half, that fall on what its neighbours see.
+
+    An edge lies anywhere between two shots, each of which it splits if it is within its width.
+    """
+    m = body.shape[0]
+    for column in range(m):
+        work[_BEFORE, column] = 0.0
+        work[_AFTER, column] = 0.0
+    for column in range(m - 1):
+        both = what[column] | what[column + 1]
+        if both & GLASS or what[column] & what[column + 1] & _NOTHING:
+            continue
+        near = min(work[_T, column], work[_T, column + 1])
+        if not both & _NOTHING:
+            gap = abs(work[_T, column + 1] - work[_T, column])
+            if gap <= figures[EDGE] or (body[column] == body[column + 1] and not both & LEAVED):
+                continue
+            steepest = max(work[_STEEP, column], work[_STEEP, column + 1])
+            if gap <= figures[EDGE] + 2.0 * figures[STEP] * near * steepest:
+                continue
+        beside = _draw(key, column, _FOR_EDGE)
+        shots_apart = figures[STEP] * near / (figures[EXIT] + figures[DIVERGENCE] * near)
+        work[_AFTER, column] = max(0.5 - beside * shots_apart, 0.0)
+        work[_BEFORE, column + 1] = max(0.5 - (1.0 - beside) * shots_apart, 0.0)
+
+
+@helper
+def _pane_echo(key: np.uint64, column: int, facing: float, mirrored: float, work: F64, figures: F64, echo: F64) -> int:
+    """Write what glass answers of itself; return how many echoes that are."""
+    t = work[_T, column]
+    echo[0, 0] = t
+    echo[0, 1] = work[_POWER, column]
+    echo[0, 2] = work[_SLOPE, column]
+    echo[0, 3] = work[_LABEL, column]
+    if abs(facing) >= _FLASH:
+        echo[0, 1] = _cosine(facing) / (t * t)
+        return 1
+    chance = _draw(key, column, _FOR_GLASS)
+    if chance >= figures[PANE] + figures[GHOST]:
+        return 0
+    if chance >= figures[PANE]:
+        # what the pane mirrors lies as far before it as it seems behind; the same for all of a pane
+        echo[0, 0] = t * (1.3 + 1.7 * mirrored)
+        echo[0, 1] = _GHOST_REFLECTANCE / (echo[0, 0] * echo[0, 0])
+        echo[0, 2] = 0.0
+        echo[0, 3] = LABEL_NOISE
     return 1
 
 
@@ -179,14 +200,16 @@ def _is_answered(power: float, chance: float, figures: F64) -> bool:
     """Tell whether an echo is found: half of those at the power of the half range, by the fourth power of it."""
     strength = power / figures[HALF_POWER]
     fourth = strength * strength * strength * strength
-    return chance * (1.0 + fourth) < fourth * (1.0 - figures[LOST])
+    return bool(chance * (1.0 + fourth) < fourth * (1.0 - figures[LOST]))
 
 
 @helper
 def _sigma(power: float, t: float, slope: float, figures: F64) -> float:
     """Return the range noise: by weakness, and by the depth that the beam's width spans on a slanted surface."""
     width = figures[EXIT] + figures[DIVERGENCE] * t
-    return figures[NOISE] + figures[NOISE_PER_M] * np.sqrt(_WHITE / power) + figures[NOISE_SPREAD] * width * slope
+    return float(
+        figures[NOISE] + figures[NOISE_PER_M] * np.sqrt(_WHITE / power) + figures[NOISE_SPREAD] * width * slope
+    )
 
 
 @helper
@@ -244,44 +267,59 @@ def goes_behind(hits: tuple[F64, I32, F64], kind: U8, figures: F64, first_line: 
 @helper
 def _echoes(
     key: np.uint64,
-    line: tuple[F64, I32, F64],
-    behind: tuple[float, int, float],
-    surface: F64,
-    kind: U8,
-    figures: F64,
     column: int,
+    facing: float,
+    behind: tuple[float, int, float],
+    bodies: tuple[I32, F64, U8],
+    work: F64,
+    what: U8,
+    figures: F64,
     echo: F64,
 ) -> int:
     """Write all that comes back of a shot, from near to far; return how many echoes that are."""
-    t, body, facing = line
-    one = body[column]
-    about = (surface[one, 0], surface[one, 1])
-    n = _first_echo(key, t[column], facing[column], column, about, kind[one], figures, echo)
-    what = kind[one, 1]
-    if behind[1] >= 0 and (what & (GLASS | LEAVED)) and _goes_on(key, column, what, facing[column], figures):
-        two = behind[1]
+    body, surface, kind = bodies
+    n = 1
+    if what[column] & GLASS:
+        n = _pane_echo(key, column, facing, surface[body[column], 1], work, figures, echo)
+    else:
+        echo[0, 0] = work[_T, column]
+        echo[0, 1] = work[_POWER, column]
+        echo[0, 2] = work[_SLOPE, column]
+        echo[0, 3] = work[_LABEL, column]
+    two = behind[1]
+    if two >= 0 and _goes_on(key, column, what[column], facing, figures):
         part = 0.6
         if n == 1:
             part = 0.2 + 0.6 * _draw(key, column, _FOR_ECHO)
             echo[0, 1] *= 1.0 - part
-        power = part * surface[two, 0] * _cosine(behind[2]) / (behind[0] * behind[0])
+        power = part * (surface[two, 0] * _cosine(behind[2]) / (behind[0] * behind[0]))
         slope = 0.0 if kind[two, 1] & LEAVED else _slope(behind[2])
         n = _add_echo(echo, n, behind[0], power, slope, kind[two, 0])
-    if what & GLASS:
-        return n
-    for side in (-1, 1):
-        share = _other_share(key, t, body, facing, kind, figures, column, side)
-        if share > 0.0:
-            for j in range(n):
-                echo[j, 1] *= 1.0 - share
-            two = body[column + side]
-            if two >= 0:
-                far = t[column + side]
-                power = share * surface[two, 0] * _cosine(facing[column + side]) / (far * far)
-                slope = 0.0 if kind[two, 1] & LEAVED else _slope(facing[column + side])
-                n = _add_echo(echo, n, far, power, slope, kind[two, 0])
-            break
+    side = -1 if work[_BEFORE, column] > 0.0 else 1
+    share = work[_BEFORE, column] if side < 0 else work[_AFTER, column]
+    if share > 0.0:
+        for j in range(n):
+            echo[j, 1] *= 1.0 - share
+        other = column + side
+        if not what[other] & _NOTHING:
+            power = share * work[_POWER, other]
+            n = _add_echo(echo, n, work[_T, other], power, work[_SLOPE, other], work[_LABEL, other])
     return _merge(echo, n, figures)
+
+
+@helper
+def _measure(
+    key: np.uint64, column: int, number: int, t: float, power: float, slope: float, figures: F64, quantiles: F64
+) -> tuple[float, bool]:
+    """Return the range that is given for an echo, NaN = not found, and whether it was wrapped."""
+    if not _is_answered(power, _draw(key, column, _FOR_LOSS + 16 * number), figures):
+        return np.nan, False
+    deviate = _normal(_draw(key, column, _FOR_NOISE + 16 * number), quantiles)
+    t = t + deviate * _sigma(power, t, slope, figures)
+    wraps = figures[AMBIGUITY] > 0.0 and t >= figures[AMBIGUITY]
+    if wraps:
+        t -= np.floor(t / figures[AMBIGUITY]) * figures[AMBIGUITY]
+    return _rounded(t, figures), wraps
 
 
 @helper
@@ -289,27 +327,19 @@ def _find(key: np.uint64, column: int, figures: F64, quantiles: F64, echo: F64, 
     """Keep the echoes that are found, at most as many as the scanner gives, with noise on their ranges."""
     found = 0
     for i in range(n):
-        chance = _draw(key, column, _FOR_LOSS + 16 * i)
-        if not _is_answered(echo[i, 1], chance, figures):
-            continue
-        deviate = _normal(_draw(key, column, _FOR_NOISE + 16 * i), quantiles)
-        t = echo[i, 0] + deviate * _sigma(echo[i, 1], echo[i, 0], echo[i, 2], figures)
-        label = echo[i, 3]
-        if figures[AMBIGUITY] > 0.0 and t >= figures[AMBIGUITY]:
-            t -= np.floor(t / figures[AMBIGUITY]) * figures[AMBIGUITY]
-            label = LABEL_NOISE
-        t = _rounded(t, figures)
+        power, label = echo[i, 1], echo[i, 3]
+        t, wraps = _measure(key, column, i, echo[i, 0], power, echo[i, 2], figures, quantiles)
         if np.isnan(t):
             continue
         # a scanner of one return takes the strongest
         if figures[MAX_RETURNS] == 1.0 and found == 1:
-            if echo[i, 1] <= echo[0, 1]:
+            if power <= echo[0, 1]:
                 continue
             found = 0
         if found < figures[MAX_RETURNS]:
             echo[found, 0] = t
-            echo[found, 1] = echo[i, 1]
-            echo[found, 3] = label
+            echo[found, 1] = power
+            echo[found, 3] = LABEL_NOISE if wraps else label
             found += 1
     return found
 
@@ -319,6 +349,7 @@ def _stray(
     key: np.uint64,
     place: tuple[int, int, int],
     seed: int,
+    chance: float,
     is_sky: bool,
     figures: F64,
     quantiles: F64,
@@ -327,28 +358,36 @@ def _stray(
 ) -> int:
     """Let background light replace or move the range of a continuous wave; return how many returns that makes."""
     line, column, n_columns = place
-    chance = _draw(key, column, _FOR_STRAY)
+    share = figures[BACKGROUND]
     if n == 0:
         share = figures[SKY]
-        if is_sky:
+        if is_sky and figures[BRIGHT_SKY] > 0.0:
             share += (figures[BRIGHT_SKY] - share) * _brightness(seed, line, column, n_columns)
-    else:
-        share = figures[BACKGROUND]
-        if share <= chance < share + figures[CLUSTER]:
-            off = _normal(_draw(key, column, _FOR_PLACE), quantiles) * figures[CLUSTER_M]
-            t = _rounded(echo[0, 0] + off, figures)
-            echo[0, 0] = t
-            if abs(off) > figures[EDGE]:
-                echo[0, 3] = LABEL_NOISE
-            return 0 if np.isnan(t) else n
+    elif share <= chance < share + figures[CLUSTER]:
+        off = _normal(_draw(key, column, _FOR_PLACE), quantiles) * figures[CLUSTER_M]
+        echo[0, 0] = _rounded(echo[0, 0] + off, figures)
+        if abs(off) > figures[EDGE]:
+            echo[0, 3] = LABEL_NOISE
+        return 0 if np.isnan(echo[0, 0]) else n
     if chance >= share:
         return n
     reach = figures[AMBIGUITY] if figures[AMBIGUITY] > 0.0 else figures[FARTHEST]
-    t = _rounded(_draw(key, column, _FOR_PLACE) * reach, figures)
-    echo[0, 0] = t
+    echo[0, 0] = _rounded(_draw(key, column, _FOR_PLACE) * reach, figures)
     echo[0, 1] = figures[HALF_POWER]
     echo[0, 3] = LABEL_NOISE
-    return 0 if np.isnan(t) else 1
+    return 0 if np.isnan(echo[0, 0]) else 1
+
+
+@helper
+def _keep(
+    line: int, column: int, echo: F64, j: int, place: int, extra: I32, ranges: F32, labels: U8, intensities: F32
+) -> None:
+    """Write a further return."""
+    extra[place, 0] = line
+    extra[place, 1] = column
+    ranges[place] = np.float32(echo[j, 0])
+    labels[place] = np.uint8(echo[j, 3])
+    intensities[place] = np.float32(echo[j, 1] / (_WHITE / 100.0))
 
 
 @kernel(
@@ -407,43 +446,50 @@ def sense(
     extra_range, extra_label = np.empty(room, np.float32), np.empty(room, np.uint8)
     extra_intensity = np.empty(room, np.float32)
     n_extra = 0
-    echo = np.empty((4, 4), np.float64)
+    echo = np.empty((4, 4))
+    work, what = np.empty((_N_WORK, m)), np.empty(m, np.uint8)
     looked = behind[0].shape[0] == n_lines
+    splits = GLASS | LEAVED if figures[MAX_RETURNS] > 1.0 else GLASS
+    is_cw = figures[IS_CW] != 0.0
+    stray_with = figures[BACKGROUND] + figures[CLUSTER]
+    stray_without = max(figures[SKY], figures[BRIGHT_SKY])
     for i in range(n_lines):
         key = _key(seed, first_line + i)
-        line = (hits[0][i], hits[1][i], hits[2][i])
+        body = hits[1][i]
+        _prepare(hits[0][i], body, hits[2][i], surface, kind, figures, work, what)
+        _split(key, body, work, what, figures)
         for column in range(m):
-            is_sky = line[1][column] < 0
             n = 0
-            if not is_sky:
-                second = (np.inf, np.int32(-1), 1.0)
-                if looked:
-                    second = (behind[0][i, column], behind[1][i, column], behind[2][i, column])
-                n = _echoes(key, line, second, surface, kind, figures, column, echo)
-                n = _find(key, column, figures, quantiles, echo, n)
-            if figures[IS_CW] != 0.0:
-                place = (first_line + i, column, m)
-                n = _stray(key, place, seed, is_sky, figures, quantiles, echo, n)
-            for j in range(n):
-                intensity = echo[j, 1] / (_WHITE / 100.0)
-                if j == 0:
-                    ranges[i, column] = np.float32(echo[0, 0])
-                    labels[i, column] = np.uint8(echo[0, 3])
-                    intensities[i, column] = np.float32(intensity)
-                else:
-                    extra[n_extra, 0] = i
-                    extra[n_extra, 1] = column
-                    extra_range[n_extra] = np.float32(echo[j, 0])
-                    extra_label[n_extra] = np.uint8(echo[j, 3])
-                    extra_intensity[n_extra] = np.float32(intensity)
-                    n_extra += 1
+            if what[column] & splits or work[_BEFORE, column] + work[_AFTER, column] > 0.0:
+                if not what[column] & _NOTHING:
+                    second = (np.inf, -1, 1.0)
+                    if looked and what[column] & splits:
+                        second = (behind[0][i, column], int(behind[1][i, column]), behind[2][i, column])
+                    n = _echoes(
+                        key, column, hits[2][i, column], second, (body, surface, kind), work, what, figures, echo
+                    )
+                    n = _find(key, column, figures, quantiles, echo, n)
+            elif not what[column] & _NOTHING:
+                power = work[_POWER, column]
+                t, wraps = _measure(key, column, 0, work[_T, column], power, work[_SLOPE, column], figures, quantiles)
+                if not np.isnan(t):
+                    n = 1
+                    echo[0, 0] = t
+                    echo[0, 1] = power
+                    echo[0, 3] = LABEL_NOISE if wraps else work[_LABEL, column]
+            if is_cw:
+                # most shots are far from straying
+                chance = _draw(key, column, _FOR_STRAY)
+                if chance < (stray_with if n > 0 else stray_without):
+                    place = (first_line + i, column, m)
+                    n = _stray(key, place, seed, chance, what[column] == _NOTHING, figures, quantiles, echo, n)
+            if n > 0:
+                ranges[i, column] = np.float32(echo[0, 0])
+                labels[i, column] = np.uint8(echo[0, 3])
+                intensities[i, column] = np.float32(echo[0, 1] / (_WHITE / 100.0))
+            for j in range(1, n):
+                _keep(i, column, echo, j, n_extra, extra, extra_range, extra_label, extra_intensity)
+                n_extra += 1
     kept = slice(0, n_extra)
-    return (
-        ranges,
-        labels,
-        intensities,
-        extra[kept].copy(),
-        extra_range[kept].copy(),
-        extra_label[kept].copy(),
-        extra_intensity[kept].copy(),
-    )
+    further = (extra[kept].copy(), extra_range[kept].copy(), extra_label[kept].copy(), extra_intensity[kept].copy())
+    return ranges, labels, intensities, *further

@@ -128,11 +128,11 @@ def scan(
     surface, kind = _about(bodies)
     nothing = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
     second = nothing if behind is None else _arrays(behind)
-    ranges, labels, intensities, extra, *further = kernels.sense(
+    ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = kernels.sense(
         _arrays(hits), second, surface, kind, _figures(scanner), _quantiles(), first_line, seed
     )
     lines, columns = np.ascontiguousarray(extra[:, 0]), np.ascontiguousarray(extra[:, 1])
-    return Measured(ranges, labels, intensities, lines, columns, *further)
+    return Measured(ranges, labels, intensities, lines, columns, extra_range, extra_label, extra_intensity)
 
 
 def _arrays(hits: Struck) -> tuple[F64, I32, F64]:
