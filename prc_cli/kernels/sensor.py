@@ -192,7 +192,7 @@ def _merge(echo: F64, n: int, figures: F64) -> int:
             echo[kept, 3] = LABEL_NOISE
         echo[kept, 0] += share * gap
         echo[kept, 1] += echo[i, 1]
-    return kept + 1
+    return min(kept + 1, n)
 
 
 @helper

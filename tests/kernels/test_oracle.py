@@ -72,9 +72,48 @@ def label_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def fill_case(rng: Generator) -> tuple[Any, ...]:
-    n_lines, n_columns = shape(rng)
-    components: I32 = rng.integers(0, rng.integers(2, 6), (n_lines, n_columns)).astype(np.int32)
-    return components, (components == 0) & (rng.random((n_lines, n_columns)) < 0.7)
+    """Images with many small components and holes in rows, so that ties and holes without neighbours occur."""
+    supported = blobs(rng)
+    return supported, supported & (rng.random(supported.shape) < rng.choice([0.1, 0.3, 0.6, 1.0]))
+
+
+def carry_case(rng: Generator) -> tuple[Any, ...]:
+    """Stretches of few numbers: equal counts, pairs that come again, labels in any order."""
+    n_components = int(rng.integers(1, 5))
+    stretch = int(rng.integers(1, 4))
+    n = int(rng.integers(1, 12))
+    first: I32 = rng.integers(0, n_components + 1, n).astype(np.int32).repeat(stretch)
+    last = rng.choice([0, 7, 3, 1 << 40, 5], n * stretch)
+    if rng.random() < 0.5:
+        last = last[:n].repeat(stretch)
+    return first, last.astype(np.int64), n_components, int(rng.integers(1, 5))
+
+
+def image_case(rng: Generator) -> tuple[Mask, Mask, I32, int]:
+    """S, an image over it, and components that may lie anywhere."""
+    supported = blobs(rng)
+    covered = rng.random(supported.shape) < rng.choice([0.0, 0.02, 0.5, 1.0])
+    n_components = int(rng.integers(0, 6))
+    return supported, covered, rng.integers(0, n_components + 1, supported.shape).astype(np.int32), n_components
+
+
+def select_case(rng: Generator) -> tuple[Any, ...]:
+    supported, _, components, n_components = image_case(rng)
+    return supported, components, rng.random(n_components + 1) < 0.5
+
+
+def draw_case(rng: Generator) -> tuple[Any, ...]:
+    supported, covered, components, n_components = image_case(rng)
+    ranges = window(rng, *supported.shape)
+    label_of = rng.integers(0, 250, n_components + 1).astype(np.uint8)
+    return ranges, supported, covered, components, label_of, 250, 251, 0
+
+
+def columns_case(rng: Generator) -> tuple[Any, ...]:
+    supported, covered, _, _ = image_case(rng)
+    columns = rng.random(supported.shape[1]) < 0.5
+    labels_of = np.array([0, 2, 3, 5, 6], dtype=np.uint8)
+    return window(rng, *supported.shape), supported, covered, columns, bool(rng.random() < 0.5), labels_of
 
 
 def dilate_case(rng: Generator) -> tuple[Any, ...]:
@@ -84,7 +123,12 @@ def dilate_case(rng: Generator) -> tuple[Any, ...]:
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "background_mask": background_case,
     "dilate": dilate_case,
-    "fill_holes": fill_case,
+    "carry_labels": carry_case,
+    "count_covered": image_case,
+    "draw_columns": columns_case,
+    "draw_components": draw_case,
+    "join_and_fill": fill_case,
+    "select_components": select_case,
     "label_components": label_case,
     "support_mask": support_case,
     **cases_calibration.CASES,
@@ -93,6 +137,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     **cases_car.CASES,
     **cases_casting.CASES,
     **cases_lines.CASES,
+    **cases_simulation.CASES,
 }
 TOLERANCES = {**cases_angles.TOLERANCES, **cases_ground.TOLERANCES, **cases_car.TOLERANCES}
 
