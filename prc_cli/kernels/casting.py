@@ -14,10 +14,11 @@ from prc_cli.core.types import F64, I32, I64, U8
 from prc_cli.kernels.cache import helper, kernel
 
 _TRIANGLE, _CONE, _ELLIPSOID = 0, 1, 2
-_GROUP = 32  # bodies that are cut together
+_GROUP = 16  # bodies that are cut together
 _CELL_M = 0.25  # clumps of leaves [m]
 _FLAT = 1e-5  # smallest sine between two edges of a triangle, and between a shot and a triangle
 _EDGE = 1e-9  # share of an edge by which triangles overlap, so that no shot slips between them
+_IS_READY = 13  # place of the mark that a body is prepared
 _FARTHEST_M = 1e9  # a shot that begins behind this is not cast
 
 # what is known of a line
@@ -26,79 +27,70 @@ _STRAY, _STRAY_OUT, _TILT, _FIRST, _LAST, _SCALE, _TIME, _HALF_TIME, _N_FRAME = 
 
 # odd numbers that keep apart what is drawn from the same seed
 _BODY, _SHOT, _CAST = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD1B54A32D192ED03), np.uint64(0x8CB92BA72F3D8DD7)
-_PATH, _LEAF = np.uint64(0xABC98388FB8FAC03), np.uint64(0x2545F4914F6CDD1D)
+_PATH, _LEAF, _ZERO = np.uint64(0xABC98388FB8FAC03), np.uint64(0x2545F4914F6CDD1D), np.uint64(0)
 _X, _Y, _Z = np.uint64(0xD6E8FEB86659FD93), np.uint64(0xA0761D6478BD642F), np.uint64(0xE7037ED1A0B428DB)
 
 
 @helper
-def _prepare(shape: int, numbers: F64, turn: F64, hull: F64, ready: F64) -> None:
-    """Say what a body is to a shot, and what it lies in: three points and a distance around their triangle."""
+def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
+    """Say what a body lies in: three points and a distance around their triangle."""
     if shape == _TRIANGLE:
-        hull[:9] = numbers
-        hull[9] = 0.0
-        ready[:9] = numbers
-        for k in range(3):
-            ready[3 + k] -= ready[k]
-            ready[6 + k] -= ready[k]
-        ax, ay, az, bx, by, bz = ready[3], ready[4], ready[5], ready[6], ready[7], ready[8]
+        for k in range(9):
+            hull[j, k] = numbers[k]
+        hull[j, 9] = 0.0
+        return
+    if shape == _CONE:
+        for k in range(6):
+            hull[j, k] = numbers[k]
+        hull[j, 9] = max(numbers[6], numbers[7])
+    else:  # the longest axis, and what stands out at its sides
+        longest = 3
+        for k in range(4, 6):
+            if numbers[k] > numbers[longest]:
+                longest = k
+        half = numbers[longest]
+        x = half * turn[0] if longest == 3 else -half * turn[1] if longest == 4 else 0.0
+        y = half * turn[1] if longest == 3 else half * turn[0] if longest == 4 else 0.0
+        z = half if longest == 5 else 0.0
+        hull[j, 0], hull[j, 1], hull[j, 2] = numbers[0] - x, numbers[1] - y, numbers[2] - z
+        hull[j, 3], hull[j, 4], hull[j, 5] = numbers[0] + x, numbers[1] + y, numbers[2] + z
+        p = numbers[4] if longest == 3 else numbers[3]
+        q = numbers[4] if longest == 5 else numbers[5]
+        hull[j, 9] = max(p, q) if shape == _ELLIPSOID else np.sqrt(p * p + q * q)
+    for k in range(3):
+        hull[j, 6 + k] = hull[j, 3 + k]
+
+
+@helper
+def _prepare(shape: int, numbers: F64, turn: F64, ready: F64, j: int) -> None:
+    """Say what a body is to a shot: what can be computed once for all shots."""
+    for k in range(6):
+        ready[j, k] = numbers[k]
+    if shape == _TRIANGLE:
+        ax, ay, az = numbers[3] - numbers[0], numbers[4] - numbers[1], numbers[5] - numbers[2]
+        bx, by, bz = numbers[6] - numbers[0], numbers[7] - numbers[1], numbers[8] - numbers[2]
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        ready[9], ready[10], ready[11] = nx, ny, nz
+        ready[j, 3], ready[j, 4], ready[j, 5] = ax, ay, az
+        ready[j, 6], ready[j, 7], ready[j, 8] = bx, by, bz
+        ready[j, 9], ready[j, 10], ready[j, 11] = nx, ny, nz
         square = nx * nx + ny * ny + nz * nz
         edges = (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
-        ready[12] = np.sqrt(square) if square > _FLAT * _FLAT * edges else np.inf
+        ready[j, 12] = np.sqrt(square) if square > _FLAT * _FLAT * edges else np.inf
     elif shape == _CONE:
-        hull[:6] = numbers[:6]
-        hull[6:9] = numbers[3:6]
-        hull[9] = max(numbers[6], numbers[7])
-        ready[:3] = numbers[:3]
         x, y, z = numbers[3] - numbers[0], numbers[4] - numbers[1], numbers[5] - numbers[2]
         length = np.sqrt(x * x + y * y + z * z)
-        ready[3], ready[4], ready[5] = x / length, y / length, z / length
-        ready[6] = length
-        ready[7] = numbers[6]
-        ready[8] = (numbers[7] - numbers[6]) / length
+        ready[j, 3], ready[j, 4], ready[j, 5] = x / length, y / length, z / length
+        ready[j, 6], ready[j, 7], ready[j, 8] = length, numbers[6], (numbers[7] - numbers[6]) / length
     else:
-        ready[:6] = numbers[:6]
-        ready[6:8] = turn
-        longest = np.argmax(numbers[3:6])
-        others = np.inf
-        for k in range(3):
-            hull[k] = hull[3 + k] = numbers[k]
-        x = turn[0] if longest == 0 else -turn[1] if longest == 1 else 0.0
-        y = turn[1] if longest == 0 else turn[0] if longest == 1 else 0.0
-        z = 1.0 if longest == 2 else 0.0
-        half = numbers[3 + longest]
-        p, q = numbers[3 + (longest + 1) % 3], numbers[3 + (longest + 2) % 3]
-        others = max(p, q) if shape == _ELLIPSOID else np.sqrt(p * p + q * q)
-        hull[0] -= half * x
-        hull[1] -= half * y
-        hull[2] -= half * z
-        hull[3] += half * x
-        hull[4] += half * y
-        hull[5] += half * z
-        hull[6:9] = hull[3:6]
-        hull[9] = others
+        ready[j, 6], ready[j, 7] = turn[0], turn[1]
+    ready[j, _IS_READY] = 1.0
 
 
 @helper
-def _prepare_all(shape: U8, numbers: F64, turn: F64, order: I64) -> tuple[F64, F64, I64]:
-    """Prepare all bodies in their order; the last result is the place of every body in it."""
-    hull = np.empty((len(order), 10))
-    ready = np.empty((len(order), 13))
-    place = np.empty(len(order), np.int64)
-    for j in range(len(order)):
-        place[order[j]] = j
-        _prepare(shape[order[j]], numbers[order[j]], turn[order[j]], hull[j], ready[j])
-    return hull, ready, place
-
-
-@helper
-def _bound_groups(hull: F64, velocity: F64, order: I64, time_s: F64) -> F64:
-    """Put a sphere around successive bodies, wherever they are during the block."""
+def _bound_groups(hull: F64, velocity: F64, order: I64, middle: float, half: float) -> F64:
+    """Put a sphere around successive bodies, wherever they are within half a time of the middle of the block."""
     n = len(order)
     groups = np.empty(((n + _GROUP - 1) // _GROUP, 4))
-    middle = 0.5 * (time_s.min() + time_s.max())
-    half = 0.5 * (time_s.max() - time_s.min())
     for g in range(len(groups)):
         start, stop = g * _GROUP, min((g + 1) * _GROUP, n)
         for k in range(3):
@@ -106,8 +98,9 @@ def _bound_groups(hull: F64, velocity: F64, order: I64, time_s: F64) -> F64:
             for j in range(start, stop):
                 shift = velocity[order[j], k] * middle if k < 2 else 0.0
                 for corner in range(3):
-                    low = min(low, hull[j, 3 * corner + k] + shift)
-                    high = max(high, hull[j, 3 * corner + k] + shift)
+                    place = hull[j, 3 * corner + k] + shift
+                    low = place if place < low else low
+                    high = place if place > high else high
             groups[g, k] = 0.5 * (low + high)
         radius = 0.0
         for j in range(start, stop):
@@ -123,14 +116,24 @@ def _bound_groups(hull: F64, velocity: F64, order: I64, time_s: F64) -> F64:
 
 
 @helper
-def _read_line(origin: F64, direction: F64, time_s: F64, t_min: F64, rays: F64) -> None:
+def _middle(numbers: F64) -> tuple[float, float]:
+    """Return the middle between the smallest and the largest number, and half the way from one to the other."""
+    low = high = numbers[0]
+    for i in range(1, len(numbers)):
+        low = numbers[i] if numbers[i] < low else low
+        high = numbers[i] if numbers[i] > high else high
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+@helper
+def _read_line(origin: F64, direction: F64, time_s: F64, t_min: F64, line: int, rays: F64) -> None:
     """Take the shots of a line apart into rows."""
     for i in range(rays.shape[1]):
         for k in range(3):
-            rays[k, i] = origin[i, k]
-            rays[3 + k, i] = direction[i, k]
-        rays[6, i] = time_s[i]
-        rays[7, i] = max(t_min[i], 0.0) if t_min[i] < _FARTHEST_M else np.inf
+            rays[k, i] = origin[line, i, k]
+            rays[3 + k, i] = direction[line, i, k]
+        rays[6, i] = time_s[line, i]
+        rays[7, i] = max(t_min[line, i], 0.0) if t_min[line, i] < _FARTHEST_M else np.inf
 
 
 @helper
@@ -139,7 +142,7 @@ def _measure_line(rays: F64, frame: F64, angle: F64) -> None:
     m = rays.shape[1]
     _lay_plane(rays, frame)
     for k in range(3):
-        frame[_CENTRE + k] = 0.5 * (rays[k].min() + rays[k].max())
+        frame[_CENTRE + k] = _middle(rays[k])[0]
     stray = out = tilt = 0.0
     turns = 0.0
     before = 0.0
@@ -160,8 +163,7 @@ def _measure_line(rays: F64, frame: F64, angle: F64) -> None:
     frame[_STRAY] = np.sqrt(stray)
     frame[_STRAY_OUT] = out
     frame[_TILT] = min(tilt * (1.0 + 1e-9) + 1e-12, 1.0)
-    frame[_TIME] = 0.5 * (rays[6].min() + rays[6].max())
-    frame[_HALF_TIME] = 0.5 * (rays[6].max() - rays[6].min())
+    frame[_TIME], frame[_HALF_TIME] = _middle(rays[6])
 
 
 @helper
@@ -208,10 +210,12 @@ def _diamond(x: float, y: float) -> float:
 def _tabulate(angle: F64, frame: F64, first: I64, last: I64) -> None:
     """Note for every small step of angle the first column at or after it, and the last at or before it."""
     m, n_bins = len(angle), len(first)
-    frame[_FIRST], frame[_LAST] = angle.min(), angle.max()
-    frame[_SCALE] = (n_bins - 1) / max(frame[_LAST] - frame[_FIRST], 1e-9)
-    first[:] = m
-    last[:] = -1
+    middle, half = _middle(angle)
+    frame[_FIRST], frame[_LAST] = middle - half - 1e-9, middle + half + 1e-9
+    frame[_SCALE] = (n_bins - 1) / (frame[_LAST] - frame[_FIRST])
+    for k in range(n_bins):
+        first[k] = m
+        last[k] = -1
     for i in range(m):
         k = _bin(angle[i], frame, n_bins)
         first[k] = min(first[k], i)
@@ -227,21 +231,6 @@ def _bin(angle: float, frame: F64, n_bins: int) -> int:
 
 
 @helper
-def _first_turn(high: float, frame: F64) -> int:
-    return int(np.ceil((frame[_FIRST] - high) / 4.0))
-
-
-@helper
-def _last_turn(low: float, frame: F64) -> int:
-    return int(np.floor((frame[_LAST] - low) / 4.0))
-
-
-@helper
-def _columns(low: float, high: float, frame: F64, first: I64, last: I64) -> tuple[int, int]:
-    return first[_bin(low, frame, len(first))], last[_bin(high, frame, len(first))] + 1
-
-
-@helper
 def _look_around(
     groups: F64, hull: F64, velocity: F64, order: I64, frame: F64, corners: F64, seen: I64, spans: F64
 ) -> int:
@@ -250,11 +239,35 @@ def _look_around(
     for g in range(len(groups)):
         x, y, z = groups[g, 0] - frame[9], groups[g, 1] - frame[10], groups[g, 2] - frame[11]
         height = x * frame[0] + y * frame[1] + z * frame[2]
-        if abs(height) > _slab(np.sqrt(x * x + y * y + z * z) + groups[g, 3], groups[g, 3], frame):
+        far = np.sqrt(x * x + y * y + z * z) + groups[g, 3]
+        # how far off the plane of the line a shot can be there
+        off = frame[_STRAY_OUT] + frame[_TILT] * (far + frame[_STRAY]) + 1e-5 + 1e-6 * far
+        if abs(height) > groups[g, 3] + off:
             continue
         for j in range(g * _GROUP, min((g + 1) * _GROUP, len(order))):
-            is_seen, low, high, near = _span(hull[j], velocity[order[j]], frame, corners)
-            if is_seen:
+            vx, vy = velocity[order[j], 0], velocity[order[j], 1]
+            around = hull[j, 9]
+            if vx != 0.0 or vy != 0.0:
+                around += frame[_HALF_TIME] * np.sqrt(vx * vx + vy * vy)
+            x, y, z = vx * frame[_TIME] - frame[9], vy * frame[_TIME] - frame[10], -frame[11]
+            above = below = True
+            for k in range(3):
+                h = (
+                    (hull[j, 3 * k] + x) * frame[0]
+                    + (hull[j, 3 * k + 1] + y) * frame[1]
+                    + (hull[j, 3 * k + 2] + z) * frame[2]
+                )
+                corners[k, 0] = h
+                above = above and h > around + off
+                below = below and h < -around - off
+            if above or below:
+                continue
+            for k in range(3):
+                p, q, r = hull[j, 3 * k] + x, hull[j, 3 * k + 1] + y, hull[j, 3 * k + 2] + z
+                corners[k, 1] = p * frame[3] + q * frame[4] + r * frame[5]
+                corners[k, 2] = p * frame[6] + q * frame[7] + r * frame[8]
+            low, high, near = _span(corners, around + off, around + frame[_STRAY] + 1e-5 + 1e-6 * far)
+            if low <= high:
                 seen[n_seen] = j
                 spans[n_seen, 0], spans[n_seen, 1], spans[n_seen, 2] = low, high, near
                 n_seen += 1
@@ -262,85 +275,113 @@ def _look_around(
 
 
 @helper
-def _slab(far: float, around: float, frame: F64) -> float:
-    """Height above the plane of a line from which on no shot gets, within a distance."""
-    reach = far + frame[_STRAY]
-    return around + frame[_STRAY_OUT] + frame[_TILT] * reach + 1e-5 + 1e-6 * far
+def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]:
+    """Return the angles (diamond) within which a triangle is seen that is cut at two heights; and how near it comes.
 
-
-@helper
-def _span(hull: F64, velocity: F64, frame: F64, corners: F64) -> tuple[bool, float, float, float]:
-    """Tell whether shots of a line can meet a body, and within which angles (diamond), and from which distance on."""
-    around = hull[9] + frame[_HALF_TIME] * np.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1])
-    far = 0.0
-    for corner in range(3):
-        x = hull[3 * corner] + velocity[0] * frame[_TIME] - frame[9]
-        y = hull[3 * corner + 1] + velocity[1] * frame[_TIME] - frame[10]
-        z = hull[3 * corner + 2] - frame[11]
-        far = max(far, x * x + y * y + z * z)
-        corners[corner, 0] = x * frame[0] + y * frame[1] + z * frame[2]
-        corners[corner, 1] = x * frame[3] + y * frame[4] + z * frame[5]
-        corners[corner, 2] = x * frame[6] + y * frame[7] + z * frame[8]
-    far = np.sqrt(far) + around
-    top = _slab(far, around, frame)
-    if min(corners[0, 0], corners[1, 0], corners[2, 0]) > top:
-        return False, 0.0, 0.0, 0.0
-    if max(corners[0, 0], corners[1, 0], corners[2, 0]) < -top:
-        return False, 0.0, 0.0, 0.0
-    margin = around + frame[_STRAY] + 1e-5 + 1e-6 * far
+    Parameters
+    ----------
+    corners : (3, 3) float64
+        Height, and two coordinates in the plane.
+    top : float
+        The heights are this and its negative [m].
+    margin : float
+        How much the triangle is widened in the plane [m].
+    """
     low, high, near, middle = np.inf, -np.inf, np.inf, np.nan
     # what is left between the two heights is convex, its corners lie on the edges, the outermost angles at corners
     for corner in range(3):
-        other = (corner + 1) % 3
+        other = corner + 1 if corner < 2 else 0
         h, rise = corners[corner, 0], corners[other, 0] - corners[corner, 0]
         start, stop = 0.0, 1.0
         if rise != 0.0:
             one, two = (-top - h) / rise, (top - h) / rise
-            start, stop = max(start, min(one, two)), min(stop, max(one, two))
+            if one > two:
+                one, two = two, one
+            start = one if one > start else start
+            stop = two if two < stop else stop
         elif abs(h) > top:
             continue
         if start > stop:
             continue
-        for way in (start, stop):
+        for end in range(2):
+            way = stop if end else start
             u = corners[corner, 1] + way * (corners[other, 1] - corners[corner, 1])
             v = corners[corner, 2] + way * (corners[other, 2] - corners[corner, 2])
-            distance = np.sqrt(u * u + v * v)
-            near = min(near, distance - margin)
-            if distance <= margin * 1.0001:
-                return True, 0.0, 4.0, 0.0
-            # the angle of a disc; a step of the diamond is never longer than that of the angle
-            width = margin / np.sqrt(distance * distance - margin * margin) + 1e-9
+            square = u * u + v * v
+            if square <= margin * margin * 1.0001:
+                return 0.0, 4.0, 0.0
+            # half the angle of a disc, or more; a step of the diamond is never longer than that of the angle
+            width = margin / np.sqrt(square - margin * margin) + 1e-9
             here = _diamond(u, v)
             if np.isnan(middle):
                 middle = here
-            here -= 4.0 * np.floor((here - middle + 2.0) / 4.0)
-            low = min(low, here - width)
-            high = max(high, here + width)
+            here = here - 4.0 if here - middle >= 2.0 else here + 4.0 if here - middle < -2.0 else here
+            low = here - width if here - width < low else low
+            high = here + width if here + width > high else high
+            near = square if square < near else near
     if high - low > 1.999:  # all around the scanner
-        return True, 0.0, 4.0, 0.0
-    return low <= high, low, high, near
+        return 0.0, 4.0, 0.0
+    return low, high, np.sqrt(near) - margin
 
 
 @helper
-def _cast_triangle(rays: F64, start: int, stop: int, velocity: F64, ready: F64, b: int, t: F64, body: I32) -> None:
+def _list_windows(low: float, high: float, frame: F64, first: I64, last: I64, windows: I64) -> int:
+    """List the windows of columns, first and one past the last, whose shots go between two angles, at any turn."""
+    n = 0
+    turns = np.ceil((frame[_FIRST] - high) / 4.0)
+    while low + 4.0 * turns <= frame[_LAST]:
+        start = first[_bin(low + 4.0 * turns, frame, len(first))]
+        stop = last[_bin(high + 4.0 * turns, frame, len(first))] + 1
+        turns += 1.0
+        if start >= stop:
+            continue
+        if n > 0 and (n == len(windows) or start <= windows[n - 1, 1]):  # one window for both
+            windows[n - 1, 0] = min(windows[n - 1, 0], start)
+            windows[n - 1, 1] = max(windows[n - 1, 1], stop)
+            continue
+        windows[n, 0], windows[n, 1] = start, stop
+        n += 1
+    return n
+
+
+@helper
+def _sort(keys: F64, rows: I64, n: int) -> None:
+    """Put the first n rows in the order of their keys, in place (Shell 1959)."""
+    step = n // 2
+    while step > 0:
+        for i in range(step, n):
+            row = rows[i]
+            k = i
+            while k >= step and keys[rows[k - step], 2] > keys[row, 2]:
+                rows[k] = rows[k - step]
+                k -= step
+            rows[k] = row
+        step //= 2
+
+
+@helper
+def _cast_triangle(
+    rays: F64, start: int, stop: int, velocity: F64, ready: F64, j: int, b: int, t: F64, body: I32
+) -> None:
     """Intersect a window of shots with a triangle (Möller and Trumbore 1997, with the normal prepared)."""
-    ax, ay, az, ux, uy, uz = ready[0], ready[1], ready[2], ready[3], ready[4], ready[5]
-    vx, vy, vz, nx, ny, nz = ready[6], ready[7], ready[8], ready[9], ready[10], ready[11]
-    flat = _FLAT * ready[12]
+    vx, vy = velocity[0], velocity[1]
+    px, py, pz, qx, qy, qz = ready[j, 3], ready[j, 4], ready[j, 5], ready[j, 6], ready[j, 7], ready[j, 8]
+    nx, ny, nz = ready[j, 9], ready[j, 10], ready[j, 11]
+    flat = _FLAT * ready[j, 12]
     for i in range(start, stop):
-        x = ax - (rays[0, i] - velocity[0] * rays[6, i])
-        y = ay - (rays[1, i] - velocity[1] * rays[6, i])
-        z = az - rays[2, i]
         dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
         slope = dx * nx + dy * ny + dz * nz
         if not abs(slope) > flat:
             continue
+        x = ready[j, 0] - (rays[0, i] - vx * rays[6, i])
+        y = ready[j, 1] - (rays[1, i] - vy * rays[6, i])
+        z = ready[j, 2] - rays[2, i]
         here = (x * nx + y * ny + z * nz) / slope
         if not (here > rays[7, i] and (here < t[i] or (here == t[i] and b < body[i]))):
             continue
-        qx, qy, qz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
-        u = (ux * qx + uy * qy + uz * qz) / slope
-        v = (vx * qx + vy * qy + vz * qz) / slope
+        ax, ay, az = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
+        u = (px * ax + py * ay + pz * az) / slope
+        v = (qx * ax + qy * ay + qz * az) / slope
         # v is the share of the first edge, minus u that of the second
         if u <= _EDGE and v >= -_EDGE and v - u <= 1.0 + _EDGE:
             t[i] = here
@@ -348,32 +389,22 @@ def _cast_triangle(rays: F64, start: int, stop: int, velocity: F64, ready: F64, 
 
 
 @helper
-def _cast_round(
-    rays: F64, start: int, stop: int, velocity: F64, ready: F64, shape: int, b: int, t: F64, body: I32
-) -> None:
-    """Intersect a window of shots with the surface of a cone, an ellipsoid or a box."""
-    for i in range(start, stop):
-        low, high, _, _ = _cut(rays[:, i], velocity, ready, shape)
-        here = low if low > rays[7, i] else high
-        if here > rays[7, i] and (here < t[i] or (here == t[i] and b < body[i])) and here < np.inf:
-            t[i] = here
-            body[i] = b
-
-
-@helper
-def _cut(ray: F64, velocity: F64, ready: F64, shape: int) -> tuple[float, float, float, float]:
-    """Return where a shot meets a body, nearest first (inf = not), and the cosines of incidence there."""
-    x = ray[0] - velocity[0] * ray[6] - ready[0]
-    y = ray[1] - velocity[1] * ray[6] - ready[1]
-    z = ray[2] - ready[2]
-    if shape == _CONE:
-        return _cut_cone(x, y, z, ray[3], ray[4], ray[5], ready)
-    cos, sin = ready[6], ready[7]
-    x, y = cos * x + sin * y, cos * y - sin * x
-    dx, dy = cos * ray[3] + sin * ray[4], cos * ray[4] - sin * ray[3]
-    if shape == _ELLIPSOID:
-        return _cut_ellipsoid(x, y, z, dx, dy, ray[5], ready)
-    return _cut_box(x, y, z, dx, dy, ray[5], ready)
+def _turned(
+    rays: F64, i: int, vx: float, vy: float, ready: F64, j: int
+) -> tuple[float, float, float, float, float, float]:
+    """Return a shot in the coordinates of an ellipsoid or box: where it begins, and where it goes."""
+    x = rays[0, i] - vx * rays[6, i] - ready[j, 0]
+    y = rays[1, i] - vy * rays[6, i] - ready[j, 1]
+    cos, sin = ready[j, 6], ready[j, 7]
+    dx, dy = rays[3, i], rays[4, i]
+    return (
+        cos * x + sin * y,
+        cos * y - sin * x,
+        rays[2, i] - ready[j, 2],
+        cos * dx + sin * dy,
+        cos * dy - sin * dx,
+        rays[5, i],
+    )
 
 
 @helper
@@ -390,68 +421,76 @@ def _roots(a: float, b: float, c: float) -> tuple[float, float]:
 
 
 @helper
-def _cut_cone(
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
-) -> tuple[float, float, float, float]:
-    along = x * ready[3] + y * ready[4] + z * ready[5]
-    rise = dx * ready[3] + dy * ready[4] + dz * ready[5]
-    radius, widening = ready[7] + ready[8] * along, ready[8] * rise
-    a = dx * dx + dy * dy + dz * dz - rise * rise - widening * widening
-    b = x * dx + y * dy + z * dz - along * rise - widening * radius
+def _along_cone(
+    rays: F64, i: int, vx: float, vy: float, ready: F64, j: int
+) -> tuple[float, float, float, float, float, float, float]:
+    """Return the terms of the equation of a shot and a cone; place and speed along its axis; radius and its speed."""
+    x = rays[0, i] - vx * rays[6, i] - ready[j, 0]
+    y = rays[1, i] - vy * rays[6, i] - ready[j, 1]
+    z = rays[2, i] - ready[j, 2]
+    dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
+    along = x * ready[j, 3] + y * ready[j, 4] + z * ready[j, 5]
+    rise = dx * ready[j, 3] + dy * ready[j, 4] + dz * ready[j, 5]
+    radius, growth = ready[j, 7] + ready[j, 8] * along, ready[j, 8] * rise
+    a = dx * dx + dy * dy + dz * dz - rise * rise - growth * growth
+    b = x * dx + y * dy + z * dz - along * rise - growth * radius
     c = x * x + y * y + z * z - along * along - radius * radius
-    low, high = _roots(a, b, c)
-    low_on = 0.0 <= along + low * rise <= ready[6]
-    high_on = 0.0 <= along + high * rise <= ready[6]
-    slant = np.sqrt(1.0 + ready[8] * ready[8])
-    low_cos = abs(b + low * a) / ((radius + widening * low) * slant)
-    high_cos = abs(b + high * a) / ((radius + widening * high) * slant)
-    return low if low_on else np.inf, high if high_on else np.inf, low_cos, high_cos
+    return a, b, c, along, rise, radius, growth
 
 
 @helper
 def _cut_ellipsoid(
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
-) -> tuple[float, float, float, float]:
-    p, q, r = ready[3], ready[4], ready[5]
+    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64, j: int
+) -> tuple[float, float]:
+    p, q, r = ready[j, 3], ready[j, 4], ready[j, 5]
     x, y, z, dx, dy, dz = x / p, y / q, z / r, dx / p, dy / q, dz / r
     a = dx * dx + dy * dy + dz * dz
     b = x * dx + y * dy + z * dz
-    low, high = _roots(a, b, x * x + y * y + z * z - 1.0)
-    nx, ny, nz = (x + low * dx) / p, (y + low * dy) / q, (z + low * dz) / r
-    low_cos = abs(b + low * a) / np.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = (x + high * dx) / p, (y + high * dy) / q, (z + high * dz) / r
-    high_cos = abs(b + high * a) / np.sqrt(nx * nx + ny * ny + nz * nz)
-    return low, high, low_cos, high_cos
+    return _roots(a, b, x * x + y * y + z * z - 1.0)
 
 
 @helper
-def _cut_box(
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64
-) -> tuple[float, float, float, float]:
-    low, high, low_cos, high_cos = -np.inf, np.inf, 0.0, 0.0
-    for place, step, half in ((x, dx, ready[3]), (y, dy, ready[4]), (z, dz, ready[5])):
-        if step == 0.0:
-            if abs(place) > half:
-                return np.inf, np.inf, 0.0, 0.0
-            continue
-        one, two = (-half - place) / step, (half - place) / step
-        if min(one, two) > low:
-            low, low_cos = min(one, two), abs(step)
-        if max(one, two) < high:
-            high, high_cos = max(one, two), abs(step)
-    if low > high:
-        return np.inf, np.inf, 0.0, 0.0
-    return low, high, low_cos, high_cos
+def _through_slab(place: float, step: float, half: float) -> tuple[float, float]:
+    if step == 0.0:
+        return (np.inf, -np.inf) if abs(place) > half else (-np.inf, np.inf)
+    one, two = (-half - place) / step, (half - place) / step
+    return (one, two) if one < two else (two, one)
 
 
 @helper
-def _facing(ray: F64, velocity: F64, ready: F64, shape: int, t: float) -> float:
-    """Return the cosine of incidence of a shot on the surface that it has met."""
-    if shape == _TRIANGLE:
-        return abs(ray[3] * ready[9] + ray[4] * ready[10] + ray[5] * ready[11]) / ready[12]
-    low, _, low_cos, high_cos = _cut(ray, velocity, ready, shape)
-    cosine = low_cos if low == t else high_cos
-    return cosine if cosine < 1.0 else 1.0
+def _cut_box(x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64, j: int) -> tuple[float, float]:
+    low, high = _through_slab(x, dx, ready[j, 3])
+    enter, leave = _through_slab(y, dy, ready[j, 4])
+    low, high = enter if enter > low else low, leave if leave < high else high
+    enter, leave = _through_slab(z, dz, ready[j, 5])
+    low, high = enter if enter > low else low, leave if leave < high else high
+    return (np.inf, np.inf) if low > high else (low, high)
+
+
+@helper
+def _cast_round(
+    rays: F64, start: int, stop: int, velocity: F64, ready: F64, j: int, shape: int, b: int, t: F64, body: I32
+) -> None:
+    """Intersect a window of shots with the surface of a cone, an ellipsoid or a box."""
+    vx, vy = velocity[0], velocity[1]
+    for i in range(start, stop):
+        if shape == _CONE:
+            a, h, c, along, rise, _, _ = _along_cone(rays, i, vx, vy, ready, j)
+            low, high = _roots(a, h, c)
+            if not 0.0 <= along + low * rise <= ready[j, 6]:
+                low = np.inf
+            if not 0.0 <= along + high * rise <= ready[j, 6]:
+                high = np.inf
+        else:
+            x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready, j)
+            if shape == _ELLIPSOID:
+                low, high = _cut_ellipsoid(x, y, z, dx, dy, dz, ready, j)
+            else:
+                low, high = _cut_box(x, y, z, dx, dy, dz, ready, j)
+        here = low if low > rays[7, i] and low < np.inf else high
+        if here > rays[7, i] and (here < t[i] or (here == t[i] and b < body[i])) and here < np.inf:
+            t[i] = here
+            body[i] = b
 
 
 @helper
@@ -469,71 +508,150 @@ def _chance(x: np.uint64) -> float:
 
 
 @helper
-def _leaf_key(number: float, shot: int, t_min: float) -> np.uint64:
+def _shot_key(body_key: np.uint64, shot: int, t_min: float) -> np.uint64:
     """Return what seeds the way of a shot through the leaves of a body."""
-    body = _mix(np.uint64(np.int64(number)) + _BODY)
     cast = np.uint64(np.int64(np.floor(t_min * 1024.0)))
-    return _mix(body ^ _mix(np.uint64(shot) + _SHOT)) ^ (cast * _CAST)
+    return _mix(body_key ^ _mix(np.uint64(shot) + _SHOT)) ^ (cast * _CAST)
+
+
+@helper
+def _facing(
+    rays: F64,
+    i: int,
+    velocity: F64,
+    ready: F64,
+    j: int,
+    shape: int,
+    leaves: tuple[float, float, int],
+    t: float,
+) -> float:
+    """Return the cosine of incidence of a shot on what it has met."""
+    if shape == _TRIANGLE:
+        slope = rays[3, i] * ready[j, 9] + rays[4, i] * ready[j, 10] + rays[5, i] * ready[j, 11]
+        return abs(slope) / ready[j, 12]
+    vx, vy = velocity[0], velocity[1]
+    if shape == _CONE:
+        a, b, _, _, _, radius, growth = _along_cone(rays, i, vx, vy, ready, j)
+        cosine = abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + ready[j, 8] * ready[j, 8]))
+        return cosine if cosine < 1.0 else 1.0
+    number, rate, shot = leaves
+    if rate > 0.0:  # leaves face everywhere; those that face the shot are met more often
+        key = _shot_key(_mix(np.uint64(np.int64(number)) + _BODY), shot, rays[7, i])
+        return np.sqrt(_chance(key + _LEAF))
+    x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready, j)
+    p, q, r = ready[j, 3], ready[j, 4], ready[j, 5]
+    if shape == _ELLIPSOID:
+        x, y, z, dx, dy, dz = x / p, y / q, z / r, dx / p, dy / q, dz / r
+        a = dx * dx + dy * dy + dz * dz
+        b = x * dx + y * dy + z * dz
+        nx, ny, nz = (x + t * dx) / p, (y + t * dy) / q, (z + t * dz) / r
+        cosine = abs(b + t * a) / np.sqrt(nx * nx + ny * ny + nz * nz)
+        return cosine if cosine < 1.0 else 1.0
+    # the face that lies at that range: of entry, or else of exit
+    x_low, x_high = _through_slab(x, dx, p)
+    y_low, y_high = _through_slab(y, dy, q)
+    z_low, _ = _through_slab(z, dz, r)
+    if max(x_low, y_low, z_low) != t:
+        x_low, y_low = x_high, y_high
+    cosine = abs(dx) if x_low == t else abs(dy) if y_low == t else abs(dz)
+    return cosine if cosine < 1.0 else 1.0
 
 
 @helper
 def _cast_leaves(
-    ray: F64,
-    shot: int,
+    rays: F64,
+    start: int,
+    stop: int,
     velocity: F64,
     ready: F64,
+    j: int,
     shape: int,
     b: int,
-    leaves: tuple[float, float],
+    leaves: tuple[float, float, int],
     quantiles: F64,
     t: F64,
     body: I32,
-    i: int,
 ) -> None:
-    """Send a shot through a body that is filled with leaves, from cell to cell of its lattice."""
-    if not ray[7] < _FARTHEST_M:
-        return
-    enter, leave, _, _ = _cut(ray, velocity, ready, shape)
-    now = max(enter, ray[7])
-    if not (enter < leave and now < leave and now <= t[i]):
-        return
-    x = ray[0] - velocity[0] * ray[6] - ready[0]
-    y = ray[1] - velocity[1] * ray[6] - ready[1]
-    z = ray[2] - ready[2]
-    cos, sin = ready[6], ready[7]
-    x, y = cos * x + sin * y, cos * y - sin * x
-    dx, dy, dz = cos * ray[3] + sin * ray[4], cos * ray[4] - sin * ray[3], ray[5]
-    number, rate = leaves
+    """Send a window of shots through a body that is filled with leaves."""
+    vx, vy = velocity[0], velocity[1]
+    number, rate, first_shot = leaves
     key = _mix(np.uint64(np.int64(number)) + _BODY)
-    chance = _mix(_leaf_key(number, shot, ray[7]) + _PATH)
-    left = quantiles[np.int64(chance >> np.uint64(11)) % len(quantiles)]
-    p, q, r = np.floor((x + now * dx) / _CELL_M), np.floor((y + now * dy) / _CELL_M), np.floor((z + now * dz) / _CELL_M)
-    while now <= t[i]:
-        # where the shot leaves the cell on each side
-        u = ((p + 1.0 if dx > 0.0 else p) * _CELL_M - x) / dx if dx != 0.0 else np.inf
-        v = ((q + 1.0 if dy > 0.0 else q) * _CELL_M - y) / dy if dy != 0.0 else np.inf
-        w = ((r + 1.0 if dz > 0.0 else r) * _CELL_M - z) / dz if dz != 0.0 else np.inf
-        then = min(min(u, v), min(w, leave))
-        cell = np.uint64(np.int64(p)) * _X + np.uint64(np.int64(q)) * _Y + np.uint64(np.int64(r)) * _Z
-        clump = _chance(key ^ cell)
-        thickness = rate * (4.0 * clump * clump * clump)
-        gain = thickness * max(then - now, 0.0)
-        if gain >= left:
-            here = min(now + left / thickness, then)
-            if here < t[i] or (here == t[i] and b < body[i]):
-                t[i] = here
-                body[i] = b
-            return
-        if then >= leave:
-            return
-        left -= gain
-        now = max(now, then)
-        if then == u:
-            p += 1.0 if dx > 0.0 else -1.0
-        elif then == v:
-            q += 1.0 if dy > 0.0 else -1.0
+    for i in range(start, stop):
+        begin = rays[7, i]
+        if not begin < _FARTHEST_M:
+            continue
+        x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready, j)
+        if shape == _ELLIPSOID:
+            enter, leave = _cut_ellipsoid(x, y, z, dx, dy, dz, ready, j)
         else:
-            r += 1.0 if dz > 0.0 else -1.0
+            enter, leave = _cut_box(x, y, z, dx, dy, dz, ready, j)
+        now = enter if enter > begin else begin
+        if not (enter < leave and now < leave and now <= t[i]):
+            continue
+        chance = _mix(_shot_key(key, first_shot + i, begin) + _PATH)
+        left = quantiles[np.int64(chance >> np.uint64(11)) % len(quantiles)]
+        here = _walk(x, y, z, dx, dy, dz, now, leave, t[i], rate, left, key)
+        if here < t[i] or (here == t[i] and b < body[i] and here < np.inf):
+            t[i] = here
+            body[i] = b
+
+
+@helper
+def _walk(
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    now: float,
+    leave: float,
+    limit: float,
+    rate: float,
+    left: float,
+    key: np.uint64,
+) -> float:
+    """Go from cell to cell of the lattice of a body until the leaves on the way are enough; inf = never."""
+    # the next side of the cell, by how much it moves from cell to cell, and what that does to the mark of the cell
+    p, q, r = np.floor((x + now * dx) / _CELL_M), np.floor((y + now * dy) / _CELL_M), np.floor((z + now * dz) / _CELL_M)
+    mark = np.uint64(np.int64(p)) * _X + np.uint64(np.int64(q)) * _Y + np.uint64(np.int64(r)) * _Z
+    one_x, mark_x = (1.0, _X) if dx > 0.0 else (-1.0, _ZERO - _X)
+    one_y, mark_y = (1.0, _Y) if dy > 0.0 else (-1.0, _ZERO - _Y)
+    one_z, mark_z = (1.0, _Z) if dz > 0.0 else (-1.0, _ZERO - _Z)
+    p = p + 1.0 if dx > 0.0 else p
+    q = q + 1.0 if dy > 0.0 else q
+    r = r + 1.0 if dz > 0.0 else r
+    fast_x, fast_y, fast_z = 1.0 / dx, 1.0 / dy, 1.0 / dz
+    u = (p * _CELL_M - x) * fast_x if dx != 0.0 else np.inf
+    v = (q * _CELL_M - y) * fast_y if dy != 0.0 else np.inf
+    w = (r * _CELL_M - z) * fast_z if dz != 0.0 else np.inf
+    while now <= limit:
+        then = v if v < u else u
+        then = w if w < then else then
+        then = leave if leave < then else then
+        clump = _chance(key ^ mark)
+        thickness = rate * (4.0 * clump * clump * clump)
+        gain = thickness * (then - now) if then > now else 0.0
+        if gain >= left:
+            here = now + left / thickness
+            return here if here < then else then
+        if then >= leave:
+            return np.inf
+        left -= gain
+        now = then if then > now else now
+        if then == u:
+            p += one_x
+            mark += mark_x
+            u = (p * _CELL_M - x) * fast_x
+        elif then == v:
+            q += one_y
+            mark += mark_y
+            v = (q * _CELL_M - y) * fast_y
+        else:
+            r += one_z
+            mark += mark_z
+            w = (r * _CELL_M - z) * fast_z
+    return np.inf
 
 
 @kernel(
@@ -595,71 +713,60 @@ def cast_shots(
     adds up to an exponential number.
     """
     n_lines, n_columns = time_s.shape
-    t = np.full((n_lines, n_columns), np.inf)
-    body = np.full((n_lines, n_columns), -1, np.int32)
-    facing = np.zeros((n_lines, n_columns))
     n = len(order)
-    if n == 0 or n_lines == 0 or n_columns == 0:
+    t = np.empty((n_lines, n_columns))
+    body = np.empty((n_lines, n_columns), np.int32)
+    facing = np.empty((n_lines, n_columns))
+    if time_s.size == 0:
         return t, body, facing
-    hull, ready, place = _prepare_all(shape, numbers, turn, order)
-    groups = _bound_groups(hull, velocity, order, time_s)
+    hull, ready, place = np.empty((n, 10)), np.empty((n, _IS_READY + 1)), np.empty(n, np.int64)
+    for j in range(n):
+        place[order[j]] = j
+        ready[j, _IS_READY] = 0.0
+        _wrap(shape[order[j]], numbers[order[j]], turn[order[j]], hull, j)
+    middle, half = _middle(time_s.ravel())
+    groups = _bound_groups(hull, velocity, order, middle, half)
     rays = np.empty((8, n_columns))  # one row per number, so that a window of columns is read in one go
-    angle = np.empty(n_columns)
-    frame = np.empty(_N_FRAME)
-    first = np.empty(2 * n_columns, np.int64)
-    last = np.empty(2 * n_columns, np.int64)
-    seen = np.empty(n, np.int64)
-    spans = np.empty((n, 3))
-    corners = np.empty((3, 3))
+    angle, frame, corners = np.empty(n_columns), np.empty(_N_FRAME), np.empty((3, 3))
+    first, last = np.empty(2 * n_columns, np.int64), np.empty(2 * n_columns, np.int64)
+    seen, rows, spans = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3))
+    windows = np.empty((4, 2), np.int64)
     for line in range(n_lines):
         shot = first_shot + line * n_columns
-        _read_line(origin[line], direction[line], time_s[line], t_min[line], rays)
+        _read_line(origin, direction, time_s, t_min, line, rays)
         _measure_line(rays, frame, angle)
         _tabulate(angle, frame, first, last)
         n_seen = _look_around(groups, hull, velocity, order, frame, corners, seen, spans)
-        crowns = np.empty(n_seen, np.int64)
-        n_crowns = 0
+        # surfaces first, then the nearest leaves: no way through leaves is walked that lies behind a hit
         for k in range(n_seen):
-            j = seen[k]
-            b = order[j]
-            if shape[b] >= _ELLIPSOID and density[b] > 0.0:
-                crowns[n_crowns] = k
-                n_crowns += 1
-                continue
-            low, high = spans[k, 0], spans[k, 1]
-            for turns in range(_first_turn(high, frame), _last_turn(low, frame) + 1):
-                start, stop = _columns(low + 4.0 * turns, high + 4.0 * turns, frame, first, last)
+            b = order[seen[k]]
+            rows[k] = k
+            if not (shape[b] >= _ELLIPSOID and density[b] > 0.0):
+                spans[k, 2] = -np.inf
+            if ready[seen[k], _IS_READY] == 0.0:
+                _prepare(shape[b], numbers[b], turn[b], ready, seen[k])
+        _sort(spans, rows, n_seen)
+        near, near_body = t[line], body[line]
+        for i in range(n_columns):
+            near[i], near_body[i] = np.inf, -1
+        for row in range(n_seen):
+            k = rows[row]
+            j, b = seen[k], order[seen[k]]
+            for w in range(_list_windows(spans[k, 0], spans[k, 1], frame, first, last, windows)):
+                start, stop = windows[w, 0], windows[w, 1]
                 if shape[b] == _TRIANGLE:
-                    _cast_triangle(rays, start, stop, velocity[b], ready[j], b, t[line], body[line])
+                    _cast_triangle(rays, start, stop, velocity[b], ready, j, b, near, near_body)
+                elif shape[b] == _CONE or not density[b] > 0.0:
+                    _cast_round(rays, start, stop, velocity[b], ready, j, shape[b], b, near, near_body)
                 else:
-                    _cast_round(rays, start, stop, velocity[b], ready[j], shape[b], b, t[line], body[line])
-        # the nearest crowns first: no way through leaves is walked that lies behind a hit
-        for k in crowns[:n_crowns][np.argsort(spans[crowns[:n_crowns], 2])]:
-            j = seen[k]
-            b = order[j]
-            low, high = spans[k, 0], spans[k, 1]
-            leaves = (number[b], 0.5 * density[b])
-            for turns in range(_first_turn(high, frame), _last_turn(low, frame) + 1):
-                start, stop = _columns(low + 4.0 * turns, high + 4.0 * turns, frame, first, last)
-                for i in range(start, stop):
+                    leaves = (number[b], 0.5 * density[b], shot)
                     _cast_leaves(
-                        rays[:, i],
-                        shot + i,
-                        velocity[b],
-                        ready[j],
-                        shape[b],
-                        b,
-                        leaves,
-                        quantiles,
-                        t[line],
-                        body[line],
-                        i,
+                        rays, start, stop, velocity[b], ready, j, shape[b], b, leaves, quantiles, near, near_body
                     )
         for i in range(n_columns):
-            b = np.int64(body[line, i])
+            b = np.int64(near_body[i])
+            facing[line, i] = 0.0
             if b >= 0:
-                if shape[b] >= _ELLIPSOID and density[b] > 0.0:
-                    facing[line, i] = np.sqrt(_chance(_leaf_key(number[b], shot + i, rays[7, i]) + _LEAF))
-                else:
-                    facing[line, i] = _facing(rays[:, i], velocity[b], ready[place[b]], shape[b], t[line, i])
+                leaves = (number[b], 0.5 * density[b], shot + i)
+                facing[line, i] = _facing(rays, i, velocity[b], ready, place[b], shape[b], leaves, near[i])
     return t, body, facing

@@ -110,7 +110,7 @@ def triangle(rays: Rays, numbers: F64) -> tuple[F64, F64]:
 def nearest(rays: Rays, surfaces: Surfaces) -> tuple[F64, F64]:
     """Take the first surface behind the beginning."""
     low, high, low_cosine, high_cosine = surfaces
-    first, second = low > rays.begin, high > rays.begin
+    first, second = (low > rays.begin) & (low < INF), high > rays.begin
     t = np.where(first, low, np.where(second, high, INF))
     cosine = np.where(low == t, low_cosine, high_cosine)
     return t, np.where(cosine < 1.0, cosine, 1.0)
@@ -202,7 +202,7 @@ def leaves(rays: Rays, surfaces: Surfaces, rate: float, number: float, quantiles
     while alive.any():
         ends = np.stack(
             [
-                np.where(d == 0.0, INF, (np.where(d > 0.0, k + 1.0, k) * 0.25 - o) / d)
+                np.where(d == 0.0, INF, (np.where(d > 0.0, k + 1.0, k) * 0.25 - o) * (1.0 / d))
                 for k, o, d in zip(cell, rays.o, rays.d, strict=True)
             ]
         )
