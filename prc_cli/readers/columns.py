@@ -74,6 +74,10 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
 
 def columns_by_dimension(number: NDArray[Any]) -> I64:
     """Take columns from the input; what is no whole number from 0 on is none."""
+    if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
+        column = number.astype(np.int64)
+        column[(column < 0) | (column >= MAX_COLUMN)] = NO_COLUMN
+        return column
     value = np.asarray(number, np.float64)
     with np.errstate(invalid="ignore"):
         whole = (value >= 0) & (value < MAX_COLUMN) & (value == np.floor(value))

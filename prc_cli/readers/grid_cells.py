@@ -89,7 +89,9 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: GridRules, setup:
     extra, tally = ExtraReturns.none(), ReadTally()
     if n_rows(records):
         cell = (cells.line - first_line) * m + cells.column
-        own = _winners(cell, cells.stands, records[RANGE], n_lines * m)
+        # where every record has a cell of its own, nothing needs to be chosen
+        alone = bool(cells.stands.all()) and bool(np.all(cell[1:] > cell[:-1]))
+        own = slice(None) if alone else _winners(cell, cells.stands, records[RANGE], n_lines * m)
         at = cell[own]
         range_m[at], record[at] = records[RANGE][own], records[RECORD][own]
         if time_s is not None:
@@ -99,7 +101,8 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: GridRules, setup:
         if xyz is not None:
             xyz[at] = records[XYZ][own]
         if len(at) < len(cell):
-            other = ~own
+            other = np.ones(len(cell), np.bool_)
+            other[own] = False
             extra = ExtraReturns(
                 (cells.line[other] - first_line).astype(np.int32),
                 cells.column[other].astype(np.int32),
@@ -124,8 +127,6 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: GridRules, setup:
 
 def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.ndarray:
     """Mark the record that every cell shows: the first that stands for a shot and has a range, else the first."""
-    if stands.all() and np.all(cell[1:] > cell[:-1]):
-        return stands
     winner = np.full(n_cells, -1, np.int64)
     position = np.flatnonzero(stands)
     valid = ~np.isnan(range_m[position])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import closing
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.threads import read_ahead
 from prc_cli.readers.las_header import DAMAGED, LasHeader, find_crs, find_points_per_line, read_header
 from prc_cli.readers.las_layout import layers_of, read_layout
 from prc_cli.readers.las_laz import LazRecords
@@ -96,25 +98,17 @@ class LasSource:
         InputError
             When the first records, which are looked at for their time and angle, cannot be decoded.
         """
-        zero = ("time",) * self._time_is_zero + ("angle",) * self._angle_is_zero
-        names = [name for name in self._layout.fields if name not in zero]
+        names = [name for name in self._layout.fields if name not in self._zero]
         standard = [name for name in STANDARD_NAMES if name in names]
         return tuple(standard + [name for name in names if name not in standard])
 
     @cached_property
-    def _time_is_zero(self) -> bool:
-        """Whether the times of the first chunk are all zero: then there are none."""
-        return self._is_zero("time")
-
-    @cached_property
-    def _angle_is_zero(self) -> bool:
-        """The same of the scan angles."""
-        return self._is_zero("angle")
-
-    def _is_zero(self, name: str) -> bool:
-        if name not in self._layout.fields:
-            return False
-        return not next(iter(self.chunks((name,)))).values[name].any()
+    def _zero(self) -> tuple[str, ...]:
+        """Which of time and angle are all zero in the first chunk: then there are none."""
+        names = tuple(name for name in ("time", "angle") if name in self._layout.fields)
+        with closing(self._decoded(names)) as chunks:
+            first = next(chunks)
+        return tuple(name for name in names if not first.values[name].any())
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
@@ -126,9 +120,9 @@ class LasSource:
             notes.append(f"the suffix is {suffix} but the records are {inside}: read as {self.format}")
         if self.header.is_legacy_count:
             notes.append("the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken")
-        if self._time_is_zero:
+        if "time" in self._zero:
             notes.append("gps_time is 0 throughout the first chunk: taken as no time")
-        if self._angle_is_zero:
+        if "angle" in self._zero:
             notes.append("scan_angle is 0 throughout the first chunk: taken as no scan angle")
         if self.header.n_unread_bytes:
             notes.append(f"{self.header.n_unread_bytes} bytes follow the last record the header counts: not read")
@@ -139,6 +133,8 @@ class LasSource:
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the file.
+
+        From the second chunk on, a thread decodes the next one meanwhile; who only looks at the first starts none.
 
         Raises
         ------
@@ -151,6 +147,18 @@ class LasSource:
         unknown = [name for name in names if name not in fields]
         if unknown:
             raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the file", f"it has: {', '.join(fields)}")
+        decoded = self._decoded(names)
+        first = next(decoded)
+        try:
+            yield first
+        except BaseException:
+            decoded.close()
+            raise
+        yield from read_ahead(decoded, depth=1) if first.n < self.n_records else decoded
+
+    def _decoded(self, names: tuple[str, ...]) -> Generator[RecordChunk]:
+        """Decode one batch after the other; every dimension is copied out of its batch."""
+        fields = self._layout.fields
         for first, raw in self._batches(names):
             records = np.frombuffer(raw, dtype=self._layout.dtype)
             yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))

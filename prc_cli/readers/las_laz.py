@@ -22,6 +22,9 @@ from prc_cli.readers.las_header import DAMAGED, LasHeader, damaged
 
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
+_AT_ONCE = 2
+"""Batches decoded together: with few chunks at a time, cores wait for the last of them."""
+_AT_ONCE_BYTES = 32 << 20
 _LOOK_BYTES = 4 << 20
 _RUN_BLOCK = 512
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
@@ -176,7 +179,8 @@ class LazRecords:
         chunk = 0
         while chunk < n_chunks:
             first = int(self.table.first_record[chunk])
-            end = max(int(np.searchsorted(self.table.first_record, first + n_max, side="right")) - 1, chunk + 1)
+            n_whole = max(n_max, min(_AT_ONCE * n_max, _AT_ONCE_BYTES // size))
+            end = max(int(np.searchsorted(self.table.first_record, first + n_whole, side="right")) - 1, chunk + 1)
             # a handle of its own: the decoder must find the other one where it left it
             with Path(self._where).open("rb") as handle:
                 self._check_layers(handle, chunk, end)
@@ -185,11 +189,11 @@ class LazRecords:
             # whole chunks are decoded at once even if they are longer than a batch: only then is damage noticed
             step = stop - first if whole else n_max
             for begin in range(first, stop, step):
-                raw = bytearray(min(step, stop - begin) * size)
+                raw = np.empty(min(step, stop - begin) * size, np.uint8).data
                 if not self._decode(decoder, raw):
                     raise self._damage(chunk, end, begin, kind)
                 for start in range(0, len(raw), n_max * size):
-                    yield begin + start // size, memoryview(raw)[start : start + n_max * size]
+                    yield begin + start // size, raw[start : start + n_max * size]
             chunk = end
 
     def _variable(self) -> bool:
@@ -204,7 +208,7 @@ class LazRecords:
         return kind(self._handle, self._vlr_data, lazrs.DecompressionSelection(selection))
 
     @staticmethod
-    def _decode(decoder: Any, raw: bytearray) -> bool:
+    def _decode(decoder: Any, raw: memoryview) -> bool:
         try:
             with lazrs_errors("", ""):
                 decoder.decompress_many(raw)

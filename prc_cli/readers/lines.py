@@ -86,14 +86,17 @@ def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tu
     InputError
         When a number is not whole or absurdly large.
     """
-    value = np.asarray(number, np.float64)
-    known: Mask = np.isfinite(value)
-    value = np.where(known, value, 0.0)
-    odd = (value != np.floor(value)) | (np.abs(value) >= MAX_NUMBER)
-    if odd.any():
-        problem = f"found line number {value[int(np.argmax(odd))]:g}, expected whole numbers"
-        raise InputError(where, problem, "name the dimension that counts lines: --lines dimension:NAME")
-    line = value.astype(np.int64)
+    if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
+        line, known = number.astype(np.int64), np.ones(len(number), np.bool_)
+    else:
+        value = np.asarray(number, np.float64)
+        known = np.isfinite(value)
+        value = np.where(known, value, 0.0)
+        odd = (value != np.floor(value)) | (np.abs(value) >= MAX_NUMBER)
+        if odd.any():
+            problem = f"found line number {value[int(np.argmax(odd))]:g}, expected whole numbers"
+            raise InputError(where, problem, "name the dimension that counts lines: --lines dimension:NAME")
+        line = value.astype(np.int64)
     if state.offset is None and known.any():
         state = replace(state, offset=int(line[int(np.argmax(known))]))
     return line - (state.offset or 0), known, state
@@ -294,11 +297,13 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
     InputError
         When more lines are missing in a row than allowed, or nearly all cells so far.
     """
-    floor = np.iinfo(np.int64).min
-    seen = np.where(known, line, floor)
-    highest = np.maximum.accumulate(np.concatenate(([state.top], seen)))
+    steady = bool(known.all()) and (not len(line) or line[0] >= max(state.top, 0)) and not np.any(line[1:] < line[:-1])
+    seen = line if steady else np.where(known, line, np.iinfo(np.int64).min)
+    highest = np.concatenate(([state.top], seen))
+    if not steady:
+        highest = np.maximum.accumulate(highest)
     before = highest[:-1]
-    late = known & (seen < np.maximum(before - rule.slack, 0))
+    late = np.zeros(len(line), np.bool_) if steady else known & (seen < np.maximum(before - rule.slack, 0))
     if rule.refuse_back and late.any():
         i = int(np.argmax(late))
         offset = state.offset or 0
@@ -322,6 +327,9 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
 
 def _check_cells(top: I64, known: Mask, record: I64, state: LineState, limit: CellLimit, where: str) -> None:
     """Refuse lines that are nearly all empty: their cells would cost any amount of time."""
+    # neither lines nor their limit ever fall: the last line within the first limit settles it
+    if len(top) and top[-1] < limit.most_lines(np.array([state.n_seen]))[0]:
+        return
     n_seen = state.n_seen + np.cumsum(known[: len(top)])
     empty = top >= limit.most_lines(n_seen)
     if empty.any():

@@ -6,7 +6,7 @@ import contextlib
 import io
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -14,6 +14,7 @@ import lazrs
 import numpy as np
 
 from prc_cli.core.errors import OutputError
+from prc_cli.core.threads import read_ahead
 from prc_cli.core.types import U8
 from prc_cli.writers.las_file import LasFile, Source, damaged, open_source
 
@@ -27,7 +28,10 @@ ITEMS_AT = 32
 """Byte where the items of a record begin: number, then type, size and version of each."""
 _WAVEPACKET13 = 9  # laszip's item type
 _BATCH_RECORDS = 400_000
-_BATCH_BYTES = 32 << 20
+_BATCH_BYTES = 16 << 20
+_PLAIN_BYTES = 1 << 20
+_AHEAD = 1
+_LARGE_CHUNK_BYTES = 32 << 20
 _COPY_BYTES = 4 << 20
 
 
@@ -117,13 +121,16 @@ class LazSink:
 def batch_records(record_length: int, *, compressed: bool) -> int:
     """Return how many records are handled together: bounded in number and in bytes.
 
-    Compression takes several chunks at a time to keep every core busy; plain bytes go faster through a small buffer.
+    Compression takes several chunks at a time to keep every core busy; plain bytes go faster through a buffer that
+    stays in the processor's cache.
     """
-    return max(1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _BATCH_BYTES // 8) // record_length))
+    return max(1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_length))
 
 
-def read_points(source: Source, las: LasFile, n: int) -> Iterator[U8]:
-    """Read all raw records in batches of up to ``n``; each batch may be changed by the caller.
+def read_points(source: Source, las: LasFile, n: int) -> Generator[U8]:
+    """Read all raw records in batches of up to ``n``; each may be changed by the caller, until the next is asked for.
+
+    Batches are read, or decompressed, ahead in a thread of their own; close the iterator before the source.
 
     Raises
     ------
@@ -132,10 +139,18 @@ def read_points(source: Source, las: LasFile, n: int) -> Iterator[U8]:
     """
     if las.n_points == 0:
         return
+    batches = _read_batches(source, las, n)
+    with contextlib.closing(read_ahead(batches, depth=_AHEAD) if las.n_points > n else batches) as ahead:
+        yield from ahead
+
+
+def _read_batches(source: Source, las: LasFile, n: int) -> Generator[U8]:
     source.seek(las.point_offset)
     decompressor = _decompressor(source, las) if las.compressed else None
+    # one is in use, others wait, one is being filled; new memory every time would cost as much as reading
+    ring = [np.empty((min(n, las.n_points), las.record_length), np.uint8) for _ in range(_AHEAD + 2)]
     for first in range(0, las.n_points, n):
-        records = np.empty((min(n, las.n_points - first), las.record_length), np.uint8)
+        records = ring[first // n % len(ring)][: las.n_points - first]
         if decompressor is None:
             source.into(records.reshape(-1).data, f"point record {first} and what follows")
         else:
@@ -224,7 +239,7 @@ def has_variable_chunks(laszip: bytes) -> bool:
 
 def large_chunks(vlr: Any) -> bool:
     """Whether a compressed chunk unpacks to more than a batch: the parallel coders of lazrs hold whole chunks."""
-    return bool(vlr.chunk_size() * vlr.item_size() > _BATCH_BYTES)
+    return bool(vlr.chunk_size() * vlr.item_size() > _LARGE_CHUNK_BYTES)
 
 
 def check_compressed(path: Path, output: Path, las: LasFile, checksum: int) -> None:
@@ -240,8 +255,10 @@ def check_compressed(path: Path, output: Path, las: LasFile, checksum: int) -> N
     """
     found = 0
     with open_source(path) as source:
-        for records in read_points(source, las, batch_records(las.record_length, compressed=True)):
-            found = crc(records, found)
+        n = batch_records(las.record_length, compressed=True)
+        with contextlib.closing(read_points(source, las, n)) as batches:
+            for records in batches:
+                found = crc(records, found)
     if found != checksum:
         problem = f"LAZ does not hold the waveform packets of these point format {las.point_format} records unchanged"
         raise OutputError(str(output), problem, "write .las instead of .laz")

@@ -5,6 +5,7 @@ What is kept is copied as bytes. Where records are left out, the counts and boun
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,15 +131,16 @@ def _copy(
     seen = _Seen(0, np.zeros(16, np.int64), np.full(3, big.max, np.int64), np.full(3, big.min, np.int64))
     n = batch_records(las.record_length, compressed=las.compressed or plan.compress)
     keep = None if masks is None else masks(n)
-    for records in read_points(source, las, n):
-        chosen = records if keep is None else records[next(keep)]
-        if keep is not None:
-            _see(seen, chosen, las.point_format)
-        if plan.compress and las.point_format in (9, 10):
-            seen.checksum = crc(chosen, seen.checksum)
-        seen.n += len(chosen)
-        if len(chosen):
-            sink.write(chosen)
+    with contextlib.closing(read_points(source, las, n)) as batches:
+        for records in batches:
+            chosen = records if keep is None else records[next(keep)]
+            if keep is not None:
+                _see(seen, chosen, las.point_format)
+            if plan.compress and las.point_format in (9, 10):
+                seen.checksum = crc(chosen, seen.checksum)
+            seen.n += len(chosen)
+            if len(chosen):
+                sink.write(chosen)
     sink.close()
     tail = plan_tail(las, tail_bounds(source, las), target.tell(), drop=drop)
     for start, stop in tail.spans:

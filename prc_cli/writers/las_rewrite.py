@@ -6,7 +6,8 @@ changed are the class of every record, what the ``[output]`` table asks for, and
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
@@ -227,19 +228,21 @@ class LasRewriter(ScatterWriter):
         sink: PointSink = LasSink(target)
         if plan.compress:
             sink = LazSink(target, next(vlr.payload for vlr in vlrs if vlr.key == LASZIP_KEY))
-        for records in self._records(las, plan, source):
-            if plan.point_format != las.point_format:
-                returns += count_returns(records)
-            if plan.compress and plan.point_format in (9, 10):
-                checksum = crc(records, checksum)
-            sink.write(records)
+        with contextlib.closing(self._records(las, plan, source)) as batches:
+            for records in batches:
+                if plan.point_format != las.point_format:
+                    returns += count_returns(records)
+                if plan.compress and plan.point_format in (9, 10):
+                    checksum = crc(records, checksum)
+                sink.write(records)
         sink.close()
         return checksum, returns
 
-    def _records(self, las: LasFile, plan: Plan, source: Source) -> Iterator[U8]:
+    def _records(self, las: LasFile, plan: Plan, source: Source) -> Generator[U8]:
         n = batch_records(las.record_length, compressed=las.compressed or plan.compress)
-        for records, columns in zip(read_points(source, las, n), self._columns(las.n_points, n), strict=True):
-            yield changed(records, columns, las, plan)
+        with contextlib.closing(read_points(source, las, n)) as batches:
+            for records, columns in zip(batches, self._columns(las.n_points, n), strict=True):
+                yield changed(records, columns, las, plan)
 
 
 def changed(records: U8, columns: Columns, las: LasFile, plan: Plan) -> U8:
