@@ -20,7 +20,15 @@ from numpy.random import Generator
 from prc_cli import kernels
 from prc_cli.core.types import F32, I32, Mask
 from prc_cli.kernels import KERNELS, load_kernels, oracle, oracle_prc
-from tests.kernels import cases_angles, cases_calibration, cases_car, cases_casting, cases_ground, cases_lines
+from tests.kernels import (
+    cases_angles,
+    cases_calibration,
+    cases_car,
+    cases_casting,
+    cases_ground,
+    cases_lines,
+    cases_simulation,
+)
 from tests.kernels.twins import assert_equal_bits, twin
 
 SHAPES = [(1, 1), (1, 2), (2, 1), (7, 1), (1, 9), (3, 2), (4, 3), (5, 5), (2, 17), (9, 40)]
