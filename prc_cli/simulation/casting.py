@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -13,6 +14,10 @@ from prc_cli.simulation.world import Bodies, Shape
 _QUANTILES: F64 = -np.log1p(-(np.arange(4096) + 0.5) / 4096)
 _QUANTILES /= _QUANTILES.mean()
 """Exponential numbers of mean 1, equally likely; made once, so that every way through leaves is drawn from the same."""
+
+
+_CURVE_M = 4096.0
+"""What lies farther along an axis is not sorted any more [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +86,7 @@ def _plain(numbers: F64) -> F64:
     return np.require(numbers, np.float64, "CW")
 
 
+@lru_cache(maxsize=8)  # by identity: the blocks of a scan often see the same bodies
 def search_order(bodies: Bodies) -> I64:
     """Put neighbours of about one size beside each other, so that they can be left out together.
 
@@ -96,16 +102,26 @@ def search_order(bodies: Bodies) -> I64:
     """
     if not len(bodies):
         return np.empty(0, np.int64)
-    points = bodies.numbers.reshape(-1, 3, 3)
-    ends = np.where((bodies.shape == Shape.TRIANGLE)[:, None], 3, np.where(bodies.shape == Shape.CONE, 2, 1)[:, None])
-    used = np.arange(3) < ends
-    low = np.where(used[:, :, None], points, np.inf).min(axis=1)
-    high = np.where(used[:, :, None], points, -np.inf).max(axis=1)
-    size = np.where(bodies.shape >= Shape.ELLIPSOID, 2 * points[:, 1].max(axis=1), (high - low).max(axis=1))
-    cell = np.floor((low + high - (low + high).min(axis=0)) * 0.5).astype(np.uint64)
-    code = np.zeros(len(bodies), np.uint64)
-    for bit in range(12):
-        for axis in range(3):
-            code |= ((cell[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    moves = bodies.velocity.any(axis=1)
-    return np.lexsort((code, np.floor(np.log2(np.maximum(size, 0.5)) / 2), moves)).astype(np.int64)
+    x, y, z, a, b, c, e, f, g = bodies.numbers.T
+    low, high = np.empty((2, 3, len(bodies)))
+    for k, ends in enumerate(((x, a, e), (y, b, f), (z, c, g))):
+        second = np.where(bodies.shape <= Shape.CONE, ends[1], ends[0])
+        third = np.where(bodies.shape == Shape.TRIANGLE, ends[2], ends[0])
+        low[k] = np.minimum(np.minimum(ends[0], second), third)
+        high[k] = np.maximum(np.maximum(ends[0], second), third)
+    size = (high - low).max(axis=0)
+    np.maximum(size, 2.0 * np.maximum(np.maximum(a, b), c), where=bodies.shape >= Shape.ELLIPSOID, out=size)
+    middle = 0.5 * (low + high)
+    cells = np.minimum(middle - middle.min(axis=1, keepdims=True), _CURVE_M - 1.0).astype(np.int64)
+    code = _spread(cells[0]) | _spread(cells[1]) << 1 | _spread(cells[2]) << 2
+    level = np.minimum(np.log2(np.maximum(size, 0.5)) / 2.0 + 0.5, 15.0).astype(np.int64)
+    code |= level << 40
+    code |= bodies.velocity.any(axis=1).astype(np.int64) << 45
+    return np.argsort(code)
+
+
+def _spread(numbers: I64) -> I64:
+    """Put two zeros between the bits of numbers below 4096."""
+    for shift, bits in ((16, 0xFF0000FF), (8, 0x0F00F00F), (4, 0xC30C30C3), (2, 0x249249249)):
+        numbers = (numbers | numbers << shift) & bits
+    return numbers
