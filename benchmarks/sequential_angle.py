@@ -29,7 +29,7 @@ from prc_cli.classifiers.sequential_angle.angles import (
 from prc_cli.classifiers.sequential_angle.car import CarParams, cars
 from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
 from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
-from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, start_heights
+from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
 from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lines
 from prc_cli.classifiers.sequential_angle.markov import HmmParams
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
@@ -422,11 +422,15 @@ def stage_times(scan: StaticScan) -> dict[str, float]:
 
     cars_on = timed("T', and its H and V", car_layer)
 
+    params = GroundParams()
+    potential = timed(
+        "potential ground",
+        lambda: potential_ground(lines, surface, phihat, angles.ahead, params, range_noise_m=NOISE_M),
+    )
+    state = initial_ground(potential.height_m, params)
+
     def ground_all() -> Any:
-        params = GroundParams()
-        heights = start_heights(lines, surface, phihat, angles.ahead, params, range_noise_m=NOISE_M)
-        state = initial_ground(heights, params)
-        return ground(lines, surface, phihat, angles.ahead, state, params, range_noise_m=NOISE_M)
+        return ground(lines, surface, phihat, angles.ahead, potential, state, params, range_noise_m=NOISE_M)
 
     mask, z_g, _ = timed("ground", ground_all)
 

@@ -72,6 +72,17 @@ def helper(function: FunctionT) -> FunctionT:
     return compiled
 
 
+def inlined(function: FunctionT) -> FunctionT:
+    """Put a private function into every place that calls it: for the few lines that a loop runs for every shot.
+
+    As :func:`helper` otherwise. Handing over an array costs a call seven words on the stack, which is more than most
+    steps of a loop. Calls in many places cost time to compile.
+    """
+    jit: Any = numba.njit  # typed by some versions of numba and not by others
+    compiled: FunctionT = jit(nogil=True, error_model="numpy", forceinline=True)(function)
+    return compiled
+
+
 @lru_cache(maxsize=1)
 def _writable_cache() -> Path | None:
     """Folder for compiled kernels: the user's choice, the user's cache folder, a private temporary one, or none."""

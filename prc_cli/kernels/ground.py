@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 PER_BANDWIDTH = 8
 """Bins of a bandwidth."""
@@ -37,12 +37,9 @@ BEHIND = 2
 _HORIZONTAL = 2
 _MISSING = 0
 
-# slots of a set of binned samples
-_N, _LO, _HI, _BUILT, _PEAK = 0, 1, 2, 3, 4
-# further slots of the heights
-_MEDIAN, _BELOW, _WIDTH, _FIRST, _LAST = 5, 6, 7, 8, 9
-_OLDEST, _NEWEST = 10, 11
-_SLOTS = 12
+# slots of the heights: how many, their first and last coarse bin, their median, ...
+_N, _LO, _HI, _MEDIAN, _BELOW, _WIDTH, _FIRST, _LAST, _OLDEST, _NEWEST = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
+_SLOTS = 10
 
 
 @helper
@@ -81,77 +78,29 @@ def _walk(hist: I64, density: I64, lo: int, hi: int, tops: I64, counts: I64) -> 
     return n
 
 
+@inlined
+def _spread(density: I64, q: int, count: int) -> None:
+    """Add so many samples in a bin to the density."""
+    first = np.uint64(q - HALF)  # unsigned, and no view of the array: for vector instructions, and no count of views
+    for j in range(np.uint64(2 * HALF + 1)):
+        density[first + j] += count * WEIGHT[j]
+
+
 @helper
 def _build(hist: I64, density: I64, lo: int, hi: int) -> None:
     """Compute the density of binned samples; it must be zero before."""
     for q in range(lo, hi + 1):
         if hist[q] > 0:
-            around = density[q - HALF : q + HALF + 1]  # a slice, for vector instructions
-            count = hist[q]
-            for j in range(2 * HALF + 1):
-                around[j] += count * WEIGHT[j]
+            _spread(density, q, hist[q])
 
 
 @helper
-def _clear(hist: I64, density: I64, state: I64) -> None:
+def _clear(hist: I64, density: I64, lo: int, hi: int, built: bool) -> None:
     """Forget all samples."""
-    if state[_N] > 0:
-        hist[state[_LO] : state[_HI] + 1] = 0
-        if state[_BUILT]:
-            density[state[_LO] - HALF : state[_HI] + HALF + 1] = 0
-    state[_N] = 0
-    state[_BUILT] = 0
-    state[_PEAK] = -1
-
-
-@helper
-def _add(hist: I64, density: I64, state: I64, q: int) -> None:
-    """Add a sample to a bin."""
-    hist[q] += 1
-    if state[_N] == 0:
-        state[_LO] = q
-        state[_HI] = q
-    else:
-        state[_LO] = min(state[_LO], q)
-        state[_HI] = max(state[_HI], q)
-    state[_N] += 1
-    if state[_BUILT]:
-        around = density[q - HALF : q + HALF + 1]
-        for j in range(2 * HALF + 1):
-            around[j] += WEIGHT[j]
-
-
-@helper
-def _has_one_mode(hist: I64, density: I64, state: I64, q: int, least: int, tops: I64, counts: I64) -> bool:
-    """Tell whether just one mode has enough samples; ``q`` is the bin of the sample that was added last."""
-    lo, hi = state[_LO], state[_HI]
-    if state[_N] < least:
-        return False
-    if hi - lo <= CLEAR:
-        return True
-    if not state[_BUILT]:
-        _build(hist, density, lo, hi)
-        state[_BUILT] = 1
-        state[_PEAK] = -1
-    if state[_PEAK] >= 0:
-        # one maximum before: a second one can only arise between it and the new sample, on either side of which both
-        # parts of the density rise, or fall, together
-        k = min(state[_PEAK], q)
-        end = max(state[_PEAK], q)
-        while k < end and density[k + 1] >= density[k]:
-            k += 1
-        peak = k
-        while k < end and density[k + 1] <= density[k]:
-            k += 1
-        if k == end:
-            state[_PEAK] = peak
-            return True
-    n = _walk(hist, density, lo, hi, tops, counts)
-    state[_PEAK] = tops[0] // 2 if n == 1 else -1
-    enough = 0
-    for i in range(n):
-        enough += counts[i] >= least
-    return enough == 1
+    for q in range(max(lo, 0), hi + 1):
+        hist[q] = 0
+    if built:
+        density[lo - HALF : hi + HALF + 1] = 0
 
 
 @kernel("Tuple((float64[::1], int64[::1]))(float64[::1], float64)")
@@ -181,10 +130,10 @@ def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
     density = np.zeros(size + 2 * HALF, np.int64)
     for value in values:
         hist[int(np.floor(value / width)) - base + HALF] += 1
-    _build(hist, density, HALF, HALF + size - 1)
+    _build(hist, density, np.int64(HALF), HALF + size - 1)
     tops = np.empty(size, np.int64)
     counts = np.empty(size, np.int64)
-    n = _walk(hist, density, HALF, HALF + size - 1, tops, counts)
+    n = _walk(hist, density, np.int64(HALF), HALF + size - 1, tops, counts)
     kept = counts[:n] > 0
     return (tops[:n][kept] / 2.0 - HALF + base + 0.5) * width, counts[:n][kept]
 
@@ -206,20 +155,10 @@ def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, nois
     return found if found < 180.0 else 180.0  # also where there is no chord
 
 
-@helper
+@inlined
 def _bin(angle: float, width: float, size: int) -> int:
     """Return the bin of a line angle."""
     return min(max(int(np.floor(angle / width)), 0), size - 1) + HALF
-
-
-@helper
-def _collect(phihat: F32, beams: I32, first: int, end: int, sampled: I32, n_samples: int) -> int:
-    """Append those of some points that have a line angle to the samples; returns how many samples there are then."""
-    for i in range(first, end):
-        if phihat[beams[i]] == phihat[beams[i]]:
-            sampled[n_samples] = beams[i]
-            n_samples += 1
-    return n_samples
 
 
 @helper
@@ -243,13 +182,6 @@ def _fits(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: i
     slope = sxz / (sxx + count * guard * guard)
     expected = mean_z + slope * (np.float64(horizontal[k]) - mean_x)
     return bool(abs(np.float64(xyz[k, 2]) - expected) <= guard)
-
-
-@helper
-def _jumps(xyz: F32, horizontal: F32, beams: I32, n_points: int, k: int, n_fit: int, jump: float) -> bool:
-    """Tell whether a point lies at another height than the points before it, and than their line goes on to."""
-    rise = abs(np.float64(xyz[k, 2]) - np.float64(xyz[beams[n_points - 1], 2]))
-    return bool(rise > jump) and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump)
 
 
 @helper
@@ -286,7 +218,7 @@ def _bridged(
 
 
 @helper
-def _potential(
+def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever a helper takes them
     surface: U8,
     xyz: F32,
     horizontal: F32,
@@ -307,15 +239,21 @@ def _potential(
     sampled: I32,
     hist: I64,
     density: I64,
-    state: I64,
     tops: I64,
     counts: I64,
 ) -> tuple[int, float]:
-    """Find potential ground in a row from a beam on: how many points, left in ``beams``, and the bandwidth (part a)."""
+    """Find potential ground in a row from a beam on: how many points, left in ``beams``, and the bandwidth (part a).
+
+    ``hist`` and ``density`` are zero before and after. What every point goes through stands here and calls nothing
+    with an array: numba counts the references of each array that it hands over, in atomic steps, which took most of
+    the time.
+    """
     size = len(hist) - 2 * HALF
-    n_samples = n_points = renew_at = 0
+    n_points = n_samples = renew_at = np.int64(0)  # not the literal, for which helpers would be compiled once more
+    lo = hi = peak = np.int64(-1)
     b = width = 0.0
-    k, growing = start, False
+    k = start
+    growing = built = False
     while True:
         # the next horizontal point; more than a few that are neither that nor missing end the run
         while k < n and surface[k] == _MISSING:
@@ -323,53 +261,84 @@ def _potential(
         if n_points > 0 and k < n and surface[k] != _HORIZONTAL:
             k = _bridged(surface, xyz, horizontal, beams, n_points, k, n, n_fit, bridge, step)
         if k >= n or surface[k] != _HORIZONTAL:
-            if growing:
-                return n_points - 2, b
-            if k >= n:
-                return 0, b
-            n_points = 0
+            if growing or k >= n:
+                break
+            n_points = np.int64(0)
             k += 1
             continue
-        if n_points > 0 and _jumps(xyz, horizontal, beams, n_points, k, n_fit, jump):
-            if growing:
-                return n_points - 2, b
-            n_points = 0
+        if n_points > 0:
+            # at another height than the points before, and than their line goes on to
+            rise = abs(np.float64(xyz[k, 2]) - np.float64(xyz[beams[n_points - 1], 2]))
+            if rise > jump and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump):
+                if growing:
+                    break
+                n_points = np.int64(0)
         beams[n_points] = k
         n_points += 1
         k += 1
         if n_points < first_run:
             continue
-        one_mode, before = True, n_samples
+        # the points but the last one that have a line angle are samples
+        before = n_samples
         if not growing:
-            n_samples = _collect(phihat, beams, 0, n_points - 1, sampled, 0)
-            renew_at = n_samples
-            one_mode = n_samples >= least
-        else:
-            n_samples = _collect(phihat, beams, n_points - 2, n_points - 1, sampled, before)
-            if before < n_samples < renew_at:
-                q = _bin(phihat[sampled[before]], width, size)
-                _add(hist, density, state, q)
-                one_mode = _has_one_mode(hist, density, state, q, least, tops, counts)
-        if one_mode and n_samples >= renew_at:
-            # the bandwidth follows the middle of the set whenever the set has grown by a half: that keeps the
-            # work proportional to the number of points, whatever the bandwidth does
-            renew_at = n_samples + n_samples // 2 + 1
-            b = _bandwidth(xyz, ahead, sampled[n_samples // 2], smallest, sigmas, noise)
-            width = b / PER_BANDWIDTH
-            _clear(hist, density, state)
-            q = 0
-            for i in range(n_samples):
+            n_samples = renew_at = np.int64(0)
+        for i in range(n_points - 2 if growing else 0, n_points - 1):
+            sampled[n_samples] = beams[i]
+            n_samples += phihat[beams[i]] == phihat[beams[i]]
+        if growing and n_samples == before:
+            continue
+        one_mode = n_samples >= least
+        if one_mode:
+            if n_samples >= renew_at:
+                # the bandwidth follows the middle of the set whenever the set has grown by a half: that keeps the
+                # work proportional to the number of points, whatever the bandwidth does
+                renew_at = n_samples + n_samples // 2 + 1
+                b = _bandwidth(xyz, ahead, sampled[n_samples // 2], smallest, sigmas, noise)
+                width = b / PER_BANDWIDTH
+                _clear(hist, density, lo, hi, built)
+                lo, hi, before, built = np.int64(size + 2 * HALF), np.int64(-1), np.int64(0), False
+            q = np.int64(0)
+            for i in range(before, n_samples):
                 q = _bin(phihat[sampled[i]], width, size)
-                _add(hist, density, state, q)
-            one_mode = _has_one_mode(hist, density, state, q, least, tops, counts)
+                hist[q] += 1
+                lo, hi = min(lo, q), max(hi, q)
+                if built:
+                    around = np.uint64(q - HALF)
+                    for j in range(np.uint64(2 * HALF + 1)):
+                        density[around + j] += WEIGHT[j]
+            one_mode = hi - lo <= CLEAR
+            if not one_mode:
+                if not built:
+                    _build(hist, density, lo, hi)
+                    built, peak = True, np.int64(-1)
+                if peak >= 0:
+                    # one maximum before: a second one can only arise between it and the new sample, on either side of
+                    # which both parts of the density rise, or fall, together
+                    i, end = min(peak, q), max(peak, q)
+                    while i < end and density[i + 1] >= density[i]:
+                        i += 1
+                    top = i
+                    while i < end and density[i + 1] <= density[i]:
+                        i += 1
+                    one_mode = i == end
+                    peak = top if one_mode else np.int64(-1)
+                if not one_mode:
+                    n_modes = _walk(hist, density, lo, hi, tops, counts)
+                    peak = tops[0] // 2 if n_modes == 1 else np.int64(-1)
+                    enough = 0
+                    for i in range(n_modes):
+                        enough += counts[i] >= least
+                    one_mode = enough == 1
         if growing and not one_mode:
-            return n_points - 2, b
+            break
         if one_mode:
             growing = True
         else:  # no ground at this start: go one point on
             for i in range(n_points - 1):
                 beams[i] = beams[i + 1]
             n_points -= 1
+    _clear(hist, density, lo, hi, built)
+    return n_points - 2 if growing else 0, b
 
 
 @helper
@@ -420,7 +389,7 @@ def _extend(
     step: float,
 ) -> int:
     """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
-    k = beams[n_points - 1] + 1
+    k = np.int64(beams[n_points - 1] + 1)
     while k < n:
         if surface[k] == _MISSING:
             k += 1
@@ -442,19 +411,21 @@ def _extend(
 
 @helper
 def _main_angle(
-    phihat: F32, beams: I32, n_points: int, b: float, hist: I64, density: I64, state: I64, tops: I64, counts: I64
+    phihat: F32, beams: I32, n_points: int, b: float, hist: I64, density: I64, tops: I64, counts: I64
 ) -> float:
-    """Return the main mode of the line angles of some points [deg]."""
+    """Return the main mode of the line angles of some points [deg]; ``hist`` and ``density`` are as before."""
     size = len(hist) - 2 * HALF
     width = b / PER_BANDWIDTH
-    _clear(hist, density, state)
+    lo, hi = np.int64(size + 2 * HALF), np.int64(-1)
     for i in range(n_points):
         angle = phihat[beams[i]]
         if angle == angle:
-            _add(hist, density, state, _bin(angle, width, size))
-    _build(hist, density, state[_LO], state[_HI])
-    state[_BUILT] = 1
-    best = _main(counts, _walk(hist, density, state[_LO], state[_HI], tops, counts))
+            q = _bin(angle, width, size)
+            hist[q] += 1
+            lo, hi = min(lo, q), max(hi, q)
+    _build(hist, density, lo, hi)
+    best = _main(counts, _walk(hist, density, lo, hi, tops, counts))
+    _clear(hist, density, lo, hi, True)
     return float((tops[best] / 2.0 - HALF + 0.5) * width)
 
 
@@ -482,12 +453,11 @@ def _resume(
     sampled: I32,
     hist: I64,
     density: I64,
-    state: I64,
     tops: I64,
     counts: I64,
 ) -> int:
     """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
-    start = k = end = beams[n_points - 1] + 1
+    start = k = end = np.int64(beams[n_points - 1] + 1)
     passed = 0
     while k < n and passed <= bridge:
         if surface[k] == _HORIZONTAL:
@@ -501,23 +471,22 @@ def _resume(
     while start < end:
         n_more, b = _potential(
             surface, xyz, horizontal, phihat, ahead, end, start, first_run, least, smallest, sigmas, noise,
-            n_fit, jump, bridge, step, more, sampled, hist, density, state, tops, counts,
+            n_fit, jump, bridge, step, more, sampled, hist, density, tops, counts,
         )  # fmt: skip
         if n_more == 0:
             break
-        start = more[n_more - 1] + 1
+        start = np.int64(more[n_more - 1] + 1)
         while k < more[0]:
             crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
             k += 1
-        if _fits(xyz, horizontal, beams, n_points, more[0], n_fit, min(step, guard) if crossed else guard):
+        if _fits(xyz, horizontal, beams, n_points, np.int64(more[0]), n_fit, min(step, guard) if crossed else guard):
             for i in range(n_more):
                 beams[n_points + i] = more[i]
-            mode = _main_angle(phihat, more, n_more, b, hist, density, state, tops, counts)
+            mode = _main_angle(phihat, more, n_more, b, hist, density, tops, counts)
             n_points = _extend(
                 surface, xyz, horizontal, phihat, end, beams, n_points + n_more, mode, b, n_fit, guard, bridge, step
             )  # fmt: skip
-            start = beams[n_points - 1] + 1
-            k = start
+            start = k = np.int64(beams[n_points - 1] + 1)
             crossed = False
     return n_points
 
@@ -531,7 +500,9 @@ def _height_bin(z: float) -> int:
 @helper
 def _coarse(histogram: I32, hist: I64, density: I64, state: I64, width: int) -> None:
     """Bin the histogram of heights in an eighth of the bandwidth."""
-    _clear(hist, density, state)
+    if state[_N] > 0:
+        _clear(hist, density, state[_LO], state[_HI], True)
+    state[_N] = 0
     state[_WIDTH] = width
     for i in range(state[_FIRST], state[_LAST] + 1):
         if histogram[i] > 0:
@@ -539,7 +510,6 @@ def _coarse(histogram: I32, hist: I64, density: I64, state: I64, width: int) -> 
             state[_N] += histogram[i]
     state[_LO] = state[_FIRST] // width + HALF
     state[_HI] = state[_LAST] // width + HALF
-    state[_BUILT] = 1
     _build(hist, density, state[_LO], state[_HI])
 
 
@@ -552,7 +522,7 @@ def _height_width(median: int, share: float) -> int:
 @helper
 def _open_heights(histogram: I32, hist: I64, density: I64, state: I64, share: float) -> None:
     """Take a histogram of heights up: its ends, its (lower) median, its density."""
-    n = 0
+    n = np.int64(0)
     for i in range(N_HEIGHTS):
         if histogram[i] > 0:
             if n == 0:
@@ -596,7 +566,12 @@ def _add_height(histogram: I32, hist: I64, density: I64, state: I64, new: int, s
     _settle(histogram, state, state[_N] + 1)
     width = _height_width(state[_MEDIAN], share)
     if width == state[_WIDTH]:
-        _add(hist, density, state, new // width + HALF)
+        q = new // width + HALF
+        hist[q] += 1
+        _spread(density, q, 1)
+        state[_LO] = min(state[_LO], q)
+        state[_HI] = max(state[_HI], q)
+        state[_N] += 1
     else:
         _coarse(histogram, hist, density, state, width)
 
@@ -608,8 +583,7 @@ def _forget_height(histogram: I32, hist: I64, density: I64, state: I64, old: int
     width = state[_WIDTH]
     q = old // width + HALF
     hist[q] -= 1
-    for j in range(2 * HALF + 1):
-        density[q - HALF + j] -= WEIGHT[j]
+    _spread(density, q, -1)
     state[_N] -= 1
     while histogram[state[_FIRST]] == 0:
         state[_FIRST] += 1
@@ -709,8 +683,9 @@ def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
 
 
 @kernel(
-    "Tuple((int32[::1], float64[::1]))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], "
-    "int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64, int64, int64, float64)"
+    "Tuple((int32[::1], int32[::1], float64[::1], float64[::1]))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
+    "float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64, "
+    "int64, int64, float64)"
 )
 def potential_heights(
     surface: U8,
@@ -730,7 +705,7 @@ def potential_heights(
     near: int,
     bridge: int,
     step: float,
-) -> tuple[I32, F64]:
+) -> tuple[I32, I32, F64, F64]:
     """Find the first potential ground of every row and its height (part a).
 
     Parameters
@@ -766,8 +741,10 @@ def potential_heights(
 
     Returns
     -------
-    n_points : (R,) int32
-        Points of potential ground, 0 = none.
+    first, last : (R,) int32
+        Its first and last beam, -1 = none; the horizontal points from one to the other are its points.
+    bandwidth : (R,) float64
+        That of its line angles at its end [deg], NaN = none.
     height : (R,) float64
         Its height [m], NaN = none.
     """
@@ -777,36 +754,43 @@ def potential_heights(
     density = np.zeros(size + 2 * HALF, np.int64)
     tops = np.empty(size, np.int64)
     counts = np.empty(size, np.int64)
-    state = np.zeros(_SLOTS, np.int64)
     beams = np.empty(n + 1, np.int32)
     sampled = np.empty(n + 1, np.int32)
-    n_found = np.zeros(n_rows, np.int32)
+    first = np.full(n_rows, -1, np.int32)
+    last = np.full(n_rows, -1, np.int32)
+    bandwidth = np.full(n_rows, np.nan)
     height = np.full(n_rows, np.nan)
     for row in range(n_rows):
-        n_points, _ = _potential(
-            surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], int(np.int64(n_beams[row])), 0,
+        n_points, b = _potential(
+            surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], np.int64(n_beams[row]), np.int64(0),
             first_run, least, smallest, sigmas,
-            noise, n_fit, jump, bridge, step, beams, sampled, hist, density, state, tops, counts,
+            noise, n_fit, jump, bridge, step, beams, sampled, hist, density, tops, counts,
         )  # fmt: skip
         if n_points > 0:
-            n_found[row] = n_points
+            first[row] = beams[0]
+            last[row] = beams[n_points - 1]
+            bandwidth[row] = b
             height[row] = _lowest_mean(xyz[row], beams, n_points, lowest, near)
-    return n_found, height
+    return first, last, bandwidth, height
 
 
 @kernel(
     "Tuple((boolean[:, ::1], float32[::1], int32[::1], int32[::1], float64))(uint8[:, ::1], float32[:, :, ::1], "
-    "float32[:, ::1], float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, "
-    "int64, float64, int64, int64, float64, int32[::1], int32[::1], float64, int64, int64, int64, int64, float64, "
-    "boolean, boolean, float64, float64, float64, boolean)"
+    "float32[:, ::1], float32[:, ::1], int32[:, ::1], int32[::1], int32[::1], int32[::1], float64[::1], float64[::1], "
+    "int64, int64, int64, float64, float64, float64, int64, float64, int64, int64, float64, int32[::1], int32[::1], "
+    "float64, int64, int64, int64, int64, float64, boolean, boolean, float64, float64, float64, boolean)"
 )
-def ground_rows(
+def ground_rows(  # noqa: PLR0915 - as above
     surface: U8,
     xyz: F32,
     horizontal: F32,
     phihat: F32,
     ahead: I32,
     n_beams: I32,
+    first: I32,
+    last: I32,
+    bandwidth: F64,
+    height: F64,
     first_run: int,
     lowest: int,
     least: int,
@@ -837,9 +821,11 @@ def ground_rows(
 
     Parameters
     ----------
-    surface, xyz, horizontal, phihat, ahead, n_beams, first_run, lowest, least, smallest, sigmas, noise, n_fit, jump
+    surface, xyz, horizontal, phihat, ahead, n_beams
         As in :func:`potential_heights`.
-    near, bridge, step
+    first, last, bandwidth, height
+        The first potential ground of every row, of :func:`potential_heights`.
+    first_run, lowest, least, smallest, sigmas, noise, n_fit, jump, near, bridge, step
         As in :func:`potential_heights`.
     histogram : (N_HEIGHTS,) int32
         Heights so far, from :data:`LOWEST_M` on; not changed.
@@ -886,7 +872,6 @@ def ground_rows(
     density = np.zeros(size + 2 * HALF, np.int64)
     tops = np.empty(max(size, N_HEIGHTS), np.int64)
     counts = np.empty(max(size, N_HEIGHTS), np.int64)
-    state = np.zeros(_SLOTS, np.int64)
     beams = np.empty(n + 1, np.int32)
     sampled = np.empty(n + 1, np.int32)
     more = np.empty(n + 1, np.int32)
@@ -902,28 +887,25 @@ def ground_rows(
     z_rows = np.empty(n_rows, np.float32)
     for row in range(n_rows):
         to_count = row >= n_counted
-        n_valid = int(np.int64(n_beams[row]))
-        start, z_row, accepted = 0, np.nan, False
-        while not accepted:
-            n_points, b = _potential(
-                surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, start, first_run,
-                least, smallest, sigmas, noise, n_fit, jump, bridge, step, beams, sampled, hist, density, state, tops,
-                counts,
-            )  # fmt: skip
-            if n_points == 0:
-                break
-            height = _lowest_mean(xyz[row], beams, n_points, lowest, near)
+        n_valid = np.int64(n_beams[row])
+        z_row, accepted = np.nan, False
+        # the first potential ground is known
+        n_points, b, z_i = np.int64(0), bandwidth[row], height[row]
+        if first[row] >= 0:
+            for k in range(first[row], last[row] + 1):
+                beams[n_points] = k
+                n_points += surface[row, k] == _HORIZONTAL
+        while n_points > 0:
             if to_count and z_state[_N] < n_start:  # too few to begin with: caught up on the way
-                _count_height(height, heights, queue, memory, z_hist, z_density, z_state, share)
+                _count_height(z_i, heights, queue, memory, z_hist, z_density, z_state, share)
                 to_count = False
                 if z_g == z_g or z_state[_N] >= n_least:
                     _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
-            accepted = abs(height - z_g) < max(tolerance * abs(z_g), tolerance_m)
+            accepted = abs(z_i - z_g) < max(tolerance * abs(z_g), tolerance_m)
             if accepted or z_row != z_row:
-                z_row = height
-            start = beams[n_points - 1] + 1
+                z_row = z_i
             if accepted:
-                mode = _main_angle(phihat[row], beams, n_points, b, hist, density, state, tops, counts)
+                mode = _main_angle(phihat[row], beams, n_points, b, hist, density, tops, counts)
                 n_points = _extend(
                     surface[row], xyz[row], horizontal[row], phihat[row], n_valid, beams, n_points, mode, b,
                     n_fit, guard, bridge, step,
@@ -932,10 +914,18 @@ def ground_rows(
                     n_points = _resume(
                         surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, first_run,
                         least, smallest, sigmas, noise, n_fit, jump, bridge, step, guard, beams, n_points,
-                        more, sampled, hist, density, state, tops, counts,
+                        more, sampled, hist, density, tops, counts,
                     )  # fmt: skip
                 for i in range(n_points):
                     ground[row, beams[i]] = True
+                break
+            n_points, b = _potential(
+                surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid,
+                np.int64(beams[n_points - 1] + 1), first_run, least, smallest, sigmas, noise, n_fit, jump, bridge,
+                step, beams, sampled, hist, density, tops, counts,
+            )  # fmt: skip
+            if n_points > 0:
+                z_i = _lowest_mean(xyz[row], beams, n_points, lowest, near)
         if to_count and z_row == z_row and (accepted or count_all):
             _count_height(z_row, heights, queue, memory, z_hist, z_density, z_state, share)
             if accepted or renew_all:

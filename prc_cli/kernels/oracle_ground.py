@@ -280,20 +280,20 @@ def potential_heights(
     near: int,
     bridge: int,
     step: float,
-) -> tuple[I32, F64]:
+) -> tuple[I32, I32, F64, F64]:
     """Find potential ground; see :func:`prc_cli.kernels.ground.potential_heights`."""
     rules = (first_run, lowest, least, smallest, sigmas, noise)
-    n_points = np.zeros(len(surface), dtype=np.int32)
-    height = np.full(len(surface), np.nan)
+    first, last = np.full((2, len(surface)), -1, dtype=np.int32)
+    bandwidth, height = np.full((2, len(surface)), np.nan)
     for i in range(len(surface)):
         row = Row(
             surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump, near, bridge, step
         )
-        beams, _ = row.potential(0)
-        n_points[i] = len(beams)
+        beams, b = row.potential(0)
         if beams:
-            height[i] = row.height(beams)
-    return n_points, height
+            first[i], last[i] = beams[0], beams[-1]
+            bandwidth[i], height[i] = b, row.height(beams)
+    return first, last, bandwidth, height
 
 
 def ground_rows(
@@ -303,6 +303,10 @@ def ground_rows(
     phihat: F32,
     ahead: I32,
     n_beams: I32,
+    first: I32,
+    last: I32,
+    bandwidth: F64,
+    height: F64,
     first_run: int,
     lowest: int,
     least: int,
@@ -341,9 +345,9 @@ def ground_rows(
         to_count = i >= n_counted
         z_row = math.nan
         accepted = False
-        beams, b = row.potential(0)
+        beams = [k for k in np.flatnonzero(surface[i] == HORIZONTAL).tolist() if first[i] <= k <= last[i]]
+        b, z_i = float(bandwidth[i]), float(height[i])
         while beams and not accepted:
-            z_i = row.height(beams)
             if to_count and len(heights) < n_start:
                 heights = [*heights, to_bin(z_i)][-memory:]
                 to_count = False
@@ -355,6 +359,7 @@ def ground_rows(
                 ground[i, grown_row(row, beams, b, horizontal[i].astype(np.float64), n_fit, guard, resume)] = True
             else:
                 beams, b = row.potential(beams[-1] + 1)
+                z_i = row.height(beams) if beams else math.nan
         if to_count and not math.isnan(z_row) and (accepted or count_all):
             heights = [*heights, to_bin(z_row)][-memory:]
             if accepted or renew_all:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.kernels import oracle_curb
-from prc_cli.kernels.oracle_ground import histogram_of, to_bin
+from prc_cli.kernels.oracle_ground import histogram_of, potential_heights, to_bin
 
 
 def modes_case(rng: Generator) -> tuple[Any, ...]:
@@ -82,7 +82,10 @@ def ground_case(rng: Generator) -> tuple[Any, ...]:
     height_rules = (int(rng.choice([1, 3])), memory, 0.05, bool(rng.random() < 0.5), bool(rng.random() < 0.5))
     near = (float(rng.choice([0.1, 0.05])), float(rng.choice([0.0, 0.125])))
     growth = (float(rng.choice([0.1, 0.01])), bool(rng.random() < 0.7))
-    return surface, xyz, horizontal, phihat, ahead, n_beams, *rules, *state, *height_rules, *near, *growth
+    potential = potential_heights(surface, xyz, horizontal, phihat, ahead, n_beams, *rules)
+    return (
+        surface, xyz, horizontal, phihat, ahead, n_beams, *potential, *rules, *state, *height_rules, *near, *growth,
+    )  # fmt: skip
 
 
 def possible_case(rng: Generator) -> tuple[Any, ...]:

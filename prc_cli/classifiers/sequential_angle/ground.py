@@ -172,10 +172,24 @@ class GroundState:
     """Rows to come whose heights the histogram holds already."""
 
 
-def start_heights(
+@dataclass(frozen=True, slots=True, eq=False)
+class PotentialGround:
+    """The first potential ground of every row (part a)."""
+
+    first: I32
+    """(R,) int32, its first beam, -1 = none."""
+    last: I32
+    """(R,) int32, its last beam; the horizontal points from the first one on are its points."""
+    bandwidth_deg: F64
+    """(R,) float64, bandwidth of its line angles at its end [deg], NaN = none."""
+    height_m: F64
+    """(R,) float64, z_i relative to the scanner [m], NaN = none."""
+
+
+def potential_ground(
     lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, params: GroundParams, *, range_noise_m: float
-) -> F64:
-    """Return the height of the first potential ground of every row (part a).
+) -> PotentialGround:
+    """Find the first potential ground of every row (part a).
 
     Parameters
     ----------
@@ -190,17 +204,12 @@ def start_heights(
     params : GroundParams
     range_noise_m : float
         Standard deviation of a range, for the noise of line angles [m].
-
-    Returns
-    -------
-    (R,) float64
-        z_i relative to the scanner [m], NaN = none.
     """
-    heights: F64
-    _, heights = kernels.potential_heights(
-        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params, range_noise_m)
+    return PotentialGround(
+        *kernels.potential_heights(
+            surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params, range_noise_m)
+        )
     )
-    return heights
 
 
 def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
@@ -236,6 +245,7 @@ def ground(
     surface: U8,
     phihat: F32,
     ahead: I32,
+    potential: PotentialGround,
     state: GroundState,
     params: GroundParams,
     *,
@@ -246,7 +256,9 @@ def ground(
     Parameters
     ----------
     lines, surface, phihat, ahead
-        As for :func:`start_heights`.
+        As for :func:`potential_ground`.
+    potential : PotentialGround
+        Of the same rows.
     state : GroundState
         After the rows before, or of :func:`initial_ground` for the first rows.
     params : GroundParams
@@ -263,7 +275,8 @@ def ground(
         After these rows.
     """
     points, z_rows, histogram, recent, z_g = kernels.ground_rows(
-        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params, range_noise_m),
+        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, potential.first, potential.last,
+        potential.bandwidth_deg, potential.height_m, *_rules(params, range_noise_m),
         state.histogram, state.recent, state.z_g, state.n_in_histogram_ahead, params.start_heights, params.least,
         params.memory, params.height_bandwidth, params.heights == "all", params.renew == "every",
         params.height_tolerance, params.height_tolerance_m, params.growth_height_m, params.resume,

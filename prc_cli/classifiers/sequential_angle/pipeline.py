@@ -28,9 +28,10 @@ from prc_cli.classifiers.sequential_angle.curb import (
 from prc_cli.classifiers.sequential_angle.ground import (
     GroundParams,
     GroundState,
+    PotentialGround,
     ground,
     initial_ground,
-    start_heights,
+    potential_ground,
 )
 from prc_cli.classifiers.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
@@ -89,6 +90,7 @@ class Within:
     """(R, n) uint8, car layer {T', H, V}."""
     line_angle_deg: F32
     """(R, n) float32, line angle of horizontal points [deg]."""
+    potential: PotentialGround
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,13 +204,16 @@ def within_lines(lines: VerticalLines, params: SequentialAngleParams) -> Within:
     surface = coarse(angles.signed_deg, lines, params.coarse)
     dense = dense_vegetation(angle_differences(angles.signed_deg), params.dense_vegetation)
     car_layer = car_surface(angles.signed_deg, dense, lines, params.coarse.surfaces)
+    line_angle_deg = line_angles(lines, angles.ahead, surface)
+    noise = params.angles.range_noise_m
     return Within(
         lines=lines,
         signed_deg=angles.signed_deg,
         ahead=angles.ahead,
         surface=surface,
         car_surface=car_layer,
-        line_angle_deg=line_angles(lines, angles.ahead, surface),
+        line_angle_deg=line_angle_deg,
+        potential=potential_ground(lines, surface, line_angle_deg, angles.ahead, params.ground, range_noise_m=noise),
     )
 
 
@@ -218,11 +223,7 @@ def start_ground(
     """Hold rows back until the first height of the ground is known (part b of the ground algorithm, sec. 5)."""
     if state.ground is not None:
         return [rows], state
-    noise = params.angles.range_noise_m
-    heights = start_heights(
-        rows.lines, rows.surface, rows.line_angle_deg, rows.ahead, params.ground, range_noise_m=noise
-    )
-    waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, heights])
+    waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, rows.potential.height_m])
     n_lines = max(1, min(params.start_lines, params.start_shots // len(state.beam_rad)))
     n_most = n_lines * state.sides.n_sides
     enough = int(np.count_nonzero(np.isfinite(heights[:n_most]))) >= params.ground.start_heights
@@ -239,8 +240,9 @@ def across_lines(
     assert state.ground is not None
     lines, surface, noise = rows.lines, rows.surface, params.angles.range_noise_m
     g, z_g, known = ground(
-        lines, surface, rows.line_angle_deg, rows.ahead, state.ground, params.ground, range_noise_m=noise
-    )
+        lines, surface, rows.line_angle_deg, rows.ahead, rows.potential, state.ground, params.ground,
+        range_noise_m=noise,
+    )  # fmt: skip
     start = possible_curbs(lines, surface, g, z_g, params.curb, range_noise_m=noise)
     c = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
     curb, curb_state = curbs(lines, surface, rows.signed_deg, start, state.curb, params.curb, last=last)

@@ -11,7 +11,7 @@ import pytest
 from numpy.random import Generator
 
 from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, behind_curbs, curbs, possible_curbs
-from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, start_heights
+from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.types import F32, I32, U8, Mask
 from tests.classifiers.sequential_angle.profiles import NOISE_M, Scene, Segment, V, scan, street
@@ -20,13 +20,14 @@ PARAMS = CurbParams()
 
 
 def possible(scene: Scene, params: CurbParams = PARAMS) -> I32:
-    heights = start_heights(
+    potential = potential_ground(
         scene.lines, scene.surface, scene.phihat, scene.ahead, GroundParams(), range_noise_m=NOISE_M
     )
-    state = initial_ground(heights, GroundParams())
+    state = initial_ground(potential.height_m, GroundParams())
     found, z_g, _ = ground(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, state, GroundParams(), range_noise_m=NOISE_M
-    )
+        scene.lines, scene.surface, scene.phihat, scene.ahead, potential, state, GroundParams(),
+        range_noise_m=NOISE_M,
+    )  # fmt: skip
     return possible_curbs(scene.lines, scene.surface, found, z_g, params, range_noise_m=NOISE_M)
 
 

@@ -14,18 +14,27 @@ from prc_cli.classifiers.sequential_angle.ground import (
     GroundState,
     ground,
     initial_ground,
-    start_heights,
+    potential_ground,
 )
-from prc_cli.core.types import F32, F64, Mask
+from prc_cli.classifiers.sequential_angle.lines import VerticalLines
+from prc_cli.core.types import F32, F64, I32, U8, Mask
 from tests.classifiers.sequential_angle.profiles import NOISE_M, ROAD_Z, H, Scene, Segment, V, scan, street
 
 PARAMS = GroundParams()
 
 
+def follow(
+    lines: VerticalLines, surface: U8, phihat: F32, ahead: I32, state: GroundState, params: GroundParams
+) -> tuple[Mask, F32, GroundState]:
+    """Both parts of the algorithm."""
+    potential = potential_ground(lines, surface, phihat, ahead, params, range_noise_m=NOISE_M)
+    return ground(lines, surface, phihat, ahead, potential, state, params, range_noise_m=NOISE_M)
+
+
 def find(scene: Scene, params: GroundParams = PARAMS) -> tuple[F64, Mask, F32, GroundState]:
-    heights = start_heights(scene.lines, scene.surface, scene.phihat, scene.ahead, params, range_noise_m=NOISE_M)
-    state = initial_ground(heights, params)
-    return heights, *ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params, range_noise_m=NOISE_M)
+    found = potential_ground(scene.lines, scene.surface, scene.phihat, scene.ahead, params, range_noise_m=NOISE_M)
+    state = initial_ground(found.height_m, params)
+    return found.height_m, *follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, params)
 
 
 def road(scene: Scene) -> Mask:
@@ -75,7 +84,7 @@ def test_ground_does_not_climb_a_step_that_no_vertical_point_shows() -> None:
 
     def climbed(**values: float) -> bool:
         params = GroundParams.model_validate({"resume": False, "bandwidth_sigmas": 0, **values})
-        found, _, _ = ground(scene.lines, flat, phihat, scene.ahead, state, params, range_noise_m=NOISE_M)
+        found, _, _ = follow(scene.lines, flat, phihat, scene.ahead, state, params)
         assert found[:, : step - 5].any(axis=1).all()
         return bool(found[:, step:].any())
 
@@ -107,9 +116,7 @@ def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     assert np.isnan(nothing.z_g)
     assert nothing.n_in_histogram_ahead == 4
     scene.surface[:4] = 0
-    found, z_g, state = ground(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS, range_noise_m=NOISE_M
-    )
+    found, z_g, state = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, nothing, PARAMS)
     assert np.isnan(z_g[: 4 + 9]).all()  # known from the tenth height on
     assert not found[: 4 + 9].any()
     assert found[4 + 9 :].any(axis=1).all()
@@ -119,9 +126,9 @@ def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     few[[7, 20]] = first
     assert np.isnan(initial_ground(few, PARAMS).z_g)
     assert initial_ground(few, GroundParams(least_heights=1)).z_g < 0
-    found, z_g, _ = ground(
+    found, z_g, _ = follow(
         scene.lines, scene.surface, scene.phihat, scene.ahead, replace(initial_ground(few, PARAMS),
-        n_in_histogram_ahead=0), PARAMS, range_noise_m=NOISE_M,
+        n_in_histogram_ahead=0), PARAMS,
     )  # fmt: skip
     assert np.flatnonzero(np.isnan(z_g)).tolist() == list(range(4 + 7))
     assert z_g[-1] == pytest.approx(ROAD_Z, abs=0.03)
@@ -217,7 +224,7 @@ def test_scanner_near_the_ground() -> None:
     low = replace(initial_ground(np.full(50, -0.15), PARAMS), n_in_histogram_ahead=0)
     for limit, everywhere in ((0.05, True), (0.0, False)):
         params = GroundParams(height_tolerance_m=limit, renew="accepted")
-        found, _, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params, range_noise_m=NOISE_M)
+        found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params)
         assert found.any(axis=1).all() == everywhere
 
 
@@ -235,9 +242,7 @@ def test_cuts_change_nothing(n_sides: int) -> None:
         parts = []
         for first, end in pairwise(edges):
             part = scene.rows(first, end)
-            found, z_g, state = ground(
-                part.lines, part.surface, part.phihat, part.ahead, state, params, range_noise_m=NOISE_M
-            )
+            found, z_g, state = follow(part.lines, part.surface, part.phihat, part.ahead, state, params)
             parts.append((found, z_g))
         np.testing.assert_array_equal(np.concatenate([found for found, _ in parts]), whole)
         np.testing.assert_array_equal(np.concatenate([z_g for _, z_g in parts]), z_whole)
@@ -263,7 +268,7 @@ def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> No
     scene.surface[0, 9:14] = V  # more than are passed over
     scene.surface[0, 30:35] = V
     state = replace(initial_ground(np.full(50, ROAD_Z), PARAMS), n_in_histogram_ahead=0)
-    found, _, _ = ground(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS, range_noise_m=NOISE_M)
+    found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS)
     assert np.flatnonzero(found[0]).tolist() == list(range(14, 30))
 
 
@@ -295,7 +300,7 @@ def test_long_rows_take_no_more_than_their_share(kind: str) -> None:
         best = np.inf
         for _ in range(3):
             begin = time.process_time()
-            start_heights(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS, range_noise_m=NOISE_M)
+            potential_ground(lines, surface, angle.astype(np.float32)[None], ahead, PARAMS, range_noise_m=NOISE_M)
             best = min(best, time.process_time() - begin)
         return best
 
