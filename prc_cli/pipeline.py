@@ -144,7 +144,7 @@ def _prc(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlo
         state = states.get(block.scanner)
         if state is None:
             state = prc.initial_state(block.points_per_line)
-        result = prc.classify_block(block.range_m, block.next_m, state, params)
+        result = prc.classify_block(block.range_m, block.next_m, state, params, segments=True)
         states[block.scanner] = result.state
         further, support = block.extra, params.support
         extra = label_extra_returns(

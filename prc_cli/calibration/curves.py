@@ -12,7 +12,7 @@ import numpy as np
 
 from prc_cli import kernels
 from prc_cli.classifiers.prc.pipeline import PrcParams
-from prc_cli.classifiers.prc.support import required_counts, stream_window, window_reach, window_tail
+from prc_cli.classifiers.prc.support import required_counts, stream_window, tail_after, window_reach
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64
 
@@ -137,7 +137,7 @@ class CurveCounter:
         if tail is None:
             tail = np.full(window_reach(m), np.nan, np.float32)
         window = stream_window(tail, block.range_m, block.next_m)
-        self._tails[block.scanner] = window_tail(window, m)
+        self._tails[block.scanner] = tail_after(tail, block.range_m)
         in_slice, adjacent = required_counts(self.params.support)
         n = block.n_lines
         self._support += kernels.support_histogram(window, n, m, self.zetas_p, self.zetas_s, in_slice, adjacent)

@@ -141,11 +141,15 @@ class Relay(Generic[_A]):
     def __init__(self, value: _A) -> None:
         self._value = value
         self._turn = 0
-        self._broken = False
+        self._broken_at: int | None = None
         self._changed = threading.Condition()
 
-    def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> _B:
-        """Wait for a turn, let the function make a result and the value for the next turn of the one now.
+    def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> tuple[_B, _A]:
+        """Wait for a turn, let the function make a result and the value for the next turn of the value now.
+
+        Returns
+        -------
+        result, value
 
         Raises
         ------
@@ -153,26 +157,29 @@ class Relay(Generic[_A]):
             When a job before this one failed.
         """
         with self._changed:
-            while self._turn != turn and not self._broken:
+            while self._turn != turn and not self._is_broken(turn):
                 self._changed.wait(TICK_S)
-            if self._broken:
+            if self._is_broken(turn):
                 raise RelayBrokenError
             value = self._value
         try:
             result, value = function(value)
         except BaseException:
-            self.give_up()
+            self.give_up(turn)
             raise
         with self._changed:
             self._value, self._turn = value, turn + 1
             self._changed.notify_all()
-        return result
+        return result, value
 
-    def give_up(self) -> None:
-        """Tell all who wait, and who will, that their turn does not come; for a job that fails elsewhere."""
+    def give_up(self, turn: int) -> None:
+        """Tell all after this turn that theirs does not come; for a job that fails, wherever it does."""
         with self._changed:
-            self._broken = True
+            self._broken_at = turn if self._broken_at is None else min(turn, self._broken_at)
             self._changed.notify_all()
+
+    def _is_broken(self, turn: int) -> bool:
+        return self._broken_at is not None and turn > self._broken_at
 
 
 class RelayBrokenError(Exception):

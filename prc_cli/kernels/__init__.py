@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from prc_cli.kernels.calibration import support_histogram as support_histogram
     from prc_cli.kernels.casting import cast_shots as cast_shots
     from prc_cli.kernels.coarse import surface_image as surface_image
-    from prc_cli.kernels.components import fill_holes as fill_holes
+    from prc_cli.kernels.components import carry_labels as carry_labels
+    from prc_cli.kernels.components import join_and_fill as join_and_fill
     from prc_cli.kernels.components import label_components as label_components
     from prc_cli.kernels.curb import connect_verticals as connect_verticals
     from prc_cli.kernels.curb import possible_curbs as possible_curbs
@@ -40,7 +41,11 @@ if TYPE_CHECKING:
     from prc_cli.kernels.shots import aim_shots as aim_shots
     from prc_cli.kernels.support import background_mask as background_mask
     from prc_cli.kernels.support import support_mask as support_mask
+    from prc_cli.kernels.surfaces import count_covered as count_covered
     from prc_cli.kernels.surfaces import dilate as dilate
+    from prc_cli.kernels.surfaces import draw_columns as draw_columns
+    from prc_cli.kernels.surfaces import draw_components as draw_components
+    from prc_cli.kernels.surfaces import select_components as select_components
     from prc_cli.kernels.suspicious import first_triggers as first_triggers
     from prc_cli.kernels.verticals import first_high_verticals as first_high_verticals
 
@@ -52,22 +57,27 @@ KERNELS: dict[str, str] = {
     "background_mask": "prc_cli.kernels.support",
     "bend_histogram": "prc_cli.kernels.calibration",
     "car_intervals": "prc_cli.kernels.dividers",
+    "carry_labels": "prc_cli.kernels.components",
     "cast_shots": "prc_cli.kernels.casting",
     "connect_verticals": "prc_cli.kernels.curb",
+    "count_covered": "prc_cli.kernels.surfaces",
     "cut_verticals": "prc_cli.kernels.dividers",
     "dilate": "prc_cli.kernels.surfaces",
-    "fill_holes": "prc_cli.kernels.components",
+    "draw_columns": "prc_cli.kernels.surfaces",
+    "draw_components": "prc_cli.kernels.surfaces",
     "find_modes": "prc_cli.kernels.ground",
     "first_high_verticals": "prc_cli.kernels.verticals",
     "first_triggers": "prc_cli.kernels.suspicious",
     "goes_behind": "prc_cli.kernels.sensor",
     "ground_rows": "prc_cli.kernels.ground",
     "hmm_cusum": "prc_cli.kernels.markov",
+    "join_and_fill": "prc_cli.kernels.components",
     "label_components": "prc_cli.kernels.components",
     "line_angles": "prc_cli.kernels.angles",
     "main_height": "prc_cli.kernels.ground",
     "possible_curbs": "prc_cli.kernels.curb",
     "potential_heights": "prc_cli.kernels.ground",
+    "select_components": "prc_cli.kernels.surfaces",
     "sense": "prc_cli.kernels.sensor",
     "signed_angles": "prc_cli.kernels.angles",
     "stable_intervals": "prc_cli.kernels.fourier",

@@ -1,14 +1,18 @@
-"""Loops over the binary image: connected components and hole filling (Lehtola et al. 2019, II-D)."""
+"""Loops over the binary image: connected components, hole filling, votes (Lehtola et al. 2019, II-D)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.types import I32, Mask
-from prc_cli.kernels.cache import kernel
+from prc_cli.core.types import I32, I64, Mask
+from prc_cli.kernels.cache import helper, kernel
+
+ONES = 0x0101010101010101
+"""Eight booleans that are all true, as a number."""
+ONE, NONE = np.uint32(1), np.uint32(2**32 - 1)
 
 
-@kernel("int32(int32[::1], int32)")
+@helper
 def _root(parent: I32, run: int) -> int:
     """Follow a run to the first run of its component, shortening the way for the next one."""
     while parent[run] != run:
@@ -17,12 +21,118 @@ def _root(parent: I32, run: int) -> int:
     return run
 
 
+@helper
+def _find_edges(row: Mask, edges: I32, n_edges: int) -> int:
+    """Append the columns where runs of ones begin and end to ``edges``; return how many there are now.
+
+    Eight shots at a time are passed over when they are all like the one before. In the others every column is
+    written, and kept where it is an edge, so that there is no branch to be guessed wrong.
+    """
+    n_columns = len(row)
+    n_words = n_columns // 8
+    words = row[: 8 * n_words].view(np.int64)
+    inside = False
+    for word in range(n_words):
+        if words[word] == (ONES if inside else 0):
+            continue
+        for h in range(8 * word, 8 * word + 8):
+            edges[n_edges] = h
+            n_edges += row[h] != inside
+            inside = row[h]
+    for h in range(8 * n_words, n_columns):
+        edges[n_edges] = h
+        n_edges += row[h] != inside
+        inside = row[h]
+    edges[n_edges] = n_columns
+    return n_edges + inside
+
+
+@helper
+def _find_runs(image: Mask) -> tuple[I32, I32, I32]:
+    """Find the runs of an image, stretches of ones within a line, and join those that touch.
+
+    Runs of successive lines that share a column are joined, the earlier run always becoming the root, so that roots
+    come in raster order.
+
+    Returns
+    -------
+    edges : (at least 2 n,) int32
+        Columns where every run begins and ends.
+    first_run : (n_lines + 1,) int32
+        First run of every line.
+    parent : (n,) int32
+        An earlier run of the same component, or the run itself.
+    """
+    n_lines, n_columns = image.shape
+    most_runs = n_lines * ((n_columns + 1) // 2)
+    edges = np.empty(2 * most_runs + 1, np.int32)
+    parent = np.empty(most_runs, np.int32)
+    first_run = np.empty(n_lines + 1, np.int32)
+    n_runs = 0
+    first_above = 0
+    for line in range(n_lines):
+        first_run[line] = first = n_runs
+        n_runs = _find_edges(image[line], edges, 2 * n_runs) // 2
+        above = first_above
+        for run in range(first, n_runs):
+            begin, end = edges[2 * run], edges[2 * run + 1]
+            while above < first and edges[2 * above + 1] <= begin:
+                above += 1
+            root = run
+            while above < first and edges[2 * above] < end:
+                other = _root(parent, above)
+                low = min(root, other)
+                if root != run:
+                    parent[max(root, other)] = low
+                root = low
+                if edges[2 * above + 1] > end:  # it may reach the next run of this line too
+                    break
+                above += 1
+            parent[run] = root
+        first_above = first
+    first_run[n_lines] = n_runs
+    return edges, first_run, parent[:n_runs]
+
+
+@helper
+def _draw_runs(edges: I32, first_run: I32, parent: I32, n_columns: int) -> tuple[I32, I64]:
+    """Draw the components, numbered in raster order; return the image and their pixels, (n + 1,) int64."""
+    number = np.empty(len(parent), np.int32)
+    n_components = 0
+    for run in range(len(parent)):
+        if parent[run] == run:
+            n_components += 1
+            number[run] = n_components
+        else:  # parents come earlier
+            number[run] = number[parent[run]]
+    pixels = np.zeros(n_components + 1, np.int64)
+    # eight at a time, beyond the end of a run: what lies there is drawn later
+    size = (len(first_run) - 1) * n_columns
+    drawn = np.empty(size + 8, np.int32)
+    i = 0
+    for line in range(len(first_run) - 1):
+        first = line * n_columns
+        for run in range(first_run[line], first_run[line + 1]):
+            begin, end = first + edges[2 * run], first + edges[2 * run + 1]
+            label = number[run]
+            pixels[label] += end - begin
+            while i < begin:
+                for j in range(8):
+                    drawn[i + j] = 0
+                i += 8
+            i = begin
+            while i < end:
+                for j in range(8):
+                    drawn[i + j] = label
+                i += 8
+            i = end
+    drawn[i:size] = 0
+    return drawn[:size].reshape((len(first_run) - 1, n_columns)), pixels
+
+
 @kernel("Tuple((int32[:, ::1], int64))(boolean[:, ::1])")
 def label_components(image: Mask) -> tuple[I32, int]:
     """Find the 4-connected components of a binary image, numbered in the raster order of their first pixels.
-
-    Works on runs, stretches of ones within a line: runs of successive lines that share a column are joined, the
-    earlier run always becoming the root, so that roots come in raster order.
 
     Parameters
     ----------
@@ -34,94 +144,169 @@ def label_components(image: Mask) -> tuple[I32, int]:
         0 = background, components from 1.
     n_components : int
     """
-    n_lines, n_columns = image.shape
-    most_runs = n_lines * ((n_columns + 1) // 2)
-    start = np.empty(most_runs, np.int32)
-    stop = np.empty(most_runs, np.int32)
-    parent = np.empty(most_runs, np.int32)
-    first_run = np.empty(n_lines + 1, np.int32)
-    n_runs = 0
-    above = 0
-    for line in range(n_lines):
-        first_run[line] = n_runs
-        first = n_runs
-        row = image[line]
-        h = 0
-        while h < n_columns:
-            if not row[h]:
-                h += 1
-                continue
-            begin = h
-            while h < n_columns and row[h]:
-                h += 1
-            start[n_runs] = begin
-            stop[n_runs] = h
-            parent[n_runs] = n_runs
-            while above < first and stop[above] <= begin:
-                above += 1
-            while above < first and start[above] < h:
-                one, other = _root(parent, n_runs), _root(parent, above)
-                parent[max(one, other)] = min(one, other)
-                if stop[above] > h:  # it may reach the next run of this line too
-                    break
-                above += 1
-            n_runs += 1
-        above = first
-    first_run[n_lines] = n_runs
-
-    labels = np.zeros((n_lines, n_columns), np.int32)
-    number = np.empty(n_runs, np.int32)
-    n_components = 0
-    for line in range(n_lines):
-        row_out = labels[line]
-        for run in range(first_run[line], first_run[line + 1]):
-            if parent[run] == run:
-                n_components += 1
-                number[run] = n_components
-            else:  # parents come earlier
-                number[run] = number[parent[run]]
-            row_out[start[run] : stop[run]] = number[run]
-    return labels, n_components
+    edges, first_run, parent = _find_runs(image)
+    labels, pixels = _draw_runs(edges, first_run, parent, image.shape[1])
+    return labels, len(pixels) - 1
 
 
-@kernel("int32[:, ::1](int32[:, ::1], boolean[:, ::1])")
-def fill_holes(components: I32, holes: Mask) -> I32:
-    """Give pixels the most frequent component among their 8 neighbours, all at once.
+@helper
+def _find_ones(row: Mask, columns: I32, n_found: int) -> int:
+    """Append the columns of the ones to ``columns``; return how many there are now."""
+    n_columns = len(row)
+    n_words = n_columns // 8
+    words = row[: 8 * n_words].view(np.int64)
+    for word in range(n_words):
+        if words[word] == 0:
+            continue
+        for h in range(8 * word, 8 * word + 8):
+            columns[n_found] = h
+            n_found += row[h]
+    for h in range(8 * n_words, n_columns):
+        columns[n_found] = h
+        n_found += row[h]
+    return n_found
+
+
+@helper
+def _most_frequent(components: I32, line: int, column: int) -> int:
+    """Return the most frequent component around a pixel without one, of equals the smallest."""
+    n_lines, n_columns = components.shape
+    near = np.empty(9, np.int32)
+    n_near = 0
+    for y in range(max(line - 1, 0), min(line + 2, n_lines)):
+        for x in range(max(column - 1, 0), min(column + 2, n_columns)):
+            near[n_near] = components[y, x]
+            n_near += components[y, x] != 0
+    best, most = 0, 0
+    for one in range(n_near):
+        count = 0
+        for other in range(n_near):
+            count += near[one] == near[other]
+        if count > most or (count == most and near[one] < best):
+            best = near[one]
+            most = count
+    return best
+
+
+@kernel("Tuple((int32[:, ::1], int64[::1]))(boolean[:, ::1], boolean[:, ::1])")
+def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
+    """Connect supported shots and give those of the background to the component around them.
 
     Parameters
     ----------
-    components : (n_lines, n_columns) int32
-        Component image, 0 = background; only this is looked at, so the order of filling does not matter.
-    holes : (n_lines, n_columns) bool
-        Pixels to fill, all of them background.
+    supported, background : (n_lines, n_columns) bool
+        S and G, G a part of S. Components are those of S without G, 4-connected, numbered in raster order.
 
     Returns
     -------
-    (n_lines, n_columns) int32
-        Ties go to the smallest number; pixels without labelled neighbours stay 0.
+    components : (n_lines, n_columns) int32
+        0 = none. A shot of G has the most frequent component among its 8 neighbours in the image before filling, of
+        equals the smallest number; without a labelled neighbour it stays 0.
+    pixels : (n + 1,) int64
+        Shots of every component after filling; ``pixels[0]`` is 0.
     """
-    n_lines, n_columns = components.shape
-    filled = components.copy()
-    near = np.empty(9, np.int32)
+    n_lines, n_columns = supported.shape
+    foreground = np.empty((n_lines, n_columns), np.bool_)
+    first_hole = np.empty(n_lines + 1, np.int32)
+    holes = np.empty(n_lines * n_columns + 1, np.int32)
+    n_holes = 0
     for line in range(n_lines):
-        row = holes[line]
+        inside, apart, row = supported[line], background[line], foreground[line]
         for h in range(n_columns):
-            if not row[h]:
-                continue
-            n_near = 0
-            for y in range(max(line - 1, 0), min(line + 2, n_lines)):
-                for x in range(max(h - 1, 0), min(h + 2, n_columns)):
-                    if components[y, x] != 0:
-                        near[n_near] = components[y, x]
-                        n_near += 1
-            best = 0
-            most = 0
-            for one in range(n_near):
-                count = 0
-                for other in range(n_near):
-                    count += near[one] == near[other]
-                if count > most or (count == most and near[one] < best):
-                    best = near[one]
-                    most = count
-            filled[line, h] = best
-    return filled
+            row[h] = inside[h] & (not apart[h])
+        first_hole[line] = n_holes
+        n_holes = _find_ones(apart, holes, n_holes)
+    first_hole[n_lines] = n_holes
+    edges, first_run, parent = _find_runs(foreground)
+    components, pixels = _draw_runs(edges, first_run, parent, n_columns)
+
+    taken = np.empty(n_holes, np.int32)
+    # least and most of three lines at a column, with a frame; components less one, so that none is the largest number
+    least = np.full(n_columns + 2, NONE, np.uint32)
+    most = np.zeros(n_columns + 2, np.uint32)
+    for line in range(n_lines):
+        if first_hole[line] == first_hole[line + 1]:
+            continue
+        up, own, down = components[max(line - 1, 0)], components[line], components[min(line + 1, n_lines - 1)]
+        least_inside, most_inside = least[1 : n_columns + 1], most[1 : n_columns + 1]
+        for h in range(n_columns):
+            one, two, three = np.uint32(up[h]), np.uint32(own[h]), np.uint32(down[h])
+            most_inside[h] = max(one, two, three)
+            least_inside[h] = min(np.uint32(one - ONE), np.uint32(two - ONE), np.uint32(three - ONE))
+        for hole in range(first_hole[line], first_hole[line + 1]):
+            h = int(holes[hole])
+            high = max(most[h], most[h + 1], most[h + 2])
+            low = min(least[h], least[h + 1], least[h + 2])
+            if high == 0 or np.uint32(high - ONE) == low:  # none, or one that is alone
+                taken[hole] = high
+            else:
+                taken[hole] = _most_frequent(components, line, h)
+    for line in range(n_lines):  # now that nobody looks at the image any more
+        filled = components[line]
+        for hole in range(first_hole[line], first_hole[line + 1]):
+            filled[holes[hole]] = taken[hole]
+            pixels[taken[hole]] += 1
+    pixels[0] = 0
+    return components, pixels
+
+
+@kernel("int64[::1](int32[::1], int64[::1], int64, int64)")
+def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
+    """Let the last line before a block vote for the labels of the block's components.
+
+    Every column where both lines hold a label is a vote. A component takes the label that most of its shots vote for,
+    given enough of them; of equals the oldest. Several components may take the same label.
+
+    Parameters
+    ----------
+    first_line : (M,) int32
+        Components in the first line of the block, 0 = none.
+    last_line : (M,) int64
+        Segment ids that may vote, 0 = none.
+    n_components : int
+        Components of the block.
+    min_votes : int
+        Votes needed.
+
+    Returns
+    -------
+    (n_components + 1,) int64
+        Segment id taken over by every component, 0 = none.
+    """
+    width = len(first_line)
+    # stretches of equal votes, counted a component
+    component = np.empty(width, np.int32)
+    label = np.empty(width, np.int64)
+    votes = np.empty(width, np.int64)
+    n_stretches = 0
+    for h in range(width):
+        if first_line[h] == 0 or last_line[h] == 0:
+            continue
+        now = n_stretches - 1
+        if n_stretches and component[now] == first_line[h] and label[now] == last_line[h]:
+            votes[now] += 1
+        else:
+            component[n_stretches] = first_line[h]
+            label[n_stretches] = last_line[h]
+            votes[n_stretches] = 1
+            n_stretches += 1
+    taken = np.zeros(n_components + 1, np.int64)
+    if not n_stretches:
+        return taken
+    # by label, then (stable) by component: the stretches of a pair follow each other, older labels first
+    order = np.argsort(label[:n_stretches], kind="mergesort")
+    order = order[np.argsort(component[:n_stretches][order], kind="mergesort")]
+    most = 0
+    count = 0
+    for i in range(n_stretches):
+        one = order[i]
+        before = order[max(i - 1, 0)]
+        if i == 0 or component[one] != component[before]:
+            most = count = 0
+        elif label[one] != label[before]:
+            count = 0
+        count += votes[one]
+        if count > most and count >= min_votes:
+            most = count
+            taken[component[one]] = label[one]
+    return taken

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from skimage import measure
 
-from prc_cli.core.types import F32, I32, Mask
+from prc_cli.core.types import F32, I32, I64, U8, Mask
 
 CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
 """A pixel and its four neighbours."""
@@ -80,7 +80,7 @@ def label_components(image: Mask) -> tuple[I32, int]:
 
 
 def fill_holes(components: I32, holes: Mask) -> I32:
-    """Give holes their neighbours' most frequent component; see :func:`prc_cli.kernels.components.fill_holes`."""
+    """Give holes their neighbours' most frequent component, of equals the smallest; without a neighbour 0."""
     framed = np.pad(components, 1)
     filled = components.copy()
     for line, column in zip(*np.nonzero(holes), strict=True):
@@ -90,6 +90,64 @@ def fill_holes(components: I32, holes: Mask) -> I32:
         if votes:
             filled[line, column] = min(votes, key=lambda label: (-votes[label], label))
     return filled
+
+
+def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
+    """Connect and fill; see :func:`prc_cli.kernels.components.join_and_fill`."""
+    joined, n_components = label_components(np.logical_and(supported, ~background))
+    filled = fill_holes(joined, background)
+    return filled, np.array([0, *(np.sum(filled == c) for c in range(1, n_components + 1))], dtype=np.int64)
+
+
+def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
+    """Carry labels over by votes; see :func:`prc_cli.kernels.components.carry_labels`."""
+    votes = Counter(zip(first_line.tolist(), last_line.tolist(), strict=True))
+    labels = [0] * (n_components + 1)
+    for c in range(1, n_components + 1):
+        won = [(-count, old) for (new, old), count in votes.items() if new == c and old != 0 and count >= min_votes]
+        labels[c] = min(won, default=(0, 0))[1]
+    return np.array(labels, dtype=np.int64)
+
+
+def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
+    """Mark shots of some components; see :func:`prc_cli.kernels.surfaces.select_components`."""
+    selected: Mask = np.logical_and(np.take(wanted, components), supported)
+    return selected
+
+
+def count_covered(supported: Mask, covered: Mask, components: I32, n_components: int) -> I64:
+    """Count shots under an image; see :func:`prc_cli.kernels.surfaces.count_covered`."""
+    under = components[np.logical_and(supported, covered)]
+    return np.bincount(under, minlength=n_components + 1).astype(np.int64)
+
+
+def draw_components(
+    window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, cover: int, noise: int, missing: int
+) -> U8:
+    """Draw labels by component; see :func:`prc_cli.kernels.surfaces.draw_components`."""
+    labels = np.where(covered, np.uint8(cover), np.take(label_of, components))
+    labels[~supported] = noise
+    labels[~supported & np.isnan(_inside(window, supported))] = missing
+    return labels
+
+
+def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8) -> U8:
+    """Draw labels by cover and column; see :func:`prc_cli.kernels.surfaces.draw_columns`."""
+    missing, noise, marked, cover, free = labels_of
+    labels = np.full(supported.shape, noise)
+    if noise_too:
+        labels[:, columns] = marked
+    labels[np.isnan(_inside(window, supported))] = missing
+    labels[supported] = free
+    labels[np.logical_and(supported, covered)] = cover
+    labels[np.logical_and(supported, columns[None, :])] = marked
+    return labels
+
+
+def _inside(window: F32, image: Mask) -> F32:
+    """Cut the block out of its window."""
+    reach = max(image.shape[1] + 1, 4)
+    return window[reach : reach + image.size].reshape(image.shape)
 
 
 def dilate(image: Mask, iterations: int) -> Mask:

@@ -160,7 +160,7 @@ class TestRelay:
 
         def work(n: int) -> str:
             uneven(n)
-            return relay.take_turn(n, lambda text: (text, text + str(n)))
+            return relay.take_turn(n, lambda text: (text, text + str(n)))[0]
 
         assert list(ordered(work, range(10), threads=threads))[-1] == "012345678"
 
@@ -173,7 +173,7 @@ class TestRelay:
                     raise ValueError("block 3")
                 return value, value + n
 
-            return relay.take_turn(n, add)
+            return relay.take_turn(n, add)[0]
 
         found: list[int] = []
         with pytest.raises(ValueError, match="block 3"):
@@ -182,7 +182,8 @@ class TestRelay:
 
     def test_nobody_waits_for_a_job_that_gave_up(self) -> None:
         relay = Relay(0)
-        relay.give_up()
+        relay.give_up(1)
+        assert relay.take_turn(0, lambda value: (value, value + 1)) == (0, 1)
         with pytest.raises(RelayBrokenError):
             relay.take_turn(7, lambda value: (value, value))
 

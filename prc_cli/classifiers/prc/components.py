@@ -21,13 +21,27 @@ class ComponentsParams(Params):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Joined:
+    """Components of a block after hole filling, before they get the labels of the block before."""
+
+    image: I32
+    """(lines, M) int32, component of every shot, 0 = none; numbered in the order of their first shots."""
+    pixels: I64
+    """(n + 1,) int64, shots of every component; ``pixels[0]`` is 0."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Components:
     """The segmentation H of a block, as an image of small numbers and the segment ids they stand for."""
 
     image: I32
     """(lines, M) int32, component of every shot after hole filling, 0 = none."""
+    pixels: I64
+    """(n + 1,) int64, shots of every component; ``pixels[0]`` is 0."""
     ids: I64
     """(n + 1,) int64, segment id of every component; ``ids[0]`` is 0. Several components may share an id."""
+    first_new_id: int
+    """Ids below this one come from the block before; only they can be shared."""
     next_id: int
     """First segment id that is still free."""
 
@@ -36,14 +50,48 @@ class Components:
         segments: I64 = self.ids[self.image]
         return segments
 
+    def sum_by_id(self, counts: I64) -> I64:
+        """Add up what belongs to the same segment id: (n + 1,) counts a component, (n + 1,) sums that each is in."""
+        sums = counts.copy()
+        shared = np.flatnonzero((self.ids > 0) & (self.ids < self.first_new_id))
+        _, position = np.unique(self.ids[shared], return_inverse=True)
+        together = np.zeros(len(shared), dtype=np.int64)
+        np.add.at(together, position, counts[shared])
+        sums[shared] = together[position]
+        return sums
 
-def components(supported: Mask, background: Mask, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
-    """Segment a block: connect, fill holes, then carry labels over from the block before.
+
+def join(supported: Mask, background: Mask) -> Joined:
+    """Connect the shots of S without G, 4-connected, then fill the holes that G left (II-D.1).
 
     Parameters
     ----------
     supported, background : (lines, M) bool
         S and G.
+
+    Returns
+    -------
+    Joined
+        A shot of G has the most frequent component of its 8 neighbours, of equals the one whose first shot comes
+        first; without one it has none.
+
+    Examples
+    --------
+    >>> join(np.array([[1, 1, 1, 0, 1]], dtype=bool), np.array([[0, 0, 1, 0, 0]], dtype=bool)).image
+    array([[1, 1, 1, 0, 2]], dtype=int32)
+    """
+    return Joined(*kernels.join_and_fill(supported, background))
+
+
+def identify(joined: Joined, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
+    """Let the last line before a block vote for the labels of its components (II-D.2); the others get new ones.
+
+    Every column where both lines hold a label is a vote. A component takes the label that most of its shots vote for,
+    given enough of them; of equals the oldest. Several components may take the same label.
+
+    Parameters
+    ----------
+    joined : Joined
     last_line : (M,) int64
         Segment ids of smooth shots of the last line before the block, 0 elsewhere.
     next_id : int
@@ -61,49 +109,12 @@ def components(supported: Mask, background: Mask, last_line: I64, next_id: int, 
 
     >>> wall_and_pole = np.array([[1, 1, 1, 0, 1], [1, 1, 1, 0, 1]], dtype=bool)
     >>> before = np.array([7, 7, 7, 7, 0])
-    >>> components(wall_and_pole, np.zeros((2, 5), dtype=bool), before, 8, ComponentsParams()).to_segments()
+    >>> identify(join(wall_and_pole, np.zeros((2, 5), dtype=bool)), before, 8, ComponentsParams()).to_segments()
     array([[7, 7, 7, 0, 8],
            [7, 7, 7, 0, 8]])
     """
-    image, n_components = kernels.label_components(supported & ~background)
-    image = kernels.fill_holes(image, background)
-    ids = carry_labels(image[0], last_line, n_components, params.min_votes)
+    n_components = len(joined.pixels) - 1
+    ids = kernels.carry_labels(joined.image[0], last_line.copy(), n_components, params.min_votes)
     new = np.flatnonzero(ids[1:] == 0) + 1
     ids[new] = np.arange(next_id, next_id + len(new))
-    return Components(image, ids, next_id + len(new))
-
-
-def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
-    """Let the last line before a block vote for the labels of the block's components (II-D.2).
-
-    Every column where both lines hold a label is a vote. A component takes the label that most of its shots vote for,
-    given enough of them; of equals the oldest. Several components may take the same label.
-
-    Parameters
-    ----------
-    first_line : (M,) int32
-        Components in the first line of the block, 0 = none.
-    last_line : (M,) int64
-        Segment ids that may vote, 0 = none.
-    n_components : int
-        Components of the block.
-    min_votes : int
-        Votes needed.
-
-    Returns
-    -------
-    (n_components + 1,) int64
-        Segment id taken over by every component, 0 = none.
-    """
-    taken = np.zeros(n_components + 1, dtype=np.int64)
-    voting = (first_line != 0) & (last_line != 0)
-    if not voting.any():
-        return taken
-    pairs = np.stack([first_line[voting].astype(np.int64), last_line[voting]])
-    (component, label), votes = np.unique(pairs, axis=1, return_counts=True)
-    enough = votes >= min_votes
-    component, label, votes = component[enough], label[enough], votes[enough]
-    # worst candidate first, so that of several values for one component the last one written is the best
-    order = np.lexsort((-label, votes))
-    taken[component[order]] = label[order]
-    return taken
+    return Components(joined.image, joined.pixels, ids, next_id, next_id + len(new))

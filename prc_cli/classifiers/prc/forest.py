@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from prc_cli import kernels
+from prc_cli.classifiers.prc.surfaces import Surfaces
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
-from prc_cli.core.types import U8, Mask
+from prc_cli.core.types import F32, U8, Mask
 
 
 class ForestParams(Params):
@@ -24,43 +26,29 @@ class ForestParams(Params):
     )
 
 
-def forest(missing: Mask, supported: Mask, smooth: Mask, params: ForestParams) -> U8:
+def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
     """Label a block of forest.
 
     Parameters
     ----------
-    missing : (lines, M) bool
-        Shots without return.
-    supported : (lines, M) bool
-        S.
-    smooth : (lines, M) bool
-        Smooth shots.
+    window : (reach + lines * M + reach,) float32, metres
+        From :func:`prc_cli.classifiers.prc.support.stream_window`.
+    surfaces : Surfaces
+        V, and what is smooth.
     params : ForestParams
 
     Returns
     -------
     (lines, M) uint8
-        In ground columns all returns GROUND; elsewhere smooth shots STEM, non-smooth ones VEGETATION, the rest NOISE.
-
-    Examples
-    --------
-    Two of three shots of column 0 are smooth, so columns 0 and 1 are ground; column 2 decides for itself alone:
-
-    >>> smooth = np.array([[1, 0, 0], [1, 1, 1], [0, 0, 0]], dtype=bool)
-    >>> nothing = np.zeros((3, 3), dtype=bool)
-    >>> forest(nothing, smooth, smooth, ForestParams(column_step=2))
-    array([[3, 3, 2],
-           [3, 3, 6],
-           [3, 3, 2]], dtype=uint8)
+        In ground columns all returns GROUND; elsewhere smooth shots STEM, non-smooth ones VEGETATION, all others with
+        a range NOISE.
     """
-    labels = np.full(supported.shape, Label.NOISE, dtype=np.uint8)
-    labels[supported] = Label.VEGETATION
-    labels[smooth] = Label.STEM
-    dense = is_dense(smooth, params)
-    columns = np.repeat(dense, params.column_step)[: supported.shape[1]]
-    overwritten = ~missing if params.noise_in_ground_columns else supported
-    labels[overwritten & columns] = Label.GROUND
-    return labels
+    dense = is_dense(surfaces.smooth, params)
+    columns = np.repeat(dense, params.column_step)[: surfaces.supported.shape[1]]
+    labels_of = np.array([Label.MISSING, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM], dtype=np.uint8)
+    return kernels.draw_columns(
+        window, surfaces.supported, surfaces.covered, columns, params.noise_in_ground_columns, labels_of
+    )
 
 
 def is_dense(smooth: Mask, params: ForestParams) -> Mask:

@@ -9,14 +9,21 @@ import numpy as np
 from pydantic import Field
 
 from prc_cli.classifiers.prc.background import BackgroundParams, background
-from prc_cli.classifiers.prc.components import Components, ComponentsParams, components
+from prc_cli.classifiers.prc.components import Components, ComponentsParams, Joined, identify, join
 from prc_cli.classifiers.prc.forest import ForestParams, forest
-from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, window_reach, window_tail
-from prc_cli.classifiers.prc.surfaces import Surfaces, SurfacesParams, area_threshold, surfaces
-from prc_cli.classifiers.prc.urban import Totals, UrbanParams, urban
-from prc_cli.core.classes import Label
+from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, tail_after, window_reach
+from prc_cli.classifiers.prc.surfaces import (
+    Surfaces,
+    SurfacesParams,
+    area_threshold,
+    find_small,
+    smooth_last_line,
+    surfaces,
+)
+from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
 from prc_cli.core.config import Params
 from prc_cli.core.errors import InputError
+from prc_cli.core.threads import Relay
 from prc_cli.core.types import F32, I64, U8, Mask
 
 
@@ -55,8 +62,8 @@ class PrcResult:
 
     labels: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
-    segments: I64
-    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere."""
+    segments: I64 | None
+    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere; None where nobody asks."""
     state: PrcState
     """What the next block needs."""
 
@@ -83,7 +90,9 @@ def initial_state(points_per_line: int) -> PrcState:
     return PrcState(tail, np.zeros(points_per_line, dtype=np.int64), Totals.none(), next_id=1)
 
 
-def classify_block(range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams) -> PrcResult:
+def classify_block(
+    range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams, *, segments: bool = False
+) -> PrcResult:
     """Label a block of scan lines.
 
     Parameters
@@ -96,6 +105,8 @@ def classify_block(range_m: F32, next_m: F32 | None, state: PrcState, params: Pr
     state : PrcState
         From the block before, or :func:`initial_state`.
     params : PrcParams
+    segments : bool
+        Give segment ids too. The numbers differ if this changes within a stream, the labels do not.
 
     Returns
     -------
@@ -110,46 +121,186 @@ def classify_block(range_m: F32, next_m: F32 | None, state: PrcState, params: Pr
     --------
     A stray shot in front of a wall:
 
+    >>> from prc_cli.core.classes import Label
     >>> image = np.full((6, 9), 20.0, dtype=np.float32)
     >>> image[3, 4] = 5.0
     >>> result = classify_block(image, None, initial_state(9), PrcParams())
     >>> Label(result.labels[3, 4]).name, Label(result.labels[0, 0]).name
     ('NOISE', 'GROUND')
     """
-    return trace_block(range_m, next_m, state, params).result
+    return trace_block(range_m, next_m, state, params, segments=segments).result
 
 
-def trace_block(range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams) -> PrcTrace:
+def trace_block(
+    range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams, *, segments: bool = True
+) -> PrcTrace:
     """Label a block of scan lines and keep the images on the way; see :func:`classify_block`."""
-    n_lines, points_per_line = _check_shapes(range_m, next_m, state, params)
-    missing = np.isnan(range_m)
-    # step 1: the block, between the shots before and after it
-    window = stream_window(state.tail, range_m, next_m)
-    # step 2: supported measurements S; the rest, F, is noise
-    s = support(window, points_per_line, params.support)
-    # step 3: H, components of S without G, with G filled in and labels carried over from the block before
-    g = background(window, s, params.background)
-    h = components(s, g, state.last_line, state.next_id, params.components)
+    _check_shapes(range_m, next_m, len(state.last_line), params)
+    # steps 1 to 3: the block between the shots before and after it, S, G, and components of S without G
+    seen = _see(stream_window(state.tail, range_m, next_m), range_m.shape[1], params)
+    # step 3: H, components with the labels of the block before
+    connected, link = _connect(seen, _Link(state.last_line, state.next_id), params, segments=segments)
     # steps 4 and 5: V, what is too small in H, grown together; R, both of them
-    threshold = area_threshold(params.surfaces, n_lines, params.lines_per_block, points_per_line)
-    v = surfaces(s, h, threshold, params.surfaces)
+    v = _grow(seen, connected, params)
     # step 6: classes
-    totals = state.totals
-    if params.environment == "forest":
-        labels = forest(missing, s, v.smooth, params.forest)
-    else:
-        labels, totals = urban(s, h, v, totals, params.urban)
-    labels[missing] = Label.MISSING
+    ground, totals = _find_ground(connected, _count(v, params), link, state.totals, params)
+    labels = _draw(seen, v, ground, params)
     # step 7: on to the next block; only smooth shots vote there
-    last_line = np.where(v.smooth[-1], v.segments[-1], 0)
-    after = PrcState(window_tail(window, points_per_line), last_line, totals, v.next_id)
-    return PrcTrace(s, g, h, v, PrcResult(labels, v.segments, after))
+    after = PrcState(tail_after(state.tail, range_m), link.last_line, totals, link.next_id)
+    result = PrcResult(labels, v.to_segments() if segments else None, after)
+    return PrcTrace(seen.supported, seen.background, connected.components, v, result)
 
 
-def _check_shapes(range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams) -> tuple[int, int]:
-    """Refuse what cannot be the next block of the stream; return its shape."""
+class ParallelBlocks:
+    """Blocks of one scanner, several of them at the same time in threads.
+
+    The stages are those of :func:`trace_block`. Nearly all of them need nothing of the blocks before; the two that do
+    are short and take turns in the order of the stream, so results do not depend on the number of threads.
+
+    Parameters
+    ----------
+    points_per_line : int
+        M.
+    params : PrcParams
+    segments : bool
+        Give segment ids too.
+
+    Examples
+    --------
+    >>> from prc_cli.core.threads import ordered
+    >>> lines = np.full((40, 9), 20.0, dtype=np.float32)
+    >>> params = PrcParams(lines_per_block=10)
+    >>> blocks = ParallelBlocks(9, params)
+    >>> jobs = (blocks.begin(lines[i : i + 10], lines[i + 10 : i + 12]) for i in range(0, 40, 10))
+    >>> [labels.shape for labels, _ in ordered(blocks.classify, jobs, threads=2)]
+    [(10, 9), (10, 9), (10, 9), (10, 9)]
+    """
+
+    def __init__(self, points_per_line: int, params: PrcParams, *, segments: bool = False) -> None:
+        state = initial_state(points_per_line)
+        self._params = params
+        self._segments = segments
+        self._width = points_per_line
+        self._tail = state.tail
+        self._turn = 0
+        self._links = Relay(_Link(state.last_line, state.next_id))
+        self._totals = Relay(state.totals)
+
+    def begin(self, range_m: F32, next_m: F32 | None) -> BlockJob:
+        """Take the next block of the stream, as in :func:`classify_block`; call it in the order of the stream.
+
+        Raises
+        ------
+        InputError
+            When the block is empty, too long or not as wide as the lines before it.
+        """
+        _check_shapes(range_m, next_m, self._width, self._params)
+        job = BlockJob(self._turn, self._tail, range_m, next_m)
+        self._turn, self._tail = self._turn + 1, tail_after(self._tail, range_m)
+        return job
+
+    def classify(self, job: BlockJob) -> tuple[U8, I64 | None]:
+        """Label a block, in any thread; jobs must begin in order. Returns labels and, where asked for, segment ids."""
+        params = self._params
+        try:
+            seen = _see(stream_window(job.tail, job.range_m, job.next_m), self._width, params)
+            connected, link = self._links.take_turn(
+                job.turn, lambda before: _connect(seen, before, params, segments=self._segments)
+            )
+            v = _grow(seen, connected, params)
+            counts = _count(v, params)
+            ground, _ = self._totals.take_turn(
+                job.turn, lambda before: _find_ground(connected, counts, link, before, params)
+            )
+            return _draw(seen, v, ground, params), v.to_segments() if self._segments else None
+        except BaseException:
+            for relay in (self._links, self._totals):
+                relay.give_up(job.turn)
+            raise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockJob:
+    """A block on its way through :class:`ParallelBlocks`."""
+
+    turn: int
+    tail: F32
+    range_m: F32
+    next_m: F32 | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What a block shows without the blocks before it but for their last shots."""
+
+    window: F32
+    supported: Mask
+    background: Mask
+    joined: Joined
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Link:
+    """What a block leaves to the votes and the numbering of the next one; as in :class:`PrcState`."""
+
+    last_line: I64
+    next_id: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Connected:
+    """A block with the labels of the blocks before it."""
+
+    components: Components
+    small: Mask
+    """(n + 1,) bool, components that are non-smooth."""
+    surfaces: Surfaces | None
+    """Found early where segments are asked for, because the numbers of the next block follow them."""
+
+
+def _see(window: F32, points_per_line: int, params: PrcParams) -> _Seen:
+    supported = support(window, points_per_line, params.support)
+    apart = background(window, supported, params.background)
+    return _Seen(window, supported, apart, join(supported, apart))
+
+
+def _connect(seen: _Seen, before: _Link, params: PrcParams, *, segments: bool) -> tuple[_Connected, _Link]:
+    s = seen.supported
+    n_lines, points_per_line = s.shape
+    h = identify(seen.joined, before.last_line, before.next_id, params.components)
+    small = find_small(h, area_threshold(params.surfaces, n_lines, params.lines_per_block, points_per_line))
+    v = surfaces(s, h, small, params.surfaces, with_patches=True) if segments else None
+    link = _Link(smooth_last_line(s, h, small, params.surfaces), h.next_id if v is None else v.next_id)
+    return _Connected(h, small, v), link
+
+
+def _grow(seen: _Seen, connected: _Connected, params: PrcParams) -> Surfaces:
+    if connected.surfaces is not None:
+        return connected.surfaces
+    return surfaces(seen.supported, connected.components, connected.small, params.surfaces)
+
+
+def _count(v: Surfaces, params: PrcParams) -> I64:
+    return count_smooth(v) if params.environment == "urban" else np.empty(0, np.int64)
+
+
+def _find_ground(
+    connected: _Connected, smooth: I64, link: _Link, totals: Totals, params: PrcParams
+) -> tuple[int, Totals]:
+    if params.environment == "forest":
+        return 0, totals
+    return find_ground(connected.components, smooth, link.last_line, totals, params.urban)
+
+
+def _draw(seen: _Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:
+    if params.environment == "forest":
+        return forest(seen.window, v, params.forest)
+    return urban(seen.window, v, ground)
+
+
+def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: PrcParams) -> None:
+    """Refuse what cannot be the next block of the stream."""
     where = "block of ranges"
-    width = len(state.last_line)
     for array in (range_m,) if next_m is None else (range_m, next_m):
         if array.ndim != 2 or array.shape[1] != width:
             problem = f"found an array of shape {array.shape}, expected (lines, {width}) as the stream began"
@@ -161,4 +312,3 @@ def _check_shapes(range_m: F32, next_m: F32 | None, state: PrcState, params: Prc
     if range_m.size >= 2**31:
         problem = f"found {n_lines} x {width} shots, expected fewer than 2^31"
         raise InputError(where, problem, "lower prc.lines_per_block")
-    return n_lines, width

@@ -87,10 +87,11 @@ def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
     return window
 
 
-def window_tail(window: F32, points_per_line: int) -> F32:
-    """Return the last ``reach`` shots up to the end of the block, (reach,) float32 [m]: the next block's tail."""
-    reach = window_reach(points_per_line)
-    return window[len(window) - 2 * reach : len(window) - reach].copy()
+def tail_after(tail: F32, range_m: F32) -> F32:
+    """Return the last ``reach`` shots up to the end of a block, (reach,) float32 [m]: the next block's tail."""
+    reach = len(tail)
+    lines = -(-reach // range_m.shape[1])
+    return np.concatenate([tail, range_m[-lines:].ravel()])[-reach:].copy()
 
 
 def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:

@@ -43,23 +43,49 @@ class SurfacesParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """The segmentation R of a block and what is smooth in it."""
+    """What is smooth in a block and what is not, and the segmentation R made of both."""
 
-    segments: I64
-    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere."""
-    smooth: Mask
-    """(lines, M) bool, supported shots of H outside V."""
-    patches: I32
-    """(lines, M) int32, components of the dilated non-smooth image, 0 = none; covers noise and missing shots too."""
-    first_patch_id: int
-    """Segment id of patch 1; patch n has ``first_patch_id + n - 1``."""
-    next_id: int
-    """First segment id that is still free."""
+    supported: Mask
+    """(lines, M) bool, S."""
+    components: Components
+    """H."""
+    covered: Mask
+    """(lines, M) bool, the dilated non-smooth image; covers noise and missing shots too."""
+    patches: I32 | None
+    """(lines, M) int32, components of ``covered``, 0 = none; None where nobody asks for segments."""
+    n_patches: int
+    """Number of patches, which follow the components of H in the numbering; 0 where nobody asks."""
+
+    @property
+    def smooth(self) -> Mask:
+        """(lines, M) bool, supported shots of H outside V."""
+        smooth: Mask = self.supported & ~self.covered
+        return smooth
+
+    @property
+    def next_id(self) -> int:
+        """First segment id that is still free."""
+        return self.components.next_id + self.n_patches
 
     def to_patches(self) -> I64:
-        """Return V as segment ids, (lines, M) int64, 0 = none; the dilated image, noise under it included."""
-        patches: I64 = np.where(self.patches > 0, self.patches + np.int64(self.first_patch_id - 1), 0)
+        """Return V as segment ids, (lines, M) int64, 0 = none; the dilated image, noise under it included.
+
+        Raises
+        ------
+        ValueError
+            When patches were not asked for.
+        """
+        if self.patches is None:
+            msg = "surfaces were found without patches"
+            raise ValueError(msg)
+        patches: I64 = np.where(self.covered, self.patches + np.int64(self.components.next_id - 1), 0)
         return patches
+
+    def to_segments(self) -> I64:
+        """Return R: the segment id of every supported shot, 0 elsewhere, (lines, M) int64; needs patches."""
+        segments: I64 = np.where(self.covered, self.to_patches(), self.components.to_segments())
+        segments[~self.supported] = 0
+        return segments
 
 
 def area_threshold(params: SurfacesParams, n_lines: int, lines_per_block: int, points_per_line: int) -> float:
@@ -80,11 +106,24 @@ def area_threshold(params: SurfacesParams, n_lines: int, lines_per_block: int, p
     return params.area * n_lines / lines_per_block
 
 
-def surfaces(supported: Mask, components: Components, threshold: float, params: SurfacesParams) -> Surfaces:
+def find_small(components: Components, threshold: float) -> Mask:
+    """Tell which components are non-smooth, (n + 1,) bool.
+
+    A segment is measured as a whole, all components of its id together. Entry 0 stands for supported shots in no
+    component, background that no neighbour took back: they are non-smooth as well.
+    """
+    small: Mask = components.sum_by_id(components.pixels) < threshold
+    small[0] = True
+    return small
+
+
+def surfaces(
+    supported: Mask, components: Components, small: Mask, params: SurfacesParams, *, with_patches: bool = False
+) -> Surfaces:
     """Split a block into smooth and non-smooth surfaces.
 
-    Segments below the threshold and background shots that no component took back form the non-smooth image; dilated
-    and connected, it covers what it touches: smooth shots under it become non-smooth, noise stays noise.
+    Small segments and background shots that no component took back form the non-smooth image; dilated and connected,
+    it covers what it touches: smooth shots under it become non-smooth, noise stays noise.
 
     Parameters
     ----------
@@ -92,9 +131,11 @@ def surfaces(supported: Mask, components: Components, threshold: float, params: 
         S.
     components : Components
         H.
-    threshold : float, pixels
-        From :func:`area_threshold`.
+    small : (n + 1,) bool
+        From :func:`find_small`.
     params : SurfacesParams
+    with_patches : bool
+        Number what is non-smooth too, for segment ids; no class depends on it.
 
     Returns
     -------
@@ -105,43 +146,23 @@ def surfaces(supported: Mask, components: Components, threshold: float, params: 
     A segment of 8 pixels stays smooth but for the pixels that the lone one on its right grows over:
 
     >>> image = np.array([[1, 1, 1, 1, 0, 2], [1, 1, 1, 1, 0, 0]], dtype=np.int32)
-    >>> h = Components(image, ids=np.array([0, 1, 2]), next_id=3)
-    >>> surfaces(image > 0, h, threshold=8, params=SurfacesParams()).segments
+    >>> h = Components(image, np.array([0, 8, 1]), ids=np.array([0, 1, 2]), first_new_id=1, next_id=3)
+    >>> surfaces(image > 0, h, find_small(h, threshold=8), SurfacesParams(), with_patches=True).to_segments()
     array([[1, 1, 1, 3, 0, 3],
            [1, 1, 1, 1, 0, 0]])
     """
-    small = segment_areas(components) < threshold
-    small[0] = True  # supported, yet in no component: background that no neighbour took back
-    non_smooth = supported & small[components.image]
-    patches, n_patches = kernels.label_components(kernels.dilate(non_smooth, params.gamma))
-    first_patch_id = components.next_id
-    smooth = supported & (patches == 0)
-    segments = np.where(supported, patches + np.int64(first_patch_id - 1), 0)
-    segments[smooth] = components.ids[components.image[smooth]]
-    return Surfaces(segments, smooth, patches, first_patch_id, first_patch_id + n_patches)
+    covered = kernels.dilate(kernels.select_components(supported, components.image, small), params.gamma)
+    patches, n_patches = kernels.label_components(covered) if with_patches else (None, 0)
+    return Surfaces(supported, components, covered, patches, n_patches)
 
 
-def segment_areas(components: Components) -> I64:
-    """Return the pixels that a component shares its segment id with, itself included, (n + 1,) int64."""
-    pixels = np.bincount(components.image.ravel(), minlength=len(components.ids))
-    return sum_by_id(components.ids, pixels)[2]
+def smooth_last_line(supported: Mask, components: Components, small: Mask, params: SurfacesParams) -> I64:
+    """Return the segment ids of a block's last line where it is smooth, 0 elsewhere, (M,) int64.
 
-
-def sum_by_id(ids: I64, counts: I64) -> tuple[I64, I64, I64]:
-    """Add counts up that belong to the same segment id.
-
-    Parameters
-    ----------
-    ids, counts : (n,) int64
-
-    Returns
-    -------
-    unique_ids, sums : (n unique,) int64
-        In ascending order of the id.
-    sum_of_each : (n,) int64
-        The sum that each of the given entries belongs to.
+    The same as from :func:`surfaces`, from the few lines that the dilation can reach the last one from.
     """
-    unique_ids, position = np.unique(ids, return_inverse=True)
-    sums = np.zeros(len(unique_ids), dtype=np.int64)
-    np.add.at(sums, position, counts)
-    return unique_ids, sums, sums[position]
+    reach = slice(-min(params.gamma + 1, len(supported)), None)
+    image = components.image[reach]
+    covered = kernels.dilate(kernels.select_components(supported[reach], image, small), params.gamma)
+    last_line: I64 = np.where(supported[-1] & ~covered[-1], components.ids[image[-1]], 0)
+    return last_line

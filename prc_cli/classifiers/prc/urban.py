@@ -8,11 +8,12 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from prc_cli import kernels
 from prc_cli.classifiers.prc.components import Components
-from prc_cli.classifiers.prc.surfaces import Surfaces, sum_by_id
+from prc_cli.classifiers.prc.surfaces import Surfaces
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
-from prc_cli.core.types import I64, U8, Mask
+from prc_cli.core.types import F32, I64, U8
 
 
 class UrbanParams(Params):
@@ -48,42 +49,70 @@ class Totals:
         return counts
 
 
-def urban(
-    supported: Mask, components: Components, surfaces: Surfaces, totals: Totals, params: UrbanParams
-) -> tuple[U8, Totals]:
-    """Label a block of the built environment.
+def count_smooth(surfaces: Surfaces) -> I64:
+    """Count the smooth shots of every component, (n + 1,) int64."""
+    h = surfaces.components
+    counts = h.pixels - kernels.count_covered(surfaces.supported, surfaces.covered, h.image, len(h.pixels) - 1)
+    counts[0] = 0
+    return counts
+
+
+def find_ground(
+    components: Components, smooth: I64, last_line: I64, totals: Totals, params: UrbanParams
+) -> tuple[int, Totals]:
+    """Find the smooth segment with most shots so far, of equals the oldest.
 
     Parameters
     ----------
-    supported : (lines, M) bool
-        S.
     components : Components
         H.
-    surfaces : Surfaces
-        R and what is smooth in it.
+    smooth : (n + 1,) int64
+        From :func:`count_smooth`.
+    last_line : (M,) int64
+        Segment ids of the block's last line where it is smooth, 0 elsewhere.
     totals : Totals
         Of the blocks before.
     params : UrbanParams
 
     Returns
     -------
-    labels : (lines, M) uint8
-        The smooth segment with most shots so far (of equals the oldest) is GROUND, other smooth ones BUILDING,
-        non-smooth shots VEGETATION, all else NOISE.
+    ground : int
+        Its segment id, 0 where nothing is smooth.
     totals : Totals
-        Of the segments that are smooth on the block's last line.
+        Of the segments that are smooth on the last line.
     """
-    smooth = surfaces.smooth
-    component = components.image[smooth]
-    ids, here, _ = sum_by_id(components.ids, np.bincount(component, minlength=len(components.ids)))
-    ids, here = ids[here > 0], here[here > 0]
+    present = np.flatnonzero(smooth)
+    ids, position = np.unique(components.ids[present], return_inverse=True)
+    if not len(ids):
+        return 0, Totals.none()
+    here = np.zeros(len(ids), dtype=np.int64)
+    np.add.at(here, position, smooth[present])
     running = here + totals.of(ids)
+    ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # of equals the first: oldest
+    may_go_on = np.isin(ids, last_line)
+    return int(ground), Totals(ids[may_go_on], running[may_go_on])
 
-    labels = np.full(supported.shape, Label.NOISE, dtype=np.uint8)
-    labels[supported] = Label.VEGETATION
-    if len(ids):
-        ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # of equals the first: oldest
-        of_component = np.where(components.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))
-        labels[smooth] = of_component[component]
-    may_go_on = np.isin(ids, surfaces.segments[-1][smooth[-1]])
-    return labels, Totals(ids[may_go_on], running[may_go_on])
+
+def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
+    """Label a block of the built environment.
+
+    Parameters
+    ----------
+    window : (reach + lines * M + reach,) float32, metres
+        From :func:`prc_cli.classifiers.prc.support.stream_window`.
+    surfaces : Surfaces
+        V and H.
+    ground : int
+        Segment id of the ground, from :func:`find_ground`.
+
+    Returns
+    -------
+    (lines, M) uint8
+        Smooth shots of the ground are GROUND, other smooth ones BUILDING, non-smooth shots VEGETATION, all others with
+        a range NOISE.
+    """
+    h = surfaces.components
+    label_of = np.where(h.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))
+    return kernels.draw_components(
+        window, surfaces.supported, surfaces.covered, h.image, label_of, Label.VEGETATION, Label.NOISE, Label.MISSING
+    )

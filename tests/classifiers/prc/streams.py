@@ -32,7 +32,13 @@ def run_blocks(range_m: F32, params: PrcParams, extra_lines: int = 0) -> list[Pr
 def run_stream(range_m: F32, params: PrcParams) -> tuple[U8, I64]:
     """Labels and segments of a whole stream."""
     results: list[PrcResult] = [trace.result for trace in run_blocks(range_m, params)]
-    return np.concatenate([r.labels for r in results]), np.concatenate([r.segments for r in results])
+    return np.concatenate([r.labels for r in results]), np.concatenate([segments_of(r) for r in results])
+
+
+def segments_of(result: PrcResult) -> I64:
+    """Segment ids that were asked for."""
+    assert result.segments is not None
+    return result.segments
 
 
 def to_settings(params: PrcParams, points_per_line: int) -> Settings:

@@ -7,16 +7,16 @@ import pytest
 
 from prc_cli import kernels
 from prc_cli.classifiers.prc.background import BackgroundParams, background
-from prc_cli.classifiers.prc.components import Components, ComponentsParams, carry_labels, components
+from prc_cli.classifiers.prc.components import Components, ComponentsParams, identify, join
 from prc_cli.classifiers.prc.forest import ForestParams, forest
 from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, initial_state, trace_block
 from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, window_reach
-from prc_cli.classifiers.prc.surfaces import Surfaces, SurfacesParams, area_threshold, surfaces
-from prc_cli.classifiers.prc.urban import Totals, UrbanParams, urban
+from prc_cli.classifiers.prc.surfaces import Surfaces, SurfacesParams, area_threshold, find_small, surfaces
+from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
-from prc_cli.core.types import F32, I64, Mask
-from tests.classifiers.prc.streams import run_blocks
+from prc_cli.core.types import F32, I64, U8, Mask
+from tests.classifiers.prc.streams import run_blocks, segments_of
 
 nan = np.nan
 
@@ -42,11 +42,32 @@ def h_of(image: list[list[int]], ids: list[int] | None = None, next_id: int = 0)
     """Component image with its ids; by default the component numbers themselves."""
     array = np.array(image, dtype=np.int32)
     given = np.arange(array.max() + 1) if ids is None else np.array(ids, dtype=np.int64)
-    return Components(array, given, next_id or int(given.max()) + 1)
+    pixels = np.bincount(array.ravel(), minlength=len(given)) * (np.arange(len(given)) > 0)
+    next_id = next_id or int(given.max()) + 1
+    return Components(array, pixels, given, first_new_id=next_id, next_id=next_id)
+
+
+def components(supported: Mask, holes: Mask, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
+    return identify(join(supported, holes), last_line, next_id, params)
 
 
 def split(h: Components, area: float, gamma: int = 0, supported: Mask | None = None) -> Surfaces:
-    return surfaces(h.image > 0 if supported is None else supported, h, area, SurfacesParams(gamma=gamma))
+    params = SurfacesParams(gamma=gamma)
+    shots = h.image > 0 if supported is None else supported
+    return surfaces(shots, h, find_small(h, area), params, with_patches=True)
+
+
+def label_urban(v: Surfaces, totals: Totals, params: UrbanParams) -> tuple[U8, Totals]:
+    """Labels of a block without missing shots."""
+    last_line = np.where(v.smooth[-1], v.components.ids[v.components.image[-1]], 0)
+    ground, after = find_ground(v.components, count_smooth(v), last_line, totals, params)
+    return urban(window_of(np.ones(v.supported.shape, np.float32)), v, ground), after
+
+
+def label_forest(missing: Mask, supported: Mask, smooth: Mask, params: ForestParams) -> U8:
+    image = np.where(missing, np.float32(nan), np.float32(1))
+    v = Surfaces(supported, h_of(supported.astype(int).tolist()), supported & ~smooth, None, 0)
+    return forest(window_of(image), v, params)
 
 
 def wall(n_lines: int = 5, width: int = 20, far: float = 20.0) -> F32:
@@ -256,7 +277,7 @@ def test_reading_9_background_that_nobody_takes_back_is_non_smooth() -> None:
     s = np.array([[1, 1, 1, 1, 0, 1, 1]], dtype=bool)
     found = split(h_of([[1, 1, 1, 1, 0, 0, 0]]), area=4, supported=s)
     assert found.smooth.tolist() == [[True] * 4 + [False] * 3]
-    assert found.segments.tolist() == [[1, 1, 1, 1, 0, 2, 2]]
+    assert found.to_segments().tolist() == [[1, 1, 1, 1, 0, 2, 2]]
 
 
 class TestReading10Votes:
@@ -265,7 +286,7 @@ class TestReading10Votes:
     @staticmethod
     def carry(first: list[int], last: list[int], min_votes: int = 3) -> list[int]:
         n = max(first)
-        taken = carry_labels(np.array(first, np.int32), np.array(last, np.int64), n, min_votes)
+        taken = kernels.carry_labels(np.array(first, np.int32), np.array(last, np.int64), n, min_votes)
         return taken[1:].tolist()  # type: ignore[no-any-return]
 
     def test_three_votes_are_enough_and_two_are_not(self) -> None:
@@ -291,8 +312,8 @@ class TestReading10Votes:
         stream = wall(6, 21)
         stream[:3, 10] = nan
         traces = run_blocks(stream, build(PrcParams, {"lines_per_block": 3, "surfaces": {"area": "auto"}}, "test"))
-        assert np.unique(traces[0].result.segments).tolist() == [0, 1, 2]
-        assert np.unique(traces[1].result.segments).tolist() == [1]
+        assert np.unique(segments_of(traces[0].result)).tolist() == [0, 1, 2]
+        assert np.unique(segments_of(traces[1].result)).tolist() == [1]
 
     def test_only_smooth_labels_vote(self) -> None:
         stream = wall(4, 30)
@@ -300,9 +321,9 @@ class TestReading10Votes:
         params = build(PrcParams, {"lines_per_block": 2, "surfaces": {"area": 30, "gamma": 0}}, "test")
         first, second = (trace.result for trace in run_blocks(stream, params))
         assert first.state.last_line.tolist() == [0] * 13 + [2] * 17
-        assert np.unique(first.segments[:, :12]).tolist() == [3]
-        assert np.unique(second.segments[:, 13:]).tolist() == [2]
-        assert second.segments[0, 0] > 3
+        assert np.unique(segments_of(first)[:, :12]).tolist() == [3]
+        assert np.unique(segments_of(second)[:, 13:]).tolist() == [2]
+        assert segments_of(second)[0, 0] > 3
 
     def test_new_ids_come_in_the_order_of_the_components(self) -> None:
         s = np.array([[1, 0, 1, 1, 1, 0, 1]], dtype=bool)
@@ -346,19 +367,19 @@ class TestReading13Dilation:
         h = h_of([[1, 1, 1, 1, 1, 0, 2]])
         assert split(h, area=5, gamma=1).smooth[0].tolist() == [True] * 5 + [False] * 2
         found = split(h, area=5, gamma=3)
-        assert found.segments.tolist() == [[1, 1, 1, 3, 3, 0, 3]]
+        assert found.to_segments().tolist() == [[1, 1, 1, 3, 3, 0, 3]]
 
     def test_noise_under_it_stays_noise(self) -> None:
         h = h_of([[1, 1, 1, 0, 0, 2]])
         found = split(h, area=3, gamma=2)
-        assert found.segments.tolist() == [[1, 1, 1, 0, 0, 3]]
+        assert found.to_segments().tolist() == [[1, 1, 1, 0, 0, 3]]
         assert found.to_patches().tolist() == [[0, 0, 0, 3, 3, 3]]
-        labels, _ = urban(h.image > 0, h, found, Totals.none(), UrbanParams())
+        labels, _ = label_urban(found, Totals.none(), UrbanParams())
         assert labels[0, 3:5].tolist() == [Label.NOISE, Label.NOISE]
 
     def test_patches_join_across_smooth_and_noise(self) -> None:
         found = split(h_of([[2, 0, 1, 1, 1, 0, 3]], next_id=4), area=3, gamma=3)
-        assert found.segments.tolist() == [[4, 0, 4, 4, 4, 0, 4]]
+        assert found.to_segments().tolist() == [[4, 0, 4, 4, 4, 0, 4]]
 
 
 def test_reading_14_outside_of_the_image_is_background() -> None:
@@ -387,7 +408,7 @@ class TestReading16Ground:
     @staticmethod
     def label(ids: list[int], image: list[list[int]], totals: Totals, ground: str) -> tuple[list[int], Totals]:
         h = h_of(image, ids=ids)
-        labels, after = urban(h.image > 0, h, split(h, area=1), totals, UrbanParams.model_validate({"ground": ground}))
+        labels, after = label_urban(split(h, area=1), totals, UrbanParams.model_validate({"ground": ground}))
         return labels[0].tolist(), after
 
     def test_running_total_outweighs_a_large_facade(self) -> None:
@@ -420,7 +441,7 @@ class TestReading16Ground:
 
     def test_without_smooth_shots_there_is_no_ground(self) -> None:
         h = h_of([[1, 0, 2]])
-        labels, after = urban(h.image > 0, h, split(h, area=5), Totals.none(), UrbanParams())
+        labels, after = label_urban(split(h, area=5), Totals.none(), UrbanParams())
         assert labels.tolist() == [[Label.VEGETATION, Label.NOISE, Label.VEGETATION]]
         assert not len(after.ids)
 
@@ -435,7 +456,7 @@ class TestReading17ForestGround:
         mask[: len(smooth), 0] = np.array(smooth, dtype=bool)
         missing = np.zeros_like(mask)
         missing[5, 1] = True
-        return forest(missing, mask, mask, ForestParams.model_validate(params)).tolist()  # type: ignore[no-any-return]
+        return label_forest(missing, mask, mask, ForestParams.model_validate(params)).tolist()  # type: ignore[no-any-return]
 
     def test_exactly_a_third_is_not_ground(self) -> None:
         assert self.label([1, 1], 12)[0] == [Label.STEM] + [Label.NOISE] * 11
@@ -444,7 +465,7 @@ class TestReading17ForestGround:
         labels = self.label([1, 1, 1], 12)
         assert labels[0] == [Label.GROUND] * 10 + [Label.NOISE] * 2
         assert labels[4] == [Label.GROUND] * 10 + [Label.NOISE] * 2
-        assert labels[5][1] == Label.NOISE, "missing shots are left to the pipeline"
+        assert labels[5][1] == Label.MISSING
 
     def test_noise_can_be_kept(self) -> None:
         labels = self.label([1, 1, 1], 12, noise_in_ground_columns=False)
@@ -453,7 +474,7 @@ class TestReading17ForestGround:
     def test_last_group_may_be_short(self) -> None:
         mask = np.ones((3, 23), dtype=bool)
         mask[:, 10] = False
-        labels = forest(~mask, mask, mask, ForestParams())
+        labels = label_forest(~mask, mask, mask, ForestParams())
         assert (labels == Label.GROUND).all(axis=0).tolist() == [True] * 10 + [False] * 10 + [True] * 3
 
     def test_missing_stays_missing(self) -> None:
@@ -468,7 +489,7 @@ class TestReading17ForestGround:
 def test_reading_18_forest_classes() -> None:
     s = np.array([[1, 1, 0, 0]], dtype=bool)
     smooth = np.array([[0, 1, 0, 0]], dtype=bool)
-    labels = forest(np.zeros_like(s), s, smooth, ForestParams())
+    labels = label_forest(np.zeros_like(s), s, smooth, ForestParams())
     assert labels.tolist() == [[Label.VEGETATION, Label.STEM, Label.NOISE, Label.NOISE]]
 
 
