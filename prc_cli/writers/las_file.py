@@ -7,6 +7,7 @@ LAS 1.4 R15 specification, tables 3 (header), 5 (VLR), 6 (EVLR) and 7-17 (point 
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -161,6 +162,11 @@ class Source:
     def seek(self, position: int, whence: int = 0) -> int:
         """Go to a position (also called by lazrs)."""
         return self._handle.seek(position, whence)
+
+    def state(self) -> tuple[int, int, int]:
+        """Return size, time of the last change [ns] and number of the file."""
+        found = os.fstat(self._handle.fileno())
+        return found.st_size, found.st_mtime_ns, found.st_ino
 
     def tell(self) -> int:
         """Return the position."""

@@ -90,6 +90,7 @@ class LasRewriter(ScatterWriter):
 
     def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, source: Path) -> None:
         self._source_path = source
+        self._state = self._source_state()
         las = self._structure()
         super().__init__(path, codes, options, asked_columns(options), las.n_points)
         self._las = las
@@ -98,6 +99,11 @@ class LasRewriter(ScatterWriter):
     def _structure(self) -> LasFile:
         with open_source(self._source_path) as source:
             return read_structure(source)
+
+    def _source_state(self) -> tuple[int, int, int]:
+        """Size, time of the last change and number of the input file: another one of any is another file."""
+        with open_source(self._source_path) as source:
+            return source.state()
 
     def _write(self, record: RunRecord) -> RunRecord:
         las = self._structure()
@@ -114,6 +120,9 @@ class LasRewriter(ScatterWriter):
         vlrs.insert(place, record_vlr(record))
         with open_source(self._source_path) as source, self._temporary.open("w+b") as writing:
             self._rewrite(las, plan, vlrs, bits, source, writing)
+        if self._source_state() != self._state:
+            problem = "changed while it was read"
+            raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
         return record
 
     def _plan(self, las: LasFile) -> Plan:
