@@ -62,28 +62,28 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
 
 
 @helper
-def _prepare(shape: int, numbers: F64, turn: F64, ready: F64, j: int) -> None:
+def _prepare(shape: int, numbers: F64, turn: F64, ready: F64) -> None:
     """Say what a body is to a shot: what can be computed once for all shots."""
     for k in range(6):
-        ready[j, k] = numbers[k]
+        ready[k] = numbers[k]
     if shape == _TRIANGLE:
         ax, ay, az = numbers[3] - numbers[0], numbers[4] - numbers[1], numbers[5] - numbers[2]
         bx, by, bz = numbers[6] - numbers[0], numbers[7] - numbers[1], numbers[8] - numbers[2]
         nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        ready[j, 3], ready[j, 4], ready[j, 5] = ax, ay, az
-        ready[j, 6], ready[j, 7], ready[j, 8] = bx, by, bz
-        ready[j, 9], ready[j, 10], ready[j, 11] = nx, ny, nz
+        ready[3], ready[4], ready[5] = ax, ay, az
+        ready[6], ready[7], ready[8] = bx, by, bz
+        ready[9], ready[10], ready[11] = nx, ny, nz
         square = nx * nx + ny * ny + nz * nz
         edges = (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
-        ready[j, 12] = np.sqrt(square) if square > _FLAT * _FLAT * edges else np.inf
+        ready[12] = np.sqrt(square) if square > _FLAT * _FLAT * edges else np.inf
     elif shape == _CONE:
         x, y, z = numbers[3] - numbers[0], numbers[4] - numbers[1], numbers[5] - numbers[2]
         length = np.sqrt(x * x + y * y + z * z)
-        ready[j, 3], ready[j, 4], ready[j, 5] = x / length, y / length, z / length
-        ready[j, 6], ready[j, 7], ready[j, 8] = length, numbers[6], (numbers[7] - numbers[6]) / length
+        ready[3], ready[4], ready[5] = x / length, y / length, z / length
+        ready[6], ready[7], ready[8] = length, numbers[6], (numbers[7] - numbers[6]) / length
     else:
-        ready[j, 6], ready[j, 7] = turn[0], turn[1]
-    ready[j, _IS_READY] = 1.0
+        ready[6], ready[7] = turn[0], turn[1]
+    ready[_IS_READY] = 1.0
 
 
 @helper
@@ -360,22 +360,20 @@ def _sort(keys: F64, rows: I64, n: int) -> None:
 
 
 @helper
-def _cast_triangle(
-    rays: F64, start: int, stop: int, velocity: F64, ready: F64, j: int, b: int, t: F64, body: I32
-) -> None:
+def _cast_triangle(rays: F64, start: int, stop: int, velocity: F64, ready: F64, b: int, t: F64, body: I32) -> None:
     """Intersect a window of shots with a triangle (Möller and Trumbore 1997, with the normal prepared)."""
     vx, vy = velocity[0], velocity[1]
-    px, py, pz, qx, qy, qz = ready[j, 3], ready[j, 4], ready[j, 5], ready[j, 6], ready[j, 7], ready[j, 8]
-    nx, ny, nz = ready[j, 9], ready[j, 10], ready[j, 11]
-    flat = _FLAT * ready[j, 12]
+    px, py, pz, qx, qy, qz = ready[3], ready[4], ready[5], ready[6], ready[7], ready[8]
+    nx, ny, nz = ready[9], ready[10], ready[11]
+    flat = _FLAT * ready[12]
     for i in range(start, stop):
         dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
         slope = dx * nx + dy * ny + dz * nz
         if not abs(slope) > flat:
             continue
-        x = ready[j, 0] - (rays[0, i] - vx * rays[6, i])
-        y = ready[j, 1] - (rays[1, i] - vy * rays[6, i])
-        z = ready[j, 2] - rays[2, i]
+        x = ready[0] - (rays[0, i] - vx * rays[6, i])
+        y = ready[1] - (rays[1, i] - vy * rays[6, i])
+        z = ready[2] - rays[2, i]
         here = (x * nx + y * ny + z * nz) / slope
         if not (here > rays[7, i] and (here < t[i] or (here == t[i] and b < body[i]))):
             continue
@@ -389,18 +387,16 @@ def _cast_triangle(
 
 
 @helper
-def _turned(
-    rays: F64, i: int, vx: float, vy: float, ready: F64, j: int
-) -> tuple[float, float, float, float, float, float]:
+def _turned(rays: F64, i: int, vx: float, vy: float, ready: F64) -> tuple[float, float, float, float, float, float]:
     """Return a shot in the coordinates of an ellipsoid or box: where it begins, and where it goes."""
-    x = rays[0, i] - vx * rays[6, i] - ready[j, 0]
-    y = rays[1, i] - vy * rays[6, i] - ready[j, 1]
-    cos, sin = ready[j, 6], ready[j, 7]
+    x = rays[0, i] - vx * rays[6, i] - ready[0]
+    y = rays[1, i] - vy * rays[6, i] - ready[1]
+    cos, sin = ready[6], ready[7]
     dx, dy = rays[3, i], rays[4, i]
     return (
         cos * x + sin * y,
         cos * y - sin * x,
-        rays[2, i] - ready[j, 2],
+        rays[2, i] - ready[2],
         cos * dx + sin * dy,
         cos * dy - sin * dx,
         rays[5, i],
@@ -422,16 +418,16 @@ def _roots(a: float, b: float, c: float) -> tuple[float, float]:
 
 @helper
 def _along_cone(
-    rays: F64, i: int, vx: float, vy: float, ready: F64, j: int
+    rays: F64, i: int, vx: float, vy: float, ready: F64
 ) -> tuple[float, float, float, float, float, float, float]:
     """Return the terms of the equation of a shot and a cone; place and speed along its axis; radius and its speed."""
-    x = rays[0, i] - vx * rays[6, i] - ready[j, 0]
-    y = rays[1, i] - vy * rays[6, i] - ready[j, 1]
-    z = rays[2, i] - ready[j, 2]
+    x = rays[0, i] - vx * rays[6, i] - ready[0]
+    y = rays[1, i] - vy * rays[6, i] - ready[1]
+    z = rays[2, i] - ready[2]
     dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
-    along = x * ready[j, 3] + y * ready[j, 4] + z * ready[j, 5]
-    rise = dx * ready[j, 3] + dy * ready[j, 4] + dz * ready[j, 5]
-    radius, growth = ready[j, 7] + ready[j, 8] * along, ready[j, 8] * rise
+    along = x * ready[3] + y * ready[4] + z * ready[5]
+    rise = dx * ready[3] + dy * ready[4] + dz * ready[5]
+    radius, growth = ready[7] + ready[8] * along, ready[8] * rise
     a = dx * dx + dy * dy + dz * dz - rise * rise - growth * growth
     b = x * dx + y * dy + z * dz - along * rise - growth * radius
     c = x * x + y * y + z * z - along * along - radius * radius
@@ -439,10 +435,8 @@ def _along_cone(
 
 
 @helper
-def _cut_ellipsoid(
-    x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64, j: int
-) -> tuple[float, float]:
-    p, q, r = ready[j, 3], ready[j, 4], ready[j, 5]
+def _cut_ellipsoid(x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64) -> tuple[float, float]:
+    p, q, r = ready[3], ready[4], ready[5]
     x, y, z, dx, dy, dz = x / p, y / q, z / r, dx / p, dy / q, dz / r
     a = dx * dx + dy * dy + dz * dz
     b = x * dx + y * dy + z * dz
@@ -458,35 +452,35 @@ def _through_slab(place: float, step: float, half: float) -> tuple[float, float]
 
 
 @helper
-def _cut_box(x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64, j: int) -> tuple[float, float]:
-    low, high = _through_slab(x, dx, ready[j, 3])
-    enter, leave = _through_slab(y, dy, ready[j, 4])
+def _cut_box(x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64) -> tuple[float, float]:
+    low, high = _through_slab(x, dx, ready[3])
+    enter, leave = _through_slab(y, dy, ready[4])
     low, high = enter if enter > low else low, leave if leave < high else high
-    enter, leave = _through_slab(z, dz, ready[j, 5])
+    enter, leave = _through_slab(z, dz, ready[5])
     low, high = enter if enter > low else low, leave if leave < high else high
     return (np.inf, np.inf) if low > high else (low, high)
 
 
 @helper
 def _cast_round(
-    rays: F64, start: int, stop: int, velocity: F64, ready: F64, j: int, shape: int, b: int, t: F64, body: I32
+    rays: F64, start: int, stop: int, velocity: F64, ready: F64, shape: int, b: int, t: F64, body: I32
 ) -> None:
     """Intersect a window of shots with the surface of a cone, an ellipsoid or a box."""
     vx, vy = velocity[0], velocity[1]
     for i in range(start, stop):
         if shape == _CONE:
-            a, h, c, along, rise, _, _ = _along_cone(rays, i, vx, vy, ready, j)
+            a, h, c, along, rise, _, _ = _along_cone(rays, i, vx, vy, ready)
             low, high = _roots(a, h, c)
-            if not 0.0 <= along + low * rise <= ready[j, 6]:
+            if not 0.0 <= along + low * rise <= ready[6]:
                 low = np.inf
-            if not 0.0 <= along + high * rise <= ready[j, 6]:
+            if not 0.0 <= along + high * rise <= ready[6]:
                 high = np.inf
         else:
-            x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready, j)
+            x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
             if shape == _ELLIPSOID:
-                low, high = _cut_ellipsoid(x, y, z, dx, dy, dz, ready, j)
+                low, high = _cut_ellipsoid(x, y, z, dx, dy, dz, ready)
             else:
-                low, high = _cut_box(x, y, z, dx, dy, dz, ready, j)
+                low, high = _cut_box(x, y, z, dx, dy, dz, ready)
         here = low if low > rays[7, i] and low < np.inf else high
         if here > rays[7, i] and (here < t[i] or (here == t[i] and b < body[i])) and here < np.inf:
             t[i] = here
@@ -520,26 +514,25 @@ def _facing(
     i: int,
     velocity: F64,
     ready: F64,
-    j: int,
     shape: int,
     leaves: tuple[float, float, int],
     t: float,
 ) -> float:
     """Return the cosine of incidence of a shot on what it has met."""
     if shape == _TRIANGLE:
-        slope = rays[3, i] * ready[j, 9] + rays[4, i] * ready[j, 10] + rays[5, i] * ready[j, 11]
-        return abs(slope) / ready[j, 12]
+        slope = rays[3, i] * ready[9] + rays[4, i] * ready[10] + rays[5, i] * ready[11]
+        return abs(slope) / ready[12]
     vx, vy = velocity[0], velocity[1]
     if shape == _CONE:
-        a, b, _, _, _, radius, growth = _along_cone(rays, i, vx, vy, ready, j)
-        cosine = abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + ready[j, 8] * ready[j, 8]))
+        a, b, _, _, _, radius, growth = _along_cone(rays, i, vx, vy, ready)
+        cosine = abs(b + t * a) / ((radius + growth * t) * np.sqrt(1.0 + ready[8] * ready[8]))
         return cosine if cosine < 1.0 else 1.0
     number, rate, shot = leaves
     if rate > 0.0:  # leaves face everywhere; those that face the shot are met more often
         key = _shot_key(_mix(np.uint64(np.int64(number)) + _BODY), shot, rays[7, i])
         return np.sqrt(_chance(key + _LEAF))
-    x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready, j)
-    p, q, r = ready[j, 3], ready[j, 4], ready[j, 5]
+    x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
+    p, q, r = ready[3], ready[4], ready[5]
     if shape == _ELLIPSOID:
         x, y, z, dx, dy, dz = x / p, y / q, z / r, dx / p, dy / q, dz / r
         a = dx * dx + dy * dy + dz * dz
@@ -564,7 +557,6 @@ def _cast_leaves(
     stop: int,
     velocity: F64,
     ready: F64,
-    j: int,
     shape: int,
     b: int,
     leaves: tuple[float, float, int],
@@ -580,11 +572,11 @@ def _cast_leaves(
         begin = rays[7, i]
         if not begin < _FARTHEST_M:
             continue
-        x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready, j)
+        x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
         if shape == _ELLIPSOID:
-            enter, leave = _cut_ellipsoid(x, y, z, dx, dy, dz, ready, j)
+            enter, leave = _cut_ellipsoid(x, y, z, dx, dy, dz, ready)
         else:
-            enter, leave = _cut_box(x, y, z, dx, dy, dz, ready, j)
+            enter, leave = _cut_box(x, y, z, dx, dy, dz, ready)
         now = enter if enter > begin else begin
         if not (enter < leave and now < leave and now <= t[i]):
             continue
@@ -744,7 +736,7 @@ def cast_shots(
             if not (shape[b] >= _ELLIPSOID and density[b] > 0.0):
                 spans[k, 2] = -np.inf
             if ready[seen[k], _IS_READY] == 0.0:
-                _prepare(shape[b], numbers[b], turn[b], ready, seen[k])
+                _prepare(shape[b], numbers[b], turn[b], ready[seen[k]])
         _sort(spans, rows, n_seen)
         near, near_body = t[line], body[line]
         for i in range(n_columns):
@@ -755,18 +747,18 @@ def cast_shots(
             for w in range(_list_windows(spans[k, 0], spans[k, 1], frame, first, last, windows)):
                 start, stop = windows[w, 0], windows[w, 1]
                 if shape[b] == _TRIANGLE:
-                    _cast_triangle(rays, start, stop, velocity[b], ready, j, b, near, near_body)
+                    _cast_triangle(rays, start, stop, velocity[b], ready[j], b, near, near_body)
                 elif shape[b] == _CONE or not density[b] > 0.0:
-                    _cast_round(rays, start, stop, velocity[b], ready, j, shape[b], b, near, near_body)
+                    _cast_round(rays, start, stop, velocity[b], ready[j], shape[b], b, near, near_body)
                 else:
                     leaves = (number[b], 0.5 * density[b], shot)
                     _cast_leaves(
-                        rays, start, stop, velocity[b], ready, j, shape[b], b, leaves, quantiles, near, near_body
+                        rays, start, stop, velocity[b], ready[j], shape[b], b, leaves, quantiles, near, near_body
                     )
         for i in range(n_columns):
             b = np.int64(near_body[i])
             facing[line, i] = 0.0
             if b >= 0:
                 leaves = (number[b], 0.5 * density[b], shot + i)
-                facing[line, i] = _facing(rays, i, velocity[b], ready, place[b], shape[b], leaves, near[i])
+                facing[line, i] = _facing(rays, i, velocity[b], ready[place[b]], shape[b], leaves, near[i])
     return t, body, facing
