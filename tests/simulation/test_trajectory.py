@@ -1,0 +1,202 @@
+"""Trajectories: formulas that agree with each other, platforms that move as they should, files that readers take."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.types import F64
+from prc_cli.readers.trajectory_sbet import project, read_sbet
+from prc_cli.readers.trajectory_text import read_text
+from prc_cli.simulation.scanners import SCANNERS
+from prc_cli.simulation.trajectory import MOTIONS, MotionParams, Station, Trajectory, aim
+from prc_cli.simulation.trajectory_files import Frame, write_trajectory
+
+EVEN: dict[str, float] = {
+    "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "bounce_m": 0, "lean_deg": 0, "speed_variation": 0, "stop_every_m": 0
+}  # fmt: skip
+
+
+def straight(distance: F64) -> tuple[F64, F64]:
+    zero = np.zeros_like(distance)
+    return np.stack([distance, zero, zero], axis=1), zero
+
+
+def winding(distance: F64) -> tuple[F64, F64]:
+    """A way that turns and climbs by 1 in 20, a metre for every metre in the plane."""
+    heading = 0.5 * np.sin(distance / 60.0)
+    fine = np.arange(0.0, distance.max() + 2.0, 0.5)
+    x, y = (
+        np.concatenate([[0], np.cumsum(0.5 * f(0.5 * np.sin((fine + 0.25) / 60.0)))[:-1]]) for f in (np.cos, np.sin)
+    )
+    xy = [np.interp(distance, fine, values) for values in (x, y)]
+    return np.stack([*xy, distance / 20.0], axis=1), heading
+
+
+def drive(**values: float) -> Trajectory:
+    return Trajectory(straight, MotionParams(**{**EVEN, **values}), 2.5, seed=3)
+
+
+def test_distance_speed_and_acceleration_are_derivatives_of_each_other() -> None:
+    time_s = np.linspace(0, 600, 600_001)
+    distance, speed, acceleration = Trajectory(straight, MOTIONS["car"], 2.5, seed=11).progress(time_s)
+    assert distance[0] == 0
+    np.testing.assert_allclose(np.gradient(distance, time_s)[1:-1], speed[1:-1], atol=1e-3)
+    np.testing.assert_allclose(np.gradient(speed, time_s)[1:-1], acceleration[1:-1], atol=2e-3)
+    assert speed.min() >= 0
+    assert np.abs(acceleration).max() < 1.2 * MOTIONS["car"].brake_m_s2
+
+
+def test_it_stops_once_in_every_stretch_and_for_the_mean_time() -> None:
+    trajectory = drive(stop_every_m=300.0, stop_s=8.0)
+    step_s = 0.02
+    time_s = np.arange(0, 3000, step_s)
+    distance, speed, _ = trajectory.progress(time_s)
+    stands = np.flatnonzero(speed < 1e-9)
+    starts = stands[np.r_[True, np.diff(stands) > 1]]
+    stretch = (distance[starts] // 300.0).astype(int)
+    assert len(starts) == len(set(stretch))
+    assert len(starts) >= 0.9 * (distance[-1] // 300.0), "hardly any is too short to be seen"
+    assert len(stands) * step_s / len(starts) == pytest.approx(8.0, rel=0.15)
+    assert np.ptp(distance[starts] % 300.0) > 60, "not at the same place in each"
+
+
+def test_any_time_can_be_asked_for_alone() -> None:
+    trajectory = Trajectory(winding, MOTIONS["car"], 2.5, seed=5)
+    time_s = np.array([4000.3, 0.0, 77.7, 12.0])
+    together = trajectory.pose(time_s)
+    for i, t in enumerate(time_s):
+        alone = trajectory.pose(np.array([t]))
+        np.testing.assert_allclose(alone.position[0], together.position[i], atol=1e-6)
+        np.testing.assert_allclose(alone.roll[0], together.roll[i], atol=1e-12)
+
+
+def test_seed_decides_and_nothing_else() -> None:
+    time_s = np.linspace(0, 50, 100)
+    one, same, other = (Trajectory(straight, MOTIONS["car"], 2.5, seed=s).pose(time_s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(one.position, same.position)
+    assert np.abs(one.roll - other.roll).max() > 1e-3
+
+
+def test_even_drive_is_where_it_should_be() -> None:
+    pose = drive(speed_m_s=10.0).pose(np.array([0.0, 2.0]))
+    np.testing.assert_allclose(pose.position, [[0, 0, 2.5], [20, 0, 2.5]], atol=1e-12)
+    np.testing.assert_allclose(pose.turn(), np.tile(np.eye(3), (2, 1, 1)), atol=1e-12)
+
+
+def test_platform_follows_slope_and_heading() -> None:
+    trajectory = Trajectory(winding, MotionParams(**EVEN), 2.5, seed=1)
+    pose = trajectory.pose(np.array([30.0, 60.0]))
+    ahead = pose.turn()[:, :, 0]
+    distance = trajectory.progress(np.array([30.0, 60.0]))[0]
+    np.testing.assert_allclose(np.arctan2(ahead[:, 1], ahead[:, 0]), 0.5 * np.sin(distance / 60.0), atol=1e-9)
+    np.testing.assert_allclose(ahead[:, 2], np.sin(np.arctan(1 / 20)), atol=1e-6)
+
+
+def test_braking_dips_the_nose_and_left_curves_lean_to_the_right() -> None:
+    braking = drive(stop_every_m=300.0, lean_deg=0.5)
+    time_s = np.arange(0, 60, 0.1)
+    acceleration, pitch = braking.progress(time_s)[2], braking.pose(time_s).pitch
+    hard = acceleration < -1.0
+    assert hard.any()
+    np.testing.assert_allclose(pitch[hard], np.deg2rad(-0.5 * acceleration[hard]))
+    curve = Trajectory(winding, MotionParams(**{**EVEN, "lean_deg": 0.5}), 2.5, seed=1).pose(np.array([1.0]))
+    assert curve.roll[0] > np.deg2rad(0.1), "left side up"
+
+
+def test_bumps_have_the_deviation_that_is_asked_for() -> None:
+    pose = drive(roll_deg=0.8, bounce_m=0.02).pose(np.arange(0, 3000, 0.05))
+    assert np.rad2deg(pose.roll.std()) == pytest.approx(0.8, rel=0.05)
+    assert pose.position[:, 2].std() == pytest.approx(0.02, rel=0.05)
+
+
+def test_walker_bobs_with_every_step_and_sways_with_every_other() -> None:
+    gait = {"gait_hz": 1.8, "bob_m": 0.04, "sway_m": 0.06, "gait_deg": 0.0, "speed_m_s": 1.1}
+    hz, n = 64.0, 64 * 200
+    pose = drive(**gait).pose(np.arange(n) / hz)
+    up, aside = pose.position[:, 2] - 2.5, pose.position[:, 1]
+    assert (np.ptp(up), np.ptp(aside)) == pytest.approx((0.04, 0.06), rel=0.01)
+    frequency = np.fft.rfftfreq(n, 1 / hz)
+    assert frequency[np.abs(np.fft.rfft(up - up.mean())).argmax()] == pytest.approx(1.8, abs=0.1)
+    assert frequency[np.abs(np.fft.rfft(aside)).argmax()] == pytest.approx(0.9, abs=0.05)
+
+
+def test_stops_that_leave_no_room_to_brake_are_refused() -> None:
+    with pytest.raises(ValidationError, match="stop_every_m"):
+        MotionParams(stop_every_m=20.0)
+
+
+@pytest.mark.parametrize("name", sorted(SCANNERS))
+def test_rays_do_not_depend_on_how_lines_were_cut_into_blocks(name: str) -> None:
+    scanner = SCANNERS[name]
+    platform = Station(1.0, 2.0, 1.7) if scanner.is_static else Trajectory(winding, MOTIONS["car"], 2.5, seed=5)
+    whole = aim(platform, scanner, 10, 7)
+    for first, stop in pairwise((10, 11, 15, 17)):
+        part = aim(platform, scanner, first, stop - first)
+        lines = slice(first - 10, stop - 10)
+        np.testing.assert_array_equal(part.time_s, whole.time_s[lines])
+        np.testing.assert_allclose(part.origin, whole.origin[lines], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(part.direction, whole.direction[lines], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(whole.direction, axis=2), 1.0, rtol=1e-12)
+
+
+def test_rays_between_poses_are_those_of_the_pose_at_their_own_time() -> None:
+    scanner = SCANNERS["focus3d-120"]
+    platform = Trajectory(winding, MOTIONS["backpack"], 2.0, seed=5)
+    shots = aim(platform, scanner, 400, 3)
+    pose = platform.pose(shots.time_s.ravel())
+    own = np.einsum("nij,nj->ni", pose.turn(), np.tile(scanner.directions(), (3, 1)))
+    assert np.abs(shots.origin.reshape(-1, 3) - pose.position).max() < 1e-4
+    assert np.abs(shots.direction.reshape(-1, 3) - own).max() < 5e-5, "1 mm at 20 m"
+
+
+def test_static_scanner_turns_to_the_left_line_by_line() -> None:
+    scanner = SCANNERS["scanstation2"].changed(azimuth_step_deg=30.0, first_azimuth_deg=10.0)
+    shots = aim(Station(0.0, 0.0, 1.7, yaw=np.deg2rad(5.0)), scanner, 0, 4)
+    azimuth = np.rad2deg(np.arctan2(shots.direction[..., 1], shots.direction[..., 0]))
+    np.testing.assert_allclose(azimuth, np.array([15.0, 45.0, 75.0, 105.0])[:, None] + np.zeros(1088), atol=1e-9)
+    assert (shots.origin == [0.0, 0.0, 1.7]).all()
+
+
+def test_csv_is_what_the_reader_takes(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    platform = Trajectory(winding, MOTIONS["car"], 2.5, seed=5)
+    write_trajectory(path, platform, 3.0, start_s=1000.0, frame=Frame())
+    time_s, xyz_m = read_text(path)
+    np.testing.assert_allclose(time_s, 1000.0 + np.arange(601) / 200.0, atol=1e-6)
+    np.testing.assert_allclose(xyz_m - Frame().origin(), platform.pose(time_s - 1000.0).position, atol=1e-4)
+
+
+def test_sbet_is_what_the_reader_takes(tmp_path: Path) -> None:
+    pyproj = pytest.importorskip("pyproj")
+    path, frame = tmp_path / "drive.sbet", Frame()
+    platform = Trajectory(winding, MotionParams(**EVEN), 2.5, seed=5)
+    write_trajectory(path, platform, 3.0, frame=frame)
+    time_s, position = read_sbet(path, path.stat().st_size)
+    xyz_m = project(path, position, frame.crs)
+    np.testing.assert_allclose(xyz_m - frame.origin(), platform.pose(time_s).position, atol=1e-5)
+    # true heading and velocity against the geodesic from place to place; the way has corners of 0.2 degrees, and the
+    # meridian converges by 2 degrees
+    records = np.fromfile(path, "<f8").reshape(-1, 17)
+    longitude, latitude = np.degrees(position[:, 0]), np.degrees(position[:, 1])
+    azimuth, _, way = pyproj.Geod(ellps="WGS84").inv(longitude[:-1], latitude[:-1], longitude[1:], latitude[1:])
+    np.testing.assert_allclose(np.degrees(records[:-1, 9]), azimuth % 360.0, atol=0.25)
+    np.testing.assert_allclose(np.arctan2(records[:-1, 5], records[:-1, 4]), np.radians(azimuth), atol=5e-3)
+    np.testing.assert_allclose(np.hypot(records[:-1, 4], records[:-1, 5]), way * 200.0, rtol=2e-3)
+    np.testing.assert_allclose(records[:, 8], np.arctan(1 / 20), atol=1e-6, err_msg="nose up is positive there")
+
+
+def test_sbet_needs_a_place_on_earth(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="nowhere on earth"):
+        write_trajectory(tmp_path / "drive.out", drive(), 1.0)
+    pytest.importorskip("pyproj")
+    with pytest.raises(ConfigError, match="not a projected one"):
+        write_trajectory(tmp_path / "drive.out", drive(), 1.0, frame=Frame(crs="EPSG:4326"))
+    with pytest.raises(ConfigError, match="cannot be used"):
+        write_trajectory(tmp_path / "drive.out", drive(), 1.0, frame=Frame(crs="EPSG:0"))
+    assert not list(tmp_path.iterdir())
