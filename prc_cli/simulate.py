@@ -36,6 +36,7 @@ from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.street.params import CHARACTERS, StreetSceneParams
 from prc_cli.simulation.street.scene import StreetScene
 from prc_cli.simulation.trajectory import MOTIONS, MotionParams, Station, Trajectory
+from prc_cli.simulation.trajectory_files import WORLD, Frame, write_trajectory
 from prc_cli.writers.record import ClassCount, Fingerprint, RunRecord
 from prc_cli.writers.streams import (
     StreamItem,
@@ -84,6 +85,18 @@ class _Settings(Params):
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
+class FrameParams(Params):
+    """A projected coordinate system in metres and where the simulated world lies in it."""
+
+    crs: str = Field(Frame().crs, description="as pyproj takes it")
+    easting_m: float = Field(Frame().easting_m, description="of the world's origin [m]")
+    northing_m: float = Field(Frame().northing_m, description="of the world's origin [m]")
+    height_m: float = Field(Frame().height_m, description="of the world's origin above the ellipsoid [m]")
+
+
+_FRAME = "where the world lies on earth; unset = nowhere, coordinates count from the start, but for an SBET"
+
+
 class DriveSettings(_Settings):
     """A drive down a street."""
 
@@ -93,6 +106,7 @@ class DriveSettings(_Settings):
     scene: StreetSceneParams = Field(default_factory=StreetSceneParams, description="street")
     scanner: Scanner = Field(SCANNERS["photon-80"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["car"], description="how the platform moves")
+    frame: FrameParams | None = Field(None, description=_FRAME)
 
 
 class WalkSettings(_Settings):
@@ -104,6 +118,7 @@ class WalkSettings(_Settings):
     scene: ForestSceneParams = Field(default_factory=ForestSceneParams, description="forest")
     scanner: Scanner = Field(SCANNERS["focus3d-120"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["backpack"], description="how the platform moves")
+    frame: FrameParams | None = Field(None, description=_FRAME)
 
 
 class StationParams(Params):
@@ -401,6 +416,7 @@ def simulate(
         check_output(path, overwrite=overwrite)
     for path in (*outputs_of(output), *wanted.paths()):
         remove_stale(path)
+    frame = _frame(chosen, wanted)
     is_static = chosen.scanner.is_static
     simulation = open_simulation(
         kind,
@@ -413,7 +429,7 @@ def simulate(
     with contextlib.ExitStack() as stack:
         if wanted.trajectory is not None:
             temporary = stack.enter_context(atomic_output(wanted.trajectory))
-            _write_trajectory(simulation, wanted.trajectory, temporary)
+            _write_trajectory(simulation, wanted.trajectory, temporary, frame)
         if wanted.stems is not None:
             temporary = stack.enter_context(atomic_output(wanted.stems))
             temporary.write_text("".join(f"{row}\n" for row in _stem_rows(simulation)), encoding="utf-8", newline="\n")
@@ -421,12 +437,12 @@ def simulate(
         if wanted.labels is not None:
             handle = stack.enter_context(stack.enter_context(atomic_output(wanted.labels)).open("w+b"))
             codes_file = _CodesFile(handle)
-        record, counts = _write(simulation, output, codes_file, progress)
+        record, counts = _write(simulation, output, codes_file, frame, progress)
     return SimulationSummary(output, record, counts, (*outputs_of(output), *wanted.paths()))
 
 
 def _write(
-    simulation: Simulation, output: Path, codes_file: _CodesFile | None, progress: Progress | None
+    simulation: Simulation, output: Path, codes_file: _CodesFile | None, frame: Frame, progress: Progress | None
 ) -> tuple[RunRecord, Counts]:
     """Simulate and write the stream, and the codes beside it."""
     scan, suffix = simulation.scan, stream_suffix(output)
@@ -448,7 +464,7 @@ def _write(
     with open_stream_writer(output, shape) as writer:
 
         def put(found: SimulatedBlock) -> None:
-            item = _item(found, lookup, registered=shape.registered)
+            item = _item(found, lookup, frame.origin() if shape.registered else None)
             writer.add_item(item)
             if codes_file is not None:
                 codes_file.write(codes_in_order(item, suffix))
@@ -466,6 +482,8 @@ def _write(
             told.append(f"not kept: {n_further} further returns: a range image has one range a cell")
         if suffix == ".bin":
             told.append(f"read it with --config {output.name}.toml")
+        if shape.registered and frame.crs:
+            told.append(f"registered coordinates are those of {frame.crs}")
         if suffix == ".parquet":
             told.append("prc reads no stream from .parquet; it is for other programs")
         record = writer.finish(replace(record, notices=(*record.notices, *told)))
@@ -474,16 +492,16 @@ def _write(
     return record, counts
 
 
-def _item(found: SimulatedBlock, lookup: U8, *, registered: bool) -> StreamItem:
+def _item(found: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem:
     labelled = found.labelled
     item = StreamItem(
         labelled.block,
         codes=lookup[labelled.labels].astype(np.int32),
         extra_codes=lookup[labelled.extra_labels].astype(np.int32),
     )
-    if registered:
-        item = replace(item, registered_m=found.world_m, extra_registered_m=found.extra_world_m)
-    return item
+    if origin_m is None or found.world_m is None or found.extra_world_m is None:
+        return item
+    return replace(item, registered_m=found.world_m + origin_m, extra_registered_m=found.extra_world_m + origin_m)
 
 
 def codes_in_order(item: StreamItem, suffix: str) -> U8:
@@ -557,6 +575,15 @@ def _record(simulation: Simulation, counts: Counts) -> RunRecord:
     )
 
 
+def _frame(settings: Settings, beside: Beside) -> Frame:
+    """Return where the world lies on earth: as it is asked for, or where an SBET needs it."""
+    asked = None if isinstance(settings, StationSettings) else settings.frame
+    if asked is not None:
+        return Frame(**asked.model_dump())
+    is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in (".sbet", ".out")
+    return Frame() if is_sbet else WORLD
+
+
 def _check_beside(output: Path, beside: Beside, kind: Kind) -> Beside:
     """Name the file of labels where one is needed; refuse what makes no sense."""
     if beside.labels is None and stream_suffix(output) in _BESIDE:
@@ -583,8 +610,11 @@ def reference_path(output: Path) -> Path:
     return output.with_name(f"{output.stem}_reference.npy")
 
 
-def _write_trajectory(simulation: Simulation, path: Path, temporary: Path) -> None:
-    raise NotImplementedError
+def _write_trajectory(simulation: Simulation, path: Path, temporary: Path, frame: Frame) -> None:
+    """Write the trajectory under a name that keeps the suffix, which decides its format, then under the given one."""
+    written = temporary.with_name(f"{temporary.name}{path.suffix}")
+    write_trajectory(written, simulation.scan.platform, simulation.end_s, hz=TRAJECTORY_HZ, frame=frame)
+    written.replace(temporary)
 
 
 def _stem_rows(simulation: Simulation) -> Iterator[str]:

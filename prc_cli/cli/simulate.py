@@ -58,9 +58,10 @@ _PARAMETERS = [
 
 def _options(*groups: list[Any]) -> Callable[[CommandT], CommandT]:
     def add(command: CommandT) -> CommandT:
+        command = output_options(command)
         for option in reversed([option for group in groups for option in group]):
             command = option(command)
-        return output_options(command)
+        return command
 
     return add
 
