@@ -78,7 +78,8 @@ class Centreline:
         """Points ``d_m`` to the left of the crown, (n, 2) float64 [m]."""
         heading = self.heading(s_m)
         away = (d_m - LANE_M)[:, None]
-        return self.lane(s_m) + away * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        place: F64 = self.lane(s_m) + away * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        return place
 
     def nearest(self, x_m: float, y_m: float) -> float:
         """Distance along the street of the place that is nearest to a point, to a metre [m]."""

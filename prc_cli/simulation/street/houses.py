@@ -90,8 +90,8 @@ def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Gen
     if lot.kind == "passage":
         frame, top = frame_at(ground, middle, across, side.side), rng.uniform(7.0, 11.0)
         pile.box(frame, ((-0.5 * width, 0.5 * width), (0.0, 10.0), (3.1, top)), Material.WALL)
-        far = frame_at(ground, middle, side.side * (BUILDING_LINE_M + 28.0), side.side)
-        pile.box(far, ((-8.0, 8.0), (0.0, 8.0), (_BASE_M, rng.uniform(4.0, 9.0))), Material.WALL)
+        behind = frame_at(ground, middle, side.side * (BUILDING_LINE_M + 28.0), side.side)
+        pile.box(behind, ((-8.0, 8.0), (0.0, 8.0), (_BASE_M, rng.uniform(4.0, 9.0))), Material.WALL)
         return
     if lot.kind == "house":
         # the driveway or a path leads past the house

@@ -111,33 +111,18 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
 
 
 def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
-    """Lamps, lights and signs at junctions, shelters, bins and bollards; people who stand about."""
+    """Lamps, lights and signs at junctions, shelters, bins and cabinets; people who stand about."""
     pile, plan, side, start = kerb.pile, kerb.plan, kerb.side, kerb.plan.start
     town = plan.character in ("terraces", "boulevard")
     if (plan.piece + (side.side > 0)) % 2 == 0:
-        for s in (start + 3.5, start + 26.0):
-            if kerb.claim(s, 0.6):
-                furniture.lamp(pile, kerb.frame(s, ROAD_HALF_M + 0.6), 7.5 if town else 5.5)
-                break
-    if plan.junction is not None:
-        ends = (plan.junction.bend[0] - 0.9, plan.junction.bend[1] + 0.9)
-        s = ends[0] if side.side < 0 else ends[1]
-        if kerb.claim(s, 0.5):
-            frame = kerb.frame(s, ROAD_HALF_M + 0.6)
-            facing = frame if side.side < 0 else replace(frame, yaw=frame.yaw + np.pi, mirror=-frame.mirror)
-            if town:
-                furniture.traffic_light(pile, facing, arm=plan.character == "boulevard")
-            else:
-                furniture.sign(pile, facing, rng)
-    if plan.crossing is not None and rng.random() < 0.6:
-        for s in (plan.crossing[0] - 0.9, plan.crossing[1] + 0.9):
-            for step in (-0.25, 1.0):
-                at = s + step * (1 if s > plan.crossing[1] else -1)
-                if kerb.claim(at, 0.2):
-                    furniture.bollard(pile, kerb.frame(at, ROAD_HALF_M + 0.4))
-    chance = rng.random(8).tolist()
-    if chance[0] < 0.10 and kerb.claim(start + 5.0 + 20.0 * chance[1], 2.6):
-        furniture.shelter(pile, kerb.frame(kerb.taken[-1][0] + 2.6, ROAD_HALF_M + 0.45))
+        free = [s for s in (start + 3.5, start + 26.0) if kerb.free(s, 0.6)]
+        if free and kerb.claim(free[0], 0.6):
+            furniture.lamp(pile, kerb.frame(free[0], ROAD_HALF_M + 0.6), 7.5 if town else 5.5)
+    _at_junction(kerb, rng, town=town)
+    chance = rng.random(6).tolist()
+    shelter = start + 5.0 + 20.0 * chance[1]
+    if chance[0] < 0.10 and kerb.claim(shelter, 2.6):
+        furniture.shelter(pile, kerb.frame(shelter, ROAD_HALF_M + 0.45))
     for i, things in enumerate((furniture.sign, furniture.bin_or_box)):
         s = start + 1.0 + 28.0 * chance[2 + i]
         if chance[4 + i] < 0.55 and kerb.claim(s, 0.8):
@@ -146,6 +131,26 @@ def _furniture(kerb: Kerb, rng: np.random.Generator) -> None:
         s, yaw = start + PIECE_M * rng.random(), rng.uniform(0.0, 2.0 * np.pi)
         if side.junction is None or not side.junction.bend[0] < s < side.junction.bend[1]:
             person(pile, replace(kerb.frame(s, BUILDING_LINE_M - 0.45), yaw=yaw), rng, 0.0)
+
+
+def _at_junction(kerb: Kerb, rng: np.random.Generator, *, town: bool) -> None:
+    """Lights or signs before the junction, bollards beside the crossing."""
+    plan, side = kerb.plan, kerb.side
+    if plan.junction is None or plan.crossing is None:
+        return
+    s = plan.junction.bend[0] - 0.9 if side.side < 0 else plan.junction.bend[1] + 0.9
+    if kerb.claim(s, 0.5):
+        frame = kerb.frame(s, ROAD_HALF_M + 0.6)
+        facing = frame if side.side < 0 else replace(frame, yaw=frame.yaw + np.pi, mirror=-frame.mirror)
+        if town:
+            furniture.traffic_light(kerb.pile, facing, arm=plan.character == "boulevard")
+        else:
+            furniture.sign(kerb.pile, facing, rng)
+    if rng.random() < 0.6:
+        low, high = plan.crossing
+        for s in (low - 1.9, low - 0.9, high + 0.9, high + 1.9):
+            if kerb.claim(s, 0.2):
+                furniture.bollard(kerb.pile, kerb.frame(s, ROAD_HALF_M + 0.4))
 
 
 def _trees(kerb: Kerb, rng: np.random.Generator) -> None:
