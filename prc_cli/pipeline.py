@@ -22,7 +22,9 @@ from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
-from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.memory import keep_memory
+from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StageLabels, StreamInfo
+from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.kernels import load_kernels
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
@@ -117,7 +119,13 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     return with_beams(stream, loaded.config.input) if loaded.config.method == SEQUENTIAL_ANGLE else stream
 
 
-def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams | SequentialAngleParams) -> Iterator[LabelledBlock]:
+def label_blocks(
+    blocks: Iterator[ScanBlock],
+    params: PrcParams | SequentialAngleParams,
+    *,
+    threads: int = 1,
+    segments: bool = False,
+) -> Iterator[LabelledBlock]:
     """Classify a stream block by block; what crosses blocks is one state a scanner.
 
     Parameters
@@ -126,6 +134,10 @@ def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams | SequentialAngl
         Blocks of any number of lines; with ``beam_rad`` for the sequential-angle classifier.
     params : PrcParams or SequentialAngleParams
         Parameters of the classifier, which say which one it is.
+    threads : int
+        Threads that classify; results do not depend on it. At most twice as many blocks are held at a time.
+    segments : bool
+        Find the segment ids too, where the method has any.
 
     Yields
     ------
@@ -133,52 +145,71 @@ def label_blocks(blocks: Iterator[ScanBlock], params: PrcParams | SequentialAngl
         In order for each scanner: PRC's blocks of k lines (fewer at the end), or the lines that became final.
     """
     if isinstance(params, PrcParams):
-        yield from _prc(blocks, params)
+        yield from _prc(blocks, params, threads, segments=segments)
     else:
-        yield from _sequential_angle(blocks, params)
+        yield from _sequential_angle(blocks, params, threads)
 
 
-def _prc(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[LabelledBlock]:
-    states: dict[int, prc.PrcState] = {}
-    for block in regroup(blocks, params.lines_per_block):
-        state = states.get(block.scanner)
-        if state is None:
-            state = prc.initial_state(block.points_per_line)
-        result = prc.classify_block(block.range_m, block.next_m, state, params, segments=True)
-        states[block.scanner] = result.state
+def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segments: bool) -> Iterator[LabelledBlock]:
+    scanners: dict[int, prc.ParallelBlocks] = {}
+
+    def begin() -> Iterator[tuple[ScanBlock, prc.BlockJob]]:
+        for block in regroup(blocks, params.lines_per_block):
+            if block.scanner not in scanners:
+                scanners[block.scanner] = prc.ParallelBlocks(block.points_per_line, params, segments=segments)
+            yield block, scanners[block.scanner].begin(block.range_m, block.next_m)
+
+    def work(item: tuple[ScanBlock, prc.BlockJob]) -> LabelledBlock:
+        block, job = item
+        labels, ids = scanners[block.scanner].classify(job)
         further, support = block.extra, params.support
         extra = label_extra_returns(
-            block.range_m, result.labels, further.line, further.column, further.range_m, support.zeta_p, support.zeta_s
+            block.range_m, labels, further.line, further.column, further.range_m, support.zeta_p, support.zeta_s
         )
-        yield LabelledBlock(block, result.labels, extra, result.segments)
+        return LabelledBlock(block, labels, extra, ids)
+
+    keep_memory()
+    yield from ordered(work, begin(), threads=threads)
 
 
-def _sequential_angle(blocks: Iterator[ScanBlock], params: SequentialAngleParams) -> Iterator[LabelledBlock]:
-    states: dict[int, sequential_angle.SequentialAngleState] = {}
+def _sequential_angle(
+    blocks: Iterator[ScanBlock], params: SequentialAngleParams, threads: int
+) -> Iterator[LabelledBlock]:
+    scanners: dict[int, sequential_angle.ParallelBlocks] = {}
     waiting: dict[int, LineBuffer] = {}
-    for block in regroup(blocks, shots_per_block=SHOTS_AT_ONCE):
-        scanner = block.scanner
-        if block.beam_rad is None:
-            raise InputError("block of ranges", "no beam angles, expected the angle of every column from straight down")
-        state = states.pop(scanner, None) or sequential_angle.initial_state(block.beam_rad, params)
-        result = sequential_angle.classify_block(block.range_m, block.xyz_m, state, params, last=block.is_last)
-        buffer = waiting.setdefault(scanner, LineBuffer())
+    Item: TypeAlias = tuple[ScanBlock, sequential_angle.ParallelBlocks, sequential_angle.BlockJob]
+
+    def begin() -> Iterator[Item]:
+        for block in regroup(blocks, shots_per_block=SHOTS_AT_ONCE):
+            if block.beam_rad is None:
+                problem = "no beam angles, expected the angle of every column from straight down"
+                raise InputError("block of ranges", problem)
+            one = scanners.pop(block.scanner, None) or sequential_angle.ParallelBlocks(block.beam_rad, params)
+            if not block.is_last:
+                scanners[block.scanner] = one
+            yield block, one, one.begin(block.range_m, block.xyz_m, last=block.is_last)
+
+    def work(item: Item) -> tuple[ScanBlock, U8, StageLabels]:
+        block, one, job = item
+        return block, *one.classify(job)
+
+    keep_memory()
+    for block, labels, stages in ordered(work, begin(), threads=threads):
+        buffer = waiting.setdefault(block.scanner, LineBuffer())
         buffer.add(block)
-        if not block.is_last:
-            states[scanner] = result.state
-        if result.n_lines:
-            final = buffer.take(result.n_lines)
+        if len(labels):
+            final = buffer.take(len(labels))
             # what lies beyond the scanner's reach is missing to the method, but it is a return
-            beyond = (result.labels == Label.MISSING) & ~np.isnan(final.range_m)
-            result.labels[beyond] = Label.UNCLASSIFIED
+            beyond = (labels == Label.MISSING) & ~np.isnan(final.range_m)
+            labels[beyond] = Label.UNCLASSIFIED
             final = replace(final, tally=final.tally + ReadTally(n_beyond=int(np.count_nonzero(beyond))))
             # lines leave alone or together, as it happens: only the shot's own line may have a say
             further, limit = final.extra, params.extra_return_m
             extra = label_extra_returns(
-                final.range_m, result.labels, further.line, further.column, further.range_m, limit, 0.0,
+                final.range_m, labels, further.line, further.column, further.range_m, limit, 0.0,
                 alone=Label.UNCLASSIFIED,
             )  # fmt: skip
-            yield LabelledBlock(final, result.labels, extra, stages=result.stages)
+            yield LabelledBlock(final, labels, extra, stages=stages)
 
 
 def load_classifier(config: LoadedConfig | RunConfig | None = None) -> None:
@@ -193,6 +224,7 @@ def classify(
     *,
     overwrite: bool = False,
     progress: Progress | None = None,
+    threads: int | None = None,
 ) -> RunSummary:
     """Classify one file and write its labels; the output exists whole or not at all.
 
@@ -208,6 +240,8 @@ def classify(
         Replace an existing output.
     progress : callable, optional
         Called with the number of lines that were just finished.
+    threads : int, optional
+        Threads that classify; default: one for every core. The output does not depend on it.
 
     Returns
     -------
@@ -240,7 +274,13 @@ def classify(
         options=loaded.config.output,
         overwrite=overwrite,
     ) as writer:
-        for item in label_blocks(stream.blocks(), loaded.config.classifier):
+        labelled = label_blocks(
+            stream.blocks(),
+            loaded.config.classifier,
+            threads=default_threads() if threads is None else threads,
+            segments=loaded.config.output.segment_ids,
+        )
+        for item in labelled:
             writer.add(item)
             counts = counts.add(item)
             if progress is not None:
@@ -260,6 +300,7 @@ def classify_ranges(
     *,
     beam_rad: ArrayLike | None = None,
     xyz_m: ArrayLike | None = None,
+    threads: int | None = None,
 ) -> U8:
     """Classify a range image that is in memory.
 
@@ -274,6 +315,8 @@ def classify_ranges(
         sequential-angle classifier.
     xyz_m : (lines, M, 3) float, metres, optional
         Relative to the scanner, z up; without it the sequential-angle classifier takes range and beam angle.
+    threads : int, optional
+        Threads that classify; default: one for every core. The labels do not depend on it.
 
     Returns
     -------
@@ -311,7 +354,8 @@ def classify_ranges(
     )
     if config.method == SEQUENTIAL_ANGLE and beam_rad is None:
         raise InputError("beam_rad", "not given, expected the angle of every column's beam from straight down")
-    return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier)])
+    threads = default_threads() if threads is None else threads
+    return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier, threads=threads)])
 
 
 def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:

@@ -110,6 +110,21 @@ def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
         assert outputs[0].read_bytes() == outputs[1].read_bytes(), suffix
 
 
+def test_the_bytes_do_not_depend_on_the_number_of_threads(tmp_path: Path, preset: str) -> None:
+    image = street()
+    source = write_npz(tmp_path / "drive.npz", image)
+    options = {"prc": {"lines_per_block": 20}, "output": {"segment_ids": True}}
+    config = load_config(preset=preset, options=options)
+    outputs = []
+    for threads in (1, 2, 5):
+        for suffix in (".csv", ".laz"):
+            outputs.append(tmp_path / f"{threads}{suffix}")
+            classify(source, outputs[-1], config, threads=threads)
+        assert np.array_equal(classify_ranges(image, config, threads=threads), classify_ranges(image, config))
+    for output in outputs[2:]:
+        assert output.read_bytes() == (tmp_path / f"1{output.suffix}").read_bytes()
+
+
 def test_outputs_are_not_overwritten_and_failures_leave_nothing(tmp_path: Path) -> None:
     source = write_raw(tmp_path / "drive.bin", street())
     output = tmp_path / "out" / "labels.npy"

@@ -61,6 +61,8 @@ def label_extra_returns(
     array([4], dtype=uint8)
     """
     found = np.where(np.isnan(range_m_extra), np.uint8(Label.MISSING), np.uint8(alone))
+    if not len(found):
+        return found
     nearest = np.full(len(line), np.inf)
     n_lines, n_columns = range_m.shape
     for cells, zeta in ((IN_SLICE, zeta_p), (ADJACENT, zeta_s)):

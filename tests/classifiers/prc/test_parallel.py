@@ -1,0 +1,87 @@
+"""Blocks in threads against blocks one after the other: the same bytes, whatever the number of threads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from prc_cli.classifiers.prc import pipeline
+from prc_cli.classifiers.prc.pipeline import BlockJob, ParallelBlocks, PrcParams, classify_block, initial_state
+from prc_cli.core.errors import InputError
+from prc_cli.core.threads import ordered
+from prc_cli.core.types import F32, I64, U8
+from tests.classifiers.prc.streams import TIGHT_LOOK_AHEAD, random_params, random_stream, run_stream
+
+
+def begin(blocks: ParallelBlocks, stream: F32, k: int) -> Iterator[BlockJob]:
+    ahead = TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
+    for first in range(0, len(stream), k):
+        yield blocks.begin(stream[first : first + k], stream[first + k : first + k + ahead])
+
+
+def run_threads(stream: F32, params: PrcParams, threads: int, *, segments: bool) -> tuple[U8, list[I64 | None]]:
+    blocks = ParallelBlocks(stream.shape[1], params, segments=segments)
+    jobs = begin(blocks, stream, params.lines_per_block)
+    found = list(ordered(blocks.classify, jobs, threads=threads))
+    return np.concatenate([labels for labels, _ in found]), [ids for _, ids in found]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_change_nothing(threads: int) -> None:
+    for seed in range(120):
+        rng = np.random.default_rng(9000 + seed)
+        params, stream = random_params(rng), random_stream(rng)
+        expected, segments = run_stream(stream, params)
+        labels, ids = run_threads(stream, params, threads, segments=True)
+        np.testing.assert_array_equal(labels, expected)
+        np.testing.assert_array_equal(np.concatenate([part for part in ids if part is not None]), segments)
+        labels, ids = run_threads(stream, params, threads, segments=False)
+        np.testing.assert_array_equal(labels, expected)
+        assert ids == [None] * len(ids)
+
+
+def test_labels_do_not_depend_on_whether_segments_are_asked_for() -> None:
+    """Patches take numbers of their own only then; the order of the others, which ties go by, is the same."""
+    for seed in range(200):
+        rng = np.random.default_rng(70_000 + seed)
+        params, stream = random_params(rng), random_stream(rng)
+        expected, _ = run_stream(stream, params)
+        state = initial_state(stream.shape[1])
+        k, ahead = params.lines_per_block, TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
+        for first in range(0, len(stream), k):
+            following = stream[first + k : first + k + ahead]
+            result = classify_block(stream[first : first + k], following, state, params)
+            assert result.segments is None
+            np.testing.assert_array_equal(result.labels, expected[first : first + k])
+            state = result.state
+
+
+@pytest.mark.parametrize("stage", ["background", "identify", "count_smooth", "urban"])
+def test_error_in_any_stage_is_the_one_that_is_seen(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
+    """A block that fails before, in, between and after the turns; the blocks before it come out, nobody waits."""
+    stream = np.full((60, 40), 20.0, np.float32)
+    stream[33, 7] = 5.0
+    plain = getattr(pipeline, stage)
+    calls: list[None] = []
+
+    def fails(*arguments: object) -> object:
+        calls.append(None)
+        if len(calls) == 4:
+            raise MemoryError(stage)
+        return plain(*arguments)
+
+    monkeypatch.setattr(pipeline, stage, fails)
+    blocks = ParallelBlocks(40, PrcParams(lines_per_block=6))
+    n_found = 0
+    with pytest.raises(MemoryError, match=stage):
+        for _ in ordered(blocks.classify, begin(blocks, stream, 6), threads=3):
+            n_found += 1
+    assert n_found <= 5, "blocks are begun in order, and calls of a stage nearly so"
+
+
+def test_blocks_that_do_not_fit_are_refused() -> None:
+    blocks = ParallelBlocks(5, PrcParams())
+    with pytest.raises(InputError, match=r"found an array of shape \(3, 4\)"):
+        blocks.begin(np.ones((3, 4), np.float32), None)
