@@ -1,0 +1,345 @@
+"""The sensor against the laws that it is said to follow: statistics of many shots, seeded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli import kernels
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F64, I32
+from prc_cli.simulation.scanners import SCANNERS, Scanner
+from prc_cli.simulation.sensor import Measured, goes_behind, scan
+from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
+
+SEED = 20
+LINES = 400
+
+CW = SCANNERS["photon-80"].changed(
+    points_per_line=100, field_deg=14.86, lost_share=0.0, background_share=0.0, sky_share=0.0, bright_sky_share=0.0,
+    cluster_share=0.0, half_range_m=2000.0, max_range_m=150.0,
+)  # fmt: skip
+"""A continuous wave without anything stray, with the steps of the Photon."""
+PULSED = CW.changed(principle="pulsed", ambiguity_m=0.0, pulse_m=0.45, max_returns=4, min_range_m=0.3)
+
+
+@dataclass(frozen=True)
+class Hits:
+    t: F64
+    body: I32
+    facing: F64
+
+    def lines(self, first: int, stop: int) -> Hits:
+        return Hits(self.t[first:stop], self.body[first:stop], self.facing[first:stop])
+
+
+def world(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
+    n = len(materials)
+    leaved = np.array([material is Material.LEAVES for material in materials])
+    return Bodies(
+        np.where(leaved, Shape.ELLIPSOID, shape).astype(np.uint8),
+        np.zeros((n, 9)),
+        np.array(materials, dtype=np.uint8),
+        np.where(leaved, 1.0, 0.0),
+        np.zeros((n, 2)),
+        np.arange(n, dtype=np.float64),
+    )
+
+
+def hits(t: Any, body: Any = 0, facing: Any = 1.0, lines: int = LINES, columns: int = 100) -> Hits:
+    """Hits of which each number may be given for all, or by column."""
+    shape = (lines, columns)
+    number = np.broadcast_to(np.asarray(body, dtype=np.int32), shape).copy()
+    t = np.where(number < 0, np.inf, np.broadcast_to(np.asarray(t, dtype=np.float64), shape))
+    return Hits(t, number, np.broadcast_to(np.asarray(facing, dtype=np.float64), shape).copy())
+
+
+def errors(t: float, scanner: Scanner, material: Material = Material.WALL, facing: float = 1.0) -> F64:
+    """Range errors of many shots on a wall."""
+    found = scan(hits(t, facing=facing), world(material), scanner, 0, SEED)
+    assert (found.label == PROPERTIES[material].label).all()
+    return found.range_m.astype(np.float64) - t
+
+
+@pytest.mark.parametrize("facing", [1.0, 0.3, 0.05])
+@pytest.mark.parametrize("t", [5.0, 40.0])
+@pytest.mark.parametrize("material", [Material.ASPHALT, Material.SIGN])
+def test_noise_grows_with_range_incidence_and_darkness(t: float, facing: float, material: Material) -> None:
+    found = errors(t, CW, material, facing)
+    weakness = np.sqrt(0.9 / (PROPERTIES[material].reflectance * facing))
+    width = 0.0033 + 0.00016 * t
+    depth = width * np.sqrt(1.0 - facing**2) / facing
+    expected = CW.noise_m + CW.noise_per_m * t * weakness + CW.noise_spread * depth
+    assert found.std() == pytest.approx(expected, rel=0.02)
+    assert abs(found.mean()) < 4 * expected / np.sqrt(found.size)
+
+
+def test_noise_of_the_focus_is_that_of_its_data_sheet() -> None:
+    """0.6 mm at 10 m and 0.95 mm at 25 m on white, 1.2 mm and 2.2 mm on a tenth of it, to a fifth."""
+    scanner = SCANNERS["focus3d-120"]
+    for reflectance, t, sigma in ((0.9, 10, 0.0006), (0.9, 25, 0.00095), (0.1, 10, 0.0012), (0.1, 25, 0.0022)):
+        by_weakness = scanner.noise_per_m * t * np.sqrt(0.9 / reflectance)
+        assert scanner.noise_m + by_weakness == pytest.approx(sigma, rel=0.2)
+
+
+def test_half_of_the_shots_on_white_are_answered_at_the_half_range() -> None:
+    scanner = CW.changed(half_range_m=100.0)
+    for material, facing in ((Material.SIGN, 1.0), (Material.WALL, 0.5), (Material.TYRE, 0.7)):
+        half = 100.0 * np.sqrt(PROPERTIES[material].reflectance * facing / 0.9)
+        share = [
+            np.isfinite(scan(hits(t, facing=facing), world(material), scanner, 0, SEED).range_m).mean()
+            for t in (0.5 * half, half, 1.5 * half)
+        ]
+        expected = [s**4 / (s**4 + 1) for s in (4.0, 1.0, 1 / 2.25)]
+        assert share == pytest.approx(expected, abs=0.01)
+
+
+def test_some_shots_are_lost_for_no_reason() -> None:
+    found = scan(hits(5.0), world(Material.WALL), CW.changed(lost_share=0.1), 0, SEED)
+    assert np.isnan(found.range_m).mean() == pytest.approx(0.1, abs=0.01)
+    assert (found.label[np.isnan(found.range_m)] == Label.MISSING).all()
+    assert (found.intensity[np.isnan(found.range_m)] == 0).all()
+
+
+def step(scanner: Scanner, far: float = 30.0) -> Measured:
+    """Between a post at 20 m in columns 40 to 59, and a wall."""
+    column = np.arange(100)
+    post = (column >= 40) & (column < 60)
+    found = hits(np.where(post, 20.0, far), np.where(post, 1, 0), lines=20_000)
+    return scan(found, world(Material.WALL, Material.POLE, shape=Shape.CONE), scanner, 0, SEED)
+
+
+def test_share_of_split_beams_is_their_width_over_their_distance() -> None:
+    found = step(CW)
+    width, apart = 0.0033 + 0.00016 * 20.0, CW.step_rad * 20.0
+    beside = np.abs(found.range_m - np.where(np.arange(100) < 40, 30.0, 20.0)) > CW.edge_m
+    assert not beside[:, :39].any(), "only neighbours of the edge are split"
+    # a mixture close to one of its surfaces is hardly seen as such
+    expected = 0.5 * width / apart
+    for column, true in ((39, 30.0), (40, 20.0), (59, 20.0), (60, 30.0)):
+        mixed = np.abs(found.range_m[:, column] - true) > 0.02
+        assert mixed.mean() == pytest.approx(expected, rel=0.1)
+        assert (found.range_m[mixed, column] > 20.0).all()
+        assert (found.range_m[mixed, column] < 30.0).all()
+        noise = found.label[:, column] == Label.NOISE
+        assert (noise <= mixed).all()
+        assert noise.sum() > 0.8 * mixed.sum()
+
+
+def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one() -> None:
+    wide = step(PULSED)
+    width, apart = 0.0033 + 0.00016 * 20.0, PULSED.step_rad * 20.0
+    assert set(wide.extra_column) == {39, 40, 59, 60}
+    assert len(wide.extra_line) == pytest.approx(4 * 20_000 * 0.5 * width / apart, rel=0.05)
+    np.testing.assert_allclose(wide.extra_range_m, 30.0, atol=0.2)  # some of these echoes are weak
+    np.testing.assert_allclose(wide.range_m[wide.extra_line, wide.extra_column], 20.0, atol=0.2)
+    assert (wide.extra_label == Label.BUILDING).all()
+    assert (wide.label[wide.extra_line, wide.extra_column] == Label.UNCLASSIFIED).all()
+    assert not (wide.label == Label.NOISE).any()
+    order = wide.extra_line.astype(np.int64) * 100 + wide.extra_column
+    assert (np.diff(order) > 0).all()
+    narrow = step(PULSED, far=20.4)
+    assert len(narrow.extra_line) == 0
+    mixed = narrow.label == Label.NOISE
+    assert mixed.any()
+    assert ((narrow.range_m[mixed] > 20.04) & (narrow.range_m[mixed] < 20.36)).all()
+
+
+def test_a_pulsed_scanner_of_one_return_takes_the_stronger_echo() -> None:
+    found = step(PULSED.changed(max_returns=1))
+    assert len(found.extra_line) == 0
+    # the wall is brighter, but farther: what is left of the post is the stronger one in nearly all split beams
+    assert ((np.abs(found.range_m - 20.0) < 0.1) | (np.abs(found.range_m - 30.0) < 0.1)).all()
+
+
+def test_slanted_and_round_surfaces_have_no_edges_within() -> None:
+    spacing = CW.step_rad * 30.0
+    road = hits(30.0 + np.arange(100) * spacing * 10.0, facing=0.0995, lines=2000)
+    pole = hits(10.0 + 0.04 * (np.arange(100) - 50.0) ** 2, facing=0.5, lines=2000)
+    for seen, shape in ((road, Shape.TRIANGLE), (pole, Shape.CONE)):
+        found = scan(seen, world(Material.ASPHALT, shape=shape), CW.changed(half_range_m=5000.0), 0, SEED)
+        assert not (found.label == Label.NOISE).any()
+
+
+def test_beams_beside_the_sky_are_weaker() -> None:
+    column = np.arange(100)
+    seen = hits(20.0, np.where(column < 50, 0, -1), lines=20_000)
+    found = scan(seen, world(Material.WALL), CW, 0, SEED)
+    assert (found.label[:, 50:] == Label.MISSING).all()
+    weaker = found.intensity[:, 49] < 0.999 * found.intensity[:, 48]
+    width, apart = 0.0033 + 0.00016 * 20.0, CW.step_rad * 20.0
+    assert weaker.mean() == pytest.approx(0.5 * width / apart, rel=0.05)
+    assert (found.intensity[weaker, 49] > 0.49 * found.intensity[0, 48]).all()
+
+
+def uniform_distance(values: F64, low: float, high: float) -> float:
+    """Largest distance of the distribution from the uniform one, times the root of n (Kolmogorov-Smirnov)."""
+    place = np.sort((values - low) / (high - low))
+    n = len(place)
+    steps = np.arange(n + 1) / n
+    return float(np.sqrt(n) * max((steps[1:] - place).max(), (place - steps[:-1]).max()))
+
+
+def test_background_light_is_uniform_over_the_ambiguity_interval() -> None:
+    scanner = CW.changed(background_share=0.2, max_range_m=76.0)
+    found = scan(hits(10.0), world(Material.WALL), scanner, 0, SEED)
+    stray = found.range_m[found.label == Label.NOISE].astype(np.float64)
+    # what lies beyond the largest range, or too near, is not given
+    assert len(stray) / found.range_m.size == pytest.approx(0.2 * (76.0 - 0.6) / 153.49, rel=0.03)
+    assert np.isnan(found.range_m).mean() == pytest.approx(0.2 * (1 - (76.0 - 0.6) / 153.49), rel=0.03)
+    assert uniform_distance(stray, 0.6, 76.0) < 1.95, "of 1000 uniform samples, one is so far"
+
+
+def test_background_light_is_denser_in_a_bright_sky() -> None:
+    scanner = CW.changed(sky_share=0.05, bright_sky_share=0.6, points_per_line=240, max_range_m=153.0)
+    found = scan(hits(0.0, -1, lines=4000, columns=240), world(Material.WALL), scanner, 0, SEED)
+    assert set(np.unique(found.label)) == {Label.MISSING, Label.NOISE}
+    # the sky's patches are 100 lines by ten columns
+    share = (found.label == Label.NOISE).reshape(80, 50, 48, 5).mean(axis=(1, 3))
+    assert np.quantile(share, 0.05) < 0.08
+    assert np.quantile(share, 0.98) > 0.4
+    assert share.min() > 0.0
+    assert share.max() < 0.75
+
+
+def test_clusters_stray_around_their_surface() -> None:
+    found = scan(hits(10.0), world(Material.WALL), CW.changed(cluster_share=0.2, cluster_m=0.5), 0, SEED)
+    off = found.range_m - 10.0
+    stray = found.label == Label.NOISE
+    assert stray.mean() == pytest.approx(0.2 * 0.92, abs=0.01), "eight in a hundred come to lie on the surface"
+    assert (np.abs(off[stray]) > 0.04).all()
+    assert np.sqrt((off**2).mean() / 0.2) == pytest.approx(0.5, rel=0.03)
+
+
+def test_ranges_beyond_the_ambiguity_interval_come_back_wrapped() -> None:
+    found = scan(hits(160.0), world(Material.SIGN), CW, 0, SEED)
+    np.testing.assert_allclose(found.range_m, 160.0 - 153.49, atol=0.2)
+    assert (found.label == Label.NOISE).all()
+
+
+def test_ranges_are_multiples_of_the_resolution_within_the_limits() -> None:
+    scanner = SCANNERS["sick-push-broom"].changed(points_per_line=100, min_range_m=2.0, max_range_m=4.0)
+    t = np.linspace(1.0, 5.0, 100)
+    found = scan(hits(t), world(Material.WALL), scanner, 0, SEED)
+    given = found.range_m[np.isfinite(found.range_m)].astype(np.float64)
+    np.testing.assert_allclose(given * 100, np.rint(given * 100), atol=1e-4)
+    assert 2.0 - 1e-6 <= given.min() < 2.05
+    assert 3.95 < given.max() <= 4.0 + 1e-6
+
+
+def behind_of(seen: Hits, bodies: Bodies, scanner: Scanner, t: float, body: int) -> tuple[Hits, Any]:
+    asked = goes_behind(seen, bodies, scanner, 0, SEED)
+    return Hits(np.where(asked, t, np.inf), np.where(asked, body, -1).astype(np.int32), seen.facing), asked
+
+
+def test_glass_answers_mirrors_or_lets_through() -> None:
+    scanner, bodies = CW.changed(pane_share=0.3, ghost_share=0.1), world(Material.GLASS, Material.WALL)
+    seen = hits(10.0, facing=0.8)
+    behind, asked = behind_of(seen, bodies, scanner, 13.0, 1)
+    found = scan(seen, bodies, scanner, 0, SEED, behind)
+    assert asked.mean() == pytest.approx(0.6, abs=0.01)
+    np.testing.assert_allclose(found.range_m[asked], 13.0, atol=0.05)
+    ghost = found.label == Label.NOISE
+    assert ghost.mean() == pytest.approx(0.1, abs=0.01)
+    assert found.range_m[ghost].min() > 12.5
+    assert np.ptp(found.range_m[ghost]) < 0.1, "a pane mirrors one thing"
+    np.testing.assert_allclose(found.range_m[~asked & ~ghost], 10.0, atol=0.05)
+    without = scan(seen, bodies, scanner, 0, SEED)
+    assert np.isnan(without.range_m[asked]).all()
+    np.testing.assert_array_equal(without.range_m[~asked], found.range_m[~asked])
+
+
+def test_glass_met_squarely_answers_always_and_brightly() -> None:
+    found = scan(hits(10.0), world(Material.GLASS), CW, 0, SEED)
+    np.testing.assert_allclose(found.range_m, 10.0, atol=0.05)
+    assert found.intensity.min() > 1.0
+
+
+def test_beams_pass_by_leaves_where_there_are_several_returns() -> None:
+    bodies, seen = world(Material.LEAVES, Material.WALL), hits(10.0)
+    behind, asked = behind_of(seen, bodies, PULSED, 12.0, 1)
+    found = scan(seen, bodies, PULSED, 0, SEED, behind)
+    assert asked.mean() == pytest.approx(PULSED.leaves_share, abs=0.01)
+    assert len(found.extra_line) == asked.sum()
+    np.testing.assert_allclose(found.extra_range_m, 12.0, atol=0.05)
+    assert (found.label == Label.VEGETATION).all()
+    assert not goes_behind(seen, bodies, PULSED.changed(max_returns=1), 0, SEED).any()
+
+
+def street(rng: np.random.Generator, lines: int, columns: int) -> tuple[Hits, Bodies]:
+    """Runs of all materials and sky."""
+    bodies = world(Material.WALL, Material.GLASS, Material.LEAVES, Material.POLE, Material.TYRE)
+    run = np.maximum.accumulate(np.where(rng.random((lines, columns)) < 0.2, np.arange(columns), 0), axis=1)
+    body = np.take_along_axis(rng.integers(-1, 5, (lines, columns)), run, axis=1).astype(np.int32)
+    t = np.take_along_axis(rng.uniform(2.0, 40.0, (lines, columns)), run, axis=1)
+    t = np.where(body >= 0, t + np.where(body == 2, rng.exponential(0.5, (lines, columns)), 0.0), np.inf)
+    return Hits(t, body, rng.random((lines, columns))), bodies
+
+
+@pytest.mark.parametrize("name", sorted(SCANNERS))
+def test_result_depends_on_line_and_seed_alone(name: str) -> None:
+    scanner = SCANNERS[name]
+    rng = np.random.default_rng(3)
+    seen, bodies = street(rng, 12, scanner.points_per_line)
+    asked = goes_behind(seen, bodies, scanner, 5, SEED)
+    behind = Hits(np.where(asked, seen.t + 2.0, np.inf), np.where(asked, 0, -1).astype(np.int32), seen.facing)
+    whole = scan(seen, bodies, scanner, 5, SEED, behind)
+    for first, stop in pairwise((0, 1, 7, 12)):
+        part = scan(seen.lines(first, stop), bodies, scanner, 5 + first, SEED, behind.lines(first, stop))
+        np.testing.assert_array_equal(part.range_m, whole.range_m[first:stop])
+        np.testing.assert_array_equal(part.label, whole.label[first:stop])
+        np.testing.assert_array_equal(part.intensity, whole.intensity[first:stop])
+        mine = (whole.extra_line >= first) & (whole.extra_line < stop)
+        np.testing.assert_array_equal(part.extra_line + first, whole.extra_line[mine])
+        np.testing.assert_array_equal(part.extra_column, whole.extra_column[mine])
+        np.testing.assert_array_equal(part.extra_range_m, whole.extra_range_m[mine])
+        np.testing.assert_array_equal(part.extra_label, whole.extra_label[mine])
+        np.testing.assert_array_equal(part.extra_intensity, whole.extra_intensity[mine])
+    other = scan(seen, bodies, scanner, 5, SEED + 1, behind)
+    assert (other.range_m != whole.range_m).mean() > 0.5
+
+
+@pytest.mark.parametrize("name", sorted(SCANNERS))
+def test_ranges_labels_and_intensities_go_together(name: str) -> None:
+    scanner = SCANNERS[name]
+    seen, bodies = street(np.random.default_rng(4), 12, scanner.points_per_line)
+    found = scan(seen, bodies, scanner, 0, SEED)
+    given = np.isfinite(found.range_m)
+    np.testing.assert_array_equal(given, found.label != Label.MISSING)
+    np.testing.assert_array_equal(given, found.intensity > 0)
+    assert (found.range_m[given] > 0).all()
+    assert 0.4 < given.mean() < 0.95
+    assert np.isfinite(found.extra_range_m).all()
+    if scanner.max_returns == 1:
+        assert len(found.extra_line) == 0
+
+
+def test_bodies_of_one_number_mirror_alike_whatever_else_is_in_sight() -> None:
+    bodies = world(Material.GLASS, Material.GLASS)
+    swapped = replace(bodies, number=bodies.number[::-1].copy())
+    scanner = CW.changed(pane_share=0.0, ghost_share=1.0)
+    one = scan(hits(10.0, 0, facing=0.8), bodies, scanner, 0, SEED)
+    other = scan(hits(10.0, 1, facing=0.8), swapped, scanner, 0, SEED)
+    np.testing.assert_array_equal(one.range_m, other.range_m)
+    assert (
+        abs(float(np.nanmean(one.range_m)) - float(np.nanmean(scan(hits(10.0, 1, 0.8), bodies, scanner, 0, 1).range_m)))
+        > 1
+    )
+
+
+def test_no_lines_and_no_bodies_give_nothing() -> None:
+    found = scan(hits(0.0, -1, lines=0), Bodies.none(), CW, 0, SEED)
+    assert found.range_m.shape == (0, 100)
+    found = scan(hits(0.0, -1, lines=2), Bodies.none(), CW, 0, SEED)
+    assert np.isnan(found.range_m).all()
+
+
+def test_kernel_reads_the_labels_that_are_meant() -> None:
+    from prc_cli.kernels import sensor as loops
+
+    assert (loops.LABEL_MISSING, loops.LABEL_NOISE) == (Label.MISSING, Label.NOISE)
+    assert callable(kernels.sense)
