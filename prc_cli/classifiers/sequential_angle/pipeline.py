@@ -4,6 +4,10 @@ Everything is online. The stages of a line need that line alone, but for the hei
 before it, and for curbs, which need the lines that their component touches. So a line is final, and leaves, once the
 ground's height is known and every component of vertical points on it is decided. Labels do not depend on how the
 stream was cut into blocks.
+
+:func:`classify_block` is the whole, its steps are public: two of them hand a state on from block to block
+(:func:`follow_ground` and :func:`decide_curbs`) and must be taken in the order of the blocks, the others need their
+own block alone and may run in several threads.
 """
 
 from __future__ import annotations
@@ -39,6 +43,7 @@ from prc_cli.core.classes import LABEL_OF_SURFACE, Label, Surface
 from prc_cli.core.config import Params
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import StageLabels
+from prc_cli.core.threads import Relay
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
@@ -94,6 +99,17 @@ class Within:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class OnGround:
+    """Rows whose ground is known."""
+
+    rows: Within
+    ground: Mask
+    """(R, n) bool, G."""
+    height_m: F32
+    """(R,) float32, z_g [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Undecided:
     """Rows whose curbs are still open."""
 
@@ -112,21 +128,49 @@ class Undecided:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class WithCars:
+    """Rows whose cars and possible curbs are known."""
+
+    lines: VerticalLines
+    signed_deg: F32
+    """(R, n) float32, signed angle [deg]."""
+    possible_curb: I32
+    """(R,) int32, beam of the possible curb point, -1 = none."""
+    undecided: Undecided
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundSoFar:
+    """What the lines before say of the ground."""
+
+    waiting: tuple[Within, ...]
+    """Rows that wait for the first height of the ground, in order."""
+    heights_m: F64
+    """(rows that wait,) float64, their z_i [m], NaN = none."""
+    n_most: int
+    """Rows that wait at most."""
+    known: GroundState | None
+    """None until the ground's height is known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurbsSoFar:
+    """What the lines before leave open."""
+
+    regions: CurbState
+    undecided: tuple[Undecided, ...]
+    """Rows that wait for their curbs, in order."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SequentialAngleState:
     """All that a block leaves to the next one; bounded by M, ``start_lines`` and ``curb.max_lines``."""
 
     sides: Sides
     beam_rad: F64
     """(M,) float64, angle of every column's beam from straight down [rad]."""
-    waiting: tuple[Within, ...]
-    """Rows that wait for the first height of the ground, in order."""
-    heights_m: F64
-    """(rows that wait,) float64, their z_i [m], NaN = none."""
-    ground: GroundState | None
-    """None until the ground's height is known."""
-    curb: CurbState
-    undecided: tuple[Undecided, ...]
-    """Rows that wait for their curbs, in order."""
+    ground: GroundSoFar
+    curbs: CurbsSoFar
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,8 +199,10 @@ def initial_state(beam_rad: F64, params: SequentialAngleParams) -> SequentialAng
     params : SequentialAngleParams
     """
     sides = split_sides(beam_rad)
-    curb = CurbState.start(sides.n_sides, sides.columns.shape[1], params.curb)
-    return SequentialAngleState(sides, beam_rad, (), np.empty(0), None, curb, ())
+    n_lines = max(1, min(params.start_lines, params.start_shots // len(beam_rad)))
+    regions = CurbState.start(sides.n_sides, sides.columns.shape[1], params.curb)
+    ground_so_far = GroundSoFar((), np.empty(0), n_lines * sides.n_sides, None)
+    return SequentialAngleState(sides, beam_rad, ground_so_far, CurbsSoFar(regions, ()))
 
 
 def classify_block(
@@ -187,19 +233,75 @@ def classify_block(
         When the block is not as wide as the stream began.
     """
     _check_shape(range_m, xyz_m, state)
-    rows = within_lines(vertical_lines(range_m, xyz_m, state.beam_rad, state.sides, params.max_range_m), params)
-    ready, state = start_ground(rows, state, params, last=last)
-    done: list[Undecided] = []
-    curb_masks: list[Mask] = []
-    for number, part in enumerate(ready):
-        final, mask, state = across_lines(part, state, params, last=last and number == len(ready) - 1)
-        done += final
-        curb_masks.append(mask)
-    return _result(done, curb_masks, state)
+    rows = within_lines(range_m, xyz_m, state, params)
+    ready, ground_so_far = follow_ground(rows, state.ground, params, last=last)
+    found = [find_cars(part, params) for part in ready]
+    (done, curb), curbs_so_far = decide_curbs(found, state.curbs, params, last=last)
+    state = replace(state, ground=ground_so_far, curbs=curbs_so_far)
+    return SequentialAngleResult(*in_columns(done, curb, state), state)
 
 
-def within_lines(lines: VerticalLines, params: SequentialAngleParams) -> Within:
-    """Run what needs a half-line alone: the coarse layer, the car layer, the angles of its horizontal points."""
+class ParallelBlocks:
+    """Blocks of one scanner, several of them at the same time in threads.
+
+    The steps are those of :func:`classify_block`; the two that need the blocks before take turns in the order of the
+    stream, so results do not depend on the number of threads.
+
+    Parameters
+    ----------
+    beam_rad : (M,) float64
+        As for :func:`initial_state`.
+    params : SequentialAngleParams
+    """
+
+    def __init__(self, beam_rad: F64, params: SequentialAngleParams) -> None:
+        self._params = params
+        self._beams = initial_state(beam_rad, params)
+        self._turn = 0
+        self._ground = Relay(self._beams.ground)
+        self._curbs = Relay(self._beams.curbs)
+
+    def begin(self, range_m: F32, xyz_m: F32 | None, *, last: bool) -> BlockJob:
+        """Take the next block of the stream, as in :func:`classify_block`; call it in the order of the stream.
+
+        Raises
+        ------
+        InputError
+            When the block is not as wide as the stream began.
+        """
+        _check_shape(range_m, xyz_m, self._beams)
+        job = BlockJob(self._turn, range_m, xyz_m, last)
+        self._turn += 1
+        return job
+
+    def classify(self, job: BlockJob) -> tuple[U8, StageLabels]:
+        """Label the lines that became final, in any thread; jobs must begin in order."""
+        params, last = self._params, job.last
+        try:
+            rows = within_lines(job.range_m, job.xyz_m, self._beams, params)
+            ready, _ = self._ground.take_turn(job.turn, lambda before: follow_ground(rows, before, params, last=last))
+            found = [find_cars(part, params) for part in ready]
+            final, _ = self._curbs.take_turn(job.turn, lambda before: decide_curbs(found, before, params, last=last))
+            return in_columns(*final, self._beams)
+        except BaseException:
+            for relay in (self._ground, self._curbs):
+                relay.give_up(job.turn)
+            raise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockJob:
+    """A block on its way through :class:`ParallelBlocks`."""
+
+    turn: int
+    range_m: F32
+    xyz_m: F32 | None
+    last: bool
+
+
+def within_lines(range_m: F32, xyz_m: F32 | None, state: SequentialAngleState, params: SequentialAngleParams) -> Within:
+    """Run what needs a half-line alone: the coarse layer, the car layer, potential ground; of the state the beams."""
+    lines = vertical_lines(range_m, xyz_m, state.beam_rad, state.sides, params.max_range_m)
     angles = signed_angles(lines, params.angles)
     surface = coarse(angles.signed_deg, lines, params.coarse)
     dense = dense_vegetation(angle_differences(angles.signed_deg), params.dense_vegetation)
@@ -217,41 +319,64 @@ def within_lines(lines: VerticalLines, params: SequentialAngleParams) -> Within:
     )
 
 
-def start_ground(
-    rows: Within, state: SequentialAngleState, params: SequentialAngleParams, *, last: bool
-) -> tuple[list[Within], SequentialAngleState]:
+def follow_ground(
+    rows: Within, state: GroundSoFar, params: SequentialAngleParams, *, last: bool
+) -> tuple[list[OnGround], GroundSoFar]:
+    """Find the ground of the next rows, in order (sec. 5); the first ones are held back until its height is known."""
+    ready, state = _start_ground(rows, state, params.ground, last=last)
+    found = []
+    for part in ready:
+        assert state.known is not None
+        mask, height_m, known = ground(
+            part.lines, part.surface, part.line_angle_deg, part.ahead, part.potential, state.known, params.ground,
+            range_noise_m=params.angles.range_noise_m,
+        )  # fmt: skip
+        state = replace(state, known=known)
+        found.append(OnGround(part, mask, height_m))
+    return found, state
+
+
+def _start_ground(
+    rows: Within, state: GroundSoFar, params: GroundParams, *, last: bool
+) -> tuple[list[Within], GroundSoFar]:
     """Hold rows back until the first height of the ground is known (part b of the ground algorithm, sec. 5)."""
-    if state.ground is not None:
+    if state.known is not None:
         return [rows], state
     waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, rows.potential.height_m])
-    n_lines = max(1, min(params.start_lines, params.start_shots // len(state.beam_rad)))
-    n_most = n_lines * state.sides.n_sides
-    enough = int(np.count_nonzero(np.isfinite(heights[:n_most]))) >= params.ground.start_heights
-    if not enough and len(heights) < n_most and not last:
+    enough = int(np.count_nonzero(np.isfinite(heights[: state.n_most]))) >= params.start_heights
+    if not enough and len(heights) < state.n_most and not last:
         return [], replace(state, waiting=waiting, heights_m=heights)
-    known = initial_ground(heights[:n_most], params.ground)
-    return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), ground=known)
+    known = initial_ground(heights[: state.n_most], params)
+    return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), known=known)
 
 
-def across_lines(
-    rows: Within, state: SequentialAngleState, params: SequentialAngleParams, *, last: bool
-) -> tuple[list[Undecided], Mask, SequentialAngleState]:
-    """Run ground, curbs and cars in the order of sec. 8; return the rows that became final, and their curbs."""
-    assert state.ground is not None
-    lines, surface, noise = rows.lines, rows.surface, params.angles.range_noise_m
-    g, z_g, known = ground(
-        lines, surface, rows.line_angle_deg, rows.ahead, rows.potential, state.ground, params.ground,
-        range_noise_m=noise,
-    )  # fmt: skip
-    start = possible_curbs(lines, surface, g, z_g, params.curb, range_noise_m=noise)
-    c = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
-    curb, curb_state = curbs(lines, surface, rows.signed_deg, start, state.curb, params.curb, last=last)
-    open_rows = (
-        *state.undecided,
-        Undecided(surface, rows.car_surface == Surface.VEGETATION, g, c, lines.horizontal_m, z_g),
-    )
-    final, left = _split(open_rows, len(curb))
-    return final, curb, replace(state, ground=known, curb=curb_state, undecided=left)
+def find_cars(part: OnGround, params: SequentialAngleParams) -> WithCars:
+    """Find the cars of rows, and where a curb may be, which need nothing but the height of the ground."""
+    rows, z_g, noise = part.rows, part.height_m, params.angles.range_noise_m
+    lines, surface = rows.lines, rows.surface
+    possible = possible_curbs(lines, surface, part.ground, z_g, params.curb, range_noise_m=noise)
+    car = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
+    dense = rows.car_surface == Surface.VEGETATION
+    undecided = Undecided(surface, dense, part.ground, car, lines.horizontal_m, z_g)
+    return WithCars(lines, rows.signed_deg, possible, undecided)
+
+
+def decide_curbs(
+    parts: Sequence[WithCars], state: CurbsSoFar, params: SequentialAngleParams, *, last: bool
+) -> tuple[tuple[list[Undecided], list[Mask]], CurbsSoFar]:
+    """Prove curbs across the next rows, in order (sec. 6); return the rows that became final, and their curbs."""
+    done: list[Undecided] = []
+    masks: list[Mask] = []
+    for number, part in enumerate(parts):
+        curb, regions = curbs(
+            part.lines, part.undecided.surface, part.signed_deg, part.possible_curb, state.regions, params.curb,
+            last=last and number == len(parts) - 1,
+        )  # fmt: skip
+        final, left = _split((*state.undecided, part.undecided), len(curb))
+        state = CurbsSoFar(regions, left)
+        done += final
+        masks.append(curb)
+    return (done, masks), state
 
 
 def combine(rows: Undecided, curb: Mask) -> U8:
@@ -276,19 +401,19 @@ def combine(rows: Undecided, curb: Mask) -> U8:
     return labels
 
 
-def _result(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> SequentialAngleResult:
-    """Bring final rows back to the columns of their scan lines."""
+def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> tuple[U8, StageLabels]:
+    """Label final rows, and bring them back to the columns of their scan lines; of the state the beams."""
     sides, m = state.sides, len(state.beam_rad)
     if not done:
         none = np.empty((0, m), np.uint8)
-        return SequentialAngleResult(none, StageLabels(none, none.astype(np.bool_), none.astype(np.float32)), state)
+        return none, StageLabels(none, none.astype(np.bool_), none.astype(np.float32))
     rows = _join(done)
     labels = combine(rows, np.concatenate(curb))
     height = np.repeat(rows.ground_height_m[:, None], labels.shape[1], axis=1)
     stages = StageLabels(
         to_columns(rows.surface, sides, m), to_columns(rows.dense, sides, m), to_columns(height, sides, m)
     )
-    return SequentialAngleResult(to_columns(labels, sides, m), stages, state)
+    return to_columns(labels, sides, m), stages
 
 
 def _split(parts: tuple[Undecided, ...], n_rows: int) -> tuple[list[Undecided], tuple[Undecided, ...]]:
