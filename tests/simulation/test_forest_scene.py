@@ -62,7 +62,7 @@ def test_circles_that_overlap_hold_the_same_bodies_in_the_same_order(scene: Fore
 
 def test_no_body_in_a_circle_is_left_out(scene: ForestScene, bodies: Bodies) -> None:
     small = scene.bodies_near(18.0, 22.0, 6.0)
-    large = scene.bodies_near(18.0, 22.0, 60.0)
+    large = scene.bodies_near(18.0, 22.0, 30.0)
     # both ends of a cone and the middle of all else: what is inside must be there
     ends = large.numbers.reshape(-1, 3, 3)[:, :2, :2] - (18.0, 22.0)
     ends[large.shape == Shape.ELLIPSOID, 1] = ends[large.shape == Shape.ELLIPSOID, 0]
@@ -128,19 +128,21 @@ def test_what_is_asked_for_none_of_is_not_there() -> None:
 def test_stems_are_as_dense_as_asked_for_and_keep_apart(stems_per_ha: float) -> None:
     # one row far away from the place that is counted
     scene = ForestScene(ForestSceneParams(stems_per_ha=stems_per_ha), seed=5)
-    stems = scene.stems_near(-150.0, 0.0, 100.0)
-    area_ha = np.pi
+    stems = scene.stems_near(-150.0, 0.0, 80.0)
+    area_ha = np.pi * 0.8**2
     assert len(stems) / area_ha == pytest.approx(stems_per_ha, rel=0.06)
     xy = stems.base[:, :2]
     apart = np.hypot(*np.moveaxis(xy[:, None] - xy, -1, 0)) + np.diag(np.full(len(xy), np.inf))
     expected = np.sqrt(0.5 / (np.pi * stems_per_ha / 10_000))
-    assert expected <= apart.min() < 1.1 * expected
+    assert expected <= apart.min() < 1.15 * expected
 
 
 def test_diameters_species_and_lean_follow_the_parameters() -> None:
-    params = ForestSceneParams(dbh_mean_m=0.3, dbh_min_m=0.12, pine_share=3 / 5, spruce_share=1 / 5, birch_share=1 / 5)
-    stems = ForestScene(params, seed=6).stems_near(-200.0, 0.0, 120.0)
-    assert len(stems) > 2500
+    params = ForestSceneParams(
+        stems_per_ha=600, dbh_mean_m=0.3, dbh_min_m=0.12, pine_share=3 / 5, spruce_share=1 / 5, birch_share=1 / 5
+    )
+    stems = ForestScene(params, seed=6).stems_near(-200.0, 0.0, 110.0)
+    assert len(stems) > 2000
     assert stems.dbh.mean() == pytest.approx(0.3, rel=0.02)
     assert 0.12 <= stems.dbh.min() < 0.14
     assert stems.dbh.max() < 0.8
@@ -155,7 +157,7 @@ def test_diameters_species_and_lean_follow_the_parameters() -> None:
 
 def test_stems_taper_and_are_as_thick_at_breast_height_as_listed(scene: ForestScene, bodies: Bodies) -> None:
     cones = bodies.numbers[bodies.material == Material.STEM]
-    assert len(cones) > 500
+    assert len(cones) > 250
     assert (cones[:, 6] >= cones[:, 7]).all()
     stems = scene.stems_near(15.0, 25.0, 20.0)
     for breast, dbh in zip(stems.breast, stems.dbh, strict=True):
@@ -169,7 +171,7 @@ def test_stems_stand_in_the_ground(scene: ForestScene, bodies: Bodies) -> None:
     cones = bodies.numbers[bodies.material == Material.STEM]
     # the foot of a stem is the cone that ends at the root swell, 0.35 m up; it begins 0.3 m down
     lowest = cones[np.isclose(cones[:, 5] - cones[:, 2], 0.65), :3]
-    assert len(lowest) > 90
+    assert len(lowest) > 50
     assert (lowest[:, 2] < scene.terrain.height(lowest[:, 0], lowest[:, 1])).all()
 
 

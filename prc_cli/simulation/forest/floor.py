@@ -69,8 +69,8 @@ class Floor:
         """Return patches near the ground: moss and grass, which are ground, and dwarf shrubs, which are not."""
         parts = []
         for material, share, low, high, density in (
-            (Material.GRASS, 0.5, 0.05, 0.15, 8.0),
-            (Material.UNDERGROWTH, 0.5, 0.12, 0.4, 3.5),
+            (Material.GRASS, 0.35, 0.05, 0.15, 8.0),
+            (Material.UNDERGROWTH, 0.65, 0.12, 0.4, 3.5),
         ):
             place = self._places(share * self._params.herbs_per_ha, i, j, chance)
             n = len(place)

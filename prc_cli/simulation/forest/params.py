@@ -13,8 +13,8 @@ class ForestSceneParams(Params):
     The defaults are a mature mixed stand like the plot of Lehtola et al. (2019, III): rows of 40 m, 10 m apart.
     """
 
-    stems_per_ha: float = Field(700.0, ge=0, le=2000, description="stems per hectare")
-    dbh_mean_m: float = Field(0.23, ge=0.1, le=0.6, description="mean diameter at breast height, 1.3 m [m]")
+    stems_per_ha: float = Field(600.0, ge=0, le=2000, description="stems per hectare")
+    dbh_mean_m: float = Field(0.22, ge=0.1, le=0.6, description="mean diameter at breast height, 1.3 m [m]")
     dbh_min_m: float = Field(0.08, ge=0.03, le=0.5, description="the thinnest stem [m]; thinner ones are undergrowth")
     dbh_shape: float = Field(2.2, ge=1.0, le=10.0, description="Weibull shape of the diameters above the thinnest")
     pine_share: float = Field(0.4, ge=0, le=1, description="pines of every pine, spruce and birch, before scaling")
@@ -29,16 +29,16 @@ class ForestSceneParams(Params):
     ground_step_m: float = Field(1.5, ge=0.25, le=3.0, description="edge of the terrain's triangles, at most [m]")
     mounds_per_ha: float = Field(250.0, ge=0, le=5000, description="mounds and boulders per hectare")
 
-    shrubs_per_ha: float = Field(500.0, ge=0, le=10_000, description="shrubs per hectare")
-    saplings_per_ha: float = Field(500.0, ge=0, le=10_000, description="young spruces per hectare")
-    herbs_per_ha: float = Field(4000.0, ge=0, le=20_000, description="patches of dwarf shrubs and herbs per hectare")
+    shrubs_per_ha: float = Field(600.0, ge=0, le=10_000, description="shrubs per hectare")
+    saplings_per_ha: float = Field(700.0, ge=0, le=10_000, description="young spruces per hectare")
+    herbs_per_ha: float = Field(3500.0, ge=0, le=20_000, description="patches of dwarf shrubs and herbs per hectare")
     logs_per_ha: float = Field(120.0, ge=0, le=5000, description="dead stems and branches on the ground per hectare")
     stumps_per_ha: float = Field(150.0, ge=0, le=5000, description="stumps per hectare")
 
     row_length_m: float = Field(40.0, ge=5, le=10_000, description="length of the rows that are walked [m]")
     row_spacing_m: float = Field(10.0, ge=2, le=100, description="distance between them [m]")
     wander_m: float = Field(0.6, ge=0, le=2, description="how far the walker strays from a straight row [m]")
-    clearance_m: float = Field(0.6, ge=0.1, le=2, description="no stem comes nearer to the path than this [m]")
+    clearance_m: float = Field(1.0, ge=0.1, le=2, description="no stem comes nearer to the path than this [m]")
 
 
 PRESETS: dict[str, ForestSceneParams] = {
