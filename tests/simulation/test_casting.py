@@ -1,0 +1,213 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prc_cli.core.types import F64
+from prc_cli.simulation.casting import Hits, cast, search_order
+from prc_cli.simulation.world import Bodies, Shape
+
+FLOOR = (Shape.TRIANGLE, [-50, -50, -2, 50, -50, -2, 0, 90, -2])
+
+
+def world(*bodies: tuple[Shape, list[float]], density: float = 0.0, velocity: tuple[float, float] = (0, 0)) -> Bodies:
+    n = len(bodies)
+    return Bodies(
+        np.array([shape for shape, _ in bodies], np.uint8),
+        np.array([numbers + [0.0] * (9 - len(numbers)) for _, numbers in bodies], dtype=np.float64).reshape(n, 9),
+        np.zeros(n, np.uint8),
+        np.full(n, density),
+        np.full((n, 2), velocity, dtype=np.float64),
+        np.arange(n) + 12345.0,
+    )
+
+
+def one_shot(bodies: Bodies, origin: tuple[float, ...], towards: tuple[float, ...], time_s: float = 0.0) -> Hits:
+    direction = np.array(towards, dtype=np.float64)
+    direction /= np.linalg.norm(direction)
+    return cast(bodies, np.array(origin, dtype=np.float64)[None, None], direction[None, None], np.array([time_s]))
+
+
+def profile(n_lines: int = 1, m: int = 720, roll_rad: float = 0.0, slant_rad: float = 0.0) -> tuple[F64, F64, F64]:
+    """Lines all around, from below over the left; the platform drives at 10 m/s and rolls within each line."""
+    time = (np.arange(n_lines)[:, None] + np.arange(m) / m) / 50.0
+    angle = 2 * np.pi * np.arange(m) / m + np.linspace(0, roll_rad, m) + 0 * time
+    direction = np.stack(
+        [np.cos(angle) * -np.sin(slant_rad), np.sin(angle), np.cos(angle) * -np.cos(slant_rad)], axis=2
+    )
+    origin = np.stack([10.0 * time, 0 * time, 0 * time], axis=2)
+    return origin, direction, time
+
+
+@pytest.mark.parametrize(
+    ("body", "origin", "towards", "t", "facing"),
+    [
+        (FLOOR, (0, 0, 0), (0, 0, -1), 2.0, 1.0),
+        (FLOOR, (0, 0, -5), (0, 0, 1), 3.0, 1.0),  # from below
+        (FLOOR, (0, 0, 0), (0, 1, -1), 2.0 * np.sqrt(2), np.sqrt(0.5)),
+        (FLOOR, (0, 0, 0), (0, 0, 1), np.inf, 0.0),
+        (FLOOR, (0, 0, -2), (0, 1, 0), np.inf, 0.0),  # along it
+        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]), (0, 0, 0), (1, 0, 0), 9.5, 1.0),
+        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]), (10, 0, 0), (1, 0, 0), 0.5, 1.0),  # from inside
+        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 0.5, 0.5]), (10, 0, 9), (0, 0, -1), np.inf, 0.0),  # open at both ends
+        ((Shape.CONE, [10, 0, -3, 10, 0, 3, 1.0, 1.0]), (8, 0, 5), (1, 0, -1), 3 * np.sqrt(2), np.sqrt(0.5)),
+        ((Shape.CONE, [10, 0, -1, 10, 0, 1, 2.0, 0.0]), (0, 0, 0), (1, 0, 0), 9.0, np.sqrt(0.5)),
+        ((Shape.CONE, [10, 0, 0, 10, 0, 0, 2.0, 2.0]), (0, 0, 0), (1, 0, 0), np.inf, 0.0),  # no length
+        ((Shape.ELLIPSOID, [10, 0, 0, 3, 1, 1, 0]), (0, 0, 0), (1, 0, 0), 7.0, 1.0),
+        ((Shape.ELLIPSOID, [10, 0, 0, 3, 1, 1, np.pi / 2]), (0, 0, 0), (1, 0, 0), 9.0, 1.0),
+        ((Shape.ELLIPSOID, [0, 0, 0, 3, 1, 1, 0]), (0, 0, 0), (-1, 0, 0), 3.0, 1.0),
+        ((Shape.BOX, [10, 0, 0, 2, 1, 1, 0]), (0, 0, 0), (1, 0, 0), 8.0, 1.0),
+        ((Shape.BOX, [10, 0.1, 0, 1, 1, 1, np.pi / 4]), (0, 0, 0), (1, 0, 0), 10.1 - np.sqrt(2), np.sqrt(0.5)),
+        ((Shape.BOX, [0, 0, 0, 2, 1, 1, 0]), (0, 0, 0), (0, 0, 1), 1.0, 1.0),
+        ((Shape.BOX, [-10, 0, 0, 2, 1, 1, 0]), (0, 0, 0), (1, 0, 0), np.inf, 0.0),  # behind
+    ],
+)
+def test_shots_meet_simple_bodies_where_geometry_says(
+    body: tuple[Shape, list[float]], origin: tuple[float, ...], towards: tuple[float, ...], t: float, facing: float
+) -> None:
+    hits = one_shot(world(body), origin, towards)
+    assert hits.t.item() == pytest.approx(t)
+    assert hits.facing.item() == pytest.approx(facing)
+    assert hits.body.item() == (-1 if np.isinf(t) else 0)
+
+
+def test_nothing_is_met_in_an_empty_world() -> None:
+    hits = cast(Bodies.none(), *profile(2))
+    assert np.isinf(hits.t).all()
+    assert (hits.body == -1).all()
+
+
+def test_moving_body_is_where_it_is_when_the_shot_is_fired() -> None:
+    car = world((Shape.BOX, [-1000, 10, 0, 2, 1, 1, 0]), velocity=(10, 0))
+    assert np.isinf(one_shot(car, (0, 0, 0), (0, 1, 0), 99.7).t.item())
+    assert one_shot(car, (0, 0, 0), (0, 1, 0), 100.1).t.item() == pytest.approx(9.0)
+    # a scanner that drives beside it sees it as if both stood still
+    origin, direction, time = profile(5)
+    beside = cast(world((Shape.BOX, [0, 10, 0, 2, 1, 1, 0]), velocity=(10, 0)), origin, direction, time)
+    still = cast(world((Shape.BOX, [0, 10, 0, 2, 1, 1, 0])), origin * 0, direction, time)
+    np.testing.assert_allclose(beside.t, still.t)
+    assert np.isfinite(still.t).any()
+
+
+def test_second_cast_sees_what_is_behind() -> None:
+    pane, room = (Shape.BOX, [10, 0, 0, 0.01, 5, 5, 0]), (Shape.BOX, [15, 0, 0, 1, 5, 5, 0])
+    rays = np.zeros((1, 1, 3)), np.array([[[1.0, 0, 0]]]), np.zeros(1)
+    bodies = world(room, pane)
+    first = cast(bodies, *rays)
+    back_of_pane = cast(bodies, *rays, t_min_m=first.t)
+    behind = cast(bodies, *rays, t_min_m=first.t + 0.05)
+    assert (first.t.item(), first.body.item()) == (pytest.approx(9.99), 1)
+    assert (back_of_pane.t.item(), back_of_pane.body.item()) == (pytest.approx(10.01), 1)
+    assert (behind.t.item(), behind.body.item()) == (pytest.approx(14.0), 0)
+    assert np.isinf(cast(bodies, *rays, t_min_m=np.full((1, 1), np.inf)).t.item())
+
+
+def test_of_two_surfaces_at_one_place_the_first_body_is_met() -> None:
+    wall = (Shape.BOX, [10, 0, 0, 1, 3, 3, 0])
+    bodies = world(wall, FLOOR, wall, FLOOR)
+    hits = cast(bodies, *profile(3))
+    assert set(np.unique(hits.body)) <= {-1, 0, 1}
+
+
+@pytest.mark.parametrize("slant_rad", [0.0, 0.6])
+@pytest.mark.parametrize("roll_rad", [0.0, 0.03, -0.03])
+def test_no_shot_leaves_a_closed_room(slant_rad: float, roll_rad: float) -> None:
+    corners = np.array([[x, y, z] for x in (-9.0, 11.0) for y in (-3.0, 4.0) for z in (-2.0, 3.0)])
+    faces = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    triangles = [
+        (Shape.TRIANGLE, corners[[face[0], face[k], face[k + 1]]].ravel().tolist()) for face in faces for k in (1, 2)
+    ]
+    origin, direction, time = profile(8, roll_rad=roll_rad, slant_rad=slant_rad)
+    hits = cast(world(*triangles), origin, direction, time)
+    as_box = cast(world((Shape.BOX, [1.0, 0.5, 0.5, 10.0, 3.5, 2.5, 0])), origin, direction, time)
+    np.testing.assert_allclose(hits.t, as_box.t)
+    np.testing.assert_allclose(hits.facing, as_box.facing, atol=1e-12)
+    assert np.isfinite(hits.t).all()
+
+
+def leafy() -> Bodies:
+    crowns = [(Shape.ELLIPSOID, [0, y, z, 3, 2, 2, 0.3]) for y in (-9, -5, 5, 9) for z in (0, 3)]
+    return world(*crowns, (Shape.BOX, [0, 3, -1, 40, 0.5, 1, 0]), density=1.0)
+
+
+def test_hits_do_not_depend_on_how_lines_are_cut_into_blocks() -> None:
+    origin, direction, time = profile(6)
+    whole = cast(leafy(), origin, direction, time, first_shot=10**12)
+    for i in range(6):
+        part = slice(i, i + 1)
+        line = cast(leafy(), origin[part], direction[part], time[part], first_shot=10**12 + i * 720)
+        for name in ("t", "body", "facing"):
+            np.testing.assert_array_equal(getattr(line, name), getattr(whole, name)[part])
+    assert 0.2 < np.isfinite(whole.t).mean() < 0.9
+
+
+def test_leaves_of_a_body_do_not_depend_on_other_bodies() -> None:
+    crown = leafy()
+    far = world(*[(Shape.BOX, [500.0 + k, 0, 0, 0.4, 1, 1, 0]) for k in range(40)])
+    alone, among = cast(crown, *profile(3)), cast(Bodies.join([far, crown]), *profile(3))
+    np.testing.assert_array_equal(among.t, alone.t)
+    np.testing.assert_array_equal(among.body, np.where(alone.body < 0, -1, alone.body + 40))
+    again = cast(replace(crown, number=crown.number + 1), *profile(3))
+    assert not np.array_equal(again.t, alone.t)
+
+
+def through_leaves(depth_m: float, density: float, n: int = 200) -> Hits:
+    """Shots straight into a thick hedge, four of them through each of its cells."""
+    y, z = np.meshgrid(np.arange(n) * 0.125 + 0.06, np.arange(n) * 0.125 + 0.06)
+    origin = np.stack([0 * y - 5.0, y, z], axis=2)
+    hedge = world((Shape.BOX, [depth_m / 2, 0, 0, depth_m / 2, 99, 99, 0]), density=density)
+    return cast(hedge, origin, np.broadcast_to([1.0, 0, 0], origin.shape), np.zeros(n))
+
+
+def test_leaf_area_is_kept_by_clumps() -> None:
+    # little is hidden in a thin hedge: the share of hits is the way over the mean free path, two over the density
+    hits = through_leaves(0.25, density=0.2)
+    assert np.isfinite(hits.t).mean() == pytest.approx(0.5 * 0.2 * 0.25, rel=0.1)
+    deep = through_leaves(30.0, density=2.0)
+    assert np.median(deep.t - 5.0) == pytest.approx(np.log(2), rel=0.35)
+    assert deep.t.min() >= 5.0
+
+
+def test_neighbouring_shots_share_gaps_and_clumps() -> None:
+    met = np.isfinite(through_leaves(0.5, density=4.0).t)
+    of_cell = met.reshape(100, 2, 100, 2).mean(axis=(1, 3))
+    by_chance = met.mean() * (1 - met.mean()) / 4
+    assert of_cell.var() > 1.5 * by_chance
+
+
+def test_leaves_face_everywhere() -> None:
+    facing = through_leaves(30.0, density=2.0).facing
+    assert facing.mean() == pytest.approx(2 / 3, abs=0.01)
+    assert facing.min() >= 0.0
+    assert facing.max() <= 1.0
+
+
+def test_further_return_in_leaves_lies_deeper() -> None:
+    bodies, (origin, direction, time) = leafy(), profile(2)
+    first = cast(bodies, origin, direction, time)
+    second = cast(bodies, origin, direction, time, t_min_m=first.t)
+    met = np.isfinite(second.t)
+    assert met.mean() > 0.05
+    assert (second.t[met] > first.t[met]).all()
+
+
+def test_arrays_may_be_read_only_and_bodies_of_any_order() -> None:
+    bodies, rays = leafy(), profile(2)
+    rng = np.random.default_rng(3)
+    shuffled = rng.permutation(len(bodies))
+    mixed = Bodies(
+        *(getattr(bodies, name)[shuffled] for name in ("shape", "numbers", "material", "density", "velocity", "number"))
+    )
+    for array in (mixed.shape, mixed.numbers, mixed.density, mixed.velocity, mixed.number, *rays):
+        array.setflags(write=False)
+    np.testing.assert_array_equal(cast(mixed, *rays).t, cast(bodies, *rays).t)
+    assert sorted(search_order(mixed)) == list(range(len(mixed)))
+
+
+def test_times_of_lines_stand_for_all_their_shots() -> None:
+    car = world((Shape.BOX, [0, 10, 0, 2, 1, 1, 0]), velocity=(30, 0))
+    origin, direction, time = profile(3)
+    each = cast(car, origin, direction, np.repeat(time[:, :1], time.shape[1], axis=1))
+    np.testing.assert_array_equal(cast(car, origin, direction, time[:, 0]).t, each.t)
