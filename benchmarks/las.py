@@ -1,0 +1,198 @@
+"""Time of ``classify`` on LAS and LAZ beside what reading and writing the same file takes without any classifier.
+
+    python -m benchmarks.las                     # 10 million shots, files in the system's cache
+    python -m benchmarks.las --cold              # the input is dropped from the cache before every run (Linux)
+    python -m benchmarks.las --format 1          # LAZ of an old point format: every record is compressed again
+
+Every job runs in this process, in turn with the others; the least of the runs counts. The input is a drive past a
+simulated street, point format 6 with time, angle, intensity and the dimensions of a scan line, chunks of 50 000
+records. Outputs are new files. What is written by ``classify`` is flushed to the disk, hence the second row of LAS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import laspy
+import numpy as np
+
+from benchmarks.memory import POINTS_PER_LINE, write_raw
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.pipeline import classify, load_classifier
+from prc_cli.writers.las_points import set_classes
+
+CHUNK = 1_000_000
+"""Records that laspy is asked for at a time."""
+_LINES_AT_ONCE = 200
+_ANGLE_STEP_DEG = {True: 0.006, False: 1.0}
+
+
+def write_drive(path: Path, ranges: Path, point_format: int) -> None:
+    """Write the shots with a range of a raw dump as a drive; the suffix decides whether it is compressed."""
+    header = laspy.LasHeader(point_format=point_format, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.001), np.array([650_000.0, 6_860_000.0, 0.0])
+    for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
+        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
+    rng = np.random.default_rng(0)
+    image = np.memmap(ranges, "<f4", "r").reshape(-1, POINTS_PER_LINE)
+    with laspy.open(path, "w", header=header) as writer:
+        for first in range(0, len(image), _LINES_AT_ONCE):
+            writer.write_points(drive_points(image[first : first + _LINES_AT_ONCE], first, header, rng))
+
+
+def drive_points(
+    image: np.ndarray, first: int, header: laspy.LasHeader, rng: np.random.Generator
+) -> laspy.ScaleAwarePointRecord:
+    """Records of some scan lines; the car makes 100 lines a second and 5 cm a line."""
+    line, column = np.indices(image.shape).reshape(2, -1)
+    found = np.isfinite(image.ravel()) & (image.ravel() > 0)
+    line, column, range_m = line[found] + first, column[found], image.ravel()[found]
+    turn = 2 * np.pi * column / POINTS_PER_LINE
+    points = laspy.ScaleAwarePointRecord.zeros(len(range_m), header=header)
+    across = range_m * np.cos(turn) * np.sqrt(0.5)
+    points.x, points.y, points.z = 650_100 + across + 0.05 * line, 6_860_100 + across, 2 + range_m * np.sin(turn)
+    points.intensity = rng.normal(2000, 150, len(range_m)).astype("u2")
+    points.return_number = points.number_of_returns = np.ones(len(range_m), "u1")
+    points.gps_time = 3e8 + line / 100 + column / (100 * POINTS_PER_LINE)
+    name = "scan_angle" if header.point_format.id >= 6 else "scan_angle_rank"
+    step_deg = _ANGLE_STEP_DEG[header.point_format.id >= 6]
+    points[name] = np.rint(np.rad2deg(turn - np.pi) / 2 / step_deg).astype("i2" if step_deg < 1 else "i1")
+    points["range"], points["scan_line"], points["column"] = range_m, line, column
+    return points
+
+
+def read_and_write(source: Path, output: Path) -> None:
+    """What laspy takes, decompression and compression on all cores."""
+    backend = laspy.LazBackend.LazrsParallel
+    with (
+        laspy.open(source, laz_backend=backend) as reader,
+        laspy.open(output, "w", header=reader.header, laz_backend=backend) as writer,
+    ):
+        for points in reader.chunk_iterator(CHUNK):
+            writer.write_points(points)
+
+
+def read_fields(source: Path) -> None:
+    """Decompress the layers that hold what PRC takes: returns, time, intensity and the extra bytes."""
+    layers = laspy.DecompressionSelection
+    wanted = layers.base() | layers.INTENSITY | layers.GPS_TIME | layers.ALL_EXTRA_BYTES
+    wanted |= layers.XY_RETURNS_CHANNEL
+    backend = laspy.LazBackend.LazrsParallel
+    with laspy.open(source, laz_backend=backend, decompression_selection=wanted & ~layers.Z) as reader:
+        for _ in reader.chunk_iterator(CHUNK):
+            pass
+
+
+def copy_and_patch(source: Path, output: Path, *, flush: bool) -> None:
+    """Copy a LAS file and set the classes through a memory map."""
+    shutil.copyfile(source, output)
+    with laspy.open(source) as reader:
+        start, n, length = (
+            reader.header.offset_to_point_data,
+            reader.header.point_count,
+            reader.header.point_format.size,
+        )
+        point_format = reader.header.point_format.id
+    points = np.memmap(output, np.uint8, "r+", offset=start, shape=(n, length))
+    set_classes(points, point_format, np.full(n, 2, np.uint8))
+    if flush:
+        points.flush()
+        with output.open("rb+") as handle:
+            os.fsync(handle.fileno())
+
+
+def forget(path: Path) -> None:
+    """Drop a file from the system's cache."""
+    with path.open("rb") as handle:
+        os.fsync(handle.fileno())
+        os.posix_fadvise(handle.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+
+
+def measure(
+    jobs: dict[str, tuple[Path, Callable[[Path, Path], None]]], folder: Path, runs: int, *, cold: bool
+) -> dict[str, tuple[float, float]]:
+    """Return the least wall time and processor time of every job [s]."""
+    least: dict[str, tuple[float, float]] = {}
+    for _ in range(runs):
+        for number, (name, (source, job)) in enumerate(jobs.items()):
+            for old in folder.glob("out*"):
+                old.unlink()
+            if cold:
+                forget(source)
+            output = folder / f"out{number}{source.suffix}"
+            start, start_cpu = time.perf_counter(), time.process_time()
+            job(source, output)
+            took = time.perf_counter() - start, time.process_time() - start_cpu
+            before = least.get(name, took)
+            least[name] = min(before[0], took[0]), min(before[1], took[1])
+    return least
+
+
+def jobs_of(laz: Path, las: Path, config: LoadedConfig) -> dict[str, tuple[Path, Callable[[Path, Path], None]]]:
+    """Every job by its name, with its input."""
+
+    def labels_alone(source: Path, output: Path) -> None:
+        classify(source, output.with_suffix(".npy"), config)
+
+    def whole(source: Path, output: Path) -> None:
+        classify(source, output, config)
+
+    return {
+        "laspy reads and writes LAZ": (laz, read_and_write),
+        "LAZ to classified LAZ": (laz, whole),
+        "laspy reads the fields": (laz, lambda source, _: read_fields(source)),
+        "LAZ to labels": (laz, labels_alone),
+        "copy and patch": (las, lambda source, output: copy_and_patch(source, output, flush=False)),
+        "copy, patch and flush": (las, lambda source, output: copy_and_patch(source, output, flush=True)),
+        "LAS to classified LAS": (las, whole),
+    }
+
+
+ROWS = (
+    ("LAZ to classified LAZ", "laspy reads and writes LAZ", "1.10"),
+    ("LAZ to labels", "laspy reads the fields", "1.15"),
+    ("LAS to classified LAS", "copy and patch", "1.25"),
+    ("LAS to classified LAS", "copy, patch and flush", ""),
+)
+"""Work, what it is compared with, and the goal."""
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--lines", type=int, default=4643)
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--format", type=int, default=6, choices=(1, 6))
+    parser.add_argument("--cold", action="store_true")
+    arguments = parser.parse_args()
+    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+    load_classifier(config)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        raw, laz, las = folder / "street.bin", folder / "drive.laz", folder / "drive.las"
+        write_raw(raw, arguments.lines)
+        for path in (laz, las):
+            write_drive(path, raw, arguments.format)
+        with laspy.open(las) as reader:
+            n_points = reader.header.point_count
+        took = measure(jobs_of(laz, las, config), folder, arguments.runs, cold=arguments.cold)
+    cache = "not in the cache" if arguments.cold else "in the cache"
+    print(f"{n_points / 1e6:.1f} million records of point format {arguments.format}, input {cache}\n")
+    print("| work | s (of all cores) | beside | s (of all cores) | ratio | processor time | goal |")
+    print("|---|---|---|---|---|---|---|")
+    for work, beside, goal in ROWS:
+        (wall, cpu), (wall_beside, cpu_beside) = took[work], took[beside]
+        ratios = f"{wall / wall_beside:.2f} | {cpu / cpu_beside:.2f}"
+        print(
+            f"| {work} | {wall:.2f} ({cpu:.2f}) | {beside} | {wall_beside:.2f} ({cpu_beside:.2f}) | {ratios} | {goal} |"
+        )
+
+
+if __name__ == "__main__":
+    main()
