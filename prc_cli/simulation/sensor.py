@@ -28,6 +28,7 @@ import numpy as np
 
 from prc_cli import kernels
 from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.simulation.hashing import hashed
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.world import PROPERTIES, Bodies, Material, Shape
 
@@ -148,8 +149,9 @@ def _about(bodies: Bodies) -> tuple[F64, U8]:
     reflectance = np.array([PROPERTIES[material].reflectance for material in Material])
     label = np.array([PROPERTIES[material].label for material in Material], dtype=np.uint8)
     is_glass = np.array([PROPERTIES[material].is_glass for material in Material])
-    # neighbouring numbers, as of the panes of one house, shall differ: the golden ratio spreads them
-    surface = np.stack([reflectance[bodies.material], (bodies.number * 0.6180339887498949) % 1.0], axis=1)
+    # panes of one house have numbers close to each other, and mirror the same house across the street
+    mirrored = hashed(0, 32, bodies.number.astype(np.int64) // 32)
+    surface = np.stack([reflectance[bodies.material], mirrored], axis=1)
     curved = (bodies.shape == Shape.CONE) | (bodies.shape == Shape.ELLIPSOID)
     bits = _GLASS * is_glass[bodies.material] + _LEAVED * (bodies.density > 0.0) + _CURVED * curved
     return surface, np.stack([label[bodies.material], bits.astype(np.uint8)], axis=1)

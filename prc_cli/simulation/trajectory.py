@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 from prc_cli import kernels
 from prc_cli.core.config import Params
 from prc_cli.core.types import F64, I64
+from prc_cli.simulation.hashing import hashed
 from prc_cli.simulation.scanners import Scanner
 
 PathPoint = Callable[[F64], tuple[F64, F64]]
@@ -41,8 +42,8 @@ class MotionParams(Params):
     stop_every_m: float = Field(400.0, ge=0, le=10**6, description="mean way from stop to stop [m]; 0 = none")
     stop_s: float = Field(5.0, ge=0, le=600, description="mean time of a stop [s]")
     brake_m_s2: float = Field(1.5, gt=0, le=10, description="hardest braking, and acceleration [m/s²]")
-    roll_deg: float = Field(0.5, ge=0, le=20, description="roll by bumps, standard deviation at full speed [degrees]")
-    pitch_deg: float = Field(0.35, ge=0, le=20, description="pitch by bumps, standard deviation [degrees]")
+    roll_deg: float = Field(0.3, ge=0, le=20, description="roll by bumps, standard deviation at full speed [degrees]")
+    pitch_deg: float = Field(0.25, ge=0, le=20, description="pitch by bumps, standard deviation [degrees]")
     yaw_deg: float = Field(0.15, ge=0, le=20, description="yaw beside the path's, standard deviation [degrees]")
     bounce_m: float = Field(0.008, ge=0, le=1, description="up and down on the springs, standard deviation [m]")
     wobble_hz: float = Field(2.0, gt=0, le=20, description="fastest of these wobbles [Hz]")
@@ -171,7 +172,7 @@ class Trajectory:
             Along the path, never backwards; at time 0 it is at 0 and cruising.
         """
         distance, speed, acceleration = self._stop_and_go(np.asarray(time_s, dtype=np.float64))
-        share, phase = self.motion.speed_variation, _uniform(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
+        share, phase = self.motion.speed_variation, hashed(self.seed, 5, np.zeros(1, np.int64))[0] * 2.0 * np.pi
         around = distance / _WAVE_M + phase
         faster = 1.0 + share * np.cos(around)
         acceleration = acceleration * faster - speed * speed * (share / _WAVE_M) * np.sin(around)
@@ -238,7 +239,7 @@ class Trajectory:
             number = number + (time_s >= self._start_s(number + 1, mean_s))
         into = time_s - self._start_s(number, mean_s)
         halt_s = motion.stop_s + self._early(number + 1) - self._early(number)
-        cruise_s = (0.3 + 0.4 * _uniform(self.seed, 7, number)) * stretch / v - 0.5 * brake_s
+        cruise_s = (0.3 + 0.4 * hashed(self.seed, 7, number)) * stretch / v - 0.5 * brake_s
         braking = np.clip((into - cruise_s) / brake_s, 0.0, 1.0)
         starting = np.clip((into - cruise_s - brake_s - halt_s) / brake_s, 0.0, 1.0)
         after = np.maximum(into - cruise_s - 2.0 * brake_s - halt_s, 0.0)
@@ -256,7 +257,7 @@ class Trajectory:
         return start
 
     def _early(self, number: I64) -> F64:
-        return self.motion.stop_s * _uniform(self.seed, 6, number)
+        return self.motion.stop_s * hashed(self.seed, 6, number)
 
 
 class _Wobble:
@@ -264,9 +265,9 @@ class _Wobble:
 
     def __init__(self, seed: int, channel: int, slowest_hz: float, fastest_hz: float) -> None:
         number = np.arange(_SINES, dtype=np.int64)
-        place = (number + _uniform(seed, 16 + 2 * channel, number)) / _SINES
+        place = (number + hashed(seed, 16 + 2 * channel, number)) / _SINES
         self.rate = 2.0 * np.pi * slowest_hz * (fastest_hz / slowest_hz) ** place
-        self.phase = 2.0 * np.pi * _uniform(seed, 17 + 2 * channel, number)
+        self.phase = 2.0 * np.pi * hashed(seed, 17 + 2 * channel, number)
 
     def at(self, time_s: F64) -> F64:
         """Return its value at times, (n,) float64."""
@@ -275,17 +276,6 @@ class _Wobble:
             total += np.sin(rate * time_s + phase)
         total *= np.sqrt(2.0 / _SINES)
         return total
-
-
-def _uniform(seed: int, channel: int, number: I64) -> F64:
-    """Hash whole numbers to 0..1, (n,) float64 (finaliser of SplitMix64, Steele et al. 2014)."""
-    start = (seed * 0x9E3779B97F4A7C15 + channel * 0xD1B54A32D192ED03) % 2**64
-    with np.errstate(over="ignore"):
-        x = number.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(start)
-        x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    x = x ^ (x >> np.uint64(31))
-    return (x >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def _turn(roll: F64, pitch: F64, yaw: F64) -> F64:

@@ -46,7 +46,7 @@ def world(*materials: Material, shape: Shape = Shape.TRIANGLE) -> Bodies:
         np.array(materials, dtype=np.uint8),
         np.where(leaved, 1.0, 0.0),
         np.zeros((n, 2)),
-        np.arange(n, dtype=np.float64),
+        32.0 * np.arange(n, dtype=np.float64),
     )
 
 
@@ -318,7 +318,7 @@ def test_ranges_labels_and_intensities_go_together(name: str) -> None:
         assert len(found.extra_line) == 0
 
 
-def test_bodies_of_one_number_mirror_alike_whatever_else_is_in_sight() -> None:
+def test_panes_mirror_by_their_number_whatever_else_is_in_sight() -> None:
     bodies = world(Material.GLASS, Material.GLASS)
     swapped = replace(bodies, number=bodies.number[::-1].copy())
     scanner = CW.changed(pane_share=0.0, ghost_share=1.0)
