@@ -6,6 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from prc_cli.core.classes import Label
 from prc_cli.simulation.forest.params import PRESETS, ForestSceneParams
@@ -122,6 +123,13 @@ def test_what_is_asked_for_none_of_is_not_there() -> None:
     scene = ForestScene(bare, seed=1)
     assert set(scene.bodies_near(0, 0, 20).material) == {Material.SOIL}
     assert len(scene.stems_near(0, 0, 20)) == 0
+
+
+def test_a_forest_of_nothing_is_refused() -> None:
+    with pytest.raises(ValidationError, match="expected a share of one at least above 0"):
+        ForestSceneParams(pine_share=0, spruce_share=0, birch_share=0)
+    with pytest.raises(ValidationError, match="expected less than dbh_mean_m 0.2"):
+        ForestSceneParams(dbh_mean_m=0.2, dbh_min_m=0.25)
 
 
 @pytest.mark.parametrize("stems_per_ha", [300.0, 1200.0])
@@ -298,6 +306,20 @@ def test_cylinders_of_the_paper_on_points_by_hand() -> None:
     labels = reference_labels(scene, np.array([xyz for xyz, _ in cases]))  # type: ignore[arg-type]
     assert [Label(label) for label in labels] == [label for _, label in cases]
     assert labels.dtype == np.uint8
+
+
+def test_of_overlapping_cylinders_the_thicker_one_counts_too() -> None:
+    """Against the rule spelled out: every point, every tree."""
+    dense = ForestScene(ForestSceneParams(stems_per_ha=2000, dbh_mean_m=0.4), seed=3)
+    xyz = np.random.default_rng(4).uniform((-60, 10, 0.5), (-48, 22, 4), (3000, 3))
+    xyz[:, 2] += dense.terrain.height(xyz[:, 0], xyz[:, 1])
+    stems = dense.stems_near(-54.0, 16.0, 30.0)
+    inside = np.zeros(len(xyz), dtype=int)
+    for (x, y, z), dbh in zip(stems.breast, stems.dbh, strict=True):
+        height = xyz[:, 2] - (z - 1.0)
+        inside += (np.hypot(xyz[:, 0] - x, xyz[:, 1] - y) <= 2 * dbh) & (height >= 0) & (height <= 4)
+    assert (inside > 1).sum() > 100
+    np.testing.assert_array_equal(reference_labels(dense, xyz) == Label.STEM, inside > 0)
 
 
 def test_reference_labels_depend_on_nothing_but_the_point(scene: ForestScene) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from prc_cli.core.config import Params
 
@@ -39,6 +39,16 @@ class ForestSceneParams(Params):
     row_spacing_m: float = Field(10.0, ge=2, le=100, description="distance between them [m]")
     wander_m: float = Field(0.6, ge=0, le=2, description="how far the walker strays from a straight row [m]")
     clearance_m: float = Field(1.0, ge=0.1, le=2, description="no stem comes nearer to the path than this [m]")
+
+    @model_validator(mode="after")
+    def _check(self) -> ForestSceneParams:
+        if self.dbh_min_m >= self.dbh_mean_m:
+            problem = f"found dbh_min_m {self.dbh_min_m:g}, expected less than dbh_mean_m {self.dbh_mean_m:g}"
+            raise ValueError(problem)
+        if self.pine_share + self.spruce_share + self.birch_share <= 0:
+            problem = "found no pine, no spruce and no birch, expected a share of one at least above 0"
+            raise ValueError(problem)
+        return self
 
 
 PRESETS: dict[str, ForestSceneParams] = {

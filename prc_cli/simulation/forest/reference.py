@@ -18,8 +18,9 @@ GROUND_BELOW_BREAST_M = 0.5
 """Ground is what is lower than this under the breast height of the nearest tree [m]."""
 
 _SEARCH_M = 15.0
-_NEIGHBOURS = 6
-"""Stems keep apart; no more cylinders than this overlap at a point."""
+"""The nearest tree of a point is looked for up to here beyond all points [m]; forests are denser than that."""
+_NEIGHBOURS = 8
+"""Stems keep apart; a point lies in no more cylinders than this."""
 _POINTS_AT_ONCE = 1_000_000
 
 
@@ -74,17 +75,21 @@ def _label(scene: ForestScene, xyz: F64) -> U8:
     if not len(xyz):
         return labels
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
-    middle, radius = (low + high) / 2, float(np.hypot(*(high - low))) / 2
-    stems = scene.stems_near(float(middle[0]), float(middle[1]), radius + _SEARCH_M)
+    middle, reach = (low + high) / 2, float(np.hypot(*(high - low))) / 2
+    stems = scene.stems_near(float(middle[0]), float(middle[1]), reach + _SEARCH_M)
     if not len(stems):
         return labels
     breast = stems.breast
+    radius = CYLINDER_RADIUS_OF_DBH * stems.dbh
+    tree = cKDTree(breast[:, :2])
+    away, nearest = tree.query(xyz[:, :2])
+    labels[xyz[:, 2] <= breast[nearest, 2] - GROUND_BELOW_BREAST_M] = Label.GROUND
+    # cylinders overlap, and the nearest tree may have the thinner one: what is near any of them meets all around it
+    near = np.flatnonzero(away <= radius.max())
     k = min(_NEIGHBOURS, len(stems))
-    away, nearest = cKDTree(breast[:, :2]).query(xyz[:, :2], k=np.arange(1, k + 1))
-    above_breast = xyz[:, 2, None] - breast[nearest, 2]
-    within = away <= CYLINDER_RADIUS_OF_DBH * stems.dbh[nearest]
-    within &= above_breast >= -CYLINDER_BELOW_BREAST_M
+    away, around = tree.query(xyz[near, :2], k=np.arange(1, k + 1))
+    above_breast = xyz[near, 2, None] - breast[around, 2]
+    within = (away <= radius[around]) & (above_breast >= -CYLINDER_BELOW_BREAST_M)
     within &= above_breast <= CYLINDER_HEIGHT_M - CYLINDER_BELOW_BREAST_M
-    labels[above_breast[:, 0] <= -GROUND_BELOW_BREAST_M] = Label.GROUND
-    labels[within.any(axis=1)] = Label.STEM
+    labels[near[within.any(axis=1)]] = Label.STEM
     return labels

@@ -23,6 +23,8 @@ from prc_cli.simulation.world import Bodies, Material
 _OVERHANG_M = 6.0
 """No body reaches farther out of its cell than this [m]."""
 _CELLS_KEPT = 400
+_STEM_CELLS_KEPT = 4096
+"""Stems are light, and stray points ask for those of all that a scanner reaches."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +56,8 @@ class ForestScene:
         self._seed = seed
         self._stand = Stand(params, seed, self.terrain, self.rows)
         self._floor = Floor(params, self.terrain, self.rows)
-        self._candidates = lru_cache(_CELLS_KEPT)(self._stand.candidates)
-        self._stems = lru_cache(_CELLS_KEPT)(self._make_stems)
+        self._candidates = lru_cache(_STEM_CELLS_KEPT)(self._stand.candidates)
+        self._stems = lru_cache(_STEM_CELLS_KEPT)(self._make_stems)
         self._cell = lru_cache(_CELLS_KEPT)(self._make_cell)
 
     def bodies_near(self, x_m: float, y_m: float, radius_m: float) -> Bodies:

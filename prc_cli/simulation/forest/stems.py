@@ -133,7 +133,7 @@ class Stand:
         circle = math.pi * self.apart_m**2
         self._tried = -math.log(1 - wanted * circle) / circle if wanted else 0.0
         shares = np.array([params.pine_share, params.spruce_share, params.birch_share])
-        self._species_below = np.cumsum(shares / max(float(shares.sum()), 1e-12))
+        self._species_below = np.cumsum(shares / shares.sum())
 
     def candidates(self, i: int, j: int) -> Candidates:
         """Return the places of a cell, without those on the path."""
@@ -168,7 +168,7 @@ class Stand:
     def _measure(self, xy: F64, chance: F64) -> Stems:
         params = self._params
         species = np.searchsorted(self._species_below, chance[:, 0], side="right").clip(max=2).astype(np.uint8)
-        scale = max(params.dbh_mean_m - params.dbh_min_m, 1e-3) / math.gamma(1 + 1 / params.dbh_shape)
+        scale = (params.dbh_mean_m - params.dbh_min_m) / math.gamma(1 + 1 / params.dbh_shape)
         above_least = scale * (-np.log1p(-chance[:, 1])) ** (1 / params.dbh_shape)
         dbh = np.minimum(params.dbh_min_m + above_least, _THICKEST_M)
         # heights by Näslund's curve, h = 1.3 + d² / (a + b d)² (d in centimetres), give or take a tenth

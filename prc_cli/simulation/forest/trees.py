@@ -47,9 +47,48 @@ class _Habit:
 
 
 _HABITS = {
-    Species.PINE: _Habit((0.5, 0.7), (0.5, 6.0), 6, 0.55, 0.9, 1.1, 0.7, 0.6, 3, (0.3, 1.2), 4, (-0.1, 0.6)),
-    Species.SPRUCE: _Habit((0.08, 0.3), (0.5, 5.0), 5, 1.0, 1.0, 1.1, 0.12, 0.05, 5, (0.5, 1.6), 3, (-0.4, 0.0)),
-    Species.BIRCH: _Habit((0.3, 0.55), (0.5, 5.5), 5, 0.65, 0.9, 0.7, 0.5, 0.45, 1, (0.3, 0.8), 4, (0.4, 1.0)),
+    Species.PINE: _Habit(
+        crown_base=(0.5, 0.7),
+        crown_radius=(0.5, 6.0),
+        tufts=6,
+        tuft_radius=0.55,
+        tuft_height=0.9,
+        leaf_density=1.1,
+        tip=0.7,
+        scatter=0.6,
+        dead=3,
+        dead_length_m=(0.3, 1.2),
+        live=4,
+        rise=(-0.1, 0.6),
+    ),
+    Species.SPRUCE: _Habit(
+        crown_base=(0.08, 0.3),
+        crown_radius=(0.5, 5.0),
+        tufts=5,
+        tuft_radius=1.0,
+        tuft_height=1.0,
+        leaf_density=1.1,
+        tip=0.12,
+        scatter=0.05,
+        dead=5,
+        dead_length_m=(0.5, 1.6),
+        live=3,
+        rise=(-0.4, 0.0),
+    ),
+    Species.BIRCH: _Habit(
+        crown_base=(0.3, 0.55),
+        crown_radius=(0.5, 5.5),
+        tufts=5,
+        tuft_radius=0.65,
+        tuft_height=0.9,
+        leaf_density=0.7,
+        tip=0.5,
+        scatter=0.45,
+        dead=1,
+        dead_length_m=(0.3, 0.8),
+        live=4,
+        rise=(0.4, 1.0),
+    ),
 }
 
 
@@ -100,6 +139,8 @@ def _crowns(stems: Stems, to_path: F64, habit: _Habit, leaf_density: float, chan
     # tufts one above the other, the crown narrowing from one to the next
     length = stems.height - base
     level = (np.arange(habit.tufts) + 0.5) / habit.tufts
+    # the lowest one is a little higher, so that it is not cut flat where the crown begins
+    level[0] += 0.2 / habit.tufts
     narrowing = 1 - (1 - habit.tip) * level
     width = habit.tuft_radius * radius[:, None] * narrowing * chance.uniform(0.7, 1.0, (n, habit.tufts))
     centre = _on_axis(stems, base[:, None] + length[:, None] * level)
