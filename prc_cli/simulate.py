@@ -410,10 +410,7 @@ def simulate(
     output = Path(output)
     suffix = stream_suffix(output)
     chosen = load_settings(kind) if settings is None else settings
-    wanted = _check_beside(output, beside or Beside(), kind)
-    check_stream_output(output, overwrite=overwrite)
-    for path in wanted.paths():
-        check_output(path, overwrite=overwrite)
+    wanted = check_simulation(kind, output, beside, overwrite=overwrite)
     for path in (*outputs_of(output), *wanted.paths()):
         remove_stale(path)
     frame = _frame(chosen, wanted)
@@ -584,8 +581,19 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
     return Frame() if is_sbet else WORLD
 
 
-def _check_beside(output: Path, beside: Beside, kind: Kind) -> Beside:
-    """Name the file of labels where one is needed; refuse what makes no sense."""
+def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, overwrite: bool = False) -> Beside:
+    """Refuse outputs before any work is done.
+
+    Returns
+    -------
+    Beside
+        What is written beside the stream; the file of labels has a name where one is needed.
+
+    Raises
+    ------
+    ConfigError, OutputError, OutputExistsError
+    """
+    beside = beside or Beside()
     if beside.labels is None and stream_suffix(output) in _BESIDE:
         beside = replace(beside, labels=reference_path(output))
     if beside.labels is not None and beside.labels.suffix.lower() != ".npy":
@@ -598,6 +606,9 @@ def _check_beside(output: Path, beside: Beside, kind: Kind) -> Beside:
     paths = [path.absolute() for path in (*outputs_of(output), *beside.paths())]
     if len(set(paths)) < len(paths):
         raise ConfigError(str(output), "two of the files that are to be written have one name")
+    check_stream_output(output, overwrite=overwrite)
+    for path in beside.paths():
+        check_output(path, overwrite=overwrite)
     return beside
 
 

@@ -56,9 +56,9 @@ COMPILING_S = 2.0
 
 
 @contextlib.contextmanager
-def compiling_note(*, quiet: bool) -> Iterator[None]:
-    """Say why nothing happens yet when loading the classifier takes long."""
-    text = "compiling the classifier, once after installation; this takes about half a minute"
+def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
+    """Say why nothing happens yet when loading the classifier, or the simulator, takes long."""
+    text = f"compiling the {what}, once after installation; this takes about half a minute"
     timer = threading.Timer(COMPILING_S, lambda: console().print(text, soft_wrap=True))
     timer.daemon = True
     if not quiet:

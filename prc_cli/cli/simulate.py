@@ -12,12 +12,13 @@ import click
 from rich.table import Table
 
 from prc_cli.cli.options import output_options
-from prc_cli.cli.report import console, line_progress, results
+from prc_cli.cli.report import compiling_note, console, line_progress, results
 from prc_cli.config import parse_assignment
 from prc_cli.core.classes import Label
 from prc_cli.core.config import merge
-from prc_cli.simulate import SCENES, Beside, Kind, SimulationSummary, load_settings
+from prc_cli.simulate import SCENES, Beside, Kind, SimulationSummary, check_simulation, load_settings
 from prc_cli.simulate import simulate as simulate_file
+from prc_cli.simulation.drive import load_simulator
 from prc_cli.simulation.scanners import SCANNERS
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
@@ -201,13 +202,17 @@ def _run(kind: Kind, options: dict[str, Any]) -> None:
         raise click.UsageError(message)
     settings = load_settings(kind, options["config_file"], _table(options))
     output, quiet = options["output"], options["quiet"]
+    beside = Beside(options.get("trajectory"), options["labels"], options.get("stems"))
+    check_simulation(kind, output, beside, overwrite=options["overwrite"])
+    with compiling_note(quiet=quiet, what="simulator"):
+        load_simulator()
     start = time.perf_counter()
     with line_progress(output.name, quiet=quiet) as progress:
         summary = simulate_file(
             kind,
             output,
             settings,
-            beside=Beside(options.get("trajectory"), options["labels"], options.get("stems")),
+            beside=beside,
             reference=options.get("reference", "truth"),
             threads=options["threads"],
             overwrite=options["overwrite"],

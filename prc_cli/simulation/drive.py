@@ -12,6 +12,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, U8
+from prc_cli.kernels import load_kernels
 from prc_cli.simulation.casting import Hits, cast
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.sensor import Measured, goes_behind, scan
@@ -27,6 +28,9 @@ BEHIND_M = 0.01
 """What is seen through a surface lies farther behind it than this [m]."""
 INTENSITY_SCALE = np.float32(4096.0)
 """Intensity of a white wall at 10 m; it grows with the root of the power, so that near and far fit 16 bits."""
+
+KERNELS_OF_SIMULATOR = frozenset({"casting", "sensor", "shots"})
+"""Modules of the compiled loops."""
 
 BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]
 """Bodies around x, y within a radius [m] at a time [s]."""
@@ -139,6 +143,7 @@ class SimulatedScan:
         SimulatedBlock
             Of :data:`LINES_AT_ONCE` lines, the last one of fewer.
         """
+        load_simulator()
         return ordered(self._lines, range(0, self.n_lines, LINES_AT_ONCE), threads=self.threads)
 
     def _lines(self, first: int) -> SimulatedBlock:
@@ -192,6 +197,11 @@ class SimulatedScan:
         far = hits.t > self.sight_m
         hits.t[far], hits.body[far], hits.facing[far] = np.inf, -1, 0.0
         return hits
+
+
+def load_simulator() -> None:
+    """Load the compiled loops; after installation they are compiled once, which takes a while."""
+    load_kernels(KERNELS_OF_SIMULATOR)
 
 
 def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:

@@ -1,0 +1,86 @@
+"""``prc simulate`` through the same door as a user."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.test_commands import Prc
+
+SMALL = ("--lines", "40", "--sight", "25", "--set", "scanner.points_per_line=200")
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+def test_a_street_is_written_classified_and_evaluated(prc: Prc, tmp_path: Path) -> None:
+    out = tmp_path / "drive.laz"
+    result = prc("simulate", "street", "-o", out, "--seed", "7", *SMALL, "--trajectory", tmp_path / "drive.csv")
+    assert (result.code, result.out) == (0, "")
+    assert "40 lines of 200 shots" in result.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.csv", "drive.laz", "drive.laz.prc.json"]
+    assert prc("classify", out, tmp_path / "labels.npy", "--preset", "urban", "-q").code == 0
+    assert prc("evaluate", tmp_path / "labels.npy", out, "--mapping", "prc").code == 0
+
+
+def test_the_forest_lists_its_stems(prc: Prc, tmp_path: Path) -> None:
+    result = prc(
+        "simulate", "forest", "-o", tmp_path / "walk.npz", *SMALL, "--stems", tmp_path / "stems.csv",
+        "--scene", "pine-heath", "--reference", "cylinders", "-q",
+    )  # fmt: skip
+    assert (result.code, result.out, result.err) == (0, "", "")
+    assert (tmp_path / "stems.csv").read_text().startswith("species,")
+
+
+def test_json_tells_the_parameters_and_the_files(prc: Prc, tmp_path: Path) -> None:
+    out = tmp_path / "station.e57"
+    options = ("--set", "scanner.azimuth_step_deg=9", "--set", "station.along_m=30", "--noise", "0.02", "--json", "-q")
+    result = prc("simulate", "street-scan", "-o", out, *SMALL, *options)
+    assert (result.code, result.err) == (0, "")
+    found = json.loads(result.out)
+    table = found["config"]["simulation"]
+    assert (table["scanner"]["noise_m"], table["station"]["along_m"]) == (0.02, 30.0)
+    assert [Path(name).name for name in found["files"]] == [
+        "station.e57", "station.e57.prc.json", "station_reference.npy",
+    ]  # fmt: skip
+    assert len(np.load(tmp_path / "station_reference.npy")) == 40 * 200
+
+
+def test_options_win_over_set_and_file(prc: Prc, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('lines = 30\n[scanner]\nname = "sick-push-broom"\nslant_deg = 5\n')
+    options = ("--config", tmp_path / "a.toml", "--set", "scanner.slant_deg=6", "--mount-slant", "7", "--speed", "2")
+    result = prc("simulate", "street", "-o", tmp_path / "a.npz", *options, "--sight", "20", "--json", "-q")
+    table = json.loads(result.out)["config"]["simulation"]
+    assert (table["lines"], table["scanner"]["slant_deg"]) == (30, 7.0)
+    assert (table["scanner"]["points_per_line"], table["trajectory"]["speed_m_s"]) == (361, 2.0)
+
+
+def test_the_scanners_are_listed(prc: Prc) -> None:
+    result = prc("simulate", "scanners")
+    assert result.code == 0
+    for text in ("photon-80", "2,154", "focus3d-120", "scanstation2", "static, pulse"):
+        assert text in result.out
+    assert json.loads(prc("simulate", "scanners", "--json").out)["photon-80"]["line_hz"] == 48.0
+
+
+def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
+    (tmp_path / "there.npz").write_text("mine")
+    for options, code, said in (
+        (["street", "-o", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .las"),
+        (["street", "-o", tmp_path / "there.npz"], 2, "exists already"),
+        (["street", "-o", tmp_path / "none" / "a.npz"], 1, "output folder does not exist"),
+        (["street"], 2, "Missing option '-o'"),
+        (["street", "-o", tmp_path / "a.npz", "--length", "5", "--lines", "3"], 2, "--length and --lines contradict"),
+        (["street", "-o", tmp_path / "a.npz", "--scanner", "scanstation2"], 2, "is not one of 'photon-80'"),
+        (["street", "-o", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'trees'?"),
+        (["meadow", "-o", tmp_path / "a.npz"], 2, "No such command 'meadow'"),
+    ):
+        result = prc("simulate", *options)
+        assert (result.code, result.err.count("\n")) == (code, 1), result.err
+        assert said in result.err
+    assert [path.name for path in tmp_path.iterdir()] == ["there.npz"]
