@@ -48,15 +48,16 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
         for k in range(4, 6):
             if numbers[k] > numbers[longest]:
                 longest = k
-        half = numbers[longest]
+        p = numbers[4] if longest == 3 else numbers[3]
+        q = numbers[4] if longest == 5 else numbers[5]
+        hull[j, 9] = max(p, q) if shape == _ELLIPSOID else np.sqrt(p * p + q * q)
+        # an ellipsoid ends where its capsule ends; the corners of a box need a longer one
+        half = numbers[longest] - hull[j, 9] if shape == _ELLIPSOID else numbers[longest]
         x = half * turn[0] if longest == 3 else -half * turn[1] if longest == 4 else 0.0
         y = half * turn[1] if longest == 3 else half * turn[0] if longest == 4 else 0.0
         z = half if longest == 5 else 0.0
         hull[j, 0], hull[j, 1], hull[j, 2] = numbers[0] - x, numbers[1] - y, numbers[2] - z
         hull[j, 3], hull[j, 4], hull[j, 5] = numbers[0] + x, numbers[1] + y, numbers[2] + z
-        p = numbers[4] if longest == 3 else numbers[3]
-        q = numbers[4] if longest == 5 else numbers[5]
-        hull[j, 9] = max(p, q) if shape == _ELLIPSOID else np.sqrt(p * p + q * q)
     for k in range(3):
         hull[j, 6 + k] = hull[j, 3 + k]
 
@@ -521,7 +522,7 @@ def _facing(
     """Return the cosine of incidence of a shot on what it has met."""
     if shape == _TRIANGLE:
         slope = rays[3, i] * ready[9] + rays[4, i] * ready[10] + rays[5, i] * ready[11]
-        return abs(slope) / ready[12]
+        return float(abs(slope) / ready[12])
     vx, vy = velocity[0], velocity[1]
     if shape == _CONE:
         a, b, _, _, _, radius, growth = _along_cone(rays, i, vx, vy, ready)
@@ -530,7 +531,7 @@ def _facing(
     number, rate, shot = leaves
     if rate > 0.0:  # leaves face everywhere; those that face the shot are met more often
         key = _shot_key(_mix(np.uint64(np.int64(number)) + _BODY), shot, rays[7, i])
-        return np.sqrt(_chance(key + _LEAF))
+        return float(np.sqrt(_chance(key + _LEAF)))
     x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
     p, q, r = ready[3], ready[4], ready[5]
     if shape == _ELLIPSOID:

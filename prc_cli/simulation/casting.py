@@ -69,12 +69,17 @@ def cast(
     yaw = np.where(bodies.shape >= Shape.ELLIPSOID, bodies.numbers[:, 6], 0.0)
     return Hits(
         *kernels.cast_shots(
-            *(_plain(numbers) for numbers in (origin_m, direction, times, t_min)),
+            _plain(origin_m),
+            _plain(direction),
+            _plain(times),
+            _plain(t_min),
             first_shot,
-            np.require(bodies.shape, np.uint8, "CW"),
+            np.require(bodies.shape, np.uint8, ["C", "W"]),
             _plain(bodies.numbers),
             np.stack([np.cos(yaw), np.sin(yaw)], axis=1),
-            *(_plain(numbers) for numbers in (bodies.density, bodies.velocity, bodies.number)),
+            _plain(bodies.density),
+            _plain(bodies.velocity),
+            _plain(bodies.number),
             search_order(bodies),
             _QUANTILES,
         )
@@ -83,7 +88,7 @@ def cast(
 
 def _plain(numbers: F64) -> F64:
     """Return numbers as the kernel takes them, without a copy where they are so already."""
-    return np.require(numbers, np.float64, "CW")
+    return np.require(numbers, np.float64, ["C", "W"])
 
 
 @lru_cache(maxsize=8)  # by identity: the blocks of a scan often see the same bodies
