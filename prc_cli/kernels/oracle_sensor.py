@@ -205,7 +205,7 @@ def _mixed(echoes: list[_Echo], f: dict[str, float]) -> list[_Echo]:
         if to_far <= f["edge"]:
             slope, label = echo.slope, echo.label
         elif to_near > f["edge"]:
-            slope, label = 0.0, 2
+            slope, label = 0.0, label if label == echo.label else 2
         apart[-1] = _Echo(near.t + share * gap, near.power + echo.power, slope, label)
     return apart
 

@@ -189,7 +189,9 @@ def _merge(echo: F64, n: int, figures: F64) -> int:
             echo[kept, 3] = echo[i, 3]
         elif gap * share > figures[EDGE]:
             echo[kept, 2] = 0.0
-            echo[kept, 3] = LABEL_NOISE
+            # between two leaves it is still the tree
+            if echo[kept, 3] != echo[i, 3]:
+                echo[kept, 3] = LABEL_NOISE
         echo[kept, 0] += share * gap
         echo[kept, 1] += echo[i, 1]
     return min(kept + 1, n)

@@ -14,7 +14,8 @@ How it is thought (the loops are in :mod:`prc_cli.kernels.sensor`):
 - Background light gives a continuous wave a range from anywhere within the ambiguity interval, oftenest where the sky
   is bright, and moves some ranges off their surface. Ranges beyond the interval come back wrapped.
 
-A range that is not that of a surface is labelled NOISE; a mixture within ``edge_m`` of a surface is that surface's.
+A range that is not that of a surface is labelled NOISE; a mixture within ``edge_m`` of a surface is that surface's, and
+one of two surfaces of the same label, such as two leaves, keeps it.
 """
 
 from __future__ import annotations

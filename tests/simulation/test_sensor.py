@@ -130,6 +130,14 @@ def test_share_of_split_beams_is_their_width_over_their_distance() -> None:
         assert noise.sum() > 0.8 * mixed.sum()
 
 
+def test_mixtures_of_leaves_are_still_the_tree() -> None:
+    rng = np.random.default_rng(1)
+    seen = hits(3.0 + rng.exponential(0.5, (LINES, 100)))
+    found = scan(seen, world(Material.LEAVES), CW, 0, SEED)
+    assert (np.abs(found.range_m - seen.t) > 0.1).mean() > 0.1, "many beams are split so near"
+    assert (found.label == Label.VEGETATION).all()
+
+
 def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one() -> None:
     wide = step(PULSED)
     width, apart = 0.0033 + 0.00016 * 20.0, PULSED.step_rad * 20.0
