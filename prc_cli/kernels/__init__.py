@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from prc_cli.kernels.sensor import sense as sense
     from prc_cli.kernels.shots import aim_shots as aim_shots
     from prc_cli.kernels.support import background_mask as background_mask
+    from prc_cli.kernels.support import clean_ranges as clean_ranges
     from prc_cli.kernels.support import support_mask as support_mask
     from prc_cli.kernels.surfaces import count_covered as count_covered
     from prc_cli.kernels.surfaces import dilate as dilate
@@ -59,6 +60,7 @@ KERNELS: dict[str, str] = {
     "car_intervals": "prc_cli.kernels.dividers",
     "carry_labels": "prc_cli.kernels.components",
     "cast_shots": "prc_cli.kernels.casting",
+    "clean_ranges": "prc_cli.kernels.support",
     "connect_verticals": "prc_cli.kernels.curb",
     "count_covered": "prc_cli.kernels.surfaces",
     "cut_verticals": "prc_cli.kernels.dividers",

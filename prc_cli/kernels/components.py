@@ -168,6 +168,24 @@ def _find_ones(row: Mask, columns: I32, n_found: int) -> int:
 
 
 @helper
+def _winner(components: I32, line: int, column: int, low: int, high: int) -> int:
+    """Return the most frequent component around a pixel without one, given the smallest and the largest."""
+    n_lines, n_columns = components.shape
+    if 0 < line < n_lines - 1 and 0 < column < n_columns - 1:
+        n_low, n_high, n_near = 0, 0, 0
+        for y in range(3):
+            row = components[line - 1 + y]
+            for x in range(3):
+                near = row[column - 1 + x]
+                n_low += near == low
+                n_high += near == high
+                n_near += near != 0
+        if n_low + n_high == n_near:  # as nearly always
+            return high if n_high > n_low else low
+    return _most_frequent(components, line, column)
+
+
+@helper
 def _most_frequent(components: I32, line: int, column: int) -> int:
     """Return the most frequent component around a pixel without one, of equals the smallest."""
     n_lines, n_columns = components.shape
@@ -240,7 +258,7 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
             if high == 0 or np.uint32(high - ONE) == low:  # none, or one that is alone
                 taken[hole] = high
             else:
-                taken[hole] = _most_frequent(components, line, h)
+                taken[hole] = _winner(components, line, h, int(low) + 1, int(high))
     for line in range(n_lines):  # now that nobody looks at the image any more
         filled = components[line]
         for hole in range(first_hole[line], first_hole[line + 1]):

@@ -6,6 +6,7 @@ uses this module. The whole method, written from the paper, is in :mod:`prc_cli.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable
 
@@ -121,13 +122,11 @@ def count_covered(supported: Mask, covered: Mask, components: I32, n_components:
     return np.bincount(under, minlength=n_components + 1).astype(np.int64)
 
 
-def draw_components(
-    window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, cover: int, noise: int, missing: int
-) -> U8:
+def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
     """Draw labels by component; see :func:`prc_cli.kernels.surfaces.draw_components`."""
-    labels = np.where(covered, np.uint8(cover), np.take(label_of, components))
-    labels[~supported] = noise
-    labels[~supported & np.isnan(_inside(window, supported))] = missing
+    labels = np.where(covered, others[2], np.take(label_of, components))
+    labels[~supported] = others[1]
+    labels[~supported & np.isnan(_inside(window, supported))] = others[0]
     return labels
 
 
@@ -142,6 +141,22 @@ def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noi
     labels[np.logical_and(supported, covered)] = cover
     labels[np.logical_and(supported, columns[None, :])] = marked
     return labels
+
+
+def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
+    """Make ranges out of bounds missing; see :func:`prc_cli.kernels.support.clean_ranges`."""
+    cleaned = np.full_like(ranges, np.nan)
+    counts = [0, 0, 0]
+    for i, value in enumerate(ranges.tolist()):
+        if float(low) < value <= float(high):
+            cleaned[i] = ranges[i]
+        elif math.isinf(value):
+            counts[0] += 1
+        elif value <= 0:
+            counts[1] += 1
+        elif value > 0:
+            counts[2] += 1
+    return cleaned, counts[0], counts[1], counts[2]
 
 
 def _inside(window: F32, image: Mask) -> F32:

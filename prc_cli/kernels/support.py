@@ -14,6 +14,8 @@ from prc_cli.kernels.cache import kernel
 
 CENTRED, LITERAL, ABS, GUARD = 0, 1, 2, 3
 """Readings of eq. 9, as numbers."""
+STRIP = 4096
+"""Ranges that are counted in narrow numbers at a time."""
 
 
 @kernel("boolean[:, ::1](float32[::1], int64, int64, float64, float64, int64, int64)")
@@ -147,3 +149,41 @@ def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: 
                 # ... except in a negation, where they have to be told apart
                 row[h] = (not (alpha < share < upper)) & (a == a) & (b == b) & inside[h]
     return marked
+
+
+@kernel("Tuple((float32[::1], int64, int64, int64))(float32[::1], float32, float32)")
+def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
+    """Make ranges out of bounds missing, and count them by their reason.
+
+    Parameters
+    ----------
+    ranges : (n,) float32, metres
+        NaN = missing, not counted.
+    low, high : float32, metres
+        Kept are ranges above ``low`` and up to ``high``; 0 or more, finite.
+
+    Returns
+    -------
+    cleaned : (n,) float32, metres
+        NaN = missing.
+    n_not_finite, n_not_positive, n_beyond : int
+        Infinite ranges, other ranges of zero or below, positive ranges out of bounds.
+    """
+    n = len(ranges)
+    cleaned = np.empty(n, np.float32)
+    n_not_finite, n_refused, n_positive = 0, 0, 0
+    for first in range(0, n, STRIP):
+        given, kept = ranges[first : first + STRIP], cleaned[first : first + STRIP]
+        infinite, refused, positive = np.int32(0), np.int32(0), np.int32(0)  # as wide as a range, for the compiler
+        for i in range(len(given)):
+            r = given[i]
+            good = (r > low) & (r <= high)
+            kept[i] = r if good else np.float32(np.nan)
+            finite = abs(r) < np.float32(np.inf)
+            infinite += np.int32(abs(r) == np.float32(np.inf))
+            refused += np.int32((not good) & finite)
+            positive += np.int32((not good) & finite & (r > np.float32(0)))
+        n_not_finite += int(infinite)
+        n_refused += int(refused)
+        n_positive += int(positive)
+    return cleaned, n_not_finite, n_refused - n_positive, n_positive

@@ -99,10 +99,8 @@ def count_covered(supported: Mask, covered: Mask, components: I32, n_components:
     return counts
 
 
-@kernel("uint8[:, ::1](float32[::1], boolean[:, ::1], boolean[:, ::1], int32[:, ::1], uint8[::1], uint8, uint8, uint8)")
-def draw_components(
-    window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, cover: int, noise: int, missing: int
-) -> U8:
+@kernel("uint8[:, ::1](float32[::1], boolean[:, ::1], boolean[:, ::1], int32[:, ::1], uint8[::1], uint8[::1])")
+def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
     """Draw labels by component where nothing covers them.
 
     Parameters
@@ -114,13 +112,14 @@ def draw_components(
         0 to n.
     label_of : (n + 1,) uint8
         Label of every component.
-    cover, noise, missing : uint8
-        Label of supported shots that are covered, of those not supported, of those without range.
+    others : (3,) uint8
+        Labels of missing shots, of shots that are not supported, of supported shots that are covered.
 
     Returns
     -------
     (n_lines, n_columns) uint8
     """
+    missing, noise, cover = others[0], others[1], others[2]
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
     labels = np.empty((n_lines, n_columns), np.uint8)
@@ -158,7 +157,7 @@ def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noi
     """
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
-    missing, noise, marked, cover, free = labels_of
+    missing, noise, marked, cover, free = labels_of[0], labels_of[1], labels_of[2], labels_of[3], labels_of[4]
     labels = np.empty((n_lines, n_columns), np.uint8)
     for line in range(n_lines):
         row, inside, over = labels[line], supported[line], covered[line]

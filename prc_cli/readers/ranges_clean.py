@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli import kernels
 from prc_cli.core.stream import ReadTally
 from prc_cli.core.types import F32
 
@@ -47,14 +48,9 @@ def clean_ranges(
     (2, 1, 1)
     """
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        ranges: F32 = np.array(range_m, dtype=np.float32, order="C")
+        given = np.require(range_m, dtype=np.float32, requirements=["C", "W"])
         low = np.float32(min(max(min_range, 0.0), _LARGEST))
         high = np.float32(_LARGEST if max_range is None else min(max_range, _LARGEST))
-        refused = ~((ranges > low) & (ranges <= high))
-        found = ranges[refused]
-        n_not_finite = int(np.count_nonzero(np.isinf(found)))
-        n_not_positive = int(np.count_nonzero(found <= 0)) - int(np.count_nonzero(found == -np.inf))
-    n_nan = int(np.count_nonzero(np.isnan(found)))
-    ranges[refused] = np.nan
-    n_beyond = found.size - n_nan - n_not_finite - n_not_positive
-    return ranges, ReadTally(n_not_finite=n_not_finite, n_not_positive=n_not_positive, n_beyond=n_beyond)
+    ranges, n_not_finite, n_not_positive, n_beyond = kernels.clean_ranges(given.reshape(-1), low, high)
+    tally = ReadTally(n_not_finite=n_not_finite, n_not_positive=n_not_positive, n_beyond=n_beyond)
+    return ranges.reshape(given.shape), tally

@@ -114,7 +114,15 @@ def draw_case(rng: Generator) -> tuple[Any, ...]:
     supported, covered, components, n_components = image_case(rng)
     ranges = window(rng, *supported.shape)
     label_of = rng.integers(0, 250, n_components + 1).astype(np.uint8)
-    return ranges, supported, covered, components, label_of, 250, 251, 0
+    return ranges, supported, covered, components, label_of, np.array([0, 251, 250], np.uint8)
+
+
+def clean_case(rng: Generator) -> tuple[Any, ...]:
+    """Ranges on and beside the bounds."""
+    low, high = np.float32(rng.choice([0.0, 0.5, 1e-45])), np.float32(rng.choice([3.4028235e38, 80.0, 0.5]))
+    values = np.array([0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 1e-45, 5.0, low, high, 3.4028235e38], np.float32)
+    beside = np.concatenate([np.nextafter(values[6:10], np.float32(to)) for to in (0, 1000)])
+    return rng.choice(np.concatenate([values, beside]), rng.integers(0, 40)).astype(np.float32), low, high
 
 
 def columns_case(rng: Generator) -> tuple[Any, ...]:
@@ -132,6 +140,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "background_mask": background_case,
     "dilate": dilate_case,
     "carry_labels": carry_case,
+    "clean_ranges": clean_case,
     "count_covered": image_case,
     "draw_columns": columns_case,
     "draw_components": draw_case,

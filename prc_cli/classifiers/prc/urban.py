@@ -15,6 +15,8 @@ from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.types import F32, I64, U8
 
+_OTHERS = np.array([Label.MISSING, Label.NOISE, Label.VEGETATION], dtype=np.uint8)
+
 
 class UrbanParams(Params):
     """Which smooth segment is the ground (``[prc.urban]``)."""
@@ -89,7 +91,7 @@ def find_ground(
     np.add.at(here, position, smooth[present])
     running = here + totals.of(ids)
     ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # of equals the first: oldest
-    may_go_on = np.isin(ids, last_line)
+    may_go_on = np.isin(ids, last_line[np.flatnonzero(np.diff(last_line, prepend=0))])
     return int(ground), Totals(ids[may_go_on], running[may_go_on])
 
 
@@ -113,6 +115,4 @@ def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
     """
     h = surfaces.components
     label_of = np.where(h.ids == ground, np.uint8(Label.GROUND), np.uint8(Label.BUILDING))
-    return kernels.draw_components(
-        window, surfaces.supported, surfaces.covered, h.image, label_of, Label.VEGETATION, Label.NOISE, Label.MISSING
-    )
+    return kernels.draw_components(window, surfaces.supported, surfaces.covered, h.image, label_of, _OTHERS)
