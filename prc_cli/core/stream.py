@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from prc_cli.core.laz_contexts import LazContexts
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 
 FAR_M = 20_000.0
@@ -54,6 +55,8 @@ class StreamInfo:
     assumptions: tuple[Assumption, ...] = ()
     notes: tuple[str, ...] = ()
     """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""
+    laz_contexts: LazContexts | None = field(default=None, repr=False, compare=False)
+    """LAZ of point formats 6-10: filled while the blocks are read, for writing the same file again."""
 
 
 @dataclass(frozen=True, slots=True)

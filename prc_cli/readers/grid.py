@@ -94,6 +94,7 @@ def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | Non
         nadir_rad=next(iter(setups.values())).nadir_rad if len(setups) == 1 else None,
         fall=next(iter(setups.values())).fall if len(setups) == 1 else 1.0,
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
+        laz_contexts=getattr(source, "laz_contexts", None),
     )
     default = None if m is None else ScannerSetup(m, None, None, given_angles(config, m), beat=given_beat(rules, m))
     return GridStream(info, records, rules, ranges, setups, default)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.laz_contexts import LazContexts, contexts_of
 from prc_cli.core.threads import read_ahead
 from prc_cli.readers.las_header import DAMAGED, LasHeader, find_crs, find_points_per_line, read_header
 from prc_cli.readers.las_layout import layers_of, read_layout
@@ -49,6 +50,8 @@ class LasSource:
         self.header: LasHeader = read_header(path)
         self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self.header.record_bytes))
         self._layout = read_layout(str(path), self.header)
+        self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
+        """Kept from the records that :meth:`chunks` decodes, for who writes the file again."""
         self._n_unread_chunks = 0
         if self.header.compressed:
             with path.open("rb") as handle:
@@ -160,6 +163,9 @@ class LasSource:
         """Decode one batch after the other; every dimension is copied out of its batch."""
         fields = self._layout.fields
         for first, raw in self._batches(names):
+            if self.laz_contexts is not None and first == self.laz_contexts.n_seen:
+                rows = np.frombuffer(raw, np.uint8).reshape(-1, self.header.record_bytes)
+                self.laz_contexts.see(first, contexts_of(rows))
             records = np.frombuffer(raw, dtype=self._layout.dtype)
             yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))
 

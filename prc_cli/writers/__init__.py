@@ -11,6 +11,7 @@ from pathlib import Path
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import check_output
+from prc_cli.core.laz_contexts import LazContexts
 from prc_cli.writers.base import LabelWriter
 from prc_cli.writers.options import OutputConfig, check_codes
 from prc_cli.writers.record import Fingerprint, RunRecord, fingerprint, record_path
@@ -36,7 +37,7 @@ SUFFIXES = {
 """Known outputs by suffix."""
 
 
-def open_writer(
+def open_writer(  # noqa: PLR0913 - all but the path are named
     path: Path,
     *,
     source: Path,
@@ -46,6 +47,7 @@ def open_writer(
     codes: ClassCodes,
     options: OutputConfig,
     overwrite: bool,
+    laz_contexts: LazContexts | None = None,
 ) -> LabelWriter:
     """Choose and check a writer; nothing is created before its ``with`` block.
 
@@ -67,6 +69,8 @@ def open_writer(
         ``[output]``.
     overwrite : bool
         Whether an existing output may be replaced.
+    laz_contexts : LazContexts, optional
+        Kept from reading the LAZ input; makes writing it again faster and changes nothing else.
 
     Raises
     ------
@@ -100,7 +104,7 @@ choose an output name that ends in one of them
     if source_is_las:
         from prc_cli.writers.las_rewrite import LasRewriter
 
-        return LasRewriter(path, codes, options, source)
+        return LasRewriter(path, codes, options, source, laz_contexts)
     from prc_cli.writers.las_build import LasBuilder
 
     return LasBuilder(path, codes, options, points_per_line)

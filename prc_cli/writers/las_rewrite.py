@@ -16,6 +16,7 @@ import numpy as np
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.laz_contexts import LazContexts
 from prc_cli.core.types import U8
 from prc_cli.writers.base import Columns, ScatterWriter
 from prc_cli.writers.columns import OptionalColumn, asked_columns
@@ -88,8 +89,16 @@ class Plan:
 class LasRewriter(ScatterWriter):
     """Writer of a LAS or LAZ file from the LAS or LAZ file that was classified."""
 
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, source: Path) -> None:
+    def __init__(
+        self,
+        path: Path,
+        codes: ClassCodes,
+        options: OutputConfig,
+        source: Path,
+        laz_contexts: LazContexts | None = None,
+    ) -> None:
         self._source_path = source
+        self._laz_contexts = laz_contexts
         self._state = self._source_state()
         las = self._structure()
         super().__init__(path, codes, options, asked_columns(options), las.n_points)
@@ -232,7 +241,7 @@ class LasRewriter(ScatterWriter):
         chunks = find_chunks(source, las) if plan.only_classes(las) else None
         if chunks is not None:
             codes = (columns.codes for columns in self._columns(las.n_points, splice_records(las, chunks)))
-            splice_classes(source, target, las, chunks, codes)
+            splice_classes(source, target, las, chunks, codes, self._laz_contexts)
             return checksum, returns
         sink: PointSink = LasSink(target)
         if plan.compress:

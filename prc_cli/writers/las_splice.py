@@ -9,14 +9,16 @@ all other bytes are copied.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 
 import lazrs
 import numpy as np
 
+from prc_cli.core.laz_contexts import LazContexts, contexts_of, records_of
 from prc_cli.core.types import U8
 from prc_cli.writers.las_codec import (
     CHUNK_SIZE_AT,
@@ -36,9 +38,7 @@ _LAYERS = {6: 9, 7: 10, 8: 11}
 """Layers of a chunk by point format; every extra byte has one more."""
 _CLASS_LAYER = 2
 """The classes' place among them: after coordinates with returns and channel, and z."""
-_RETURNS_AT, _CHANNEL_AT, _CLASS_AT = 14, 15, 16
-_CHANNEL_BITS = 0x30
-_SELECTION = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL
+_CLASS_AT = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,9 @@ def _heads_fit(source: Source, las: LasFile, chunks: Chunks) -> bool:
     return True
 
 
-def splice_classes(source: Source, target: Target, las: LasFile, chunks: Chunks, codes: Iterator[U8]) -> None:
+def splice_classes(
+    source: Source, target: Target, las: LasFile, chunks: Chunks, codes: Iterator[U8], kept: LazContexts | None = None
+) -> None:
     """Write all chunks with other classes, and their table; the target stands behind it then.
 
     Parameters
@@ -115,6 +117,8 @@ def splice_classes(source: Source, target: Target, las: LasFile, chunks: Chunks,
         From :func:`find_chunks`.
     codes : iterator of (n,) uint8
         Class codes of consecutive records, :func:`splice_records` at a time.
+    kept : LazContexts, optional
+        From reading the input before; whatever it does not hold whole is decoded again.
 
     Raises
     ------
@@ -129,9 +133,9 @@ def splice_classes(source: Source, target: Target, las: LasFile, chunks: Chunks,
     target.write(struct.pack("<q", 0))
     n = splice_records(las, chunks)
     table: list[tuple[int, int]] = []
-    with open_source(las.path) as decoded:
-        returns = _returns(decoded, las, laszip.payload, n)
-        for batch, (records, new) in enumerate(zip(returns, codes, strict=True)):
+    with contextlib.closing(_contexts(las, laszip.payload, n, kept)) as contexts:
+        for batch, (context, new) in enumerate(zip(contexts, codes, strict=True)):
+            records = records_of(context, POINT_SIZES[6])
             records[:, _CLASS_AT] = new
             first = batch * (n // chunks.chunk_points)
             for chunk, layer in enumerate(_class_layers(target, chunks.chunk_points, records), start=first):
@@ -156,21 +160,22 @@ def splice_records(las: LasFile, chunks: Chunks) -> int:
     return max(1, n // chunks.chunk_points) * chunks.chunk_points
 
 
-def _returns(source: Source, las: LasFile, payload: bytes, n: int) -> Iterator[U8]:
-    """Yield records of format 6 that hold nothing but return numbers and scanner channel."""
-    source.seek(las.point_offset)
-    with decoding(source, 0):
-        selection = lazrs.DecompressionSelection(_SELECTION)
-        decompressor = lazrs.ParLasZipDecompressor(source, payload, selection)
-    whole = np.empty((min(n, las.n_points), las.record_length), np.uint8)
-    for first in range(0, las.n_points, n):
-        records = whole[: las.n_points - first]
-        with decoding(source, first):
-            decompressor.decompress_many(records.reshape(-1))
-        bare = np.zeros((len(records), POINT_SIZES[6]), np.uint8)
-        bare[:, _RETURNS_AT] = records[:, _RETURNS_AT]
-        bare[:, _CHANNEL_AT] = records[:, _CHANNEL_AT] & _CHANNEL_BITS
-        yield bare
+def _contexts(las: LasFile, payload: bytes, n: int, kept: LazContexts | None) -> Generator[U8]:
+    """Yield the contexts of the classes of ``n`` records at a time, kept or decoded."""
+    if kept is not None and kept.n_seen == las.n_points:
+        yield from kept.take(n)
+        return
+    with open_source(las.path) as source:
+        source.seek(las.point_offset)
+        with decoding(source, 0):
+            selection = lazrs.DecompressionSelection(lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
+            decompressor = lazrs.ParLasZipDecompressor(source, payload, selection)
+        whole = np.empty((min(n, las.n_points), las.record_length), np.uint8)
+        for first in range(0, las.n_points, n):
+            records = whole[: las.n_points - first]
+            with decoding(source, first):
+                decompressor.decompress_many(records.reshape(-1))
+            yield contexts_of(records)
 
 
 def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[memoryview]:
