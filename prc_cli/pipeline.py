@@ -273,6 +273,7 @@ def classify(
         codes=loaded.config.classes,
         options=loaded.config.output,
         overwrite=overwrite,
+        laz_contexts=stream.info.laz_contexts,
     ) as writer:
         labelled = label_blocks(
             stream.blocks(),
