@@ -84,6 +84,9 @@ def _on_lot(pile: Pile, ground: Ground, side: Side, lot: Lot, rng: np.random.Gen
     across = side.side * (BUILDING_LINE_M + lot.setback)
     if lot.kind == "yard":
         far = BUILDING_LINE_M + rng.uniform(20.0, 32.0)
+        if side.junction is not None and abs(side.junction.s - middle) < 30.0:
+            # the houses of the side street are behind this yard
+            return
         frame = frame_at(ground, middle, side.side * far, side.side)
         build(pile, frame, style_of(rng, "terrace", width + rng.uniform(0.0, 8.0), 1.0), rng)
         return

@@ -94,8 +94,9 @@ def _parked(kerb: Kerb, rng: np.random.Generator) -> None:
             after_lorry = False
             continue
         after_lorry = long
-        wide = 1.25 if long else model.wide
-        d = side.side * (ROAD_HALF_M - 0.2 - 0.2 * float(chance[2]) - wide)
+        # from the curb to the wheels; lorries are wide and stand close to it
+        gap, wide = (0.1 + 0.05 * chance[2], 1.2) if long else (0.2 + 0.2 * chance[2], model.wide)
+        d = side.side * (ROAD_HALF_M - float(gap) - wide)
         room = 0.5 if long else 2.75 - model.half
         frame = frame_at(
             kerb.ground, 0.5 * (low + high) + room * (2.0 * float(chance[3]) - 1.0), d, tilted=True
@@ -188,7 +189,9 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
         elif rng.random() < 0.6 and depth > 2.4 and not any(gap[0] - 1.0 < s < gap[1] + 1.0 for gap in gaps):
             radius = min(rng.uniform(0.4, 0.9), 0.4 * depth)
             trees.bush(kerb.pile, kerb.frame(s, BUILDING_LINE_M + 0.55 * depth), radius, rng)
-    if lot.kind == "house" and rng.random() < kerb.params.trees:
+    junction = kerb.side.junction
+    built_up = junction is not None and abs(junction.s - middle) < 24.0
+    if lot.kind == "house" and not built_up and rng.random() < kerb.params.trees:
         trees.tree(kerb.pile, kerb.frame(low + 2.5, BUILDING_LINE_M + lot.setback + 17.0), trees.STREET, rng)
     if lot.driveway is not None and rng.random() < 0.4:
         model = cars.draw_model(rng)

@@ -38,11 +38,6 @@ class Frame:
         c, s, side = math.cos(self.yaw), math.sin(self.yaw), self.mirror * v
         return self.x + c * u - s * side, self.y + s * u + c * side, self.z + w + self.slope * u + self.roll * v
 
-    def moved(self, u: float, v: float, w: float = 0.0, turn: float = 0.0) -> Frame:
-        """Return a frame that is upright at a point of this one."""
-        x, y, z = self.at(u, v, w)
-        return Frame(x, y, z, self.yaw + turn, mirror=self.mirror)
-
 
 @dataclass(slots=True)
 class Pile:

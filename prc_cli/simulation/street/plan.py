@@ -20,6 +20,8 @@ BUILDING_LINE_M = 8.8
 """Crown to the back of the sidewalk [m]."""
 CORNER_M = 3.0
 """Radius of the curb around the corner of a side street [m]."""
+DROP_M = 0.6
+"""Way along the street in which a curb drops [m]."""
 SIDE_WALK_M = 2.5
 """Width of the sidewalks of side streets [m]; less than the radius, so that corners have room."""
 
@@ -137,7 +139,8 @@ def plan_of(seed: int, piece: int, choice: str) -> Plan:
     junction, crossing = junction_of(seed, piece), None
     if junction is not None:
         early = junction.s < start + 0.5 * PIECE_M
-        end = junction.bend[1] + 0.8 if early else junction.bend[0] - 3.3
+        # its ramps end where the curb begins to bend
+        end = junction.bend[1] + DROP_M if early else junction.bend[0] - DROP_M - 2.5
         crossing = (end, end + 2.5)
     left, right = (_side(seed, piece, side, character, junction, crossing) for side in (1, -1))
     return Plan(piece, start, character, junction, crossing, (left, right))

@@ -17,6 +17,7 @@ from prc_cli.simulation.street.pile import Frame, Pile, Point, Span
 from prc_cli.simulation.street.plan import (
     BUILDING_LINE_M,
     CORNER_M,
+    DROP_M,
     PIECE_M,
     ROAD_HALF_M,
     Junction,
@@ -37,8 +38,6 @@ _RAMP_M = 1.4
 _BATTER_M = 0.02
 """The top of a curb stands back from its foot by this much [m]."""
 _LOW_CURB_M = 0.03
-_DROP_M = 0.6
-"""Way along the street in which a curb drops [m]."""
 
 
 class Ground:
@@ -225,7 +224,7 @@ def _stops(
         arc = arc if end < 0 else arc[::-1]
     knots, heights = [], []
     for d0, d1 in side.dropped:
-        knots += [d0 - _DROP_M, d0, d1, d1 + _DROP_M]
+        knots += [d0 - DROP_M, d0, d1, d1 + DROP_M]
         heights += [curb_m, _LOW_CURB_M, _LOW_CURB_M, curb_m]
     places = sorted({s for s in (*base, *knots, straight_low, straight_high) if straight_low <= s <= straight_high})
     curbs = np.interp(places, knots, heights).tolist() if knots else [curb_m] * len(places)

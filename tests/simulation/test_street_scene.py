@@ -1,0 +1,227 @@
+"""The street: a drivable lane, a ground without cracks, the same bodies however they are looked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.simulation.casting import cast
+from prc_cli.simulation.street import StreetScene, StreetSceneParams
+from prc_cli.simulation.street.movers import TIME_STEP_S
+from prc_cli.simulation.street.params import CHARACTERS
+from prc_cli.simulation.street.plan import ROAD_HALF_M, plan_of
+from prc_cli.simulation.world import Bodies, Material, Shape
+
+GROUND = [Material.ASPHALT, Material.SIDEWALK, Material.CURB, Material.GRASS, Material.SOIL]
+FOREST = {Material.STEM, Material.UNDERGROWTH, Material.DEAD_WOOD}
+
+
+def part(bodies: Bodies, kept: np.ndarray) -> Bodies:
+    return Bodies(*(getattr(bodies, name)[kept] for name in Bodies.__slots__))
+
+
+def look_down(bodies: Bodies, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ranges and rows of what is under (lines, M, 3) places."""
+    down = np.zeros(places.shape)
+    down[..., 2] = -1.0
+    hits = cast(bodies, places, down, np.zeros(len(places)))
+    return hits.t, hits.body
+
+
+def grid(scene: StreetScene, s: np.ndarray, d: np.ndarray, up: float) -> np.ndarray:
+    """Places above the street, (len(s), len(d), 3); the height is that above the lane."""
+    z = scene.path_point(s)[0][:, 2] + up
+    rows = [scene.line.place(np.full(d.shape, at), d) for at in s.tolist()]
+    return np.concatenate([np.array(rows), np.broadcast_to(z[:, None, None], (*z.shape, d.size, 1))], axis=2)
+
+
+def around(scene: StreetScene, s: float, radius: float = 70.0, time_s: float = 0.0) -> Bodies:
+    x, y, _ = scene.path_point(np.array([s]))[0][0].tolist()
+    return scene.bodies_near(x, y, radius, time_s)
+
+
+def test_the_path_is_continuous_and_measured_by_its_length() -> None:
+    scene = StreetScene(seed=3)
+    s = np.arange(-300.0, 10_000.0, 0.25)
+    point, heading = scene.path_point(s)
+    step = np.diff(point, axis=0)
+    assert np.hypot(step[:, 0], step[:, 1]) == pytest.approx(0.25, abs=1e-6)
+    assert np.abs(step[:, 2]).max() < 0.05 * 0.25
+    assert np.abs(np.diff(heading)).max() < 0.25 / 200.0
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    assert np.arctan2(step[:, 1], step[:, 0]) == pytest.approx(middle, abs=1e-5)
+    start, heading_0 = scene.path_point(np.zeros(1))
+    assert start[0, :2] == pytest.approx(0.0, abs=1e-12)
+    assert heading_0[0] == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(heading) > 0.2
+    assert np.ptp(point[:, 2]) > 3.0
+
+
+@pytest.mark.parametrize("s", [-700.0, 0.0, 12_345.6, 1e6])
+def test_nearest_finds_the_place_again(s: float) -> None:
+    line = StreetScene(seed=5).line
+    for d in (-30.0, 0.0, 45.0):
+        x, y = line.place(np.array([s]), np.array([d]))[0].tolist()
+        assert line.nearest(x, y) == pytest.approx(s, abs=0.8)
+
+
+def test_the_same_bodies_whatever_the_circle_and_the_way_there() -> None:
+    one, two = StreetScene(seed=11), StreetScene(seed=11)
+    for s in (600.0, 30.0):
+        around(two, s)
+    a, b = around(one, 100.0), around(two, 130.0)
+    _, in_a, in_b = np.intersect1d(a.number, b.number, return_indices=True)
+    assert in_a.size > 1500
+    for name in Bodies.__slots__:
+        np.testing.assert_array_equal(getattr(a, name)[in_a], getattr(b, name)[in_b])
+    assert np.all(np.diff(in_b[np.argsort(in_a)]) > 0)
+    assert np.unique(a.number).size == len(a)
+    assert a.number.min() >= 0
+    assert a.number.max() < 2.0**53
+    # a smaller circle holds nothing that the larger one does not
+    assert set(around(one, 100.0, 25.0).number) <= set(a.number)
+    other = around(StreetScene(seed=12), 100.0)
+    assert not np.array_equal(a.numbers, other.numbers)
+
+
+def test_nothing_is_missed_at_the_rim_of_the_circle() -> None:
+    scene = StreetScene(StreetSceneParams(curves=1.5), seed=2)
+    wide = around(scene, 900.0, 200.0)
+    x, y, _ = scene.path_point(np.array([900.0]))[0][0].tolist()
+    boxes = wide.shape >= Shape.ELLIPSOID
+    inside = boxes & (np.hypot(wide.numbers[:, 0] - x, wide.numbers[:, 1] - y) < 60.0)
+    near = scene.bodies_near(x, y, 60.0)
+    assert inside.sum() > 300
+    assert set(wide.number[inside]) <= set(near.number)
+
+
+@pytest.mark.parametrize("character", CHARACTERS)
+def test_the_lane_is_clear_and_follows_the_road(character: str) -> None:
+    scene = StreetScene(StreetSceneParams(character=character, cars_per_km=0), seed=4)  # type: ignore[arg-type]
+    d = np.linspace(-2.8, 2.8, 15)
+    for start in (0.0, 90.0, 180.0):
+        s = start + np.arange(0.0, 90.0, 0.6)
+        bodies = around(scene, start + 45.0, 60.0)
+        t, body = look_down(bodies, grid(scene, s, d, 3.6))
+        assert np.all(body >= 0)
+        assert set(bodies.material[body].ravel()) == {Material.ASPHALT}
+        design = np.array([scene.ground.road(np.full(d.shape, at), d) for at in s.tolist()])
+        z = scene.path_point(s)[0][:, 2:] + 3.6 - t
+        assert np.abs(z - design).max() < 0.004
+
+
+@pytest.mark.parametrize(("character", "seed"), [("suburb", 1), ("terraces", 2), ("mixed", 3)])
+def test_the_ground_has_no_cracks(character: str, seed: int) -> None:
+    scene = StreetScene(StreetSceneParams(character=character), seed)  # type: ignore[arg-type]
+    rng = np.random.default_rng(0)
+    s = np.sort(rng.uniform(20.0, 100.0, 160))
+    d = np.sort(np.concatenate([rng.uniform(-61.5, 61.5, 100), rng.uniform(-9.0, 9.0, 100)]))
+    bodies = around(scene, 60.0, 85.0)
+    ground = part(bodies, np.isin(bodies.material, GROUND))
+    t, body = look_down(ground, grid(scene, s, d, 30.0))
+    assert np.all(body >= 0)
+    z = scene.path_point(s)[0][:, 2:] + 30.0 - t
+    above = z - np.array([scene.ground.road(np.full(d.shape, at), d) for at in s.tolist()])
+    curb = scene.ground.curb_m
+    assert 0.10 <= curb <= 0.15
+    # the crown of a side street stands a few centimetres above its gutters
+    assert above.min() > -0.02
+    assert above.max() < curb + 0.02
+    walk = (np.abs(d) > ROAD_HALF_M + 2.0) & (np.abs(d) < 8.7)
+    assert np.mean(np.abs(above[:, walk] - curb) < 0.004) > 0.7
+
+
+def test_curbs_stand_up_and_drop_at_driveways() -> None:
+    scene = StreetScene(StreetSceneParams(character="suburb"), seed=1)
+    bodies = around(scene, 100.0, 90.0)
+    corners = bodies.numbers[(bodies.material == Material.CURB)].reshape(-1, 3, 3)
+    high = np.ptp(corners[:, :, 2], axis=1)
+    assert high.max() < 0.5  # a side street's curb is long and climbs with the land
+    assert 0.10 < np.median(high) < 0.2
+    assert np.any(high < 0.09)
+    dropped = [drop for piece in range(7) for side in plan_of(1, piece, "suburb").sides for drop in side.dropped]
+    assert len(dropped) >= 5
+
+
+def test_wheels_stand_on_the_ground() -> None:
+    scene = StreetScene(StreetSceneParams(character="suburb", parked=1.0), seed=6)
+    bodies = around(scene, 100.0, 60.0)
+    tyres = (bodies.material == Material.TYRE) & ~bodies.velocity.any(axis=1)
+    ground = part(bodies, np.isin(bodies.material, GROUND))
+    hub = bodies.numbers[tyres]
+    t, body = look_down(ground, np.ascontiguousarray(hub[None, :, :3]))
+    assert hub.shape[0] >= 40
+    assert np.all(body >= 0)
+    assert np.abs(t[0] - hub[:, 5]).max() < 0.08
+
+
+def test_crowns_stand_outside_of_houses() -> None:
+    for seed in (1, 2):
+        bodies = around(StreetScene(StreetSceneParams(trees=1.0), seed), 200.0, 150.0)
+        leaves = bodies.numbers[bodies.material == Material.LEAVES]
+        walls = bodies.numbers[(bodies.material == Material.WALL) & (bodies.shape == Shape.BOX)]
+        x, y, z = (leaves[:, None, i] - walls[None, :, i] for i in range(3))
+        cos, sin = np.cos(walls[:, 6]), np.sin(walls[:, 6])
+        inside = np.abs(cos * x + sin * y) < walls[:, 3]
+        inside &= np.abs(-sin * x + cos * y) < walls[:, 4]
+        inside &= np.abs(z) < walls[:, 5]
+        assert leaves.shape[0] > 100
+        assert not inside.any()
+
+
+def test_every_material_of_a_town_occurs() -> None:
+    scene = StreetScene(seed=1)
+    found: set[int] = set()
+    for s in range(0, 500, 100):
+        found |= set(around(scene, float(s)).material.tolist())
+    assert found == {int(material) for material in Material if material not in FOREST}
+
+
+@pytest.mark.parametrize("character", CHARACTERS)
+def test_the_count_of_bodies_stays_moderate(character: str) -> None:
+    scene = StreetScene(StreetSceneParams(character=character), seed=8)  # type: ignore[arg-type]
+    for s in (0.0, 300.0, 600.0):
+        assert 1000 < len(around(scene, s, 70.0)) < 6000
+    made = sum(len(scene._piece(piece)[0]) for piece in range(20))
+    assert made / 60 < 350
+
+
+def test_pieces_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prc_cli.simulation.street.scene._KEPT_PIECES", 3)
+    scene = StreetScene(StreetSceneParams(), seed=1)
+    for piece in range(6):
+        scene._piece(piece)
+    assert list(scene._pieces) == [3, 4, 5]
+
+
+def test_oncoming_cars_drive_in_their_lane_at_any_time() -> None:
+    scene = StreetScene(StreetSceneParams(cars_per_km=20, people=0), seed=9)
+    seen: dict[float, list[tuple[float, float]]] = {}
+    for step in range(400, 420):
+        time_s = (step + 0.5) * TIME_STEP_S
+        bodies = around(scene, 500.0, 80.0, time_s)
+        tyres = np.flatnonzero((bodies.material == Material.TYRE) & bodies.velocity.any(axis=1))
+        assert np.hypot(*bodies.velocity[tyres].T) == pytest.approx(9.5)
+        for i in tyres.tolist():
+            x, y = bodies.numbers[i, :2] + bodies.velocity[i] * time_s
+            s = scene.line.nearest(x, y)
+            crown = scene.line.place(np.array([float(s)]), np.zeros(1))[0]
+            assert 0.7 < np.hypot(x - crown[0], y - crown[1]) < 3.0
+            seen.setdefault(float(bodies.number[i]), []).append((time_s, s))
+    way = [(track[-1][1] - track[0][1]) / (track[-1][0] - track[0][0]) for track in seen.values() if len(track) > 9]
+    assert len(way) >= 4
+    assert way == pytest.approx([-9.5] * len(way), abs=0.8)
+
+
+def test_a_street_without_traffic_has_nothing_that_moves() -> None:
+    scene = StreetScene(StreetSceneParams(cars_per_km=0, people=0), seed=9)
+    assert not around(scene, 200.0).velocity.any()
+    assert Material.PERSON not in around(scene, 200.0).material
+
+
+def test_parameters_out_of_bounds_are_errors() -> None:
+    from prc_cli.core.config import build
+
+    with pytest.raises(ConfigError, match="trees"):
+        build(StreetSceneParams, {"trees": 2.0}, "here")
