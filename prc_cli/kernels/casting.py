@@ -84,6 +84,8 @@ def _prepare(shape: int, numbers: F64, turn: F64, ready: F64) -> None:
         ready[6], ready[7], ready[8] = length, numbers[6], (numbers[7] - numbers[6]) / length
     else:
         ready[6], ready[7] = turn[0], turn[1]
+        for k in range(3):
+            ready[8 + k] = 1.0 / numbers[3 + k]
     ready[_IS_READY] = 1.0
 
 
@@ -437,8 +439,8 @@ def _along_cone(
 
 @helper
 def _cut_ellipsoid(x: float, y: float, z: float, dx: float, dy: float, dz: float, ready: F64) -> tuple[float, float]:
-    p, q, r = ready[3], ready[4], ready[5]
-    x, y, z, dx, dy, dz = x / p, y / q, z / r, dx / p, dy / q, dz / r
+    p, q, r = ready[8], ready[9], ready[10]
+    x, y, z, dx, dy, dz = x * p, y * q, z * r, dx * p, dy * q, dz * r
     a = dx * dx + dy * dy + dz * dz
     b = x * dx + y * dy + z * dz
     return _roots(a, b, x * x + y * y + z * z - 1.0)
@@ -533,18 +535,18 @@ def _facing(
         key = _shot_key(_mix(np.uint64(np.int64(number)) + _BODY), shot, rays[7, i])
         return float(np.sqrt(_chance(key + _LEAF)))
     x, y, z, dx, dy, dz = _turned(rays, i, vx, vy, ready)
-    p, q, r = ready[3], ready[4], ready[5]
     if shape == _ELLIPSOID:
-        x, y, z, dx, dy, dz = x / p, y / q, z / r, dx / p, dy / q, dz / r
+        p, q, r = ready[8], ready[9], ready[10]
+        x, y, z, dx, dy, dz = x * p, y * q, z * r, dx * p, dy * q, dz * r
         a = dx * dx + dy * dy + dz * dz
         b = x * dx + y * dy + z * dz
-        nx, ny, nz = (x + t * dx) / p, (y + t * dy) / q, (z + t * dz) / r
+        nx, ny, nz = (x + t * dx) * p, (y + t * dy) * q, (z + t * dz) * r
         cosine = abs(b + t * a) / np.sqrt(nx * nx + ny * ny + nz * nz)
         return cosine if cosine < 1.0 else 1.0
     # the face that lies at that range: of entry, or else of exit
-    x_low, x_high = _through_slab(x, dx, p)
-    y_low, y_high = _through_slab(y, dy, q)
-    z_low, _ = _through_slab(z, dz, r)
+    x_low, x_high = _through_slab(x, dx, ready[3])
+    y_low, y_high = _through_slab(y, dy, ready[4])
+    z_low, _ = _through_slab(z, dz, ready[5])
     if max(x_low, y_low, z_low) != t:
         x_low, y_low = x_high, y_high
     cosine = abs(dx) if x_low == t else abs(dy) if y_low == t else abs(dz)

@@ -145,12 +145,12 @@ def cone(rays: Rays, numbers: F64) -> Surfaces:
 
 def ellipsoid(rays: Rays, half: F64) -> Surfaces:
     """Cut shots with an ellipsoid around the origin."""
-    o, d = ([v / h for v, h in zip(vector, half, strict=True)] for vector in (rays.o, rays.d))
+    o, d = ([v * (1.0 / h) for v, h in zip(vector, half, strict=True)] for vector in (rays.o, rays.d))
     a, b, c = dot(d, d), dot(o, d), dot(o, o) - 1.0
     low, high = roots(a, b, c)
 
     def cosine(t: F64) -> F64:
-        normal = [(p + t * q) / h for p, q, h in zip(o, d, half, strict=True)]
+        normal = [(p + t * q) * (1.0 / h) for p, q, h in zip(o, d, half, strict=True)]
         return np.asarray(np.abs(b + t * a) / np.sqrt(dot(normal, normal)))
 
     return low, high, cosine(low), cosine(high)
