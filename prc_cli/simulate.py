@@ -27,7 +27,15 @@ from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.core.threads import default_threads, write_behind
 from prc_cli.core.types import F64, U8
 from prc_cli.pipeline import Counts, Progress
-from prc_cli.simulation.drive import MOST_LINES, BodiesNear, SimulatedBlock, SimulatedScan, ground_below, lines_of
+from prc_cli.simulation.drive import (
+    MOST_LINES,
+    BodiesNear,
+    SimulatedBlock,
+    SimulatedScan,
+    ground_below,
+    lines_of,
+    room_around,
+)
 from prc_cli.simulation.forest.params import PRESETS as FORESTS
 from prc_cli.simulation.forest.params import ForestSceneParams
 from prc_cli.simulation.forest.reference import reference_labels
@@ -71,6 +79,8 @@ _REGISTERED = (*_LAS, ".csv", ".csv.gz", ".csv.zst", ".parquet")
 _ONE_RETURN = (".npy", ".npz", ".bin")
 TRAJECTORY_HZ = 200.0
 """Positions a second of trajectories that are written."""
+LOOK_AHEAD_M, LOOK_STEP_M = 60.0, 1.0
+"""How far, and how closely, a place for a tripod is looked for [m]."""
 STEM_MARGIN_M = 30.0
 """Trees so far from the way are listed."""
 STEM_STEP_M = 10.0
@@ -124,8 +134,11 @@ class WalkSettings(_Settings):
 class StationParams(Params):
     """Where the tripod of a static scan stands, and how far its head turns."""
 
-    along_m: float = Field(60.0, ge=0, le=1e6, description="along the middle of the right-hand lane [m]")
-    left_m: float = Field(-3.0, ge=-30, le=30, description="to the left of it [m]")
+    along_m: float = Field(60.0, ge=0, le=1e6, description="from here on along the middle of the right-hand lane [m]")
+    left_m: float = Field(0.0, ge=-30, le=30, description="to the left of it [m]")
+    clearance_m: float = Field(
+        2.5, ge=0, le=20, description="at the first place with so much room around; 0 = just where it is said [m]"
+    )
     turn_deg: float = Field(360.0, gt=0, le=360, description="angle that the head turns [degrees]")
 
 
@@ -325,12 +338,21 @@ def _count_lines(settings: Settings, platform: Station | Trajectory) -> int:
 
 
 def _stand(street: StreetScene, settings: StationSettings) -> Station:
-    """Put the tripod beside the lane; the azimuth of its lines counts from the direction of the street."""
-    point, heading = street.path_point(np.array([settings.station.along_m]))
-    aside = settings.station.left_m
-    x, y = point[0, 0] - aside * np.sin(heading[0]), point[0, 1] + aside * np.cos(heading[0])
-    z = ground_below(street.bodies_near, float(x), float(y), float(point[0, 2]))
-    return Station(float(x), float(y), z + settings.scanner.height_m, float(heading[0]))
+    """Put the tripod where there is room; the azimuth of its lines counts from the direction of the street."""
+    place = settings.station
+    points, headings = street.path_point(place.along_m + np.arange(0.0, LOOK_AHEAD_M, LOOK_STEP_M))
+    best: tuple[float, Station] | None = None
+    for point, heading in zip(points, headings, strict=True):
+        x = float(point[0] - place.left_m * np.sin(heading))
+        y = float(point[1] + place.left_m * np.cos(heading))
+        z = ground_below(street.bodies_near, x, y, float(point[2]))
+        room_m = room_around(street.bodies_near, x, y, z) if place.clearance_m else 0.0
+        if best is None or room_m > best[0]:
+            best = room_m, Station(x, y, z + settings.scanner.height_m, float(heading))
+        if room_m >= place.clearance_m:
+            break
+    assert best is not None
+    return best[1]
 
 
 @dataclass(frozen=True, slots=True)

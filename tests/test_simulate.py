@@ -210,6 +210,18 @@ def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffi
     assert horizontal[road].mean() > 0.8
 
 
+def test_the_tripod_has_room_and_stands_on_the_ground() -> None:
+    for seed in range(4):
+        settings = small("street-scan", seed=seed, station={"along_m": 20.0 * seed, "clearance_m": 2.5})
+        found = open_simulation("street-scan", settings)
+        block, labels = whole(list(found.scan.labelled_blocks()))
+        assert np.nanmin(block.range_m[labels != Label.NOISE]) > 1.5
+        assert block.xyz_m is not None
+        ground = labels == Label.GROUND
+        near = ground & (block.range_m < 4.0)
+        assert np.abs(np.median(block.xyz_m[near][:, 2]) + settings.scanner.height_m) < 0.25
+
+
 def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> None:
     settings = small("forest", sight_m=20.0)
     simulate("forest", tmp_path / "a.npz", settings, beside=Beside(stems=tmp_path / "stems.csv"))

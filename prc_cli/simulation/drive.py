@@ -24,6 +24,7 @@ LINES_AT_ONCE = 64
 LINES_LOOKED_AT = 1 << 12
 """Lines whose places are worked out together when the end of a drive is looked for."""
 MOST_LINES = 2**31 - 1
+LARGEST_ROOM_M = 25.0
 BEHIND_M = 0.01
 """What is seen through a surface lies farther behind it than this [m]."""
 INTENSITY_SCALE = np.float32(4096.0)
@@ -287,3 +288,22 @@ def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) ->
     down = np.array([[[0.0, 0.0, -1.0]] * 2])
     t = cast(bodies_near(x_m, y_m, 1.0, 0.0), origin, down, np.zeros((1, 2))).t
     return z_m + 1.0 - float(t[0, 0]) if np.isfinite(t[0, 0]) else z_m
+
+
+def room_around(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
+    """Return how far everything is from a place, between knee and head, at time 0 [m].
+
+    Parameters
+    ----------
+    bodies_near : callable
+        The scene.
+    x_m, y_m, z_m : float
+        The place, on the ground [m].
+    """
+    heights, turns = np.array([0.5, 1.0, 1.5]), np.arange(0.0, 2.0 * np.pi, np.pi / 90.0)
+    origin = np.empty((len(heights), len(turns), 3))
+    origin[:] = np.array([x_m, y_m, z_m])
+    origin[:, :, 2] += heights[:, None]
+    level = np.stack([np.cos(turns), np.sin(turns), np.zeros_like(turns)], axis=1)
+    direction = np.broadcast_to(level, origin.shape)
+    return float(cast(bodies_near(x_m, y_m, LARGEST_ROOM_M, 0.0), origin, direction, np.zeros(len(heights))).t.min())
