@@ -101,15 +101,18 @@ def __getattr__(name: str) -> Any:
 
 
 def load_kernels(modules: frozenset[str] | None = None) -> None:
-    """Compile kernels, or load them from the cache; call it before worker processes start.
+    """Compile kernels, on all cores and in one process at a time, or load them from the cache.
 
-    Processes that compile the same kernel at the same moment waste each other's time.
+    Call it before worker processes or threads start.
 
     Parameters
     ----------
     modules : set of str, optional
         Names of kernel modules, such as ``angles``; default: all.
     """
-    for name, module in KERNELS.items():
-        if modules is None or module.rpartition(".")[2] in modules:
-            __getattr__(name)
+    from prc_cli.kernels.compiling import compile_missing  # which loads the compiler
+
+    wanted = {name: home for name, home in KERNELS.items() if modules is None or home.rpartition(".")[2] in modules}
+    compile_missing(sorted(set(wanted.values())))
+    for name in wanted:
+        __getattr__(name)

@@ -44,7 +44,7 @@ def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
     def compiled(function: FunctionT) -> FunctionT:
         jit: Any = numba.njit  # typed by some versions of numba and not by others
         options = {"nogil": True, "error_model": "numpy"}
-        folder = _writable_cache()
+        folder = writable_cache()
         if folder is not None:
             try:
                 with _numba_cache(folder):
@@ -84,7 +84,7 @@ def inlined(function: FunctionT) -> FunctionT:
 
 
 @lru_cache(maxsize=1)
-def _writable_cache() -> Path | None:
+def writable_cache() -> Path | None:
     """Folder for compiled kernels: the user's choice, the user's cache folder, a private temporary one, or none."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:

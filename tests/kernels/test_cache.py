@@ -33,9 +33,9 @@ def _forget_the_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Itera
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setattr(cache, "cache_folder", lambda: tmp_path / "user")
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
-    cache._writable_cache.cache_clear()
+    cache.writable_cache.cache_clear()
     yield
-    cache._writable_cache.cache_clear()
+    cache.writable_cache.cache_clear()
 
 
 def blocked(tmp_path: Path) -> Path:
@@ -103,7 +103,7 @@ def test_unwritable_cache_folder_falls_back_to_a_private_temporary_one(
 ) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     assert compile_module(tmp_path).twice(21) == 42
-    folder = cache._writable_cache()
+    folder = cache.writable_cache()
     assert folder is not None
     assert folder.parent == tmp_path / "temporary"
     if os.name != "nt":
@@ -116,7 +116,7 @@ def test_temporary_folder_that_others_can_write_is_not_trusted(tmp_path: Path, m
     folder = cache._temporary_cache()
     folder.mkdir(parents=True)
     folder.chmod(0o777)
-    assert cache._writable_cache() is None
+    assert cache.writable_cache() is None
 
 
 @posix_only
@@ -127,14 +127,14 @@ def test_temporary_folder_of_somebody_else_is_not_trusted(tmp_path: Path, monkey
     me = os.getuid()
     monkeypatch.setattr(cache, "_temporary_cache", lambda: folder)
     monkeypatch.setattr(os, "getuid", lambda: me + 1)
-    assert cache._writable_cache() is None
+    assert cache.writable_cache() is None
 
 
 def test_nothing_writable_at_all_still_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(blocked(tmp_path)))
     assert compile_module(tmp_path).twice(21) == 42
-    assert cache._writable_cache() is None
+    assert cache.writable_cache() is None
 
 
 @needs_compiler

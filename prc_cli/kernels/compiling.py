@@ -1,0 +1,147 @@
+"""Fill the cache of compiled code: on all cores, and in one process at a time.
+
+After installation the loops are compiled once. Processes that start at the same moment, such as the files of a batch,
+would all compile the same; so one does, with child processes for its share of the cores, and the others wait for it.
+None of this is needed for a run to succeed: whatever goes wrong here, a loop is compiled where it is used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from hashlib import sha256
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+
+import llvmlite.binding
+import numba
+
+from prc_cli.core.threads import default_threads
+from prc_cli.kernels.cache import writable_cache
+
+try:
+    import fcntl
+except ImportError:  # not on this system: processes then compile beside each other
+    fcntl = None  # type: ignore[assignment]
+
+PATIENCE_S = 30.0
+"""How long to wait for another process that compiles: about what it takes to compile everything alone [s]."""
+_TICK_S = 0.05
+_LOCK = "prc-compiling.lock"
+
+
+def compile_missing(modules: Sequence[str]) -> None:
+    """Compile the kernels of modules that the cache does not hold yet.
+
+    Parameters
+    ----------
+    modules : sequence of str
+        Full names.
+    """
+    folder = writable_cache()
+    if folder is None or numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return
+    if not _missing(modules, folder):
+        return
+    with _alone(folder):
+        parts = shares(_missing(modules, folder), default_threads())
+        children = [child for part in parts[1:] if (child := _start(part)) is not None]
+        try:
+            for module in parts[0] if parts else []:
+                _compile(module, folder)
+            for child in children:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    child.wait(PATIENCE_S)
+        finally:
+            for child in children:
+                if child.poll() is None:
+                    child.kill()
+                    child.wait()
+
+
+def shares(modules: Sequence[str], n: int) -> list[list[str]]:
+    """Deal modules out to processes so that each has about as much source to compile, the largest share first."""
+    sizes = {module: _source(module).stat().st_size for module in modules}
+    parts: list[list[str]] = [[] for _ in range(min(n, len(modules)))]
+    for module in sorted(modules, key=lambda each: -sizes[each]):
+        min(parts, key=lambda part: sum(sizes[each] for each in part)).append(module)
+    return sorted(parts, key=lambda part: -sum(sizes[each] for each in part))
+
+
+def _missing(modules: Sequence[str], folder: Path) -> list[str]:
+    return [module for module in modules if module not in sys.modules and not _mark(module, folder).exists()]
+
+
+def _mark(module: str, folder: Path) -> Path:
+    """File that says that the kernels of a module are in the cache, for this source, compiler and processor."""
+    status = _source(module).stat()
+    known_by = (
+        module, _source(module), status.st_mtime_ns, status.st_size, sys.version, numba.__version__,
+        llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten(),
+    )  # fmt: skip
+    return folder / f"prc-{module.rpartition('.')[2]}-{sha256(repr(known_by).encode()).hexdigest()[:16]}.compiled"
+
+
+def _source(module: str) -> Path:
+    spec = find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin)
+
+
+def _compile(module: str, folder: Path) -> None:
+    import_module(module)
+    with contextlib.suppress(OSError):
+        _mark(module, folder).touch()
+
+
+def _start(modules: Sequence[str]) -> subprocess.Popen[bytes] | None:
+    """Begin to compile in a child process, if there can be one; it finds the packages where this process does."""
+    path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", __name__, *modules],  # -P: nothing is imported from the current folder
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": path},
+        )  # fmt: skip
+    except (OSError, ValueError):
+        return None
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Wait until no other process compiles, but not for ever; the system opens the lock of a process that died."""
+    try:
+        handle = (folder / _LOCK).open("ab")
+    except OSError:
+        yield
+        return
+    with handle:
+        end = time.monotonic() + PATIENCE_S
+        while fcntl is not None and time.monotonic() < end:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                time.sleep(_TICK_S)
+            except OSError:  # a file system without locks
+                break
+            else:
+                break
+        yield
+
+
+def main(modules: Sequence[str]) -> None:
+    """Compile modules in this process."""
+    folder = writable_cache()
+    for module in modules:
+        if folder is not None:
+            _compile(module, folder)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,100 @@
+"""Many processes on an empty cache: all succeed, one compiles; and nothing that goes wrong here stops a run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from prc_cli import kernels
+from prc_cli.kernels import KERNELS, compiling
+
+needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
+needs_locks = pytest.mark.skipif(compiling.fcntl is None, reason="no file locks on this system")
+
+LOAD = """
+from prc_cli import kernels
+kernels.load_kernels(frozenset({"verticals"}))
+from prc_cli.kernels.verticals import first_high_verticals
+print(sum(first_high_verticals.stats.cache_misses.values()))
+"""
+
+
+def python(code: str, folder: Path) -> subprocess.Popen[str]:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    return subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
+
+
+@needs_compiler
+@needs_locks
+def test_of_four_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> None:
+    started = [python(LOAD, tmp_path) for _ in range(4)]
+    found = [process.communicate()[0] for process in started]
+    assert [process.returncode for process in started] == [0] * 4
+    assert sorted(found) == ["0\n", "0\n", "0\n", "1\n"]
+
+
+@needs_locks
+def test_lock_of_a_dead_process_is_open(tmp_path: Path) -> None:
+    code = "import fcntl, os, sys, time; handle = open(sys.argv[1], 'ab'); fcntl.flock(handle, fcntl.LOCK_EX)"
+    path = tmp_path / compiling._LOCK
+    owner = subprocess.Popen(
+        [sys.executable, "-c", f"{code}; print('mine', flush=True); time.sleep(60)", str(path)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert owner.stdout is not None
+    with owner:
+        assert owner.stdout.readline() == "mine\n"
+        owner.kill()
+    begin = time.monotonic()
+    with compiling._alone(tmp_path):
+        assert time.monotonic() - begin < compiling.PATIENCE_S / 2
+
+
+@needs_locks
+def test_nobody_waits_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "PATIENCE_S", 0.2)
+    with compiling._alone(tmp_path), compiling._alone(tmp_path):
+        pass
+
+
+def test_no_lock_can_be_made(tmp_path: Path) -> None:
+    with compiling._alone(tmp_path / "nowhere"):
+        pass
+
+
+def test_shares_are_even_and_complete() -> None:
+    modules = sorted(set(KERNELS.values()))
+    parts = compiling.shares(modules, 2)
+    assert sorted(module for part in parts for module in part) == modules
+    sizes = [sum(compiling._source(module).stat().st_size for module in part) for part in parts]
+    assert sizes[0] >= sizes[1] > 0.7 * sizes[0]
+    assert compiling.shares([], 2) == []
+
+
+@needs_compiler
+def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program without an interpreter beside it, or one that fails."""
+    monkeypatch.setattr(compiling, "writable_cache", lambda: tmp_path)
+    monkeypatch.setattr(compiling, "_missing", lambda modules, folder: list(modules))
+    monkeypatch.setattr(compiling, "default_threads", lambda: 2)
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
+    assert compiling._start(["prc_cli.kernels.verticals"]) is None
+    compiling.compile_missing(["prc_cli.kernels.verticals", "prc_cli.kernels.lines"])
+    assert len(list(tmp_path.glob("*.compiled"))) == 1
+    assert callable(kernels.first_high_verticals)
+
+
+@needs_compiler
+def test_child_process_compiles_its_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    child = compiling._start(["prc_cli.kernels.verticals"])
+    assert child is not None
+    assert child.wait() == 0
+    assert len(list(tmp_path.glob("prc-verticals-*.compiled"))) == 1
+    assert compiling._mark("prc_cli.kernels.verticals", tmp_path).exists()
