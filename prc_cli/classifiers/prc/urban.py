@@ -91,7 +91,10 @@ def find_ground(
     np.add.at(here, position, smooth[present])
     running = here + totals.of(ids)
     ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # of equals the first: oldest
-    may_go_on = np.isin(ids, last_line[np.flatnonzero(np.diff(last_line, prepend=0))])
+    here_last = last_line[np.flatnonzero(last_line[1:] != last_line[:-1])]  # all but the last shot's, once a stretch
+    may_go_on = np.zeros(len(ids), dtype=bool)
+    may_go_on[np.searchsorted(ids, here_last[here_last > 0])] = True
+    may_go_on |= ids == last_line[-1]
     return int(ground), Totals(ids[may_go_on], running[may_go_on])
 
 
