@@ -101,8 +101,12 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
         low += [(axle - arch, model.clearance), (axle - 0.6 * arch, above), (axle + 0.6 * arch, above)]
         low += [(axle + arch, model.clearance)]
     low += [(model.half, model.clearance + 0.1)]
+    # flanks have corners wherever the lower or the upper edge has one
+    places, heights = zip(*low, strict=True)
+    stations = sorted({*places, *(u for u, _ in model.deck)})
+    edge = list(zip(stations, np.interp(stations, places, heights).tolist(), strict=True))
     for side in (-1.0, 1.0):
-        for (u0, w0), (u1, w1) in itertools.pairwise(low):
+        for (u0, w0), (u1, w1) in itertools.pairwise(edge):
             a, b = frame.at(u0, side * model.wide, w0), frame.at(u1, side * model.wide, w1)
             top = [frame.at(u, side * (model.wide - 0.03), model.waist(u)) for u in (u0, u1)]
             pile.quad((a, b, top[1], top[0]), Material.CAR_BODY)
@@ -127,30 +131,28 @@ def _cabin(pile: Pile, frame: Frame, model: Model) -> None:
     back, roof_back, roof_front, front = model.cabin
     wide, narrow = model.wide - 0.04, model.wide - model.lean
 
-    def corner(u: float, side: float, *, up: bool) -> Point:
-        return frame.at(u, side * (narrow if up else wide), model.roof if up else model.waist(u) - 0.02)
+    def corner(foot: float, top: float, side: float, up: float) -> Point:
+        """Point of a pillar between its foot (0) and the roof (1)."""
+        low, v = model.waist(foot) - 0.02, wide + up * (narrow - wide)
+        return frame.at(foot + up * (top - foot), side * v, low + up * (model.roof - low))
 
     side_glass = Material.CAR_GLASS if model.glazed else Material.CAR_BODY
+    rear, fore = (back, roof_back), (front, roof_front)
     for side in (-1.0, 1.0):
-        a, b = corner(back, side, up=False), corner(front, side, up=False)
-        c, d = corner(roof_front, side, up=True), corner(roof_back, side, up=True)
-        pile.quad((a, b, c, d), side_glass)
+        levels = ((0.0, 0.88, side_glass), (0.88, 1.0, Material.CAR_BODY))
+        for low, high, material in levels:
+            a, b = corner(*rear, side, low), corner(*fore, side, low)
+            c, d = corner(*fore, side, high), corner(*rear, side, high)
+            pile.quad((a, b, c, d), material)
         if not model.glazed:
             _door_pane(pile, frame, model, side)
-    for foot, top, material in ((front, roof_front, Material.CAR_GLASS), (back, roof_back, side_glass)):
-        a, b = corner(foot, -1.0, up=False), corner(foot, 1.0, up=False)
-        c, d = corner(top, 1.0, up=True), corner(top, -1.0, up=True)
+    for pillar, material in ((fore, Material.CAR_GLASS), (rear, side_glass)):
+        a, b = corner(*pillar, -1.0, 0.0), corner(*pillar, 1.0, 0.0)
+        c, d = corner(*pillar, 1.0, 1.0), corner(*pillar, -1.0, 1.0)
         pile.quad((a, b, c, d), material)
-    a, b = corner(roof_back, -1.0, up=True), corner(roof_back, 1.0, up=True)
-    c, d = corner(roof_front, 1.0, up=True), corner(roof_front, -1.0, up=True)
+    a, b = corner(*rear, -1.0, 1.0), corner(*rear, 1.0, 1.0)
+    c, d = corner(*fore, 1.0, 1.0), corner(*fore, -1.0, 1.0)
     pile.quad((a, b, c, d), Material.CAR_BODY)
-    # the rim of the roof above the panes
-    rim = (
-        (roof_back - 0.05, roof_front + 0.05),
-        (-narrow - 0.03, narrow + 0.03),
-        (model.roof - 0.07, model.roof - 0.01),
-    )
-    pile.box(frame, rim, Material.CAR_BODY)
     if model.glazed:
         for u in (roof_front - 0.3, 0.5 * (back + roof_front) + 0.2):
             seats = ((u - 0.35, u - 0.2), (-0.6, 0.6), (0.6, model.roof - 0.25))

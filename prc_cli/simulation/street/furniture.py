@@ -130,7 +130,7 @@ def _fence(pile: Pile, frame: Frame, half: float, kind: float, high: float) -> N
     along = (-half, half)
     if kind < 0.45:
         top = 0.9 + 1.1 * high
-        pile.box(frame, (along, (0.05, 0.70), (-0.3, top)), Material.HEDGE, 8.0)
+        pile.box(frame, (along, (0.05, 0.70), (-0.3, top)), Material.HEDGE, 12.0)
     elif kind < 0.65:
         pile.box(frame, (along, (0.05, 0.28), (-0.5, 0.5 + 1.1 * high)), Material.FENCE)
     elif kind < 0.80:
