@@ -45,7 +45,7 @@ def cast(
     bodies : Bodies
         What is in sight.
     origin_m : (lines, M, 3) float64
-        Where every shot begins, world coordinates [m]; finite, as all numbers here.
+        Where every shot begins, world coordinates [m]; finite, as all but ``t_min_m``.
     direction : (lines, M, 3) float64
         Where it goes, unit vectors. Any will do; it is quick where the shots of a line lie nearly in one plane and
         turn one way.
