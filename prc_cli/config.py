@@ -248,7 +248,27 @@ def to_toml(loaded: LoadedConfig, *, comments: bool = True) -> str:
     comments : bool
         With the description of every key and the source of every value that is not its default.
     """
-    return "\n".join(_toml_lines(loaded.config, "", loaded.sources, comments)).strip() + "\n"
+    return params_to_toml(loaded.config, loaded.sources, comments=comments)
+
+
+def params_to_toml(params: Params, sources: Mapping[str, str] | None = None, *, comments: bool = True) -> str:
+    """Write any parameter table as TOML.
+
+    Parameters
+    ----------
+    params : Params
+        The table, with those inside it.
+    sources : mapping, optional
+        Where the value of a dotted key came from, for its comment.
+    comments : bool
+        With the description of every key.
+
+    Examples
+    --------
+    >>> print(params_to_toml(ClassCodes(noise=18), comments=False).splitlines()[1])
+    noise = 18
+    """
+    return "\n".join(_toml_lines(params, "", sources or {}, comments)).strip() + "\n"
 
 
 def _toml_lines(table: Params, prefix: str, sources: Mapping[str, str], comments: bool) -> Iterator[str]:

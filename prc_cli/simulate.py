@@ -204,7 +204,12 @@ def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[s
         table[name] = merge(presets[chosen], own)
         if name == "trajectory" and "stop_every_m" not in own:
             table[name] = _with_room_to_stop(table[name])
-    settings = build(_MODELS[kind], table, where)
+    try:
+        settings = build(_MODELS[kind], table, where)
+    except ConfigError as error:
+        # the hint of the other configuration leads nowhere here
+        hint = error.hint if "prc config" not in error.hint else f"see `prc simulate parameters {kind}`"
+        raise ConfigError(error.where, error.problem, hint) from None
     if settings.scanner.is_static != (kind == "street-scan"):
         found = "is static" if settings.scanner.is_static else "is none for a tripod"
         fitting = ", ".join(name for name, each in SCANNERS.items() if each.is_static == (kind == "street-scan"))

@@ -132,6 +132,12 @@ def test_every_format_gives_ranges_and_reference_back(
     assert set(summary.files) == {*tmp_path.iterdir()}
 
 
+def test_parquet_holds_the_reference_too(drive: tuple[ScanBlock, Any], tmp_path: Path) -> None:
+    summary = simulate("street", tmp_path / "drive.parquet", small("street"))
+    codes = np.concatenate(list(open_codes(summary.output).chunks()))
+    assert same(codes, ClassCodes().lookup()[drive[1]].ravel())
+
+
 @pytest.mark.parametrize("suffix", [".laz", ".npz", ".csv", ".e57", ".bin", ".npy"])
 def test_the_same_bytes_twice(tmp_path: Path, suffix: str) -> None:
     found = []

@@ -13,10 +13,10 @@ from rich.table import Table
 
 from prc_cli.cli.options import output_options
 from prc_cli.cli.report import compiling_note, console, line_progress, results
-from prc_cli.config import parse_assignment
+from prc_cli.config import params_to_toml, parse_assignment
 from prc_cli.core.classes import Label
 from prc_cli.core.config import merge
-from prc_cli.simulate import SCENES, Beside, Kind, SimulationSummary, check_simulation, load_settings
+from prc_cli.simulate import KINDS, SCENES, Beside, Kind, SimulationSummary, check_simulation, load_settings
 from prc_cli.simulate import simulate as simulate_file
 from prc_cli.simulation.drive import load_simulator
 from prc_cli.simulation.scanners import SCANNERS
@@ -89,6 +89,7 @@ def simulate() -> None:
       prc simulate forest -o walk.npz --length 120 --stems stems.csv
       prc simulate street-scan -o station.npz
       prc simulate scanners
+      prc simulate parameters forest
     """
 
 
@@ -162,6 +163,21 @@ def scanners(as_json: bool) -> None:
             f"{kind}, {'phase' if scanner.principle == 'cw' else 'pulse'}",
         )  # fmt: skip
     results().print(table)
+
+
+@simulate.command()
+@click.argument("kind", type=click.Choice(KINDS))
+@click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml", help="Parameters.")
+@click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Any of them; scanner.name=NAME.")
+@click.option("--bare", is_flag=True, help="Without comments.")
+def parameters(kind: Kind, config_file: Path | None, assignments: tuple[str, ...], bare: bool) -> None:
+    """Print every parameter of a KIND of simulation as TOML that --config reads.
+
+    \b
+    Example: prc simulate parameters street --set scanner.name=profiler-1mhz > fast.toml
+    """
+    settings = load_settings(kind, config_file, _table({"assignments": assignments}))
+    click.echo(params_to_toml(settings, comments=not bare), nl=False)
 
 
 _KEYS = {

@@ -68,6 +68,16 @@ def test_the_scanners_are_listed(prc: Prc) -> None:
     assert json.loads(prc("simulate", "scanners", "--json").out)["photon-80"]["line_hz"] == 48.0
 
 
+@pytest.mark.parametrize("kind", ["street", "forest", "street-scan"])
+def test_printed_parameters_are_read_back(prc: Prc, tmp_path: Path, kind: str) -> None:
+    result = prc("simulate", "parameters", kind, "--set", "seed=9")
+    assert (result.code, result.err) == (0, "")
+    assert "# range noise close by, standard deviation [m]" in result.out
+    (tmp_path / "a.toml").write_text(result.out)
+    assert prc("simulate", "parameters", kind, "--config", tmp_path / "a.toml").out == result.out
+    assert "\n#" not in prc("simulate", "parameters", kind, "--bare").out
+
+
 def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
     (tmp_path / "there.npz").write_text("mine")
     for options, code, said in (
@@ -78,6 +88,7 @@ def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
         (["street", "-o", tmp_path / "a.npz", "--length", "5", "--lines", "3"], 2, "--length and --lines contradict"),
         (["street", "-o", tmp_path / "a.npz", "--scanner", "scanstation2"], 2, "is not one of 'photon-80'"),
         (["street", "-o", tmp_path / "a.npz", "--set", "scene.tree=1"], 2, "did you mean 'trees'?"),
+        (["street", "-o", tmp_path / "a.npz", "--set", "scene.trees=9"], 2, "see `prc simulate parameters street`"),
         (["meadow", "-o", tmp_path / "a.npz"], 2, "No such command 'meadow'"),
     ):
         result = prc("simulate", *options)
