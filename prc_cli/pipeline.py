@@ -125,6 +125,7 @@ def label_blocks(
     *,
     threads: int = 1,
     segments: bool = False,
+    shots_at_once: int = SHOTS_AT_ONCE,
 ) -> Iterator[LabelledBlock]:
     """Classify a stream block by block; what crosses blocks is one state a scanner.
 
@@ -138,6 +139,8 @@ def label_blocks(
         Threads that classify; results do not depend on it. At most twice as many blocks are held at a time.
     segments : bool
         Find the segment ids too, where the method has any.
+    shots_at_once : int
+        Sequential-angle: about as many shots, whole lines, are taken at a time; labels do not depend on it.
 
     Yields
     ------
@@ -147,7 +150,7 @@ def label_blocks(
     if isinstance(params, PrcParams):
         yield from _prc(blocks, params, threads, segments=segments)
     else:
-        yield from _sequential_angle(blocks, params, threads)
+        yield from _sequential_angle(blocks, params, threads, shots_at_once)
 
 
 def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segments: bool) -> Iterator[LabelledBlock]:
@@ -173,14 +176,14 @@ def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segmen
 
 
 def _sequential_angle(
-    blocks: Iterator[ScanBlock], params: SequentialAngleParams, threads: int
+    blocks: Iterator[ScanBlock], params: SequentialAngleParams, threads: int, shots_at_once: int
 ) -> Iterator[LabelledBlock]:
     scanners: dict[int, sequential_angle.ParallelBlocks] = {}
     waiting: dict[int, LineBuffer] = {}
     Item: TypeAlias = tuple[ScanBlock, sequential_angle.ParallelBlocks, sequential_angle.BlockJob]
 
     def begin() -> Iterator[Item]:
-        for block in regroup(blocks, shots_per_block=SHOTS_AT_ONCE):
+        for block in regroup(blocks, shots_per_block=shots_at_once):
             if block.beam_rad is None:
                 problem = "no beam angles, expected the angle of every column from straight down"
                 raise InputError("block of ranges", problem)

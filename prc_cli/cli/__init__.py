@@ -21,6 +21,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate a street, classify it, evaluate it, draw it: no data needed."),
     "info": ("prc_cli.cli.info:info", "Say what a file holds and whether it can be classified."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
+    "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),

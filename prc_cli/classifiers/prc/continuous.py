@@ -1,0 +1,135 @@
+"""Continuous processing: every few lines a block that ends there (Lehtola et al. 2019, V).
+
+The paper suggests it for a higher update rate, without saying how. Here the block of k lines moves on by ``hop``
+lines, and the new ones are labelled in it. What lies before the block plays the part that the block before plays in
+Algorithm 1: its last line votes for labels, and its smooth shots count for the ground. With ``hop = k`` that is
+Algorithm 1 itself, but for a last block that is cut short, which takes lines before it in. Support and background
+know no blocks, so noise is the same for every hop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prc_cli.classifiers.prc.background import background
+from prc_cli.classifiers.prc.components import identify, join
+from prc_cli.classifiers.prc.forest import forest
+from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.prc.support import stream_window, support, tail_after, window_reach
+from prc_cli.classifiers.prc.surfaces import Surfaces, area_threshold, find_small, surfaces
+from prc_cli.classifiers.prc.urban import Totals, count_smooth, find_ground, urban
+from prc_cli.core.types import F32, I64, U8, Mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContinuousState:
+    """All that is left of the lines so far; its size depends on k and M alone."""
+
+    range_m: F32
+    """(lines <= k, M) float32, the block that ends at the newest line [m]."""
+    background: Mask
+    """(lines, M) bool, G of the block."""
+    surfaces: Surfaces | None
+    """The block's S, H and V; None before the first line."""
+    tail: F32
+    """(max(M + 1, 4),) float32, the shots before the next line [m]."""
+    before: Before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Before:
+    """What the lines before a block leave to it."""
+
+    last_line: I64
+    """(M,) int64, segment ids of the line before the block where it is smooth, 0 elsewhere."""
+    totals: Totals
+    """Smooth shots before the block of the segments on that line (urban)."""
+    next_id: int
+    """First segment id that is still free."""
+
+
+def initial_state(points_per_line: int) -> ContinuousState:
+    """Return the state before the first line of a stream with ``points_per_line`` shots a line."""
+    shape = (0, points_per_line)
+    tail = np.full(window_reach(points_per_line), np.nan, dtype=np.float32)
+    before = Before(np.zeros(points_per_line, np.int64), Totals.none(), next_id=1)
+    return ContinuousState(np.empty(shape, np.float32), np.empty(shape, bool), None, tail, before)
+
+
+def classify_lines(
+    range_m: F32, next_m: F32 | None, state: ContinuousState, params: PrcParams
+) -> tuple[U8, ContinuousState]:
+    """Label new lines in the block of k lines that ends with them.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        The new lines, at most k; NaN = missing, all else finite and positive.
+    next_m : (lines, M) float32, metres
+        The lines that follow, as for :func:`prc_cli.classifiers.prc.pipeline.classify_block`.
+    state : ContinuousState
+        After the lines before, or :func:`initial_state`.
+    params : PrcParams
+
+    Returns
+    -------
+    labels : (lines, M) uint8
+        :class:`prc_cli.core.classes.Label`.
+    state : ContinuousState
+        For the lines after.
+
+    Examples
+    --------
+    >>> from prc_cli.core.classes import Label
+    >>> wall = np.full((1, 9), 20.0, dtype=np.float32)
+    >>> state = initial_state(9)
+    >>> for _ in range(8):
+    ...     labels, state = classify_lines(wall, np.concatenate([wall, wall]), state, PrcParams(lines_per_block=6))
+    >>> Label(labels[0, 0]).name, len(state.range_m)
+    ('GROUND', 6)
+    """
+    n_new, points_per_line = range_m.shape
+    # S and G of the new lines alone: they know no blocks
+    window = stream_window(state.tail, range_m, next_m)
+    seen = support(window, points_per_line, params.support)
+    apart = background(window, seen, params.background)
+    # the block moves on
+    n_leaving = max(len(state.range_m) + n_new - params.lines_per_block, 0)
+    before = _leave(state, n_leaving, params)
+    supported = seen if state.surfaces is None else np.concatenate([state.surfaces.supported[n_leaving:], seen])
+    block = np.concatenate([state.range_m[n_leaving:], range_m])
+    g = np.concatenate([state.background[n_leaving:], apart])
+    # H, V and the classes, as in Algorithm 1
+    h = identify(join(supported, g), before.last_line, before.next_id, params.components)
+    small = find_small(h, area_threshold(params.surfaces, len(block), params.lines_per_block, points_per_line))
+    v = surfaces(supported, h, small, params.surfaces)
+    labels = _draw(block, v, before, params)[-n_new:]
+    return labels, ContinuousState(block, g, v, tail_after(state.tail, range_m), before)
+
+
+def _leave(state: ContinuousState, n_leaving: int, params: PrcParams) -> Before:
+    """Take the first lines out of the block: what they leave to the lines after them."""
+    before, v = state.before, state.surfaces
+    if v is None or not n_leaving:
+        return before
+    h, rows = v.components, slice(0, n_leaving)
+    image = h.image[rows]
+    last_line = np.where(v.supported[n_leaving - 1] & ~v.covered[n_leaving - 1], h.ids[image[-1]], 0)
+    totals = before.totals
+    if params.environment == "urban":
+        pixels = np.bincount(image.ravel(), minlength=len(h.ids))
+        part = Surfaces(v.supported[rows], replace(h, image=image, pixels=pixels), v.covered[rows], None, 0)
+        _, totals = find_ground(part.components, count_smooth(part), last_line, totals, params.urban)
+    return Before(last_line, totals, h.next_id)
+
+
+def _draw(range_m: F32, v: Surfaces, before: Before, params: PrcParams) -> U8:
+    """Give the shots of a block their labels."""
+    points_per_line = range_m.shape[1]
+    window = stream_window(np.full(window_reach(points_per_line), np.nan, dtype=np.float32), range_m, None)
+    if params.environment == "forest":
+        return forest(window, v, params.forest)
+    ground, _ = find_ground(v.components, count_smooth(v), before.last_line, before.totals, params.urban)
+    return urban(window, v, ground)

@@ -1,0 +1,121 @@
+"""``prc stream``: ranges on stdin, one class code a shot on stdout."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import time
+from typing import Any
+
+import click
+
+from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.report import compiling_note, console, print_assumptions
+from prc_cli.core.classes import Label
+from prc_cli.pipeline import load_classifier
+from prc_cli.streaming import Rate, StreamSummary
+from prc_cli.streaming import stream as label_stream
+
+
+@click.command()
+@stream_options
+@click.option(
+    "--hop",
+    type=click.IntRange(min=1),
+    metavar="LINES",
+    help="PRC: label so many new lines at a time, each within the k lines up to it; default: blocks of k.",
+)
+@click.option("--continuous", is_flag=True, help="The same as --hop 1: every line leaves as soon as it can.")
+@click.option(
+    "--line-hz",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="HZ",
+    help="Lines a second that the scanner makes, for the real-time factor; default: as the layout says.",
+)
+@click.option(
+    "--report",
+    "every",
+    type=click.FloatRange(min=0),
+    default=10.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Report the rate on stderr so often; 0 = only at the end.",
+)
+@output_options
+def stream(
+    hop: int | None, continuous: bool, line_hz: float | None, every: float,
+    as_json: bool, quiet: bool, verbose: bool, **options: Any,
+) -> None:  # fmt: skip
+    """Label a live stream: ranges in on stdin, one byte a shot out on stdout.
+
+    Without a layout the input is float32 ranges, -M of them a line; the output is the class code of every shot, 0 = no
+    return, the same bytes that prc classify writes as an array. Labels leave block by block (k lines), with --hop
+    sooner. The rate is reported on stderr, with --json at the end as JSON, on stderr too.
+
+    \b
+    Examples:
+      scanner | prc stream --preset urban -M 2154 > labels.bin
+      cat drive.bin | prc stream --layout profiler.toml --hop 1 | logger
+    """
+    if continuous and hop not in (None, 1):
+        message = f"--continuous and --hop {hop} contradict each other"
+        raise click.UsageError(message)
+    for name, file in (("stdin", sys.stdin), ("stdout", sys.stdout)):
+        if file.isatty():
+            message = f"{name} is a terminal, expected a pipe or a file: ranges and labels are bytes, not text"
+            raise click.UsageError(message)
+    loaded = config_from(options)
+    if (continuous or hop is not None) and loaded.config.method != "prc":
+        message = "--hop and --continuous are for PRC: the sequential-angle classifier goes line by line as it is"
+        raise click.UsageError(message)
+    with compiling_note(quiet=quiet):
+        load_classifier(loaded)
+    report = None if quiet or not every else _Reporter(every, line_hz)
+    # unbuffered: bytes must not wait in Python until a buffer is full
+    source = io.FileIO(sys.stdin.fileno(), closefd=False)
+    sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
+    summary = label_stream(source, sink, loaded, hop=1 if continuous else hop, report=report)
+    if as_json:
+        click.echo(json.dumps(_as_dict(summary, line_hz), sort_keys=True), err=True)
+    elif not quiet:
+        if verbose:
+            print_assumptions(summary.info.assumptions, summary.counts.tally)
+        console().print(_sentence(summary.rate, line_hz), soft_wrap=True)
+
+
+class _Reporter:
+    """Prints the rate every few seconds."""
+
+    def __init__(self, every_s: float, line_hz: float | None) -> None:
+        self._every_s, self._line_hz = every_s, line_hz
+        self._next = time.perf_counter() + every_s
+
+    def __call__(self, rate: Rate) -> None:
+        if (now := time.perf_counter()) >= self._next:
+            console().print(_sentence(rate, self._line_hz), soft_wrap=True)
+            self._next = now + self._every_s
+
+
+def _sentence(rate: Rate, line_hz: float | None) -> str:
+    """Return the rate for people."""
+    shots = rate.n_shots / rate.seconds / 1e6 if rate.seconds else 0.0
+    text = (
+        f"{rate.n_lines:,} lines, {rate.n_shots:,} shots in {rate.seconds:.1f} s ({shots:.3g} million shots a second)"
+    )
+    factor = rate.real_time(line_hz)
+    if factor is not None:
+        text += f", {factor:.3g} x real time"
+    return f"{text}; labels left at most {1e3 * rate.latency_s:.1f} ms after the last shot they needed"
+
+
+def _as_dict(summary: StreamSummary, line_hz: float | None) -> dict[str, object]:
+    rate = summary.rate
+    return {
+        "lines": rate.n_lines,
+        "shots": rate.n_shots,
+        "seconds": rate.seconds,
+        "real_time_factor": rate.real_time(line_hz),
+        "longest_latency_s": rate.latency_s,
+        "labels": {label.name.lower(): int(summary.counts.labels[label]) for label in Label},
+    }

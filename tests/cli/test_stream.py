@@ -1,0 +1,188 @@
+"""``prc stream`` through real pipes."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.cli import main
+from prc_cli.core.classes import ClassCodes
+from tests.street import POINTS_PER_LINE, angles, street
+
+URBAN = ("--preset", "urban", "-M", str(POINTS_PER_LINE), "--set", "prc.lines_per_block=16")
+
+
+def start(*arguments: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "prc_cli", "stream", *arguments]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0)
+
+
+def run(data: bytes, *arguments: str) -> tuple[int, bytes, str]:
+    process = start(*arguments)
+    out, err = process.communicate(data, timeout=120)
+    return process.returncode, out, err.decode()
+
+
+def take(process: subprocess.Popen[bytes], n_bytes: int) -> bytes:
+    """Wait until so many labels have left, and give them."""
+    assert process.stdout is not None
+    found = b""
+    while len(found) < n_bytes:
+        ready, _, _ = select.select([process.stdout], [], [], 60)
+        assert ready, "no labels within a minute"
+        found += os.read(process.stdout.fileno(), 1 << 16)
+    return found
+
+
+def reference(tmp_path: Path, data: bytes, *arguments: str) -> bytes:
+    """Labels of ``prc classify`` for the same bytes in a file."""
+    (tmp_path / "drive.bin").write_bytes(data)
+    with pytest.raises(SystemExit) as end:
+        main(["classify", str(tmp_path / "drive.bin"), str(tmp_path / "labels.npy"), "-q", *arguments])
+    assert end.value.code == 0
+    labels: bytes = np.load(tmp_path / "labels.npy").tobytes()
+    return labels
+
+
+def test_the_bytes_of_classify(tmp_path: Path) -> None:
+    data = street().tobytes()
+    code, out, err = run(data, *URBAN, "--line-hz", "48")
+    assert code == 0, err
+    assert out == reference(tmp_path, data, *URBAN)
+    assert "137 lines" in err
+    assert "x real time" in err
+
+
+def test_the_bytes_of_classify_with_the_other_classifier(tmp_path: Path) -> None:
+    data = street().tobytes()
+    step = 360 / POINTS_PER_LINE
+    options = ("--preset", "street-scan", "-M", str(POINTS_PER_LINE))
+    angle = ("--set", "input.angle_start=0", "--set", f"input.angle_step={step}", "--set", "input.nadir=0")
+    code, out, err = run(data, *options, *angle)
+    assert code == 0, err
+    assert out == reference(tmp_path, data, *options, *angle)
+    assert angles()[0] == 0
+
+
+def test_labels_leave_while_the_scanner_goes_on() -> None:
+    """With --hop 1 the label of a line is there when two more lines are, and the scanner has not stopped."""
+    image = street()
+    process = start(*URBAN, "--continuous", "-q")
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(image[:5].tobytes())
+    assert len(take(process, 3 * POINTS_PER_LINE)) == 3 * POINTS_PER_LINE
+    process.stdin.close()
+    assert len(process.stdout.read()) == 2 * POINTS_PER_LINE  # the rest, at the end
+    assert process.wait(60) == 0
+    process.stdout.close()
+    assert process.stderr is not None
+    process.stderr.close()
+
+
+def test_a_block_leaves_when_two_more_lines_are_there() -> None:
+    image = street()
+    process = start(*URBAN, "-q")
+    assert process.stdin is not None
+    process.stdin.write(image[:18].tobytes())
+    assert len(take(process, 16 * POINTS_PER_LINE)) == 16 * POINTS_PER_LINE
+    rest, err = process.communicate(timeout=60)
+    assert (process.returncode, len(rest), err) == (0, 2 * POINTS_PER_LINE, b"")
+
+
+def test_a_slow_reader_slows_the_writer_down() -> None:
+    """The program holds a block and what the pipes hold, not the stream."""
+    process = start(*URBAN, "-q")
+    assert process.stdin is not None
+    os.set_blocking(process.stdin.fileno(), False)
+    data, taken, idle = street(137).tobytes() * 200, 0, time.monotonic()
+    while time.monotonic() - idle < 3 and taken < len(data):
+        try:
+            written = os.write(process.stdin.fileno(), data[taken : taken + (1 << 16)])
+            taken, idle = taken + written, time.monotonic()
+        except BlockingIOError:
+            time.sleep(0.02)
+    assert taken < len(data) // 2, "nobody reads the labels, and yet all ranges were taken"
+    process.kill()
+    process.communicate()
+
+
+def test_an_end_inside_a_record_loses_no_label() -> None:
+    image = street()
+    code, out, err = run(image.tobytes() + b"ab", *URBAN, "-q")
+    assert code == 1
+    assert len(out) == image.size
+    assert err == (
+        f"error: stdin: ended inside record {image.size}: found 2 bytes of 4; check the layout, and that the program "
+        "before the pipe has not died\n"
+    )
+
+
+def test_a_last_line_that_is_not_whole_is_labelled_too() -> None:
+    image = street()
+    data = image.tobytes()[: -4 * 50]
+    code, out, err = run(data, *URBAN, "-q")
+    assert (code, err) == (0, "")
+    assert len(out) == image.size - 50
+
+
+def test_nothing_comes() -> None:
+    code, out, err = run(b"", *URBAN)
+    assert (code, out) == (1, b"")
+    assert err.startswith("error: stdin: ended before the first record of 4 bytes")
+    assert err.count("\n") == 1
+
+
+def test_the_reader_of_the_labels_goes() -> None:
+    process = start(*URBAN, "-q")
+    assert process.stdout is not None
+    process.stdout.close()
+    _, err = process.communicate(street().tobytes() * 20, timeout=120)
+    assert process.returncode == 1
+    assert err == b"error: stdout: its reader has gone; the labels of the shots before have left\n"
+
+
+def test_a_signal_ends_it_within_seconds() -> None:
+    process = start(*URBAN, "-q", "--continuous")
+    assert process.stdin is not None
+    process.stdin.write(street()[:9].tobytes())
+    assert len(take(process, 7 * POINTS_PER_LINE)) == 7 * POINTS_PER_LINE
+    process.send_signal(signal.SIGTERM)
+    out, _ = process.communicate(timeout=20)
+    assert (process.returncode, out) == (128 + signal.SIGTERM, b"")
+
+
+def test_json_goes_to_stderr() -> None:
+    code, out, err = run(street().tobytes(), *URBAN, "--json", "--line-hz", "48")
+    assert code == 0
+    told = json.loads(err)
+    assert told["lines"] == 137
+    assert told["shots"] == len(out) == sum(told["labels"].values())
+    counts = np.bincount(np.frombuffer(out, np.uint8), minlength=256)
+    assert told["labels"]["ground"] == counts[ClassCodes().ground]
+    assert told["real_time_factor"] > 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--hop", "17"), "hop: found 17, expected 1 to prc.lines_per_block = 16 lines"),
+        (("--hop", "2", "--continuous"), "--continuous and --hop 2 contradict each other"),
+        (("--scanner", "user_data"), "labels of one scanner leave in the order of its shots"),
+        (("--sort-by-time",), "a pipe cannot be sorted by time"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_at_once(options: tuple[str, ...], message: str) -> None:
+    code, out, err = run(street()[:1].tobytes(), *URBAN, "-q", *options)
+    assert (code, out) == (2, b"")
+    assert message in err
