@@ -6,7 +6,6 @@ Measures are those of common models: cars 3.8 to 4.8 m long, 1.75 to 1.85 m wide
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,15 +100,20 @@ def _body(pile: Pile, frame: Frame, model: Model) -> None:
         low += [(axle - arch, model.clearance), (axle - 0.6 * arch, above), (axle + 0.6 * arch, above)]
         low += [(axle + arch, model.clearance)]
     low += [(model.half, model.clearance + 0.1)]
-    # flanks have corners wherever the lower or the upper edge has one
-    places, heights = zip(*low, strict=True)
-    stations = sorted({*places, *(u for u, _ in model.deck)})
-    edge = list(zip(stations, np.interp(stations, places, heights).tolist(), strict=True))
+    # the upper edge has corners above the arches, so that no triangle lies across an arch
+    upper = sorted({*model.deck, *((u, model.waist(u)) for u, w in low if w == above)})
     for side in (-1.0, 1.0):
-        for (u0, w0), (u1, w1) in itertools.pairwise(edge):
-            a, b = frame.at(u0, side * model.wide, w0), frame.at(u1, side * model.wide, w1)
-            top = [frame.at(u, side * (model.wide - 0.03), model.waist(u)) for u in (u0, u1)]
-            pile.quad((a, b, top[1], top[0]), Material.CAR_BODY)
+        under = [frame.at(u, side * model.wide, w) for u, w in low]
+        over = [frame.at(u, side * (model.wide - 0.03), w) for u, w in upper]
+        i = j = 0
+        # triangles between the lower and the upper edge, from the rear to the front
+        while i + 1 < len(low) or j + 1 < len(over):
+            if j + 1 == len(over) or (i + 1 < len(low) and low[i + 1][0] < upper[j + 1][0]):
+                pile.triangle(under[i], under[i + 1], over[j], Material.CAR_BODY)
+                i += 1
+            else:
+                pile.triangle(under[i], over[j + 1], over[j], Material.CAR_BODY)
+                j += 1
     inner = model.wide - 0.03
     for (u0, w0), (u1, w1) in zip(model.deck[:-1], model.deck[1:], strict=True):
         corners = (u0, -inner, w0), (u1, -inner, w1), (u1, inner, w1), (u0, inner, w0)

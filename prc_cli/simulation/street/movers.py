@@ -7,6 +7,7 @@ near a place at a time follows by arithmetic.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,7 +20,9 @@ from prc_cli.simulation.street.road import Ground, frame_at
 from prc_cli.simulation.world import Bodies
 
 TIME_STEP_S = 0.25
-"""Way and slope of those that move are taken anew after this time: they drive straight in between."""
+"""Way and slope of cars are taken anew after this time: they drive straight in between."""
+_WALK_STEP_S = 2.0
+"""The same for those who walk."""
 _FIRST_NUMBER = 2.0**46
 _STREAM_NUMBERS = 2.0**42
 _EACH = 256.0
@@ -38,6 +41,11 @@ class Stream:
     """To the left of the crown [m]."""
     cars: bool
 
+    @property
+    def step_s(self) -> float:
+        """How long one goes straight on [s]."""
+        return TIME_STEP_S if self.cars else _WALK_STEP_S
+
 
 def streams_of(params: StreetSceneParams) -> tuple[Stream, ...]:
     """Return the streams of a street."""
@@ -51,10 +59,8 @@ def streams_of(params: StreetSceneParams) -> tuple[Stream, ...]:
     return tuple(streams)
 
 
-def movers_near(
-    ground: Ground, seed: int, streams: tuple[Stream, ...], middle_s: float, reach_m: float, step: int
-) -> Bodies:
-    """Return those that move and are near a place.
+class Movers:
+    """Those that move, wherever and whenever.
 
     Parameters
     ----------
@@ -62,25 +68,55 @@ def movers_near(
         What they stand on.
     seed : int
         Of the street.
-    streams : tuple of Stream
-        Who moves.
-    middle_s, reach_m : float
-        Place along the street, and how far from it they are looked for [m].
-    step : int
-        Number of the time step, of :data:`TIME_STEP_S`.
+    params : StreetSceneParams
+        How many there are.
     """
-    time_s = (step + 0.5) * TIME_STEP_S
-    parts = []
-    for stream in streams:
-        shift = stream.speed * time_s
-        first = int(np.floor((middle_s - reach_m - shift) / stream.spacing))
-        last = int(np.floor((middle_s + reach_m - shift) / stream.spacing))
-        for number in range(first, last + 1):
-            rng = generator(seed, Purpose.MOVERS, number + stream.index * 2**36)
-            s = (number + 0.8 * rng.random()) * stream.spacing + shift
-            if abs(s - middle_s) < reach_m:
-                parts.append(_mover(ground, seed, stream, number, s, time_s, rng))
-    return Bodies.join(parts)
+
+    def __init__(self, ground: Ground, seed: int, params: StreetSceneParams) -> None:
+        self._ground, self._seed, self._streams = ground, seed, streams_of(params)
+        self._place = lru_cache(1024)(self._draw_place)
+        self._bodies = lru_cache(256)(self._make)
+
+    def near(self, middle_s: float, reach_m: float, time_s: float) -> list[Bodies]:
+        """Return those that are near a place.
+
+        Parameters
+        ----------
+        middle_s, reach_m : float
+            Place along the street, and how far from it they are looked for [m].
+        time_s : float
+            When [s].
+
+        Returns
+        -------
+        list of Bodies
+            One for everybody; at time 0 they are where they would have been.
+        """
+        parts: list[Bodies] = []
+        for stream in self._streams:
+            step = int(np.floor(time_s / stream.step_s))
+            shift = stream.speed * (step + 0.5) * stream.step_s
+            first = int(np.floor((middle_s - reach_m - shift) / stream.spacing))
+            last = int(np.floor((middle_s + reach_m - shift) / stream.spacing))
+            near = [
+                number
+                for number in range(first, last + 1)
+                if abs(self._place(stream, number) + shift - middle_s) < reach_m
+            ]
+            parts += [self._bodies(stream, number, step) for number in near]
+        return parts
+
+    def _rng(self, stream: Stream, number: int) -> np.random.Generator:
+        return generator(self._seed, Purpose.MOVERS, number + stream.index * 2**36)
+
+    def _draw_place(self, stream: Stream, number: int) -> float:
+        """Distance along the street at time 0 [m]."""
+        return (number + 0.8 * float(self._rng(stream, number).random())) * stream.spacing
+
+    def _make(self, stream: Stream, number: int, step: int) -> Bodies:
+        rng, time_s = self._rng(stream, number), (step + 0.5) * stream.step_s
+        s = (number + 0.8 * rng.random()) * stream.spacing + stream.speed * time_s
+        return _mover(self._ground, self._seed, stream, number, s, time_s, rng)
 
 
 def _mover(

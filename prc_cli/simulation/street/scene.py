@@ -11,7 +11,7 @@ import numpy as np
 from prc_cli.core.types import F64, Mask
 from prc_cli.simulation.street.centreline import LANE_M, Centreline
 from prc_cli.simulation.street.houses import build_houses
-from prc_cli.simulation.street.movers import TIME_STEP_S, movers_near, streams_of
+from prc_cli.simulation.street.movers import Movers
 from prc_cli.simulation.street.params import StreetSceneParams
 from prc_cli.simulation.street.pieces import build_kerbs
 from prc_cli.simulation.street.pile import Pile, outlines
@@ -49,7 +49,7 @@ class StreetScene:
         rng = generator(seed, Purpose.LINE)
         self.line = Centreline(rng, self.params.curves, self.params.hills)
         self.ground = Ground(self.line, rng.uniform(0.11, 0.14))
-        self._streams = streams_of(self.params)
+        self._movers = Movers(self.ground, seed, self.params)
         self._pieces: OrderedDict[int, tuple[Bodies, F64]] = OrderedDict()
         self._lock = Lock()
 
@@ -79,7 +79,7 @@ class StreetScene:
             The circle [m].
         time_s : float
             When it is looked at [s]; decides which of those that move are there. Ask again after
-            ``TIME_STEP_S``: they leave a curved street after a while, for they go straight on.
+            0.25 s: they leave a curved street after a while, for they go straight on.
 
         Returns
         -------
@@ -96,9 +96,7 @@ class StreetScene:
             gap_x = np.maximum(np.maximum(bounds[:, 0] - x_m, x_m - bounds[:, 2]), 0.0)
             gap_y = np.maximum(np.maximum(bounds[:, 1] - y_m, y_m - bounds[:, 3]), 0.0)
             parts.append(_part(bodies, gap_x**2 + gap_y**2 <= radius_m**2))
-        step = int(np.floor(time_s / TIME_STEP_S))
-        moving = movers_near(self.ground, self.seed, self._streams, middle, 1.2 * radius_m + 10.0, step)
-        return Bodies.join([*parts, moving])
+        return Bodies.join(parts + self._movers.near(middle, 1.2 * radius_m + 10.0, time_s))
 
     def _piece(self, number: int) -> tuple[Bodies, F64]:
         """Bodies of a piece and their bounds in plan."""
