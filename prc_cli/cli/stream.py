@@ -14,7 +14,7 @@ from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import compiling_note, console, print_assumptions
 from prc_cli.core.classes import Label
 from prc_cli.pipeline import load_classifier
-from prc_cli.streaming import Rate, StreamSummary
+from prc_cli.streaming import Rate
 from prc_cli.streaming import stream as label_stream
 
 
@@ -51,7 +51,7 @@ def stream(
 
     Without a layout the input is float32 ranges, -M of them a line; the output is the class code of every shot, 0 = no
     return, the same bytes that prc classify writes as an array. Labels leave block by block (k lines), with --hop
-    sooner. The rate is reported on stderr, with --json at the end as JSON, on stderr too.
+    sooner. The rate is reported on stderr; with --json a line of JSON each, the last one with the labels' counts.
 
     \b
     Examples:
@@ -69,15 +69,16 @@ def stream(
     if (continuous or hop is not None) and loaded.config.method != "prc":
         message = "--hop and --continuous are for PRC: the sequential-angle classifier goes line by line as it is"
         raise click.UsageError(message)
-    with compiling_note(quiet=quiet):
+    with compiling_note(quiet=quiet or as_json):
         load_classifier(loaded)
-    report = None if quiet or not every else _Reporter(every, line_hz)
+    report = None if quiet or not every else _Reporter(every, line_hz, as_json=as_json)
     # unbuffered: bytes must not wait in Python until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
     summary = label_stream(source, sink, loaded, hop=1 if continuous else hop, report=report)
     if as_json:
-        click.echo(json.dumps(_as_dict(summary, line_hz), sort_keys=True), err=True)
+        labels = {label.name.lower(): int(summary.counts.labels[label]) for label in Label}
+        click.echo(json.dumps({**_as_dict(summary.rate, line_hz), "labels": labels}, sort_keys=True), err=True)
     elif not quiet:
         if verbose:
             print_assumptions(summary.info.assumptions, summary.counts.tally)
@@ -87,14 +88,18 @@ def stream(
 class _Reporter:
     """Prints the rate every few seconds."""
 
-    def __init__(self, every_s: float, line_hz: float | None) -> None:
-        self._every_s, self._line_hz = every_s, line_hz
+    def __init__(self, every_s: float, line_hz: float | None, *, as_json: bool) -> None:
+        self._every_s, self._line_hz, self._as_json = every_s, line_hz, as_json
         self._next = time.perf_counter() + every_s
 
     def __call__(self, rate: Rate) -> None:
-        if (now := time.perf_counter()) >= self._next:
+        if (now := time.perf_counter()) < self._next:
+            return
+        self._next = now + self._every_s
+        if self._as_json:
+            click.echo(json.dumps(_as_dict(rate, self._line_hz), sort_keys=True), err=True)
+        else:
             console().print(_sentence(rate, self._line_hz), soft_wrap=True)
-            self._next = now + self._every_s
 
 
 def _sentence(rate: Rate, line_hz: float | None) -> str:
@@ -109,13 +114,11 @@ def _sentence(rate: Rate, line_hz: float | None) -> str:
     return f"{text}; labels left at most {1e3 * rate.latency_s:.1f} ms after the last shot they needed"
 
 
-def _as_dict(summary: StreamSummary, line_hz: float | None) -> dict[str, object]:
-    rate = summary.rate
+def _as_dict(rate: Rate, line_hz: float | None) -> dict[str, object]:
     return {
         "lines": rate.n_lines,
         "shots": rate.n_shots,
         "seconds": rate.seconds,
         "real_time_factor": rate.real_time(line_hz),
         "longest_latency_s": rate.latency_s,
-        "labels": {label.name.lower(): int(summary.counts.labels[label]) for label in Label},
     }

@@ -163,9 +163,11 @@ def test_a_signal_ends_it_within_seconds() -> None:
 
 
 def test_json_goes_to_stderr() -> None:
-    code, out, err = run(street().tobytes(), *URBAN, "--json", "--line-hz", "48")
+    code, out, err = run(street().tobytes(), *URBAN, "--json", "--line-hz", "48", "--report", "0.001")
     assert code == 0
-    told = json.loads(err)
+    *reports, told = [json.loads(line) for line in err.splitlines()]
+    assert reports
+    assert all(0 < report["lines"] <= 137 for report in reports)
     assert told["lines"] == 137
     assert told["shots"] == len(out) == sum(told["labels"].values())
     counts = np.bincount(np.frombuffer(out, np.uint8), minlength=256)
