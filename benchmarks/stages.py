@@ -1,63 +1,99 @@
-"""Rate of the classifier in memory, beside the oracle and a plain copy of the same ranges, in one run.
+"""Rates of the classifier in memory, beside the oracle, plain NumPy and a copy of the same ranges, in one run.
 
 python -m benchmarks.stages
 """
 
 from __future__ import annotations
 
-import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from prc_cli.classifiers.prc.pipeline import PrcParams, classify_block, initial_state
+from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.prc.support import stream_window
 from prc_cli.config import load_config
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F32
-from prc_cli.kernels import load_kernels, oracle_prc
-from prc_cli.readers.regroup import look_ahead_lines
+from prc_cli.kernels import load_kernels, oracle, oracle_prc
+from prc_cli.pipeline import classify_ranges, label_blocks
 from prc_cli.simulation.street import StreetParams, simulate_street
 
-
-def classify_all(ranges: F32, params: PrcParams) -> None:
-    """Run the block pipeline over a range image."""
-    state = initial_state(ranges.shape[1])
-    k, ahead = params.lines_per_block, look_ahead_lines(ranges.shape[1])
-    for first in range(0, len(ranges), k):
-        state = classify_block(ranges[first : first + k], ranges[first + k : first + k + ahead], state, params).state
+ROUNDS = 7
+"""Every job runs once a round, so that what else the machine does falls on all of them; the best time counts."""
 
 
-def rate(job: Callable[[], object], n_shots: int, runs: int) -> float:
-    """Median rate of a job [million shots a second], after one run that is not counted."""
-    job()
-    seconds = []
-    for _ in range(runs):
-        start = time.perf_counter()
-        job()
-        seconds.append(time.perf_counter() - start)
-    return n_shots / statistics.median(seconds) / 1e6
+def classify_all(ranges: F32, params: PrcParams, threads: int, *, segments: bool = False) -> None:
+    """Run the block pipeline over a range image; labels are dropped block by block."""
+    for _ in label_blocks(iter([ScanBlock(0, ranges)]), params, threads=threads, segments=segments):
+        pass
+
+
+def numpy_support(ranges: F32, lines: int) -> None:
+    """Find supported shots with array operations of NumPy, block by block."""
+    width = ranges.shape[1]
+    for first in range(0, len(ranges) - 2, lines):
+        tail = np.full(width + 1, np.nan, np.float32)
+        window = stream_window(tail, ranges[first : first + lines], ranges[first + lines : first + lines + 2])
+        oracle.support_mask(window, len(ranges[first : first + lines]), width, 1.0, 1.0, 3, 2)
+
+
+def street(n_lines: int, points_per_line: int) -> F32:
+    """Ranges of a simulated street."""
+    scan = simulate_street(StreetParams(n_lines=n_lines, points_per_line=points_per_line))
+    return np.concatenate([block.range_m for block in scan.blocks()])
+
+
+def best_times(jobs: dict[str, tuple[Callable[[], object], int]], rounds: int) -> Iterator[tuple[str, float, float]]:
+    """Name of every job and its best rates [million shots a second]: by the clock, and by the time of one core."""
+    walls: dict[str, list[float]] = {name: [] for name in jobs}
+    cores: dict[str, list[float]] = {name: [] for name in jobs}
+    for _ in range(rounds):
+        for name, (job, _) in jobs.items():
+            wall, core = time.perf_counter(), time.process_time()
+            job()
+            walls[name].append(time.perf_counter() - wall)
+            cores[name].append(time.process_time() - core)
+    for name, (_, n_shots) in jobs.items():
+        yield name, n_shots / min(walls[name]) / 1e6, n_shots / min(cores[name]) / 1e6
 
 
 def main() -> None:
     """Print the table."""
-    load_kernels()
-    scan = simulate_street(StreetParams(n_lines=594))
-    piece = np.concatenate([block.range_m for block in scan.blocks()])
+    load_kernels(frozenset({"components", "support", "surfaces"}))
+    piece = street(594, 2154)
     ranges = np.tile(piece, (20, 1))  # 100 MB: more than any cache holds
+    wide = np.tile(street(510, 4270), (12, 1))
     target = np.empty_like(ranges)
-    urban = load_config(preset="urban").config.prc
-    forest = load_config(preset="forest").config.prc
-    settings = oracle_prc.Settings(k=urban.lines_per_block)
-    rates = {
-        "copy of the ranges": rate(lambda: np.copyto(target, ranges), ranges.size, 5),
-        "PRC urban, k 99, M 2154, one core": rate(lambda: classify_all(ranges, urban), ranges.size, 5),
-        "PRC forest, k 255, M 2154, one core": rate(lambda: classify_all(ranges, forest), ranges.size, 5),
-        "oracle, urban": rate(lambda: oracle_prc.classify_stream(piece, settings), piece.size, 1),
+    urban = load_config(preset="urban").config
+    forest = load_config(preset="forest").config
+    settings = oracle_prc.Settings(k=urban.prc.lines_per_block)
+    cores = default_threads()
+    jobs: dict[str, tuple[Callable[[], object], int]] = {
+        "copy of the ranges": (lambda: np.copyto(target, ranges), ranges.size),
+        "support stage alone, plain NumPy": (lambda: numpy_support(piece, 99), piece.size),
     }
-    base = rates["oracle, urban"]
-    print("| work | million shots a second | beside the oracle |\n|---|---|---|")
-    for name, value in rates.items():
-        print(f"| {name} | {value:.2f} | {value / base:.1f} |")
+    for threads in sorted({1, cores}):
+        jobs |= {
+            f"PRC urban, k 99, M 2154, {threads} threads": (
+                lambda threads=threads: classify_all(ranges, urban.prc, threads), ranges.size
+            ),
+            f"PRC urban with segment ids, {threads} threads": (
+                lambda threads=threads: classify_all(ranges, urban.prc, threads, segments=True), ranges.size
+            ),
+            f"PRC forest, k 255, M 4270, {threads} threads": (
+                lambda threads=threads: classify_all(wide, forest.prc, threads), wide.size
+            ),
+        }  # fmt: skip
+    jobs[f"classify_ranges(), urban, {cores} threads"] = (lambda: classify_ranges(ranges, urban), ranges.size)
+    found = list(best_times(jobs, ROUNDS))
+    found += best_times({"oracle, urban": (lambda: oracle_prc.classify_stream(piece, settings), piece.size)}, 1)
+    base = found[-1][1]
+    print("| work | million shots a second | beside the oracle | million shots a second of one core's time |")
+    print("|---|---|---|---|")
+    for name, by_clock, by_core in found:
+        print(f"| {name} | {by_clock:.2f} | {by_clock / base:.0f} | {by_core:.2f} |")
 
 
 if __name__ == "__main__":
