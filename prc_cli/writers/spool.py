@@ -51,7 +51,8 @@ class Spool:
         self._page_items = PAGE_BYTES // self._dtype.itemsize
         self._n_fixed = n_records
         self._n_seen = 0
-        self._pending: list[tuple[I64, NDArray[Any]]] = []
+        self._pending: list[tuple[I64 | int, NDArray[Any]]] = []
+        """Records and values; of consecutive records only the first."""
         self._n_pending = 0
         self._file: BinaryIO = path.open("w+b", buffering=0)
 
@@ -75,13 +76,16 @@ class Spool:
         """
         if not len(record):
             return
-        low, high = int(record.min()), int(record.max())
+        low, high = int(record[0]), int(record[-1])
+        is_run = high - low == len(record) - 1 and bool(np.all(record[1:] > record[:-1]))
+        if not is_run:
+            low, high = int(record.min()), int(record.max())
         if low < 0 or (self._n_fixed is not None and high >= self._n_fixed):
             message = f"record {low if low < 0 else high} outside 0..{self._n_fixed}"
             raise IndexError(message)
         self._n_seen = max(self._n_seen, high + 1)
         bits = np.ascontiguousarray(values, self._dtype).view(self._bits) ^ self._mask
-        self._pending.append((np.array(record, np.int64), bits))
+        self._pending.append((low if is_run else np.array(record, np.int64), bits))
         self._n_pending += len(bits)
         if self._n_pending >= BUFFER_ITEMS:
             self._flush()
@@ -103,12 +107,30 @@ class Spool:
         self._file.close()
 
     def _flush(self) -> None:
-        if not self._pending:
-            return
-        record = np.concatenate([item[0] for item in self._pending])
-        bits = np.concatenate([item[1] for item in self._pending])
+        scattered: list[tuple[I64, NDArray[Any]]] = []
+        # in the order they came: a later value replaces an earlier one
+        for record, bits in self._pending:
+            if isinstance(record, int):
+                self._scatter(scattered)
+                self._write_run(record, bits)
+            else:
+                scattered.append((record, bits))
+        self._scatter(scattered)
         self._pending.clear()
         self._n_pending = 0
+
+    def _write_run(self, first: int, bits: NDArray[Any]) -> None:
+        """Write values of consecutive records."""
+        self._file.seek(first * self._bits.itemsize)
+        write_all(self._file, np.ascontiguousarray(bits).view(np.uint8).data)
+
+    def _scatter(self, items: list[tuple[I64, NDArray[Any]]]) -> None:
+        """Write values of records in any order, page by page; the list is emptied."""
+        if not items:
+            return
+        record = np.concatenate([item[0] for item in items])
+        bits = np.concatenate([item[1] for item in items])
+        items.clear()
         if np.any(record[1:] < record[:-1]):
             order = np.argsort(record, kind="stable")
             record, bits = record[order], bits[order]
@@ -125,8 +147,7 @@ class Spool:
         else:
             span = self._read(first, n)
             span[record - first] = bits
-        self._file.seek(first * self._bits.itemsize)
-        write_all(self._file, np.ascontiguousarray(span).view(np.uint8).data)
+        self._write_run(first, span)
 
     def _read(self, first: int, n: int) -> NDArray[Any]:
         span = np.zeros(n, self._bits)

@@ -88,3 +88,11 @@ def test_memory_stays_at_the_buffer(tmp_path: Path) -> None:
     assert first.tolist() == [1, 1, 1, 1, 1, 3, 1, 1, 1, 1]
     assert peak < 5_000_000
     spool.close()
+
+
+def test_runs_and_single_records_stand_in_the_order_they_came(tmp_path: Path) -> None:
+    spool = Spool(tmp_path / "s", np.uint8, 0, n_records=12)
+    for record in ([0, 1, 2, 3], [7, 2], [2, 3, 4], [5], [9, 3, 4, 12 - 1], [11]):
+        spool.put(np.array(record), np.full(len(record), 10 * record[0] + len(record), np.uint8))
+    assert read(spool).tolist() == [4, 4, 23, 94, 94, 51, 0, 72, 0, 94, 0, 111]
+    spool.close()
