@@ -181,7 +181,7 @@ class _UntilError:
 
 def _write(sink: ByteSink, codes: U8) -> None:
     """Write codes in the order of the shots."""
-    data = memoryview(np.ascontiguousarray(codes).reshape(-1))
+    data = np.ascontiguousarray(codes).reshape(-1).data
     while len(data):
         try:
             n_written = sink.write(data)
