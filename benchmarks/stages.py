@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -74,19 +75,12 @@ def main() -> None:
         "copy of the ranges": (lambda: np.copyto(target, ranges), ranges.size),
         "support stage alone, plain NumPy": (lambda: numpy_support(piece, 99), piece.size),
     }
-    for threads in sorted({1, cores}):
-        jobs |= {
-            f"PRC urban, k 99, M 2154, {threads} threads": (
-                lambda threads=threads: classify_all(ranges, urban.prc, threads), ranges.size
-            ),
-            f"PRC urban with segment ids, {threads} threads": (
-                lambda threads=threads: classify_all(ranges, urban.prc, threads, segments=True), ranges.size
-            ),
-            f"PRC forest, k 255, M 4270, {threads} threads": (
-                lambda threads=threads: classify_all(wide, forest.prc, threads), wide.size
-            ),
-        }  # fmt: skip
-    jobs[f"classify_ranges(), urban, {cores} threads"] = (lambda: classify_ranges(ranges, urban), ranges.size)
+    for n in sorted({1, cores}):
+        job = partial(classify_all, threads=n)
+        jobs[f"PRC urban, k 99, M 2154, threads: {n}"] = partial(job, ranges, urban.prc), ranges.size
+        jobs[f"PRC urban with segment ids, threads: {n}"] = partial(job, ranges, urban.prc, segments=True), ranges.size
+        jobs[f"PRC forest, k 255, M 4270, threads: {n}"] = partial(job, wide, forest.prc), wide.size
+    jobs[f"classify_ranges(), urban, threads: {cores}"] = (lambda: classify_ranges(ranges, urban), ranges.size)
     found = list(best_times(jobs, ROUNDS))
     found += best_times({"oracle, urban": (lambda: oracle_prc.classify_stream(piece, settings), piece.size)}, 1)
     base = found[-1][1]
