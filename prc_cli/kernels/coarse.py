@@ -27,9 +27,13 @@ def _first_label(signed: F32, beam: I32, begin: int, end: int, fold: bool) -> in
     """Label that a run begins with: what the median of its first five samples is nearer to."""
     n = min(end - begin, 5)
     first = np.empty(5, np.float64)
-    for i in range(n):
-        first[i] = _tilt(np.float64(signed[beam[begin + i]]), fold)
-    first = np.sort(first[:n])
+    for i in range(n):  # by hand: the library's sort takes seconds to compile
+        tilt = _tilt(np.float64(signed[beam[begin + i]]), fold)
+        j = i
+        while j > 0 and first[j - 1] > tilt:
+            first[j] = first[j - 1]
+            j -= 1
+        first[j] = tilt
     median = (first[(n - 1) // 2] + first[n // 2]) / 2.0
     return _VERTICAL if median < _MIDDLE else _HORIZONTAL
 

@@ -9,6 +9,8 @@ them part their samples.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
@@ -95,12 +97,12 @@ def _build(hist: I64, density: I64, lo: int, hi: int) -> None:
 
 
 @helper
-def _clear(hist: I64, density: I64, lo: int, hi: int, built: bool) -> None:
+def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
     """Forget all samples."""
-    for q in range(max(lo, 0), hi + 1):
+    for q in range(max(lo, HALF), hi + 1):
         hist[q] = 0
-    if built:
-        density[lo - HALF : hi + HALF + 1] = 0
+    for q in range(max(lo, HALF) - HALF, hi + HALF + 1 if hi >= lo else 0):
+        density[q] = 0
 
 
 @kernel("Tuple((float64[::1], int64[::1]))(float64[::1], float64)")
@@ -124,18 +126,31 @@ def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
     width = bandwidth / PER_BANDWIDTH
     if len(values) == 0:
         return np.empty(0, np.float64), np.empty(0, np.int64)
-    base = int(np.floor(values.min() / width))
-    size = int(np.floor(values.max() / width)) - base + 1
-    hist = np.zeros(size + 2 * HALF, np.int64)
-    density = np.zeros(size + 2 * HALF, np.int64)
+    lowest = highest = math.floor(values[0] / width)
     for value in values:
-        hist[int(np.floor(value / width)) - base + HALF] += 1
-    _build(hist, density, np.int64(HALF), HALF + size - 1)
-    tops = np.empty(size, np.int64)
-    counts = np.empty(size, np.int64)
-    n = _walk(hist, density, np.int64(HALF), HALF + size - 1, tops, counts)
-    kept = counts[:n] > 0
-    return (tops[:n][kept] / 2.0 - HALF + base + 0.5) * width, counts[:n][kept]
+        q = math.floor(value / width)
+        lowest, highest = min(lowest, q), max(highest, q)
+    first, last = np.int64(HALF), HALF + highest - lowest
+    hist = np.zeros(last + 1 + HALF, np.int64)
+    density = np.zeros(last + 1 + HALF, np.int64)
+    for value in values:
+        hist[math.floor(value / width) - lowest + HALF] += 1
+    _build(hist, density, first, last)
+    tops = np.empty(last + 1, np.int64)
+    counts = np.empty(last + 1, np.int64)
+    n = _walk(hist, density, first, last, tops, counts)
+    n_kept = 0
+    for i in range(n):
+        n_kept += counts[i] > 0
+    places = np.empty(n_kept, np.float64)
+    samples = np.empty(n_kept, np.int64)
+    n_kept = 0
+    for i in range(n):
+        if counts[i] > 0:
+            places[n_kept] = (tops[i] / 2.0 - HALF + lowest + 0.5) * width
+            samples[n_kept] = counts[i]
+            n_kept += 1
+    return places, samples
 
 
 @helper
@@ -148,9 +163,9 @@ def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, nois
     x, y, z = np.float64(xyz[one, 0]), np.float64(xyz[one, 1]), np.float64(xyz[one, 2])
     dx, dy, dz = np.float64(xyz[other, 0]) - x, np.float64(xyz[other, 1]) - y, np.float64(xyz[other, 2]) - z
     cx, cy, cz = y * dz - z * dy, z * dx - x * dz, x * dy - y * dx
-    cross = np.sqrt(cx * cx + cy * cy + cz * cz)
+    cross = math.sqrt(cx * cx + cy * cy + cz * cz)
     chord_2 = dx * dx + dy * dy + dz * dz
-    sigma = 57.29577951308232 * 1.4142135623730951 * noise * cross / (chord_2 * np.sqrt(x * x + y * y + z * z))
+    sigma = 57.29577951308232 * 1.4142135623730951 * noise * cross / (chord_2 * math.sqrt(x * x + y * y + z * z))
     found = max(least, sigmas * sigma)
     return found if found < 180.0 else 180.0  # also where there is no chord
 
@@ -158,7 +173,7 @@ def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, nois
 @inlined
 def _bin(angle: float, width: float, size: int) -> int:
     """Return the bin of a line angle."""
-    return min(max(int(np.floor(angle / width)), 0), size - 1) + HALF
+    return min(max(math.floor(angle / width), 0), size - 1) + HALF
 
 
 @helper
@@ -295,7 +310,7 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
                 renew_at = n_samples + n_samples // 2 + 1
                 b = _bandwidth(xyz, ahead, sampled[n_samples // 2], smallest, sigmas, noise)
                 width = b / PER_BANDWIDTH
-                _clear(hist, density, lo, hi, built)
+                _clear(hist, density, lo, hi)
                 lo, hi, before, built = np.int64(size + 2 * HALF), np.int64(-1), np.int64(0), False
             q = np.int64(0)
             for i in range(before, n_samples):
@@ -337,7 +352,7 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
             for i in range(n_points - 1):
                 beams[i] = beams[i + 1]
             n_points -= 1
-    _clear(hist, density, lo, hi, built)
+    _clear(hist, density, lo, hi)
     return n_points - 2 if growing else 0, b
 
 
@@ -425,7 +440,7 @@ def _main_angle(
             lo, hi = min(lo, q), max(hi, q)
     _build(hist, density, lo, hi)
     best = _main(counts, _walk(hist, density, lo, hi, tops, counts))
-    _clear(hist, density, lo, hi, True)
+    _clear(hist, density, lo, hi)
     return float((tops[best] / 2.0 - HALF + 0.5) * width)
 
 
@@ -494,14 +509,14 @@ def _resume(
 @helper
 def _height_bin(z: float) -> int:
     """Return the bin of a height; what lies outside counts in the end bins."""
-    return int(min(max(np.floor((z - LOWEST_M) * PER_METRE), 0.0), N_HEIGHTS - 1.0))
+    return int(min(max((z - LOWEST_M) * PER_METRE, 0.0), N_HEIGHTS - 1.0))
 
 
 @helper
 def _coarse(histogram: I32, hist: I64, density: I64, state: I64, width: int) -> None:
     """Bin the histogram of heights in an eighth of the bandwidth."""
     if state[_N] > 0:
-        _clear(hist, density, state[_LO], state[_HI], True)
+        _clear(hist, density, state[_LO], state[_HI])
     state[_N] = 0
     state[_WIDTH] = width
     for i in range(state[_FIRST], state[_LAST] + 1):
@@ -516,7 +531,7 @@ def _coarse(histogram: I32, hist: I64, density: I64, state: I64, width: int) -> 
 @helper
 def _height_width(median: int, share: float) -> int:
     """Return an eighth of the bandwidth of heights in bins, rounded up."""
-    return max(1, int(np.ceil(share * abs(median + 0.5 + PER_METRE * LOWEST_M) / PER_BANDWIDTH)))
+    return max(1, math.ceil(share * abs(median + 0.5 + PER_METRE * LOWEST_M) / PER_BANDWIDTH))
 
 
 @helper
@@ -568,7 +583,7 @@ def _add_height(histogram: I32, hist: I64, density: I64, state: I64, new: int, s
     if width == state[_WIDTH]:
         q = new // width + HALF
         hist[q] += 1
-        _spread(density, q, 1)
+        _spread(density, q, np.int64(1))
         state[_LO] = min(state[_LO], q)
         state[_HI] = max(state[_HI], q)
         state[_N] += 1
@@ -583,7 +598,7 @@ def _forget_height(histogram: I32, hist: I64, density: I64, state: I64, old: int
     width = state[_WIDTH]
     q = old // width + HALF
     hist[q] -= 1
-    _spread(density, q, -1)
+    _spread(density, q, np.int64(-1))
     state[_N] -= 1
     while histogram[state[_FIRST]] == 0:
         state[_FIRST] += 1
@@ -637,7 +652,7 @@ def _main_height(histogram: I32, hist: I64, density: I64, state: I64, tops: I64,
         if mass == 0:
             break
         shift = moment / mass
-        step = int(np.floor(shift + 0.5))
+        step = math.floor(shift + 0.5)
         if step == 0:
             break
         place += step
@@ -749,23 +764,25 @@ def potential_heights(
         Its height [m], NaN = none.
     """
     n_rows, n = surface.shape
-    size = int(np.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest)) + 1
+    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest) + 1
     hist = np.zeros(size + 2 * HALF, np.int64)
     density = np.zeros(size + 2 * HALF, np.int64)
     tops = np.empty(size, np.int64)
     counts = np.empty(size, np.int64)
     beams = np.empty(n + 1, np.int32)
     sampled = np.empty(n + 1, np.int32)
-    first = np.full(n_rows, -1, np.int32)
-    last = np.full(n_rows, -1, np.int32)
-    bandwidth = np.full(n_rows, np.nan)
-    height = np.full(n_rows, np.nan)
+    first = np.empty(n_rows, np.int32)
+    last = np.empty(n_rows, np.int32)
+    bandwidth = np.empty(n_rows, np.float64)
+    height = np.empty(n_rows, np.float64)
     for row in range(n_rows):
         n_points, b = _potential(
             surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], np.int64(n_beams[row]), np.int64(0),
             first_run, least, smallest, sigmas,
             noise, n_fit, jump, bridge, step, beams, sampled, hist, density, tops, counts,
         )  # fmt: skip
+        first[row] = last[row] = -1
+        bandwidth[row] = height[row] = np.nan
         if n_points > 0:
             first[row] = beams[0]
             last[row] = beams[n_points - 1]
@@ -867,7 +884,7 @@ def ground_rows(  # noqa: PLR0915 - as above
         After the last row.
     """
     n_rows, n = surface.shape
-    size = int(np.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest)) + 1
+    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest) + 1
     hist = np.zeros(size + 2 * HALF, np.int64)
     density = np.zeros(size + 2 * HALF, np.int64)
     tops = np.empty(max(size, N_HEIGHTS), np.int64)
@@ -877,7 +894,8 @@ def ground_rows(  # noqa: PLR0915 - as above
     more = np.empty(n + 1, np.int32)
     heights = histogram.copy()
     queue = np.empty(len(recent) + n_rows, np.int32)
-    queue[: len(recent)] = recent
+    for i in range(len(recent)):
+        queue[i] = recent[i]
     z_hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
     z_density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
     z_state = np.zeros(_SLOTS, np.int64)
