@@ -33,7 +33,8 @@ class _Run:
         if self.packed is None:
             return np.full(self.n, self.value, np.uint8)
         both = np.stack([self.packed & 0x0F, self.packed >> 4], axis=1)
-        return both.reshape(-1)[: self.n]
+        every: U8 = both.reshape(-1)
+        return every[: self.n]
 
 
 def contexts_of(records: U8) -> U8:
@@ -61,8 +62,9 @@ def contexts_of(records: U8) -> U8:
     returns = records[:, 14]
     # the number 1 of at most 1
     only = (returns & np.uint8(0xEF)) == 1
-    channel: U8 = (records[:, 15] >> np.uint8(4)) & np.uint8(3)
-    return channel | (only.view(np.uint8) << np.uint8(2))
+    channel = (records[:, 15] >> np.uint8(4)) & np.uint8(3)
+    contexts: U8 = channel | (only.view(np.uint8) << np.uint8(2))
+    return contexts
 
 
 def records_of(contexts: U8, n_bytes: int) -> U8:

@@ -140,8 +140,7 @@ def read_points(source: Source, las: LasFile, n: int) -> Generator[U8]:
     if las.n_points == 0:
         return
     batches = _read_batches(source, las, n)
-    with contextlib.closing(read_ahead(batches, depth=_AHEAD) if las.n_points > n else batches) as ahead:
-        yield from ahead
+    yield from read_ahead(batches, depth=_AHEAD) if las.n_points > n else batches
 
 
 def _read_batches(source: Source, las: LasFile, n: int) -> Generator[U8]:
