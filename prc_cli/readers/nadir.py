@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 
 from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F64, I64, Mask
@@ -349,6 +348,8 @@ def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
 
 def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
     """Return knots, strictly growing, of the growing function closest to the angles."""
+    from scipy.optimize import isotonic_regression  # here: it takes longer to load than a small file to classify
+
     value = isotonic_regression(angle, weights=weight).x
     # sums of equal angles differ in their last bits
     first = np.flatnonzero(np.diff(value, prepend=-np.inf) > LEAST_STEP_RAD)

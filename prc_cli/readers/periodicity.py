@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
 
 from prc_cli.core.types import F32, F64, I64
 
@@ -96,6 +95,8 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
 
 def _autocorrelation(signal: F64, valid: F64, n_lags: int) -> F64:
     """Correlation of the valid pairs at lags 0 to ``n_lags``, (n_lags + 1,), -1 to 1."""
+    from scipy import fft  # here: it takes longer to load than a small file to classify
+
     size = fft.next_fast_len(len(signal) + n_lags + 1, real=True)
     of_signal = fft.rfft(signal, size)
     of_valid = fft.rfft(valid, size)

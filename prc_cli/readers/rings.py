@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.optimize import isotonic_regression
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
@@ -326,6 +325,8 @@ def _find_step(turns: _Turns) -> float:
 
 def _lines(turns: _Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
     """Return the line of every record, and which of them follow the order of azimuth along their ring."""
+    from scipy.optimize import isotonic_regression  # here: it takes longer to load than a small file to classify
+
     place = turns.along_rad / _TURN * n_lines
     line = np.minimum(place.astype(np.int64), n_lines - 1)
     in_order: Mask = np.ones(len(place), np.bool_)
