@@ -46,7 +46,7 @@ def one_body(rng: Generator) -> tuple[int, F64]:
 def lines(rng: Generator) -> tuple[F64, F64, F64]:
     """Origins, directions and times of some lines of one of several scanners."""
     n_lines, m = int(rng.integers(1, 4)), int(rng.choice([1, 2, 7, 60]))
-    time = rng.choice([0.0, 1000.0]) + np.sort(rng.uniform(0, 0.5, (n_lines, m)).ravel()).reshape(n_lines, m)
+    time = rng.choice([0.0, 1000.0]) + np.sort(rng.uniform(0, rng.choice([0.5, 5.0]), n_lines * m)).reshape(n_lines, m)
     kind = rng.integers(5)
     if kind == 0:  # any directions whatever
         d = rng.normal(0, 1, (n_lines, m, 3))
@@ -82,7 +82,7 @@ def cast_case(rng: Generator) -> tuple[Any, ...]:
         bodies[n // 2] = bodies[0]  # a tie of everything
     shape = np.array([one for one, _ in bodies], dtype=np.uint8)
     numbers = np.array([one for _, one in bodies]).reshape(n, 9)
-    moves = rng.random(n) < rng.choice([0.0, 0.2])
+    moves = rng.random(n) < rng.choice([0.0, 0.2, 1.0])
     velocity = moves[:, None] * rounded(rng, (n, 2), 15.0)
     numbers[:, :2] -= start * velocity  # near the scanner while it scans, not at time 0
     numbers[:, 3:5] -= np.where(shape[:, None] < 2, start, 0.0) * velocity
