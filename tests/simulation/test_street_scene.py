@@ -153,7 +153,7 @@ def test_wheels_stand_on_the_ground() -> None:
     t, body = look_down(ground, np.ascontiguousarray(hub[None, :, :3]))
     assert hub.shape[0] >= 40
     assert np.all(body >= 0)
-    assert np.abs(t[0] - hub[:, 5]).max() < 0.08
+    assert np.abs(t[0] - hub[:, 5]).max() < 0.01
 
 
 def test_crowns_stand_outside_of_houses() -> None:

@@ -53,7 +53,7 @@ def streams_of(params: StreetSceneParams) -> tuple[Stream, ...]:
     if params.cars_per_km > 0:
         streams.append(Stream(0, -9.5, 1000.0 / params.cars_per_km, 1.75, cars=True))
     if params.people > 0:
-        ways = ((7.2, 1.3), (7.8, -1.25), (-7.2, 1.35), (-7.8, -1.2))
+        ways = ((7.6, 1.3), (8.05, -1.25), (-7.6, 1.35), (-8.05, -1.2))
         for i, (d, speed) in enumerate(ways):
             streams.append(Stream(1 + i, speed, 35.0 / params.people, d, cars=False))
     return tuple(streams)

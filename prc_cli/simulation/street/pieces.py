@@ -196,10 +196,11 @@ def _garden(kerb: Kerb, lot: Lot, rng: np.random.Generator) -> None:
     if lot.driveway is not None and rng.random() < 0.4:
         model = cars.draw_model(rng)
         s, d = 0.5 * sum(lot.driveway), BUILDING_LINE_M + 0.8 + model.half + max(0.0, lot.setback - 2.0)
-        frame = kerb.frame(s, d)
+        frame = frame_at(kerb.ground, s, kerb.side.side * d, tilted=True)
         fall = float(kerb.ground.line.side_slope(np.array([s]), kerb.side.side)[0])
-        # the bonnet points into the garden: u away from the street, so that the land's slope is along u
-        turned = replace(frame, yaw=frame.yaw + kerb.side.side * 0.5 * np.pi, slope=fall, mirror=1)
+        # the bonnet points into the garden: u away from the street, v along it
+        yaw = frame.yaw + kerb.side.side * 0.5 * np.pi
+        turned = replace(frame, yaw=yaw, slope=fall, roll=-kerb.side.side * frame.slope)
         cars.car(kerb.pile, turned, model)
 
 
