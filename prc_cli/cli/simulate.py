@@ -33,6 +33,11 @@ _OUTPUT = [
     _option("--labels", type=click.Path(path_type=Path), metavar="FILE.npy",
             help="Reference class of every record; written by itself where OUT cannot hold it."),
 ]  # fmt: skip
+_FOREST = [
+    _option("--stems", type=click.Path(path_type=Path), metavar="FILE.csv", help="Also list the trees by the way."),
+    _option("--reference", type=click.Choice(["truth", "cylinders"]), default="truth", show_default=True,
+            help="What was hit; or cylinders around stems, ground by height, noise elsewhere."),
+]  # fmt: skip
 _PLACE = [
     _option("--seed", type=click.IntRange(0, 2**63 - 1), help="Another seed, another world.  [default: 1]"),
     _option("--lines", type=click.IntRange(min=1), help="Scan lines, instead of a length."),
@@ -110,10 +115,7 @@ def street(**options: Any) -> None:
 
 
 @simulate.command()
-@_options(_OUTPUT, _LENGTH, _PLACE, _presets("forest"), _PARAMETERS)
-@click.option("--stems", type=click.Path(path_type=Path), metavar="FILE.csv", help="Also list the trees by the way.")
-@click.option("--reference", type=click.Choice(["truth", "cylinders"]), default="truth", show_default=True,
-              help="What was hit; or cylinders around stems, ground by height, noise elsewhere.")  # fmt: skip
+@_options(_OUTPUT, _FOREST, _LENGTH, _PLACE, _presets("forest"), _PARAMETERS)
 def forest(**options: Any) -> None:
     """Simulate a walk through a forest.
 
