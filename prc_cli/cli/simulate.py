@@ -44,7 +44,7 @@ _PLACE = [
     _option("--sight", type=click.FloatRange(min=1), metavar="METRES", help="Nothing farther is simulated."),
 ]
 _LENGTH = [
-    _option("--length", type=click.FloatRange(min=0, min_open=True), metavar="METRES", 
+    _option("--length", type=click.FloatRange(min=0, min_open=True), metavar="METRES",
             help="Way of the platform; default 300 in streets, 100 in forests."),
     _option("--duration", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS", help="Instead of a length."),
     _option("--speed", type=click.FloatRange(min=0, min_open=True), metavar="M/S", help="Cruising speed."),
