@@ -22,9 +22,6 @@ from prc_cli.readers.las_header import DAMAGED, LasHeader, damaged
 
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
-_AT_ONCE = 2
-"""Batches decoded together: with few chunks at a time, cores wait for the last of them."""
-_AT_ONCE_BYTES = 32 << 20
 _LOOK_BYTES = 4 << 20
 _RUN_BLOCK = 512
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
@@ -179,8 +176,7 @@ class LazRecords:
         chunk = 0
         while chunk < n_chunks:
             first = int(self.table.first_record[chunk])
-            n_whole = max(n_max, min(_AT_ONCE * n_max, _AT_ONCE_BYTES // size))
-            end = max(int(np.searchsorted(self.table.first_record, first + n_whole, side="right")) - 1, chunk + 1)
+            end = max(int(np.searchsorted(self.table.first_record, first + n_max, side="right")) - 1, chunk + 1)
             # a handle of its own: the decoder must find the other one where it left it
             with Path(self._where).open("rb") as handle:
                 self._check_layers(handle, chunk, end)
