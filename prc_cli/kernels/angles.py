@@ -16,6 +16,31 @@ _HORIZONTAL = 2
 """H as :class:`prc_cli.core.classes.Surface` numbers it."""
 
 
+_TERMS = 24
+_ARC_SINE = np.array([math.comb(2 * n, n) / 4.0**n / (2 * n + 1) for n in range(_TERMS)])
+"""Series of arcsin(s) / s in powers of s squared; for s up to 1/2 what is left out is below the last bit."""
+
+
+@helper
+def _to_degrees(cosine: F64, m: int) -> None:
+    """Turn cosines into angles from 0 to 180 [deg], many at a time: the library's arc cosine takes one by one.
+
+    arccos(c) = 2 arcsin(sqrt((1 - c) / 2)) where the cosine is above 1/2, and alike below -1/2; between them
+    90 deg less arcsin(c).
+    """
+    for i in range(m):
+        size = abs(cosine[i])
+        outer = size > 0.5
+        square = 0.5 * (1.0 - size) if outer else size * size
+        series = _ARC_SINE[_TERMS - 1]
+        for term in range(_TERMS - 2, -1, -1):
+            series = series * square + _ARC_SINE[term]
+        sine = math.sqrt(square) if outer else cosine[i]
+        part = sine * series
+        angle = (2.0 * part if cosine[i] > 0.0 else math.pi - 2.0 * part) if outer else 0.5 * math.pi - part
+        cosine[i] = math.degrees(angle)
+
+
 @helper
 def _counted(square: float, range_m: float, other_m: float, depth_m: float) -> float:
     """Square of the length that counts for a chord: along the beams, what noise may be does not count [m2]."""
@@ -65,8 +90,11 @@ def signed_angles(
     y = np.empty(n, np.float64)
     z = np.empty(n, np.float64)
     beam = np.empty(n, np.int32)
+    angle = np.empty(n, np.float64)
+    sign = np.empty(n, np.float64)
+    begin = np.empty(n, np.int32)
     for row in range(n_rows):
-        m = 0
+        m = n_chords = np.int64(0)
         for k in range(min(np.int64(n_beams[row]), n)):
             r[m] = range_m[row, k]
             x[m] = xyz_m[row, k, 0]
@@ -87,7 +115,7 @@ def signed_angles(
                     break
             if end < 0:
                 continue
-            sign = 1.0
+            sign[n_chords] = 1.0
             for j in range(i - 1, max(i - 1 - max_beams, -1), -1):
                 bx = x[i] - x[j]
                 by = y[i] - y[j]
@@ -95,11 +123,15 @@ def signed_angles(
                 back = bx * bx + by * by + bz * bz
                 if back > 0.0 and _counted(back, r[i], r[j], depth_m) >= least:
                     if dx * bx + dy * by + dz * bz < 0.0:
-                        sign = -1.0
+                        sign[n_chords] = -1.0
                     break
-            cosine = min(max(dz / math.sqrt(square), -1.0), 1.0)
-            signed_deg[row, beam[i]] = sign * math.degrees(math.acos(cosine))
+            angle[n_chords] = min(max(dz / math.sqrt(square), -1.0), 1.0)
+            begin[n_chords] = beam[i]
+            n_chords += 1
             ahead[row, beam[i]] = beam[end]
+        _to_degrees(angle, n_chords)
+        for i in range(n_chords):
+            signed_deg[row, begin[i]] = sign[i] * angle[i]
     return signed_deg, ahead
 
 
