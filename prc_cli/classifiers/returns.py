@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Label
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I32, U8
 
 IN_SLICE = tuple((0, column) for column in range(-4, 5))
@@ -13,6 +14,7 @@ ADJACENT = tuple((line, column) for line in (-1, 1) for column in (-1, 0, 1))
 """Cells asked in the lines before and after."""
 
 
+@stage("further returns")
 def label_extra_returns(
     range_m: F32,
     labels: U8,

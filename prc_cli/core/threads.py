@@ -16,6 +16,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Generic, TypeVar
 
+from prc_cli.core.profile import timed
+
 _A = TypeVar("_A")
 _B = TypeVar("_B")
 
@@ -158,7 +160,8 @@ class Relay(Generic[_A]):
         """
         with self._changed:
             while self._turn != turn and not self._is_broken(turn):
-                self._changed.wait(TICK_S)
+                with timed("waiting for the block before"):
+                    self._changed.wait(TICK_S)
             if self._is_broken(turn):
                 raise RelayBrokenError
             value = self._value

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, Mask
 
 FORMS = {"centred": 0, "literal": 1, "abs": 2, "guard": 3}
@@ -33,6 +34,7 @@ class BackgroundParams(Params):
     )
 
 
+@stage("background")
 def background(window: F32, supported: Mask, params: BackgroundParams) -> Mask:
     """Mark supported shots that become background for the segmentation (eq. 9).
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
 from prc_cli.core.types import I32, I64, Mask
 
 
@@ -61,6 +62,7 @@ class Components:
         return sums
 
 
+@stage("components")
 def join(supported: Mask, background: Mask) -> Joined:
     """Connect the shots of S without G, 4-connected, then fill the holes that G left (II-D.1).
 
@@ -83,6 +85,7 @@ def join(supported: Mask, background: Mask) -> Joined:
     return Joined(*kernels.join_and_fill(supported, background))
 
 
+@stage("votes")
 def identify(joined: Joined, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
     """Let the last line before a block vote for the labels of its components (II-D.2); the others get new ones.
 

@@ -9,6 +9,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.prc.surfaces import Surfaces
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
 
 
@@ -26,6 +27,7 @@ class ForestParams(Params):
     )
 
 
+@stage("classes")
 def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
     """Label a block of forest.
 

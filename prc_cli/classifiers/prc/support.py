@@ -10,6 +10,7 @@ from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, Mask
 
 N_IN_SLICE = 8
@@ -94,6 +95,7 @@ def tail_after(tail: F32, range_m: F32) -> F32:
     return np.concatenate([tail, range_m[-lines:].ravel()])[-reach:].copy()
 
 
+@stage("support")
 def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
     """Mark supported shots (eqs. 4 to 8).
 

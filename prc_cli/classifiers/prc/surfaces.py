@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field
 from prc_cli import kernels
 from prc_cli.classifiers.prc.components import Components
 from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
 from prc_cli.core.types import I32, I64, Mask
 
 PUBLISHED_AREA = 30
@@ -106,6 +107,7 @@ def area_threshold(params: SurfacesParams, n_lines: int, lines_per_block: int, p
     return params.area * n_lines / lines_per_block
 
 
+@stage("surfaces")
 def find_small(components: Components, threshold: float) -> Mask:
     """Tell which components are non-smooth, (n + 1,) bool.
 
@@ -117,6 +119,7 @@ def find_small(components: Components, threshold: float) -> Mask:
     return small
 
 
+@stage("surfaces")
 def surfaces(
     supported: Mask, components: Components, small: Mask, params: SurfacesParams, *, with_patches: bool = False
 ) -> Surfaces:
@@ -156,6 +159,7 @@ def surfaces(
     return Surfaces(supported, components, covered, patches, n_patches)
 
 
+@stage("surfaces")
 def smooth_last_line(supported: Mask, components: Components, small: Mask, params: SurfacesParams) -> I64:
     """Return the segment ids of a block's last line where it is smooth, 0 elsewhere, (M,) int64.
 

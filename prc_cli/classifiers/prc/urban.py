@@ -13,6 +13,7 @@ from prc_cli.classifiers.prc.components import Components
 from prc_cli.classifiers.prc.surfaces import Surfaces
 from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I64, U8
 
 _OTHERS = np.array([Label.MISSING, Label.NOISE, Label.VEGETATION], dtype=np.uint8)
@@ -51,6 +52,7 @@ class Totals:
         return counts
 
 
+@stage("classes")
 def count_smooth(surfaces: Surfaces) -> I64:
     """Count the smooth shots of every component, (n + 1,) int64."""
     h = surfaces.components
@@ -59,6 +61,7 @@ def count_smooth(surfaces: Surfaces) -> I64:
     return counts
 
 
+@stage("classes")
 def find_ground(
     components: Components, smooth: I64, last_line: I64, totals: Totals, params: UrbanParams
 ) -> tuple[int, Totals]:
@@ -98,6 +101,7 @@ def find_ground(
     return int(ground), Totals(ids[may_go_on], running[may_go_on])
 
 
+@stage("classes")
 def urban(window: F32, surfaces: Surfaces, ground: int) -> U8:
     """Label a block of the built environment.
 

@@ -15,6 +15,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.markov import HmmParams, hmm_cusum
 from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
 
 
@@ -54,6 +55,7 @@ class CoarseParams(Params):
     surfaces: TiltParams = Field(TiltParams(), description="test between horizontal and vertical surfaces")
 
 
+@stage("coarse")
 def coarse(signed_deg: F32, lines: VerticalLines, params: CoarseParams) -> U8:
     """Classify every shot as missing, vegetation, horizontal, vertical or undecided.
 

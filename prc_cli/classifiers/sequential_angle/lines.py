@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import kernels
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32
 
 
@@ -88,6 +89,7 @@ def split_sides(beam_rad: F64) -> Sides:
     return Sides(order, np.array([len(columns) for columns in found], np.int32), angles)
 
 
+@stage("vertical lines")
 def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides, max_range_m: float) -> VerticalLines:
     """Arrange a block of scan lines as half-lines.
 

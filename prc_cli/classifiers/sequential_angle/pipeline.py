@@ -42,6 +42,7 @@ from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParam
 from prc_cli.core.classes import LABEL_OF_SURFACE, Label, Surface
 from prc_cli.core.config import Params
 from prc_cli.core.errors import InputError
+from prc_cli.core.profile import stage
 from prc_cli.core.stream import StageLabels
 from prc_cli.core.threads import Relay
 from prc_cli.core.types import F32, F64, I32, U8, Mask
@@ -299,6 +300,7 @@ class BlockJob:
     last: bool
 
 
+@stage("angles")
 def within_lines(range_m: F32, xyz_m: F32 | None, state: SequentialAngleState, params: SequentialAngleParams) -> Within:
     """Run what needs a half-line alone: the coarse layer, the car layer, potential ground; of the state the beams."""
     lines = vertical_lines(range_m, xyz_m, state.beam_rad, state.sides, params.max_range_m)
@@ -319,6 +321,7 @@ def within_lines(range_m: F32, xyz_m: F32 | None, state: SequentialAngleState, p
     )
 
 
+@stage("ground")
 def follow_ground(
     rows: Within, state: GroundSoFar, params: SequentialAngleParams, *, last: bool
 ) -> tuple[list[OnGround], GroundSoFar]:
@@ -350,6 +353,7 @@ def _start_ground(
     return list(waiting), replace(state, waiting=(), heights_m=np.empty(0), known=known)
 
 
+@stage("cars")
 def find_cars(part: OnGround, params: SequentialAngleParams) -> WithCars:
     """Find the cars of rows, and where a curb may be, which need nothing but the height of the ground."""
     rows, z_g, noise = part.rows, part.height_m, params.angles.range_noise_m
@@ -361,6 +365,7 @@ def find_cars(part: OnGround, params: SequentialAngleParams) -> WithCars:
     return WithCars(lines, rows.signed_deg, possible, undecided)
 
 
+@stage("curbs")
 def decide_curbs(
     parts: Sequence[WithCars], state: CurbsSoFar, params: SequentialAngleParams, *, last: bool
 ) -> tuple[tuple[list[Undecided], list[Mask]], CurbsSoFar]:
@@ -401,6 +406,7 @@ def combine(rows: Undecided, curb: Mask) -> U8:
     return labels
 
 
+@stage("classes")
 def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> tuple[U8, StageLabels]:
     """Label final rows, and bring them back to the columns of their scan lines; of the state the beams."""
     sides, m = state.sides, len(state.beam_rad)

@@ -12,6 +12,7 @@ from pydantic import Field
 from prc_cli.classifiers.sequential_angle.coarse import TiltParams, surface_image
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.markov import Angles, HmmParams, Matrix, Row, Spreads, hmm_cusum
+from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask
 
 _CALM: Row = (0.1, 0.8, 0.1)
@@ -34,6 +35,7 @@ class DenseVegetationParams(HmmParams):
     )
 
 
+@stage("dense vegetation")
 def dense_vegetation(differences_deg: F32, params: DenseVegetationParams) -> Mask:
     """Mark vegetation by the less sensitive test.
 
