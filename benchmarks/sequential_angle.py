@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -357,17 +358,21 @@ def rate(job: Callable[[], object], runs: int = 3) -> float:
 
 
 def speed(folder: Path) -> None:
-    """Rates on one core, in memory, and of the whole command."""
+    """Rates of every stage on one core, of all in memory with one and two threads, and of the whole command."""
     scan = simulate_static_scan(StaticScanParams(seed=3))
     blocks = list(scan.blocks())
     n_lines, n_shots = scan.params.n_lines, scan.info.n_records or 1
     config = street_scan()
     times = dict(stage_times(scan))
-    times["all stages, in memory"] = rate(lambda: list(label_blocks(iter(blocks), config.config.classifier)))
+    for threads in (1, 2):
+        job = partial(label_blocks, params=config.config.classifier, threads=threads)
+        times[f"all stages, in memory, {threads} thread{'s' * (threads > 1)}"] = rate(
+            lambda job=job: list(job(iter(blocks))), 7
+        )
     source, _ = write_scan(folder, scan)
     times["from .npz to .npy"] = rate(lambda: classify(source, folder / "speed.npy", config, overwrite=True))
     times["from .npz to .laz"] = rate(lambda: classify(source, folder / "speed.laz", config, overwrite=True))
-    print(f"## Speed\n\n{n_lines:,} lines of {scan.params.points_per_line:,} shots, one core.\n")
+    print(f"## Speed\n\n{n_lines:,} lines of {scan.params.points_per_line:,} shots; stages on one core.\n")
     print("| work | lines a second | million shots a second |\n|---|---:|---:|")
     for name, seconds in times.items():
         print(f"| {name} | {n_lines / seconds:,.0f} | {n_shots / seconds / 1e6:.2f} |")

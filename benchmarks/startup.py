@@ -1,0 +1,102 @@
+"""What a run costs before it begins: compiling on an empty cache, and the start of the command on a small file.
+
+    python -m benchmarks.startup
+
+CPU seconds are those of the process and its children; the wall clock suffers from whatever else the machine does, so
+both are the least of several runs.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.kernels import KERNELS
+from prc_cli.pipeline import KERNELS_OF
+
+RUNS = 5
+LOAD = "import sys; from prc_cli.kernels import load_kernels; load_kernels(frozenset(sys.argv[1:]))"
+ONE = """
+import sys, time
+from importlib import import_module
+import prc_cli.kernels.verticals
+begin = time.process_time()
+import_module(sys.argv[1])
+print(time.process_time() - begin)
+"""
+"""The compiler itself is loaded, and has compiled something, before the time counts."""
+
+
+def run(arguments: list[str], cache: Path) -> tuple[float, float]:
+    """Wall and CPU seconds of a Python process."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    before, begin = os.times(), time.perf_counter()
+    subprocess.run([sys.executable, *arguments], env=environment, check=True, stdout=subprocess.DEVNULL)
+    seconds, after = time.perf_counter() - begin, os.times()
+    cpu = after.children_user + after.children_system - before.children_user - before.children_system
+    return seconds, cpu
+
+
+def row(title: str, times: list[tuple[float, float]]) -> None:
+    """Print the least wall and CPU time."""
+    print(f"| {title} | {min(wall for wall, _ in times):.2f} | {min(cpu for _, cpu in times):.2f} |")
+
+
+def cold(folder: Path) -> None:
+    """First run after installation, for each method, and without children."""
+    for method, modules in KERNELS_OF.items():
+        times = [run(["-c", LOAD, *sorted(modules)], folder / f"{method}-{i}") for i in range(2)]
+        row(f"first run: compile all of {method}", times)
+
+
+def warm(folder: Path) -> None:
+    """The command on a file of 60 lines."""
+    rng = np.random.default_rng(1)
+    ranges = (20 + rng.normal(0, 0.005, (60, 500))).astype("<f4")
+    np.savez(folder / "small.npz", range_m=ranges, zenith_deg=np.linspace(0, 180, 500))
+    common = ["--overwrite", "--quiet"]
+    for title, arguments in {
+        "warm start, `python -c pass`": ["-c", "pass"],
+        "warm start, `import numpy, numba`": ["-c", "import numpy, numba"],
+        "warm start, `prc --version`": ["-c", "from prc_cli.cli import main; main(['--version'])"],
+        "warm start, `prc classify`, urban": [
+            "-m", "prc_cli", "classify", str(folder / "small.npz"), str(folder / "o.npy"), "--preset", "urban", *common,
+        ],
+        "warm start, `prc classify`, street-scan": [
+            "-m", "prc_cli", "classify", str(folder / "small.npz"), str(folder / "o.npy"), "--preset", "street-scan",
+            *common,
+        ],
+    }.items():  # fmt: skip
+        run(arguments, folder / "warm")
+        row(title, [run(arguments, folder / "warm") for _ in range(RUNS)])
+
+
+def modules(folder: Path) -> None:
+    """CPU seconds of compiling every module."""
+    print("\n| module | CPU s |\n|---|---:|")
+    for number, module in enumerate(sorted(set(KERNELS.values()))):
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / f"one-{number}")}
+        found = subprocess.run(
+            [sys.executable, "-c", ONE, module], env=environment, check=True, capture_output=True, text=True
+        )
+        print(f"| {module.rpartition('.')[2]} | {float(found.stdout):.2f} |")
+
+
+def main() -> None:
+    """Print the tables."""
+    print("<!-- written by python -m benchmarks.startup; do not edit -->\n\n## Start\n")
+    print(f"{os.cpu_count()} cores.\n\n| work | s | CPU s |\n|---|---:|---:|")
+    with tempfile.TemporaryDirectory() as name:
+        cold(Path(name))
+        warm(Path(name))
+        modules(Path(name))
+
+
+if __name__ == "__main__":
+    main()
