@@ -1,11 +1,13 @@
 """Joins reader, classifier and writer for one file; the functions the commands call.
 
-The data flows one way: ``open_stream`` → blocks of k lines → ``label_blocks`` → writer.
+The data flows one way: ``open_stream`` → blocks of k lines → ``label_blocks`` → writer. :func:`classify` gives each of
+the three its own threads, with short queues between them; which thread does what never changes a byte.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -20,19 +22,21 @@ from prc_cli.classifiers.sequential_angle import pipeline as sequential_angle
 from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
+from prc_cli.core.counting import count_bytes
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.memory import keep_memory
+from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StageLabels, StreamInfo
-from prc_cli.core.threads import default_threads, ordered
+from prc_cli.core.threads import default_threads, ordered, read_ahead, write_behind
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.kernels import load_kernels
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
 from prc_cli.readers.beams import with_beams
 from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.regroup import LineBuffer, regroup
-from prc_cli.writers import open_writer
-from prc_cli.writers.record import RunRecord, fingerprint, record_path
+from prc_cli.writers import LabelWriter, open_writer
+from prc_cli.writers.record import Fingerprint, FingerprintBeside, RunRecord, fingerprint, record_path
 
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
@@ -47,6 +51,8 @@ KERNELS_OF = {
 
 SHOTS_AT_ONCE = 1 << 18
 """Shots that the sequential-angle classifier takes at a time; its labels do not depend on it."""
+AHEAD = 1
+"""Blocks that wait between reader and classifier, and between classifier and writer: each side makes one meanwhile."""
 OFF_M = 0.1
 """Coordinates relative to the scanner are as far from it as their range says, but for rounding [m]."""
 
@@ -71,8 +77,8 @@ class Counts:
     def add(self, item: LabelledBlock) -> Counts:
         """Return the counts with one more block."""
         block = item.block
-        labels = np.bincount(item.labels.ravel(), minlength=len(Label))
-        extra = np.bincount(item.extra_labels, minlength=len(Label))
+        labels = count_bytes(item.labels)[: len(Label)]
+        extra = count_bytes(item.extra_labels)[: len(Label)]
         return Counts(
             self.n_lines + block.n_lines,
             self.n_shots + block.range_m.size,
@@ -244,7 +250,8 @@ def classify(
     progress : callable, optional
         Called with the number of lines that were just finished.
     threads : int, optional
-        Threads that classify; default: one for every core. The output does not depend on it.
+        Threads that classify; default: one for every core. With more than one, reading, writing and the fingerprint of
+        the input have a thread each beside them; with one, all is done in this one. The output does not depend on it.
 
     Returns
     -------
@@ -259,43 +266,69 @@ def classify(
     loaded = _loaded(config)
     source, output = Path(source), Path(output)
     trajectory = loaded.trajectory
+    threads = default_threads() if threads is None else threads
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
     for path in (output, record_path(output)):
         check_output(path, overwrite=overwrite, inputs=inputs)
         remove_stale(path)
     check_input(source)
     before = source.stat()
-    stream = open_stream(source, loaded)
-    counts = Counts.none()
-    with open_writer(
-        output,
-        source=source,
-        source_is_las=suffix_of(source) in LAS_SUFFIXES,
-        n_records=stream.info.n_records,
-        points_per_line=stream.info.points_per_line,
-        codes=loaded.config.classes,
-        options=loaded.config.output,
-        overwrite=overwrite,
-        laz_contexts=stream.info.laz_contexts,
-    ) as writer:
-        labelled = label_blocks(
-            stream.blocks(),
-            loaded.config.classifier,
-            threads=default_threads() if threads is None else threads,
-            segments=loaded.config.output.segment_ids,
-        )
-        for item in labelled:
-            writer.add(item)
-            counts = counts.add(item)
-            if progress is not None:
-                progress(item.block.n_lines)
-        record = run_record(stream.info, counts, loaded)
+    with timed("opening"):
+        stream = open_stream(source, loaded)
+    with (
+        FingerprintBeside(source, threads=threads) as beside,
+        open_writer(
+            output,
+            source=source,
+            source_is_las=suffix_of(source) in LAS_SUFFIXES,
+            n_records=stream.info.n_records,
+            points_per_line=stream.info.points_per_line,
+            codes=loaded.config.classes,
+            options=loaded.config.output,
+            overwrite=overwrite,
+            laz_contexts=stream.info.laz_contexts,
+        ) as writer,
+    ):
+        counts = _write_labels(stream, writer, loaded.config, threads, progress)
+        record = run_record(stream.info, counts, loaded, beside.result())
         record = replace(record, notices=(*record.notices, *_missed(counts, loaded.config)))
         after = source.stat()
         if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
-        record = writer.finish(record)
+        with timed("finishing the output"):
+            record = writer.finish(record)
     return RunSummary(output, record, counts)
+
+
+def _write_labels(
+    stream: ScanStream, writer: LabelWriter, config: RunConfig, threads: int, progress: Progress | None
+) -> Counts:
+    """Read, classify and write at the same time; with one thread one after the other.
+
+    However it ends, every thread is at rest when it has: what the writer holds may be removed.
+    """
+    counts = Counts.none()
+
+    def write(item: LabelledBlock) -> None:
+        nonlocal counts
+        with timed("writing"):
+            writer.add(item)
+            counts = counts.add(item)
+
+    with ExitStack() as stack:
+        blocks = timed_items(stream.blocks(), "reading")
+        put = write
+        if threads > 1:
+            blocks = stack.enter_context(closing(read_ahead(blocks, depth=AHEAD)))
+        labelled = label_blocks(blocks, config.classifier, threads=threads, segments=config.output.segment_ids)
+        stack.enter_context(closing(labelled))
+        if threads > 1:
+            put = stack.enter_context(write_behind(write, depth=AHEAD)).put
+        for item in labelled:
+            put(item)
+            if progress is not None:
+                progress(item.block.n_lines)
+    return counts
 
 
 def classify_ranges(
@@ -393,12 +426,14 @@ def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
     return xyz
 
 
-def run_record(info: StreamInfo, counts: Counts, loaded: LoadedConfig) -> RunRecord:
-    """Return the provenance of a finished run; reads the input once more for its fingerprint."""
+def run_record(
+    info: StreamInfo, counts: Counts, loaded: LoadedConfig, input_print: Fingerprint | None = None
+) -> RunRecord:
+    """Return the provenance of a finished run; reads the input once more where its fingerprint is not given."""
     config, trajectory = loaded.config, loaded.trajectory
     return RunRecord(
         config=config.to_table(),
-        input=fingerprint(Path(info.path)),
+        input=fingerprint(Path(info.path)) if input_print is None else input_print,
         trajectory=None if trajectory is None else fingerprint(trajectory),
         format=info.format,
         points_per_line=info.points_per_line,

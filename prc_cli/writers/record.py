@@ -7,14 +7,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from types import TracebackType
 from typing import Any
 
 from prc_cli import __version__
 from prc_cli.core.errors import InputError
+from prc_cli.core.profile import stage, timed
 from prc_cli.core.stream import Assumption, ReadTally
+from prc_cli.core.threads import TICK_S
 
 PROGRAM = "prc-cli"
 RECORD_SUFFIX = ".prc.json"
@@ -149,17 +153,87 @@ def fingerprint(path: Path) -> Fingerprint:
     >>> fingerprint(path).size, fingerprint(path).sha256[:8]
     (3, 'ba7816bf')
     """
-    digest = hashlib.sha256()
-    size = 0
-    try:
-        with path.open("rb", buffering=0) as handle:
-            while piece := handle.read(_READ_BYTES):
-                digest.update(piece)
-                size += len(piece)
-    except OSError as error:
-        problem = f"cannot be read ({error.strerror or error})"
-        raise InputError(str(path), problem, "check that the file exists and its permissions") from error
-    return Fingerprint(path.name, size, digest.hexdigest())
+    with FingerprintBeside(path, threads=1) as beside:
+        return beside.result()
+
+
+class FingerprintBeside:
+    """A fingerprint that a thread takes while the same file is read for its content, so that both read it once.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    threads : int
+        With 1 or fewer there is no thread: the file is read when the result is asked for.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "a.bin"
+    >>> _ = path.write_bytes(b"abc")
+    >>> with FingerprintBeside(path, threads=2) as beside:
+    ...     beside.result() == fingerprint(path)
+    True
+    """
+
+    def __init__(self, path: Path, *, threads: int) -> None:
+        self._path = path
+        self._stop = threading.Event()
+        self._found: Fingerprint | None = None
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="fingerprint", daemon=True) if threads > 1 else None
+
+    def __enter__(self) -> FingerprintBeside:
+        if self._thread is not None:
+            self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._stop.set()
+        self._join()
+
+    def result(self) -> Fingerprint:
+        """Wait for the fingerprint.
+
+        Raises
+        ------
+        InputError
+            When the file cannot be read.
+        """
+        with timed("waiting for the fingerprint"):
+            self._join()
+        if self._thread is None:
+            self._run()
+        if self._error is not None:
+            raise self._error
+        assert self._found is not None
+        return self._found
+
+    def _join(self) -> None:
+        while self._thread is not None and self._thread.is_alive():
+            self._thread.join(TICK_S)
+
+    def _run(self) -> None:
+        try:
+            self._found = self._read()
+        except BaseException as raised:  # raised again where the result is asked for
+            self._error = raised
+
+    @stage("fingerprint")
+    def _read(self) -> Fingerprint | None:
+        digest = hashlib.sha256()
+        size = 0
+        piece = memoryview(bytearray(_READ_BYTES))
+        try:
+            with self._path.open("rb", buffering=0) as handle:
+                while not self._stop.is_set() and (n := handle.readinto(piece)):
+                    digest.update(piece[:n])
+                    size += n
+        except OSError as error:
+            problem = f"cannot be read ({error.strerror or error})"
+            raise InputError(str(self._path), problem, "check that the file exists and its permissions") from error
+        return None if self._stop.is_set() else Fingerprint(self._path.name, size, digest.hexdigest())
 
 
 def _dump(value: Any) -> bytes:
