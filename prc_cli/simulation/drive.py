@@ -11,12 +11,13 @@ import numpy as np
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlock, StreamInfo
 from prc_cli.core.threads import ordered
-from prc_cli.core.types import F32, F64, U8
+from prc_cli.core.types import F32, F64, I32, U8
 from prc_cli.kernels import load_kernels
 from prc_cli.simulation.casting import Hits, cast
 from prc_cli.simulation.scanners import Scanner
 from prc_cli.simulation.sensor import Measured, goes_behind, scan
 from prc_cli.simulation.trajectory import Platform, Shots, Trajectory, aim
+from prc_cli.simulation.upright import static_labels
 from prc_cli.simulation.world import Bodies
 
 LINES_AT_ONCE = 64
@@ -121,8 +122,8 @@ class SimulatedScan:
         Yields
         ------
         LabelledBlock
-            Labels of the materials (:data:`prc_cli.simulation.world.PROPERTIES`), NOISE where the range has nothing
-            to do with a surface, MISSING.
+            Labels of the materials (:data:`prc_cli.simulation.world.PROPERTIES`), of a static scanner those of
+            :mod:`prc_cli.simulation.upright`, NOISE where the range has nothing to do with a surface, MISSING.
 
         Raises
         ------
@@ -191,7 +192,8 @@ class SimulatedScan:
         if beyond.any():
             start_m = np.where(beyond, hits.t + BEHIND_M, np.inf)
             behind = self._in_sight(cast(bodies, shots.origin, shots.direction, shots.time_s, first * m, start_m))
-        return scan(hits, bodies, scanner, first, self.seed, behind)
+        found = scan(hits, bodies, scanner, first, self.seed, behind)
+        return _as_static(found, bodies, shots, hits, behind) if scanner.is_static else found
 
     def _in_sight(self, hits: Hits) -> Hits:
         """Forget what is farther than is simulated: whether it is among the bodies depends on where they end."""
@@ -222,6 +224,25 @@ def lines_of(platform: Trajectory, scanner: Scanner, length_m: float) -> int:
         first += LINES_LOOKED_AT
     where = "length_m"
     raise ConfigError(where, f"found {length_m:g}, expected a drive of at most {MOST_LINES} lines")
+
+
+def _as_static(found: Measured, bodies: Bodies, shots: Shots, hits: Hits, behind: Hits | None) -> Measured:
+    """Return what was measured with the labels of static scans."""
+
+    def relabelled(label: U8, range_m: F32, at: tuple[I32, I32] | slice) -> U8:
+        way = range_m.astype(np.float64)
+        body = hits.body[at]
+        if behind is not None:
+            nearer = np.abs(way - behind.t[at]) < np.abs(way - hits.t[at])
+            body = np.where(nearer, behind.body[at], body)
+        place = shots.origin[at] + way[..., None] * shots.direction[at]
+        return static_labels(label.ravel(), bodies, body.ravel(), place.reshape(-1, 3)).reshape(label.shape)
+
+    return replace(
+        found,
+        label=relabelled(found.label, found.range_m, slice(None)),
+        extra_label=relabelled(found.extra_label, found.extra_range_m, (found.extra_line, found.extra_column)),
+    )
 
 
 def _counts(power: F32, range_m: F32) -> F32:

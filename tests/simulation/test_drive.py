@@ -100,6 +100,8 @@ def test_a_tripod_turns_upright_lines_to_the_left() -> None:
     assert block.xyz_m[1, middle] == pytest.approx([0.0, 5.0, 0.0], abs=1e-5)
     assert item.world_m[1, middle] == pytest.approx([3.0, 5.0, 2.0], abs=1e-5)
     assert np.isnan(block.range_m[[0, 2, 3], middle]).all()
+    # it is labelled as Stamos et al. classify, not by material
+    assert set(np.unique(item.labelled.labels)) == {Label.MISSING, Label.GROUND, Label.VERTICAL}
 
 
 def test_lines_are_counted_until_the_way_is_done() -> None:
