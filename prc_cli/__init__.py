@@ -6,7 +6,7 @@ The functions below are what the commands themselves call; they are loaded on fi
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)
 ['calibrate', 'classify', 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'load_config', 'open_stream', \
-'render', 'thin', 'transfer']
+'render', 'stream', 'thin', 'transfer']
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from prc_cli.label_transfer import transfer
     from prc_cli.pipeline import classify, classify_ranges, open_stream
     from prc_cli.rendering import render
+    from prc_cli.streaming import stream
     from prc_cli.thinning import thin
 
 __version__ = "0.1.0"
@@ -35,6 +36,7 @@ __all__ = [
     "load_config",
     "open_stream",
     "render",
+    "stream",
     "thin",
     "transfer",
 ]
@@ -46,6 +48,7 @@ _HOME = {
     "evaluate_all": "prc_cli.comparison",
     "load_config": "prc_cli.config",
     "render": "prc_cli.rendering",
+    "stream": "prc_cli.streaming",
     "thin": "prc_cli.thinning",
     "transfer": "prc_cli.label_transfer",
 }

@@ -1,0 +1,72 @@
+"""How long a line of a live stream waits for its label: line by line through real pipes, in real order.
+
+    python -m benchmarks.latency
+
+Every line is written when the label of the line before has come back, so that nothing queues: what is measured is the
+time from the last byte of a line until the labels that only waited for it are there.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+from prc_cli.core.types import F32
+from prc_cli.simulate import Kind, load_settings, open_simulation
+
+LINES = 900
+WARM = 300
+"""Lines at the start that are not counted: kernels are loaded, the block fills."""
+JOBS: tuple[tuple[str, Kind, str, tuple[str, ...], int], ...] = (
+    ("urban, k 99, M 2154, one line at a time", "street", "photon-80", ("--preset", "urban", "--hop", "1"), 1),
+    ("urban, five lines at a time", "street", "photon-80", ("--preset", "urban", "--hop", "5"), 5),
+    ("urban, blocks of k lines", "street", "photon-80", ("--preset", "urban"), 99),
+    ("forest, k 255, M 4270, one line at a time", "forest", "focus3d-120", ("--preset", "forest", "--hop", "1"), 1),
+)
+
+
+def lines_of(kind: Kind, scanner: str, n_lines: int) -> tuple[F32, float]:
+    """Simulated ranges, (lines, M) float32 [m], and the lines that the scanner makes a second [Hz]."""
+    settings = load_settings(kind, options={"lines": n_lines, "scanner": {"name": scanner}})
+    blocks = open_simulation(kind, settings).scan.blocks()
+    return np.concatenate([block.range_m for block in blocks]), settings.scanner.line_hz
+
+
+def waits(ranges: F32, options: tuple[str, ...], hop: int) -> list[float]:
+    """Seconds from the last byte that labels needed until they were there, hop by hop."""
+    n_lines, width = ranges.shape
+    command = [sys.executable, "-m", "prc_cli", "stream", "-q", "-M", str(width), *options]
+    found: list[float] = []
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        # the first labels need two lines more than their own
+        process.stdin.write(ranges[:2].tobytes())
+        for first in range(2, n_lines - hop + 1, hop):
+            process.stdin.write(ranges[first : first + hop].tobytes())
+            start, missing = time.perf_counter(), hop * width
+            while missing:
+                missing -= len(os.read(process.stdout.fileno(), missing))
+            found.append(time.perf_counter() - start)
+        process.stdin.close()
+        process.stdout.read()
+    return found
+
+
+def main() -> None:
+    """Print the table."""
+    print("| labels leave | median [ms] | 99 % [ms] | longest [ms] | a line of the scanner takes [ms] |")
+    print("|---|---:|---:|---:|---:|")
+    for name, kind, scanner, options, hop in JOBS:
+        ranges, line_hz = lines_of(kind, scanner, LINES)
+        found = 1e3 * np.array(waits(ranges, options, hop)[max(1, WARM // hop) :])
+        middle, high = np.percentile(found, [50, 99])
+        print(f"| {name} | {middle:.2f} | {high:.2f} | {found.max():.2f} | {1e3 / line_hz:.1f} |")
+
+
+if __name__ == "__main__":
+    main()
