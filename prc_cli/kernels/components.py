@@ -9,7 +9,8 @@ from prc_cli.kernels.cache import helper, kernel
 
 ONES = 0x0101010101010101
 """Eight booleans that are all true, as a number."""
-ONE, NONE = np.uint32(1), np.uint32(2**32 - 1)
+NONE = np.int32(2**31 - 1)
+"""Larger than the number of any component."""
 
 
 @helper
@@ -239,26 +240,26 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
     components, pixels = _draw_runs(edges, first_run, parent, n_columns)
 
     taken = np.empty(n_holes, np.int32)
-    # least and most of three lines at a column, with a frame; components less one, so that none is the largest number
-    least = np.full(n_columns + 2, NONE, np.uint32)
-    most = np.zeros(n_columns + 2, np.uint32)
+    # least and most component in three lines at a column, with a frame around
+    least = np.full(n_columns + 2, NONE, np.int32)
+    most = np.zeros(n_columns + 2, np.int32)
     for line in range(n_lines):
         if first_hole[line] == first_hole[line + 1]:
             continue
         up, own, down = components[max(line - 1, 0)], components[line], components[min(line + 1, n_lines - 1)]
         least_inside, most_inside = least[1 : n_columns + 1], most[1 : n_columns + 1]
         for h in range(n_columns):
-            one, two, three = np.uint32(up[h]), np.uint32(own[h]), np.uint32(down[h])
+            one, two, three = up[h], own[h], down[h]
             most_inside[h] = max(one, two, three)
-            least_inside[h] = min(np.uint32(one - ONE), np.uint32(two - ONE), np.uint32(three - ONE))
+            least_inside[h] = min(one if one else NONE, two if two else NONE, three if three else NONE)
         for hole in range(first_hole[line], first_hole[line + 1]):
             h = int(holes[hole])
             high = max(most[h], most[h + 1], most[h + 2])
             low = min(least[h], least[h + 1], least[h + 2])
-            if high == 0 or np.uint32(high - ONE) == low:  # none, or one that is alone
+            if high == 0 or high == low:  # none, or one that is alone
                 taken[hole] = high
             else:
-                taken[hole] = _winner(components, line, h, int(low) + 1, int(high))
+                taken[hole] = _winner(components, line, h, int(low), int(high))
     for line in range(n_lines):  # now that nobody looks at the image any more
         filled = components[line]
         for hole in range(first_hole[line], first_hole[line + 1]):
