@@ -22,7 +22,7 @@ from prc_cli.classifiers.sequential_angle import pipeline as sequential_angle
 from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
-from prc_cli.core.counting import count_bytes
+from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.memory import keep_memory

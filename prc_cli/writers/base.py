@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from typing import Any, BinaryIO, Protocol, Self
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from prc_cli.core.bytewise import count_bytes, recode
 from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import commit, output_errors, temporary_name
@@ -161,7 +163,8 @@ class StagedWriter(StagedOutput):
         self._optional = tuple(columns)
         self._settled = False
         self._names = class_names(codes, options)
-        self._lookup = codes.lookup()
+        self._lookup = np.zeros(256, np.uint8)
+        self._lookup[: len(LABEL_NAMES)] = codes.lookup()
         self._counts = np.zeros(256, np.int64)
 
     def add(self, block: LabelledBlock) -> None:
@@ -199,10 +202,10 @@ class StagedWriter(StagedOutput):
 
     def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
         """Class codes of labels, same shape."""
-        if labels.size and int(labels.max()) >= len(self._lookup):
+        if labels.size and int(labels.max()) >= len(LABEL_NAMES):
             problem = f"found label {int(labels.max())}, expected 0 to {len(LABEL_NAMES) - 1}"
             raise OutputError(str(self.path), problem, "this is a fault of the classifier; please report it")
-        codes = self._lookup[labels]
+        codes = recode(labels, self._lookup)
         beyond = self._options.high_noise_beyond
         if beyond is not None:
             codes[(labels == Label.NOISE) & (range_m > np.float64(beyond))] = HIGH_NOISE_CODE
@@ -235,7 +238,7 @@ class StagedWriter(StagedOutput):
         return values.astype(column.dtype, copy=False)
 
     def _count(self, codes: U8) -> None:
-        self._counts += np.bincount(codes, minlength=256)
+        self._counts += count_bytes(codes)
 
     def _completed(self, record: RunRecord) -> RunRecord:
         classes = tuple(
@@ -277,12 +280,26 @@ class ScatterWriter(StagedWriter):
         scan = block.block
         codes = self._encode(block.labels, scan.range_m)
         values = {column.name: self._cells(column, block).ravel() for column in self._optional}
-        self._put(scan.records().ravel(), codes.ravel(), values)
+        if scan.record is None and (first := scan.first_line * scan.points_per_line) + codes.size <= self._limit:
+            self._put_run(first, codes.ravel(), values)
+        else:
+            self._put(scan.records().ravel(), codes.ravel(), values)
         if len(scan.extra):
             codes = self._encode(block.extra_labels, scan.extra.range_m)
             # what has no value of its own is the fill value already
             own = {column.name: column.of_extra(block) for column in self._optional if column.of_extra is not None}
             self._put(scan.extra.record, codes, own)
+
+    @property
+    def _limit(self) -> int:
+        """Records there may be at most."""
+        return sys.maxsize if self._n_records is None else self._n_records
+
+    def _put_run(self, first: int, codes: U8, values: dict[str, Values]) -> None:
+        """Take consecutive records."""
+        self._code_spool.put_run(first, codes)
+        for name, column in values.items():
+            self._spools[name].put_run(first, column)
 
     def _put(self, record: I64, codes: U8, values: dict[str, Values]) -> None:
         keep = record >= 0

@@ -83,9 +83,33 @@ class Spool:
         if low < 0 or (self._n_fixed is not None and high >= self._n_fixed):
             message = f"record {low if low < 0 else high} outside 0..{self._n_fixed}"
             raise IndexError(message)
-        self._n_seen = max(self._n_seen, high + 1)
+        self._keep(low if is_run else np.array(record, np.int64), values, high)
+
+    def put_run(self, first: int, values: NDArray[Any]) -> None:
+        """Set the values of consecutive records, as :meth:`put` does.
+
+        Parameters
+        ----------
+        first : int
+            Index of the first record.
+        values : (n,) array of the spool's dtype
+
+        Raises
+        ------
+        IndexError
+            When a record index is out of bounds.
+        """
+        last = first + len(values) - 1
+        if first < 0 or (self._n_fixed is not None and last >= self._n_fixed):
+            message = f"record {first if first < 0 else last} outside 0..{self._n_fixed}"
+            raise IndexError(message)
+        if len(values):
+            self._keep(first, values, last)
+
+    def _keep(self, record: I64 | int, values: NDArray[Any], last: int) -> None:
+        self._n_seen = max(self._n_seen, last + 1)
         bits = np.ascontiguousarray(values, self._dtype).view(self._bits) ^ self._mask
-        self._pending.append((low if is_run else np.array(record, np.int64), bits))
+        self._pending.append((record, bits))
         self._n_pending += len(bits)
         if self._n_pending >= BUFFER_ITEMS:
             self._flush()

