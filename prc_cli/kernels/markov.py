@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, Mask
+from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.kernels.cache import helper, kernel
 
 _SMALL = 2.0**-500
@@ -16,25 +16,49 @@ _LARGE = 2.0**500
 _Three = tuple[float, float, float]
 
 
-@helper
-def _densities(value: float, means: F64, half_precision: F64, log_sigma: F64) -> _Three:
-    """Densities of a value in the three states, divided by the largest: the ratio of likelihoods stays the same."""
-    d0 = value - means[0]
-    d1 = value - means[1]
-    d2 = value - means[2]
-    l0 = -(d0 * d0) * half_precision[0] - log_sigma[0]
-    l1 = -(d1 * d1) * half_precision[1] - log_sigma[1]
-    l2 = -(d2 * d2) * half_precision[2] - log_sigma[2]
-    # of the three exponentials the largest is exp(0)
-    if l0 >= l1 and l0 >= l2:
-        return 1.0, math.exp(l1 - l0), math.exp(l2 - l0)
-    if l1 >= l2:
-        return math.exp(l0 - l1), 1.0, math.exp(l2 - l1)
-    return math.exp(l0 - l2), math.exp(l1 - l2), 1.0
+_TERMS = 14
+_EXPONENTIAL = np.array([1.0 / math.factorial(n) for n in range(_TERMS)])
+"""Series of exp(r); for r up to ln(2) / 2 what is left out is below the last bit."""
+_LN2_HIGH = 2.0**-32 * round(2.0**32 * math.log(2.0))
+_LN2_LOW = -4.2009150726810846e-11
+"""ln(2) as a number of few bits, whose multiples are exact, and the rest."""
+_LEAST = -708.0
+"""Below this the exponential is zero: doubles end there."""
 
 
 @helper
-def _forward(state: _Three, transition: F64, density: F64) -> _Three:
+def _densities(values: F64, m: int, means: F64, half_precision: F64, log_sigma: F64, density: F64, power: I64) -> None:
+    """Densities of m values in the three states, divided by the largest: the ratio of likelihoods stays the same.
+
+    ``density`` (3, n) takes them. The exponential is computed here for many values at a time: the library's one takes
+    one by one.
+    """
+    for state in range(3):
+        for i in range(m):
+            d = values[i] - means[state]
+            density[state, i] = -(d * d) * half_precision[state] - log_sigma[state]
+    for i in range(m):
+        largest = max(density[0, i], density[1, i], density[2, i])
+        density[0, i] -= largest
+        density[1, i] -= largest
+        density[2, i] -= largest
+    scale = power.view(np.float64)
+    for state in range(3):
+        for i in range(m):
+            x = max(density[state, i], _LEAST)
+            halvings = math.floor(x * 1.4426950408889634 + 0.5)
+            r = (x - halvings * _LN2_HIGH) - halvings * _LN2_LOW
+            series = _EXPONENTIAL[_TERMS - 1]
+            for term in range(_TERMS - 2, -1, -1):
+                series = series * r + _EXPONENTIAL[term]
+            power[i] = (halvings + 1023) << 52  # bits of the power of two
+            density[state, i] = series if density[state, i] >= _LEAST else 0.0
+        for i in range(m):
+            density[state, i] *= scale[i]
+
+
+@helper
+def _forward(state: _Three, transition: F64, density: _Three) -> _Three:
     """One step of the forward recursion, unscaled."""
     a, b, c = state
     return (
@@ -45,7 +69,7 @@ def _forward(state: _Three, transition: F64, density: F64) -> _Three:
 
 
 @helper
-def _first(initial: F64, density: F64) -> _Three:
+def _first(initial: F64, density: _Three) -> _Three:
     """Begin the forward recursion."""
     return initial[0] * density[0], initial[1] * density[1], initial[2] * density[2]
 
@@ -85,7 +109,7 @@ def _sequential_test(
     q = (0.0, 0.0, 0.0)
     onset = begin
     for t in range(begin, end):
-        d = density[t]
+        d = (density[0, t], density[1, t], density[2, t])
         if t == onset:
             p = _first(initial_1, d)
             q = _first(initial_0, d)
@@ -162,16 +186,18 @@ def hmm_cusum(
     upper_back = math.exp(threshold_back)
     highest = math.exp(accept)
     lowest = math.exp(reject)
-    density = np.empty((n, 3), np.float64)
+    density = np.empty((3, n), np.float64)
+    samples, power = np.empty(n, np.float64), np.empty(n, np.int64)
     beam = np.empty(n, np.int64)
     for row in range(n_rows):
         m = 0
         for k in range(n):
             value = np.float64(values[row, k])
             if not math.isnan(value):
-                density[m, 0], density[m, 1], density[m, 2] = _densities(value, means, half_precision, log_sigma)
+                samples[m] = value
                 beam[m] = k
                 m += 1
+        _densities(samples, m, means, half_precision, log_sigma, density, power)
         begin = 0
         previous = -1
         while begin < m:

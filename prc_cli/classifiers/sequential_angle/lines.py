@@ -133,5 +133,11 @@ def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArra
     by_side = rows.reshape(n_lines, sides.n_sides, -1)
     for side in range(sides.n_sides):
         n = int(sides.n_beams[side])
-        image[:, sides.columns[side, :n]] = by_side[:, side, :n]
+        columns = sides.columns[side, :n]
+        step = int(columns[1] - columns[0]) if n > 1 else 1
+        if abs(step) == 1 and (np.diff(columns) == step).all():  # neighbours: many times faster than one by one
+            low, high = sorted((int(columns[0]), int(columns[-1])))
+            image[:, low : high + 1] = by_side[:, side, :n][:, ::step]
+        else:
+            image[:, columns] = by_side[:, side, :n]
     return image

@@ -400,9 +400,9 @@ def combine(rows: Undecided, curb: Mask) -> U8:
         :class:`prc_cli.core.classes.Label`.
     """
     labels = np.array(LABEL_OF_SURFACE, np.uint8)[rows.surface]
-    labels[rows.ground] = Label.GROUND
-    labels[rows.car & ~behind_curbs(rows.horizontal_m, curb)] = Label.CAR
-    labels[curb] = Label.CURB
+    np.copyto(labels, np.uint8(Label.GROUND), where=rows.ground)
+    np.copyto(labels, np.uint8(Label.CAR), where=rows.car & ~behind_curbs(rows.horizontal_m, curb))
+    np.copyto(labels, np.uint8(Label.CURB), where=curb)
     return labels
 
 

@@ -36,9 +36,11 @@ def rng() -> Generator:
 def log_ratios(values: F64, params: HmmParams) -> F64:
     """Logarithm of the ratio of likelihoods after every value, from the recursion that the test runs on."""
     means, sigmas, h0, h1 = (np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1))
-    found = np.empty(len(values))
-    for t, value in enumerate(values):
-        density = np.array(kernel_module._densities(float(value), means, 0.5 / sigmas**2, np.log(sigmas)))
+    found, in_states, power = np.empty(n := len(values)), np.empty((3, n)), np.empty(n, np.int64)
+    kernel_module._densities(values, n, means, 0.5 / sigmas**2, np.log(sigmas), in_states, power)
+    densities = np.ascontiguousarray(in_states.T)
+    for t in range(n):
+        density = densities[t]
         if t == 0:
             one, zero = (tuple(initial * density) for initial in (params.initial_h1, params.initial_h0))
         else:
