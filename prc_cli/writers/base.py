@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Protocol, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -38,6 +38,13 @@ class Columns:
     """(n,) uint8, class codes."""
     values: dict[str, Values]
     """(n,) arrays of the optional columns, by name."""
+
+
+class Closable(Protocol):
+    """Anything that is closed."""
+
+    def close(self) -> None:
+        """Close it."""
 
 
 class Writer(Protocol):
@@ -342,7 +349,7 @@ def remove_quietly(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def close_quietly(handle: Spool | BinaryIO) -> None:
+def close_quietly(handle: Closable) -> None:
     """Close after a failure, when a full disk may refuse the last buffer."""
     with contextlib.suppress(OSError):
         handle.close()

@@ -12,10 +12,12 @@ import numpy as np
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import OutputError
-from prc_cli.writers.base import Columns, ScatterWriter
+from prc_cli.core.stream import LabelledBlock
+from prc_cli.writers.base import CHUNK_RECORDS, Columns, ScatterWriter, close_quietly
 from prc_cli.writers.columns import Values, asked_columns
 from prc_cli.writers.options import OutputConfig
 from prc_cli.writers.record import RunRecord
+from prc_cli.writers.straight import StraightCodes, npy_header
 
 
 class LabelFileWriter(ScatterWriter):
@@ -31,6 +33,8 @@ class LabelFileWriter(ScatterWriter):
         asked = asked_columns(options)
         held = [column for column in asked if column.heading is not None and self._kind != ".npy"]
         super().__init__(path, codes, options, held, n_records)
+        self._straight: StraightCodes | None = None
+        """The output itself, as long as codes come in the order of their records."""
         for column in asked:
             if column.heading is None:
                 self._notice(f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz")
@@ -38,7 +42,40 @@ class LabelFileWriter(ScatterWriter):
                 needs = f"{column.what}s need .csv, .parquet, .las or .laz"
                 self._notice(f"a .npy output holds class codes only; {needs}")
 
+    def _begin(self) -> None:
+        super()._begin()
+        if self._kind == ".npy":
+            self._straight = StraightCodes(self._temporary)
+            self._stack.callback(close_quietly, self._straight)
+
+    def _add(self, block: LabelledBlock) -> None:
+        scan = block.block
+        straight = self._straight
+        if straight is not None and scan.record is None and not len(scan.extra):
+            first = scan.first_line * scan.points_per_line
+            if first == straight.n and first + block.labels.size <= self._limit:
+                straight.append(self._encode(block.labels, scan.range_m).ravel())
+                return
+        self._leave_straight()
+        super()._add(block)
+
+    def _leave_straight(self) -> None:
+        """Go on in a spool: records come in another order, or some are left out."""
+        if self._straight is None:
+            return
+        first = 0
+        for codes in self._straight.chunks(CHUNK_RECORDS):
+            self._code_spool.put_run(first, codes)
+            first += len(codes)
+        self._straight.close()
+        self._straight = None
+
     def _write(self, record: RunRecord) -> RunRecord:
+        if self._straight is not None and self._straight.n == (self._n_records or record.n_records):
+            self._straight.finish()
+            self._counts += self._straight.counts
+            return self._completed(record)
+        self._leave_straight()
         total = self._total(record)
         columns = self._counted(total)
         if self._kind == ".npy":
@@ -56,8 +93,7 @@ class LabelFileWriter(ScatterWriter):
 
     def _write_npy(self, columns: Iterator[Columns], total: int) -> None:
         with self._temporary.open("wb") as handle:
-            header = {"descr": "|u1", "fortran_order": False, "shape": (total,)}
-            np.lib.format.write_array_header_1_0(handle, header)
+            handle.write(npy_header(total))
             for item in columns:
                 handle.write(item.codes.data)
 
