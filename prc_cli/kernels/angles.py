@@ -94,7 +94,7 @@ def signed_angles(
     sign = np.empty(n, np.float64)
     begin = np.empty(n, np.int32)
     for row in range(n_rows):
-        m = n_chords = np.int64(0)
+        m = n_chords = int(np.int64(0))
         for k in range(min(np.int64(n_beams[row]), n)):
             r[m] = range_m[row, k]
             x[m] = xyz_m[row, k, 0]

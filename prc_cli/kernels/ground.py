@@ -130,7 +130,7 @@ def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
     for value in values:
         q = math.floor(value / width)
         lowest, highest = min(lowest, q), max(highest, q)
-    first, last = np.int64(HALF), HALF + highest - lowest
+    first, last = int(np.int64(HALF)), HALF + highest - lowest
     hist = np.zeros(last + 1 + HALF, np.int64)
     density = np.zeros(last + 1 + HALF, np.int64)
     for value in values:
@@ -264,8 +264,8 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
     the time.
     """
     size = len(hist) - 2 * HALF
-    n_points = n_samples = renew_at = np.int64(0)  # not the literal, for which helpers would be compiled once more
-    lo = hi = peak = np.int64(-1)
+    n_points = n_samples = renew_at = int(np.int64(0))  # not the literal, for which helpers would be compiled once more
+    lo = hi = peak = int(np.int64(-1))
     b = width = 0.0
     k = start
     growing = built = False
@@ -278,7 +278,7 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
         if k >= n or surface[k] != _HORIZONTAL:
             if growing or k >= n:
                 break
-            n_points = np.int64(0)
+            n_points = int(np.int64(0))
             k += 1
             continue
         if n_points > 0:
@@ -287,7 +287,7 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
             if rise > jump and not _fits(xyz, horizontal, beams, n_points, k, n_fit, jump):
                 if growing:
                     break
-                n_points = np.int64(0)
+                n_points = int(np.int64(0))
         beams[n_points] = k
         n_points += 1
         k += 1
@@ -296,7 +296,7 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
         # the points but the last one that have a line angle are samples
         before = n_samples
         if not growing:
-            n_samples = renew_at = np.int64(0)
+            n_samples = renew_at = int(np.int64(0))
         for i in range(n_points - 2 if growing else 0, n_points - 1):
             sampled[n_samples] = beams[i]
             n_samples += phihat[beams[i]] == phihat[beams[i]]
@@ -311,8 +311,8 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
                 b = _bandwidth(xyz, ahead, sampled[n_samples // 2], smallest, sigmas, noise)
                 width = b / PER_BANDWIDTH
                 _clear(hist, density, lo, hi)
-                lo, hi, before, built = np.int64(size + 2 * HALF), np.int64(-1), np.int64(0), False
-            q = np.int64(0)
+                lo, hi, before, built = int(np.int64(size + 2 * HALF)), int(np.int64(-1)), int(np.int64(0)), False
+            q = int(np.int64(0))
             for i in range(before, n_samples):
                 q = _bin(phihat[sampled[i]], width, size)
                 hist[q] += 1
@@ -325,7 +325,7 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
             if not one_mode:
                 if not built:
                     _build(hist, density, lo, hi)
-                    built, peak = True, np.int64(-1)
+                    built, peak = True, int(np.int64(-1))
                 if peak >= 0:
                     # one maximum before: a second one can only arise between it and the new sample, on either side of
                     # which both parts of the density rise, or fall, together
@@ -336,10 +336,10 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
                     while i < end and density[i + 1] <= density[i]:
                         i += 1
                     one_mode = i == end
-                    peak = top if one_mode else np.int64(-1)
+                    peak = top if one_mode else int(np.int64(-1))
                 if not one_mode:
                     n_modes = _walk(hist, density, lo, hi, tops, counts)
-                    peak = tops[0] // 2 if n_modes == 1 else np.int64(-1)
+                    peak = tops[0] // 2 if n_modes == 1 else int(np.int64(-1))
                     enough = 0
                     for i in range(n_modes):
                         enough += counts[i] >= least
@@ -404,7 +404,7 @@ def _extend(
     step: float,
 ) -> int:
     """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
-    k = np.int64(beams[n_points - 1] + 1)
+    k = int(np.int64(beams[n_points - 1] + 1))
     while k < n:
         if surface[k] == _MISSING:
             k += 1
@@ -431,7 +431,7 @@ def _main_angle(
     """Return the main mode of the line angles of some points [deg]; ``hist`` and ``density`` are as before."""
     size = len(hist) - 2 * HALF
     width = b / PER_BANDWIDTH
-    lo, hi = np.int64(size + 2 * HALF), np.int64(-1)
+    lo, hi = int(np.int64(size + 2 * HALF)), int(np.int64(-1))
     for i in range(n_points):
         angle = phihat[beams[i]]
         if angle == angle:
@@ -472,7 +472,7 @@ def _resume(
     counts: I64,
 ) -> int:
     """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
-    start = k = end = np.int64(beams[n_points - 1] + 1)
+    start = k = end = int(np.int64(beams[n_points - 1] + 1))
     passed = 0
     while k < n and passed <= bridge:
         if surface[k] == _HORIZONTAL:
@@ -490,18 +490,20 @@ def _resume(
         )  # fmt: skip
         if n_more == 0:
             break
-        start = np.int64(more[n_more - 1] + 1)
+        start = int(np.int64(more[n_more - 1] + 1))
         while k < more[0]:
             crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
             k += 1
-        if _fits(xyz, horizontal, beams, n_points, np.int64(more[0]), n_fit, min(step, guard) if crossed else guard):
+        if _fits(
+            xyz, horizontal, beams, n_points, int(np.int64(more[0])), n_fit, min(step, guard) if crossed else guard
+        ):
             for i in range(n_more):
                 beams[n_points + i] = more[i]
             mode = _main_angle(phihat, more, n_more, b, hist, density, tops, counts)
             n_points = _extend(
                 surface, xyz, horizontal, phihat, end, beams, n_points + n_more, mode, b, n_fit, guard, bridge, step
             )  # fmt: skip
-            start = k = np.int64(beams[n_points - 1] + 1)
+            start = k = int(np.int64(beams[n_points - 1] + 1))
             crossed = False
     return n_points
 
@@ -537,7 +539,7 @@ def _height_width(median: int, share: float) -> int:
 @helper
 def _open_heights(histogram: I32, hist: I64, density: I64, state: I64, share: float) -> None:
     """Take a histogram of heights up: its ends, its (lower) median, its density."""
-    n = np.int64(0)
+    n = int(np.int64(0))
     for i in range(N_HEIGHTS):
         if histogram[i] > 0:
             if n == 0:
@@ -583,7 +585,7 @@ def _add_height(histogram: I32, hist: I64, density: I64, state: I64, new: int, s
     if width == state[_WIDTH]:
         q = new // width + HALF
         hist[q] += 1
-        _spread(density, q, np.int64(1))
+        _spread(density, q, int(np.int64(1)))
         state[_LO] = min(state[_LO], q)
         state[_HI] = max(state[_HI], q)
         state[_N] += 1
@@ -598,7 +600,7 @@ def _forget_height(histogram: I32, hist: I64, density: I64, state: I64, old: int
     width = state[_WIDTH]
     q = old // width + HALF
     hist[q] -= 1
-    _spread(density, q, np.int64(-1))
+    _spread(density, q, int(np.int64(-1)))
     state[_N] -= 1
     while histogram[state[_FIRST]] == 0:
         state[_FIRST] += 1
@@ -777,8 +779,8 @@ def potential_heights(
     height = np.empty(n_rows, np.float64)
     for row in range(n_rows):
         n_points, b = _potential(
-            surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], np.int64(n_beams[row]), np.int64(0),
-            first_run, least, smallest, sigmas,
+            surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], int(np.int64(n_beams[row])),
+            int(np.int64(0)), first_run, least, smallest, sigmas,
             noise, n_fit, jump, bridge, step, beams, sampled, hist, density, tops, counts,
         )  # fmt: skip
         first[row] = last[row] = -1
@@ -905,10 +907,10 @@ def ground_rows(  # noqa: PLR0915 - as above
     z_rows = np.empty(n_rows, np.float32)
     for row in range(n_rows):
         to_count = row >= n_counted
-        n_valid = np.int64(n_beams[row])
+        n_valid = int(np.int64(n_beams[row]))
         z_row, accepted = np.nan, False
         # the first potential ground is known
-        n_points, b, z_i = np.int64(0), bandwidth[row], height[row]
+        n_points, b, z_i = int(np.int64(0)), bandwidth[row], height[row]
         if first[row] >= 0:
             for k in range(first[row], last[row] + 1):
                 beams[n_points] = k
@@ -939,7 +941,7 @@ def ground_rows(  # noqa: PLR0915 - as above
                 break
             n_points, b = _potential(
                 surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid,
-                np.int64(beams[n_points - 1] + 1), first_run, least, smallest, sigmas, noise, n_fit, jump, bridge,
+                int(np.int64(beams[n_points - 1] + 1)), first_run, least, smallest, sigmas, noise, n_fit, jump, bridge,
                 step, beams, sampled, hist, density, tops, counts,
             )  # fmt: skip
             if n_points > 0:

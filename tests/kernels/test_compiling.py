@@ -14,7 +14,7 @@ from prc_cli import kernels
 from prc_cli.kernels import KERNELS, compiling
 
 needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
-needs_locks = pytest.mark.skipif(compiling.fcntl is None, reason="no file locks on this system")
+needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks on this system")
 
 LOAD = """
 from prc_cli import kernels

@@ -12,6 +12,8 @@ import pytest
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.curb import CurbParams
 from prc_cli.classifiers.sequential_angle.pipeline import (
+    BlockJob,
+    ParallelBlocks,
     SequentialAngleParams,
     SequentialAngleState,
     Undecided,
@@ -23,6 +25,7 @@ from prc_cli.config import RunConfig, load_config
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
+from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.kernels import KERNELS
 from prc_cli.pipeline import classify_ranges, label_blocks
@@ -305,6 +308,24 @@ def test_blocks_without_beams_are_refused() -> None:
         list(label_blocks(iter([ScanBlock(0, np.zeros((2, 8), np.float32))]), config().classifier))
 
 
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_threads_change_nothing(threads: int) -> None:
+    block, _ = scan()
+    whole, _ = run(iter([block]), PARAMS, block.n_lines)
+    assert block.beam_rad is not None
+    blocks = ParallelBlocks(block.beam_rad, PARAMS)
+
+    def jobs() -> Iterator[BlockJob]:
+        n_lines = 0
+        for part in cuts(block, np.random.default_rng(5)):
+            n_lines += part.n_lines
+            yield blocks.begin(part.range_m, part.xyz_m, last=n_lines == block.n_lines)
+
+    parts = list(ordered(blocks.classify, jobs(), threads=threads))
+    np.testing.assert_array_equal(np.concatenate([labels for labels, _ in parts]), whole[0])
+    np.testing.assert_array_equal(np.concatenate([stages.surface for _, stages in parts]), whole[1])
+
+
 def test_the_state_holds_nothing_hidden() -> None:
     """A run can go on from a copied state."""
     block, _ = scan()
@@ -315,5 +336,5 @@ def test_the_state_holds_nothing_hidden() -> None:
         classify_block(second.range_m, second.xyz_m, state, PARAMS, last=True).labels
         for state in (begun.state, replace(begun.state))
     ]
-    np.testing.assert_array_equal(*again)
+    np.testing.assert_array_equal(again[0], again[1])
     assert {each.name for each in fields(begun.state)} == set(SequentialAngleState.__slots__)
