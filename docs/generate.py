@@ -17,6 +17,8 @@ from prc_cli.cli import cli
 from prc_cli.config import PRESET_SOURCES, PRESETS, RunConfig, load_config, to_toml
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
+from prc_cli.simulate import KINDS, load_settings
+from prc_cli.simulation.scanners import SCANNERS, Scanner
 
 ROOT = Path(__file__).resolve().parent.parent
 GENERATED = "<!-- written by docs/generate.py from the code; do not edit -->\n"
@@ -138,6 +140,38 @@ def _description(label: Label) -> str:
     return ClassCodes.model_fields[label.name.lower()].description or ""
 
 
+def simulation_page() -> str:
+    """Return the reference of simulations: scanners side by side, then every parameter of every kind."""
+    intro = """\
+        # Simulation
+
+        `prc simulate KIND --config FILE.toml --set TABLE.KEY=VALUE` takes the parameters below; in a table that has
+        presets, `name = "…"` chooses the one that its other keys are laid over. `prc simulate parameters KIND` prints
+        them as a file. What they mean is told in [Simulate](../simulation.md).
+
+        ## Scanners
+        """
+    names = list(SCANNERS)
+    fields = [key for key, info in Scanner.model_fields.items() if _model_of(info.annotation) is None]
+    rows = [f"| | {' | '.join(f'`{name}`' for name in names)} |", "|---|" + "---|" * len(names)]
+    for key in fields:
+        values = [getattr(SCANNERS[name], key) for name in names]
+        rows.append(f"| `{key}` | {' | '.join('not set' if value is None else _plain(value) for value in values)} |")
+    parts = [GENERATED, textwrap.dedent(intro), "\n".join(rows) + "\n"]
+    seen: set[str] = set()
+    for kind in KINDS:
+        model = type(load_settings(kind))
+        parts.append(f"## prc simulate {kind}\n")
+        shown = [table for table in _tables(model, "") if not table.startswith("## [classes]")]
+        parts += [table.replace("## ", "### ", 1) for table in shown if table not in seen]
+        seen |= set(shown)
+    return "\n".join(parts)
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
 def sample_config(name: str) -> str:
     """Return the commented configuration file of a preset."""
     head = (
@@ -155,6 +189,7 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/cli.md": cli_page(),
         ROOT / "docs/reference/configuration.md": configuration_page(),
         ROOT / "docs/reference/classes.md": classes_page(),
+        ROOT / "docs/reference/simulation.md": simulation_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
         **{ROOT / f"sample_configs/{name.replace('-', '_')}.toml": sample_config(name) for name in PRESETS},
     }
