@@ -21,6 +21,7 @@ class StreetSceneParams(Params):
     )
     curves: float = Field(1.0, ge=0, le=1.5, description="factor on the curves; 0 = a straight street")
     hills: float = Field(1.0, ge=0, le=2, description="factor on the slopes; 0 = a level street")
+    setback_m: float = Field(0.0, ge=0, le=25, description="how much farther back facades stand than usual [m]")
     trees: float = Field(0.6, ge=0, le=1, description="share of the places for trees that have one")
     parked: float = Field(0.7, ge=0, le=1, description="share of the parking places that are taken")
     people: float = Field(0.5, ge=0, le=1, description="how busy the sidewalks are")

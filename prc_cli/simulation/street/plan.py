@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -122,7 +122,7 @@ def character_of(seed: int, piece: int, choice: str) -> Character:
     return CHARACTERS[int(rng.integers(len(CHARACTERS)))]
 
 
-def plan_of(seed: int, piece: int, choice: str) -> Plan:
+def plan_of(seed: int, piece: int, choice: str, setback_m: float = 0.0) -> Plan:
     """Lay out a piece.
 
     Parameters
@@ -133,6 +133,8 @@ def plan_of(seed: int, piece: int, choice: str) -> Plan:
         Its number, of any sign.
     choice : str
         A character, or 'mixed'.
+    setback_m : float
+        How much farther back facades stand than the character has them [m].
     """
     start = piece * PIECE_M
     character = character_of(seed, piece, choice)
@@ -142,8 +144,14 @@ def plan_of(seed: int, piece: int, choice: str) -> Plan:
         # its ramps end where the curb begins to bend
         end = junction.bend[1] + DROP_M if early else junction.bend[0] - DROP_M - 2.5
         crossing = (end, end + 2.5)
-    left, right = (_side(seed, piece, side, character, junction, crossing) for side in (1, -1))
+    left, right = (
+        _set_back(_side(seed, piece, side, character, junction, crossing), setback_m) for side in (1, -1)
+    )  # fmt: skip
     return Plan(piece, start, character, junction, crossing, (left, right))
+
+
+def _set_back(side: Side, by_m: float) -> Side:
+    return replace(side, lots=tuple(replace(lot, setback=lot.setback + by_m) for lot in side.lots))
 
 
 def junction_of(seed: int, piece: int) -> Junction | None:

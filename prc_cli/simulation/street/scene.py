@@ -113,7 +113,7 @@ class StreetScene:
 
     def _make(self, number: int) -> Bodies:
         pile = Pile((number + _FIRST / _NUMBERS) * _NUMBERS)
-        plan = plan_of(self.seed, number, self.params.character)
+        plan = plan_of(self.seed, number, self.params.character, self.params.setback_m)
         self.ground.lay(pile, plan)
         build_houses(pile, self.ground, plan, self.seed)
         build_kerbs(pile, self.ground, plan, self.params, self.seed)
