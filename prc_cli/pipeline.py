@@ -21,8 +21,8 @@ from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.classifiers.sequential_angle import pipeline as sequential_angle
 from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
-from prc_cli.core.classes import Label
 from prc_cli.core.bytewise import count_bytes
+from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.memory import keep_memory
@@ -121,7 +121,9 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
         When the file is damaged, or holds nothing that a range can be taken from.
     """
     loaded = _loaded(config)
-    stream = open_input(Path(path), loaded.config.input, loaded.config.layout)
+    config = loaded.config
+    lines = config.prc.lines_per_block if config.method != SEQUENTIAL_ANGLE else 1
+    stream = open_input(Path(path), config.input, config.layout, lines_at_once=lines)
     return with_beams(stream, loaded.config.input) if loaded.config.method == SEQUENTIAL_ANGLE else stream
 
 

@@ -117,7 +117,7 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
     return READERS[suffix](path, layout) if suffix in READERS else None
 
 
-def open_input(path: Path, config: InputConfig, layout: Layout | None = None) -> ScanStream:
+def open_input(path: Path, config: InputConfig, layout: Layout | None = None, *, lines_at_once: int = 1) -> ScanStream:
     """Open an input file as a stream of blocks.
 
     Parameters
@@ -128,6 +128,8 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None) ->
         How lines, columns and ranges are found.
     layout : Layout, optional
         Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
+    lines_at_once : int
+        Lines that are used together: files whose lines are known beforehand are best read in multiples of them.
 
     Raises
     ------
@@ -142,7 +144,10 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None) ->
     if source is None:
         from prc_cli.readers.arrays import ArrayStream
 
-        return ArrayStream(path, config)
+        return ArrayStream(path, config, lines_at_once=lines_at_once)
+    align_chunks = getattr(source, "align_chunks", None)
+    if align_chunks is not None and config.points_per_line is not None:
+        align_chunks(config.points_per_line * lines_at_once)
     if config.lines == "rings":
         from prc_cli.readers.rings import open_rings
 

@@ -53,6 +53,8 @@ class ArrayStream:
         ``range = "dimension:NAME"`` for ranges of another name, and ``order``, which ``time_s`` is held to.
     chunk_shots : int
         Shots read at a time; changes memory and speed, never a value.
+    lines_at_once : int
+        Lines of which multiples are read at a time, where that is not more: blocks of so many need not be joined.
 
     Raises
     ------
@@ -62,7 +64,7 @@ class ArrayStream:
         When the file is damaged, or shapes or types are not the ones above.
     """
 
-    def __init__(self, path: Path, config: InputConfig, chunk_shots: int = CHUNK_SHOTS) -> None:
+    def __init__(self, path: Path, config: InputConfig, chunk_shots: int = CHUNK_SHOTS, lines_at_once: int = 1) -> None:
         _check_rules(path, config)
         self._config = config
         self._file = ArrayFile(path)
@@ -71,7 +73,8 @@ class ArrayStream:
         header.check_numbers()
         self._n_lines, self._m, self._n_records = _find_shape(header, self._file, config)
         self._flat = len(header.shape) == 1
-        self._chunk_lines = max(1, chunk_shots // self._m)
+        n_lines = max(1, chunk_shots // self._m)
+        self._chunk_lines = max(1, n_lines // lines_at_once) * min(n_lines, lines_at_once)
         self._names = self._find_beside()
         self._angles: str | None = None
         angle_rad, angle_why = self._find_angles()

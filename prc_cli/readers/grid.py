@@ -165,18 +165,25 @@ class GridStream:
         setup, config = self._setup(0), self.rules.config
         m = setup.points_per_line
         watch = open_watch(self.source, config) if self.rules.has_time else None
+        needs_records = watch is not None or config.partial_line == "pad"
         rest: Table = {}
         n_records = first_line = 0
         tally = ReadTally()
         names = tuple(dict.fromkeys((*self.rules.names, *self._carried())))
         for chunk in self.source.chunks(names):
-            table, cleaned = self._prepare(chunk, table_of(chunk, self.rules.names))
+            table = (
+                table_of(chunk, self.rules.names)
+                if needs_records
+                else {name: chunk.values[name] for name in self.rules.names}
+            )
+            table, cleaned = self._prepare(chunk, table)
             tally += cleaned + ReadTally(n_records=chunk.n)
             if watch is not None:
                 tally += see_times(watch, table)
             n_records += chunk.n
-            table = {name: np.concatenate([rest[name], table[name]]) for name in table} if rest else table
-            n_whole = len(table[RECORD]) // m
+            if rest and len(rest[RANGE]):
+                table = {name: np.concatenate([rest[name], table[name]]) for name in table}
+            n_whole = len(table[RANGE]) // m
             for start in range(0, n_whole, max(MAX_BLOCK_CELLS // m, 1)):
                 stop = min(start + max(MAX_BLOCK_CELLS // m, 1), n_whole)
                 yield self._dense_block(table, slice(start * m, stop * m), first_line, setup, tally)

@@ -125,7 +125,9 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
         return np.ascontiguousarray(stored, dtype=stored.dtype.newbyteorder("="))
     narrow = plain and item.name == "range" and stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
     with np.errstate(over="ignore", invalid="ignore"):
-        values: NDArray[np.floating[Any]] = stored.astype(np.float32 if narrow else np.float64)
+        # what was read for this alone need not be copied
+        own = stored.flags.c_contiguous and stored.flags.writeable
+        values: NDArray[np.floating[Any]] = stored.astype(np.float32 if narrow else np.float64, copy=not own)
         if not plain:
             values *= item.scale
             values += item.offset

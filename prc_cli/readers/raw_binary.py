@@ -73,6 +73,13 @@ class RawBinarySource:
             raise InputError(self.path, problem, hint)
         return n_records
 
+    def align_chunks(self, n_records: int) -> None:
+        """Decode multiples of so many records at a time, where that is not more than otherwise.
+
+        Chunks that end where blocks of lines end need not be joined; no value depends on it.
+        """
+        self._chunk_records = max(1, self._chunk_records // n_records) * min(n_records, self._chunk_records)
+
     @property
     def path(self) -> str:
         """File name, for messages."""
