@@ -9,11 +9,14 @@ import click
 
 from prc_cli.cli.report import compiling_note, console, line_progress, print_classes, print_evaluation
 from prc_cli.config import load_config
-from prc_cli.demo import STATIC, run_demo
+from prc_cli.demo import PARTS, run_demo
 from prc_cli.evaluation.reports import as_dict
 from prc_cli.evaluation.scores import scores
 from prc_cli.pipeline import load_classifier
-from prc_cli.simulation.street import StreetParams
+from prc_cli.simulation.drive import load_simulator
+
+TITLES = {"drive": "prc", "static": "sequential-angle", "walk": "prc forest"}
+"""What the parts are called."""
 
 
 @click.command()
@@ -28,32 +31,27 @@ from prc_cli.simulation.street import StreetParams
     "--lines", type=click.IntRange(100, 100_000), default=600, show_default=True, help="Scan lines of the drive."
 )
 @click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another street."
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=1, show_default=True, help="Another seed, another world."
 )
 @click.option("--overwrite", is_flag=True, help="Use a folder that holds files already.")
 @click.option("--json", "json_wanted", is_flag=True, help="Print the evaluation as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
-    """Simulate a drive and a static scan, classify them with the presets urban and street-scan, evaluate and draw them.
+    """Simulate a drive, a static scan and a walk in a forest; classify, evaluate and draw them.
+
+    Their presets are urban, street-scan and forest.
 
     \b
     Example: prc demo --output /tmp/prc-demo
     """
-    street, scan = load_config(preset="urban"), load_config(preset="street-scan")
     with compiling_note(quiet=quiet):
-        load_classifier(street)
-        load_classifier(scan)
-    with line_progress("simulated street", quiet=quiet) as progress:
-        result = run_demo(
-            output,
-            street,
-            StreetParams(seed=seed, n_lines=lines),
-            static_config=scan,
-            static_params=STATIC.model_copy(update={"seed": seed}),
-            overwrite=overwrite,
-            progress=progress,
-        )
-    parts = {"prc": result.drive, "sequential-angle": result.static}
+        for each in PARTS.values():
+            load_classifier(load_config(preset=each.preset))
+    with compiling_note(quiet=quiet, what="simulator"):
+        load_simulator()
+    with line_progress("simulated scans", quiet=quiet) as progress:
+        result = run_demo(output, seed=seed, lines=lines, overwrite=overwrite, progress=progress)
+    parts = {TITLES[name]: part for name, part in result.parts.items()}
     if json_wanted:
         click.echo(json.dumps({method: as_dict(part.matrix) for method, part in parts.items()}, indent=2))
     if quiet:

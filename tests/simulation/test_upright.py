@@ -30,7 +30,7 @@ def block(density: float = 0.0) -> Bodies:
     return bodies((Shape.BOX, Material.WALL, (10.0, 20.0, 3.0, 4.0, 1.0, 0.5, TURNED)), density=density)
 
 
-def on_block(u: float, v: float, w: float) -> np.ndarray:  # type: ignore[type-arg]
+def on_block(u: float, v: float, w: float) -> np.ndarray:
     """Place in the frame of the box."""
     cosine, sine = np.cos(TURNED), np.sin(TURNED)
     return np.array([10.0 + cosine * u - sine * v, 20.0 + sine * u + cosine * v, 3.0 + w])
