@@ -163,12 +163,6 @@ def angle_differences(signed_deg: F32) -> F32:
     return differences
 
 
-@helper
-def _line_angle(step_rad: float, near_m: float, far_m: float) -> float:
-    """Angle of a chord with the beam to its beginning [rad], 0 to pi (eq. 2 with atan2)."""
-    return math.atan2(math.sin(step_rad), math.cos(step_rad) - near_m / far_m)
-
-
 @kernel("float32[:, ::1](float32[:, ::1], int32[:, ::1], uint8[:, ::1], float64[:, ::1])")
 def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
     """Measure the line angle of every horizontal shot that begins a chord (eq. 2).
@@ -191,12 +185,21 @@ def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
     n_rows, n = range_m.shape
     n_sides = len(beam_rad)
     found = np.full((n_rows, n), np.nan, np.float32)
+    # most chords go to the same beam as in the row before: sine and cosine of the angle between them are kept
+    known = np.full((n_sides, n), -1, np.int32)
+    sine = np.empty((n_sides, n), np.float64)
+    cosine = np.empty((n_sides, n), np.float64)
     for row in range(n_rows):
-        beams = beam_rad[row % n_sides]
+        side = row % n_sides
         for k in range(n):
             far = ahead[row, k]
             if surface[row, k] != _HORIZONTAL or far < 0:
                 continue
-            phi = _line_angle(beams[far] - beams[k], np.float64(range_m[row, k]), np.float64(range_m[row, far]))
-            found[row, k] = math.degrees(phi + beams[k])
+            if known[side, k] != far:
+                step = beam_rad[side, far] - beam_rad[side, k]
+                known[side, k], sine[side, k], cosine[side, k] = far, math.sin(step), math.cos(step)
+            # angle of the chord with the beam to its beginning, 0 to pi (eq. 2 with atan2)
+            nearness = np.float64(range_m[row, k]) / np.float64(range_m[row, far])
+            phi = math.atan2(sine[side, k], cosine[side, k] - nearness)
+            found[row, k] = math.degrees(phi + beam_rad[side, k])
     return found
