@@ -23,6 +23,8 @@ from prc_cli.readers.text_columns import TextColumn, find_columns
 from prc_cli.readers.text_format import BLANKS, find_format, shorten, split, to_number, try_split
 from prc_cli.readers.text_lines import BLOCK_BYTES, MAX_LINE_BYTES, Lines, iter_lines
 
+_HEAD_BYTES = 256
+
 
 class TextSource:
     """A text file as a :class:`prc_cli.readers.records.RecordSource`.
@@ -141,7 +143,7 @@ class TextSource:
         header = self._text.header_line or 0
         for lines in iter_lines(self._path, self._block_bytes):
             skipped = max(0, header + 1 - lines.first)
-            if skipped > lines.data.count(b"\n"):
+            if skipped and skipped > lines.data.count(b"\n"):
                 continue
             end = 0
             for _ in range(skipped):
@@ -155,10 +157,13 @@ class TextSource:
     def _parse(self, lines: Lines, columns: list[TextColumn], blank: _BlankWatch) -> list[F64]:
         """Return one array of stored numbers a column, for the rows among the lines."""
         data = self._plain(lines.data)
-        blank_only = not self._text.stripped(data)
-        if blank.watches and (blank.first is not None or blank_only or _has_blank_line(data)):
+        # most blocks show with their first bytes that they are not blank
+        blank_only = not self._text.stripped(data[:_HEAD_BYTES]) and not self._text.stripped(data)
+        if blank.watches and (blank.first is not None or blank_only):
             return self._parse_exactly(lines, columns, blank)
         found = [np.empty(0)] * len(columns) if blank_only else self._parse_fast(data, columns)
+        if blank.watches and found is not None and len(found[0]) != _n_lines(data):
+            return self._parse_exactly(lines, columns, blank)  # pyarrow passes over blank lines
         return found if found is not None else self._parse_exactly(lines, columns, blank)
 
     def _plain(self, data: bytes) -> bytes:
@@ -233,8 +238,8 @@ class TextSource:
         return InputError(f"{self._path}: line {number}", problem, hint)
 
 
-def _has_blank_line(data: bytes) -> bool:
-    return data.startswith((b"\n", b"\r\n")) or b"\n\n" in data or b"\n\r\n" in data
+def _n_lines(data: bytes) -> int:
+    return data.count(b"\n") + (not data.endswith(b"\n"))
 
 
 class _BlankWatch:
