@@ -7,7 +7,7 @@ the three its own threads, with short queues between them; which thread does wha
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -28,7 +28,7 @@ from prc_cli.core.files import check_output, remove_stale
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StageLabels, StreamInfo
-from prc_cli.core.threads import default_threads, ordered, read_ahead, write_behind
+from prc_cli.core.threads import close_items, default_threads, ordered, read_ahead, write_behind
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.kernels import load_kernels
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
@@ -321,9 +321,10 @@ def _write_labels(
         blocks = timed_items(stream.blocks(), "reading")
         put = write
         if threads > 1:
-            blocks = stack.enter_context(closing(read_ahead(blocks, depth=AHEAD)))
+            blocks = read_ahead(blocks, depth=AHEAD)
+            stack.callback(close_items, blocks)
         labelled = label_blocks(blocks, config.classifier, threads=threads, segments=config.output.segment_ids)
-        stack.enter_context(closing(labelled))
+        stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
         for item in labelled:

@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import click
 
 from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_classes
 from prc_cli.core.classes import Label
+from prc_cli.core.profile import profiling, timed
+from prc_cli.core.threads import default_threads
 from prc_cli.pipeline import RunSummary, load_classifier
 from prc_cli.pipeline import classify as classify_file
 
@@ -26,6 +30,12 @@ MANY = 0.01
 @stream_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--segment-ids", is_flag=True, help="Also write the segment id of every shot.")
+@click.option(
+    "--threads",
+    type=click.IntRange(min=1),
+    help="Threads that classify; default: one for every core. They do not change a byte of OUT, and are not recorded.",
+)
+@click.option("--profile", is_flag=True, help="Print where the time went, on stderr, and with --json on stdout.")
 @output_options
 def classify(
     source: Path, output: Path, overwrite: bool, segment_ids: bool,
@@ -44,17 +54,25 @@ def classify(
     """
     if segment_ids:
         options["assignments"] = (*options["assignments"], "output.segment_ids=true")
+    threads, wants_profile = options.pop("threads") or default_threads(), options.pop("profile")
     loaded = config_from(options)
-    if source.is_file():  # else the refusal should not wait for the compiler
-        with compiling_note(quiet=quiet):
-            load_classifier(loaded)
-    start = time.perf_counter()
-    with line_progress(source.name, quiet=quiet) as progress:
-        summary = classify_file(source, output, loaded, overwrite=overwrite, progress=progress)
+    with profiling() if wants_profile else nullcontext() as profile:
+        if source.is_file():  # else the refusal should not wait for the compiler
+            with compiling_note(quiet=quiet), timed("loading compiled loops"):
+                load_classifier(loaded)
+        start = time.perf_counter()
+        with line_progress(source.name, quiet=quiet) as progress:
+            summary = classify_file(source, output, loaded, overwrite=overwrite, progress=progress, threads=threads)
+        seconds = time.perf_counter() - start
     if as_json:
-        click.echo(json.dumps(summary.record.as_dict(), indent=2, sort_keys=True))
+        result = summary.record.as_dict()
+        if profile is not None:
+            result["profile"] = profile_of(profile, summary.counts.n_shots, threads)
+        click.echo(json.dumps(result, indent=2, sort_keys=True))
     if not quiet:
-        _print_summary(summary, time.perf_counter() - start, verbose=verbose)
+        _print_summary(summary, seconds, verbose=verbose)
+    if profile is not None and not (quiet and as_json):
+        print_profile(profile, summary.counts.n_shots, threads)
 
 
 def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> None:

@@ -89,7 +89,7 @@ def ordered(
         else:
             yield from _in_threads(function, source, threads, max(1, 2 * threads if ahead is None else ahead))
     finally:
-        _close(source)
+        close_items(source)
 
 
 def _in_threads(function: Callable[[_A], _B], items: Iterator[_A], threads: int, ahead: int) -> Iterator[_B]:
@@ -271,7 +271,7 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
                 if not channel.put(item):
                     break
                 del item
-            _close(source)
+            close_items(source)
         except BaseException as raised:  # whatever it is, it belongs to who takes the items
             error = raised
         channel.end(error)
@@ -356,7 +356,7 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
             self.abort()
 
 
-def _close(items: Iterator[object]) -> None:
+def close_items(items: Iterator[object]) -> None:
     """Close a generator now, not when its last reference happens to go."""
     close = getattr(items, "close", None)
     if close is not None:
