@@ -20,10 +20,8 @@ from prc_cli.rendering import RenderOptions, render
 from prc_cli.rendering.frames import turns
 from prc_cli.rendering.options import FIGURE_1, choose_steps
 from prc_cli.rendering.scan import choose_part, draw_scan
-from prc_cli.simulation.static_scan import StaticScanParams, simulate_static_scan
+from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
-
-COARSE = StaticScanParams(azimuth_step_deg=4.0, elevation_step_deg=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -41,15 +39,15 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A static scan and its reference."""
     folder = tmp_path_factory.mktemp("static")
-    scan = simulate_static_scan(COARSE)
-    items = list(scan.labelled_blocks())
+    block, labels = static_arrays(1.0, 4.0, 1)
+    assert block.beam_rad is not None
     np.savez(
         folder / "static.npz",
-        range_m=np.concatenate([item.block.range_m for item in items]),
-        xyz=np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None]),
-        zenith_deg=90.0 - np.rad2deg(scan.elevation_rad),
+        range_m=block.range_m,
+        xyz=block.xyz_m,
+        zenith_deg=180.0 - np.rad2deg(block.beam_rad),
     )
-    np.save(folder / "reference.npy", ClassCodes().lookup()[np.concatenate([i.labels for i in items])].ravel())
+    np.save(folder / "reference.npy", ClassCodes().lookup()[labels].ravel())
     return folder / "static.npz", folder / "reference.npy"
 
 

@@ -12,26 +12,24 @@ import numpy as np
 import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.simulation.static_scan import StaticScanParams, simulate_static_scan
 from tests.cli.test_commands import Prc, prc
 from tests.readers.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
+from tests.simulated import HEIGHT_M, static_arrays
 
 __all__ = ["prc"]
 
 Array = np.ndarray
-SCAN = StaticScanParams(seed=2, azimuth_step_deg=3.0, elevation_step_deg=0.5)
 
 
 @cache
 def points() -> tuple[Array, Array, Array]:
     """Points x, y, z, intensity (lines, M, 4) of a scan, all zero where missing; elevations [deg]; reference codes."""
-    scan = simulate_static_scan(SCAN)
-    items = list(scan.labelled_blocks())
-    xyz = np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None])
-    labels = np.concatenate([item.labels for item in items])
+    block, labels = static_arrays(0.5, 3.0, 2)
+    assert block.beam_rad is not None
+    xyz = np.nan_to_num(block.xyz_m)
     # as text has them, so that every format holds the same scan
-    grid = np.nan_to_num(np.concatenate([xyz, np.full((*labels.shape, 1), 0.5)], axis=2)).round(4)
-    return grid, np.rad2deg(scan.elevation_rad), ClassCodes().lookup()[labels]
+    grid = np.concatenate([xyz, np.full((*labels.shape, 1), 0.5)], axis=2).round(4)
+    return grid, np.rad2deg(block.beam_rad) - 90.0, ClassCodes().lookup()[labels]
 
 
 def npz(folder: Path) -> Path:
@@ -81,7 +79,7 @@ def test_organised_scans_become_laz_with_the_stages(prc: Prc, tmp_path: Path, ma
     assert len(las.points) == np.count_nonzero(there)
     np.testing.assert_allclose(las.xyz, grid[there][:, :3], atol=0.0006)
     assert set(np.unique(las["surface"])) <= {1, 2, 3, 4}
-    assert np.nanmedian(las["ground_height"]) == pytest.approx(-SCAN.height_m, abs=0.1)
+    assert np.nanmedian(las["ground_height"]) == pytest.approx(-HEIGHT_M, abs=0.1)
     assert {2, 5, 67, 68} <= set(np.unique(las.classification))
 
 
@@ -135,7 +133,7 @@ REFUSED: list[tuple[Callable[[Path], Path], list[str]]] = [
     (registered, ["xyz"]),
     (wrong_shape, ["xyz", "(60, 41, 3)"]),
     (level, ["scan.npz", "lines do not rise"]),
-    (ptx_that_lies, ["line 30130", "30120 points", "120 columns x 258 rows"]),
+    (ptx_that_lies, ["line 30010", "30000 points", "120 columns x 257 rows"]),
     (e57_truncated, ["scan.e57"]),
 ]
 
