@@ -19,7 +19,7 @@ from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F32
 from prc_cli.kernels import load_kernels, oracle, oracle_prc
 from prc_cli.pipeline import classify_ranges, label_blocks
-from prc_cli.simulation.street import StreetParams, simulate_street
+from prc_cli.simulate import load_settings, open_simulation
 
 ROUNDS = 7
 """Every job runs once a round, so that what else the machine does falls on all of them; the best time counts."""
@@ -42,7 +42,8 @@ def numpy_support(ranges: F32, lines: int) -> None:
 
 def street(n_lines: int, points_per_line: int) -> F32:
     """Ranges of a simulated street."""
-    scan = simulate_street(StreetParams(n_lines=n_lines, points_per_line=points_per_line))
+    options = {"lines": n_lines, "scanner": {"points_per_line": points_per_line}}
+    scan = open_simulation("street", load_settings("street", options=options)).scan
     return np.concatenate([block.range_m for block in scan.blocks()])
 
 

@@ -41,6 +41,7 @@ def static(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("static")
     block, labels = static_arrays(1.0, 4.0, 1)
     assert block.beam_rad is not None
+    assert block.xyz_m is not None
     np.savez(
         folder / "static.npz",
         range_m=block.range_m,

@@ -26,15 +26,17 @@ def points() -> tuple[Array, Array, Array]:
     """Points x, y, z, intensity (lines, M, 4) of a scan, all zero where missing; elevations [deg]; reference codes."""
     block, labels = static_arrays(0.5, 3.0, 2)
     assert block.beam_rad is not None
-    xyz = np.nan_to_num(block.xyz_m)
+    assert block.xyz_m is not None
+    xyz: Array = np.nan_to_num(block.xyz_m)
     # as text has them, so that every format holds the same scan
-    grid = np.concatenate([xyz, np.full((*labels.shape, 1), 0.5)], axis=2).round(4)
+    grid: Array = np.concatenate([xyz, np.full((*labels.shape, 1), 0.5)], axis=2).round(4)
     return grid, np.rad2deg(block.beam_rad) - 90.0, ClassCodes().lookup()[labels]
 
 
 def npz(folder: Path) -> Path:
     grid, _, _ = points()
-    xyz = np.where(grid[..., :3].any(axis=2)[..., None], grid[..., :3], np.nan)
+    there: Array = grid[..., :3].any(axis=2)
+    xyz = np.where(there[..., None], grid[..., :3], np.nan)
     np.savez(folder / "scan.npz", xyz=xyz)
     return folder / "scan.npz"
 
