@@ -35,7 +35,7 @@ def points() -> tuple[Array, Array, Array]:
 
 def npz(folder: Path) -> Path:
     grid, _, _ = points()
-    there: Array = grid[..., :3].any(axis=2)
+    there = np.asarray(grid[..., :3].any(axis=2))
     xyz = np.where(there[..., None], grid[..., :3], np.nan)
     np.savez(folder / "scan.npz", xyz=xyz)
     return folder / "scan.npz"
