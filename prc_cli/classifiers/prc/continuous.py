@@ -131,5 +131,6 @@ def _draw(range_m: F32, v: Surfaces, before: Before, params: PrcParams) -> U8:
     window = stream_window(np.full(window_reach(points_per_line), np.nan, dtype=np.float32), range_m, None)
     if params.environment == "forest":
         return forest(window, v, params.forest)
-    ground, _ = find_ground(v.components, count_smooth(v), before.last_line, before.totals, params.urban)
+    nothing = np.zeros(points_per_line, np.int64)  # nobody asks for totals, and the line before may hold other segments
+    ground, _ = find_ground(v.components, count_smooth(v), nothing, before.totals, params.urban)
     return urban(window, v, ground)
