@@ -12,7 +12,7 @@ import argparse
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -37,12 +37,16 @@ from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParam
 from prc_cli.comparison import evaluate
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes, Label, Surface
+from prc_cli.core.config import merge
 from prc_cli.core.errors import PrcError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
 from prc_cli.evaluation.scores import scores
 from prc_cli.pipeline import classify, label_blocks
-from prc_cli.simulation.static_scan import StaticScan, StaticScanParams, simulate_static_scan
+from prc_cli.readers.regroup import cut, join
+from prc_cli.simulate import Beside, load_settings, open_simulation, simulate
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
@@ -58,12 +62,12 @@ PAPER = {
 """Recall and precision, Stamos et al. (2012), Table 1."""
 
 FIRST_SEED = 101
-"""Streets that nobody looked at while simulator and parameters were made: those were 1 to 12."""
+"""Streets that nobody looked at while simulator and parameters were made."""
 SEEDS = 11
 """Streets of the first row: as many as the paper has scans."""
 MORE_SEEDS = 4
 """Streets of the other rows."""
-COARSE = {"azimuth_step_deg": 0.46}
+COARSE = {"scanner": {"azimuth_step_deg": 0.46}}
 """Every fourth line: as many different streets in a quarter of the time."""
 
 
@@ -80,12 +84,11 @@ class Setting:
 
 SETTINGS = {
     "scanner on the road": Setting(),
-    "scanner on the sidewalk": Setting({"across_m": -7.0}),
-    "every shot a leaf of its own": Setting({"leaf_m": 0.0}),
-    "steps of 0.06°": Setting({"elevation_step_deg": 0.06}),
-    "steps of 0.23°": Setting({"elevation_step_deg": 0.23}),
-    "10 mm noise, told 5 mm": Setting({"noise_m": 0.01}),
-    "10 mm noise, told so": Setting({"noise_m": 0.01}, range_noise_m=0.01),
+    "scanner on the sidewalk": Setting({"station": {"left_m": -5.2, "clearance_m": 1.0}}),
+    "steps of 0.06°": Setting({"scanner": {"points_per_line": 2085}}),
+    "steps of 0.23°": Setting({"scanner": {"points_per_line": 544}}),
+    "10 mm noise, told 5 mm": Setting({"scanner": {"noise_m": 0.01}}),
+    "10 mm noise, told so": Setting({"scanner": {"noise_m": 0.01}}, range_noise_m=0.01),
     "published constants": Setting(preset="street-scan-published"),
 }
 
@@ -120,19 +123,27 @@ def street_scan(
     return load_config(path, preset=preset, options=options)
 
 
-def write_scan(folder: Path, scan: StaticScan) -> tuple[Path, Path]:
-    """Write a simulated scan, and the class codes of its reference."""
-    items = list(scan.labelled_blocks())
+def write_scan(folder: Path, seed: int, *options: dict[str, Any]) -> tuple[Path, Path]:
+    """Simulate a static scan into a file, and the class codes of its reference."""
     source, reference = folder / "scan.npz", folder / "reference.npy"
-    with source.open("wb") as handle:
-        np.savez(
-            handle,
-            range_m=np.concatenate([item.block.range_m for item in items]),
-            xyz=np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None]),
-            zenith_deg=90.0 - np.rad2deg(scan.elevation_rad),
-        )
-    np.save(reference, ClassCodes().lookup()[np.concatenate([item.labels for item in items])].ravel())
+    settings = load_settings("street-scan", options=merged({"seed": seed}, *options))
+    simulate("street-scan", source, settings, beside=Beside(labels=reference), overwrite=True)
     return source, reference
+
+
+def merged(*options: dict[str, Any]) -> dict[str, Any]:
+    """Lay nested tables over each other."""
+    found: dict[str, Any] = {}
+    for each in options:
+        found = merge(found, each)
+    return found
+
+
+def scan_of(seed: int, *options: dict[str, Any]) -> tuple[ScanBlock, U8]:
+    """Return a whole simulated static scan with its reference labels."""
+    settings = load_settings("street-scan", options=merged({"seed": seed}, *options))
+    items = list(open_simulation("street-scan", settings).scan.labelled_blocks())
+    return join([item.block for item in items]), np.concatenate([item.labels for item in items])
 
 
 def print_scores(rows: dict[str, ConfusionMatrix], names: tuple[str, ...]) -> None:
@@ -155,8 +166,7 @@ def simulated(folder: Path) -> None:
     for title, setting in SETTINGS.items():
         first = not sums
         for seed in range(FIRST_SEED, FIRST_SEED + (SEEDS if first else MORE_SEEDS)):
-            scan = simulate_static_scan(StaticScanParams.model_validate({"seed": seed} | COARSE | setting.options))
-            source, reference = write_scan(folder, scan)
+            source, reference = write_scan(folder, seed, COARSE, setting.options)
             labels = folder / "labels.npy"
             config = street_scan(preset=setting.preset, range_noise_m=setting.range_noise_m)
             classify(source, labels, config, overwrite=True)
@@ -169,8 +179,9 @@ def simulated(folder: Path) -> None:
     print("## Simulated static street scans\n")
     print(f"{SEEDS} streets in the first row, {MORE_SEEDS} in the others, none looked at before. Last row:")
     print("Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n")
-    print("```console\n$ prc classify scan.npz labels.npy --preset street-scan")
-    print("$ prc evaluate labels.npy reference.npy --mapping street_scan --format markdown\n```\n")
+    print(f"```console\n$ prc simulate street-scan -o scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46")
+    print("$ prc classify scan.npz labels.npy --preset street-scan")
+    print("$ prc evaluate labels.npy scan.npz --mapping street_scan --format markdown\n```\n")
     print_scores(sums, names)
     cells = " | ".join(f"{recall:.3f} | {precision:.3f}" for recall, precision in PAPER.values())
     print(f"| *the paper* | {cells} | 0.876 |\n\n### Street by street, scanner on the road\n")
@@ -199,12 +210,12 @@ PRINTED: dict[str, dict[str, Any]] = {
 }
 """One reading after the other put back to the printed text, or taken out."""
 
-VEGETATION = {
-    "street 1": {"seed": 1},
-    "street 2": {"seed": 2},
-    "street 3, beams every 0.23°": {"seed": 3, "elevation_step_deg": 0.23},
-    "street 4, every shot a leaf of its own": {"seed": 4, "leaf_m": 0.0},
-    "street 5, 10 mm of noise, told so": {"seed": 5, "noise_m": 0.01},
+VEGETATION: dict[str, tuple[int, dict[str, Any]]] = {
+    "street 1": (1, {}),
+    "street 2": (2, {}),
+    "street 3, beams every 0.23°": (3, {"scanner": {"points_per_line": 544}}),
+    "street 4": (4, {}),
+    "street 5, 10 mm of noise, told so": (5, {"scanner": {"noise_m": 0.01}}),
 }
 """Scans that the tests for vegetation are looked at on."""
 
@@ -214,7 +225,7 @@ def readings(folder: Path) -> None:
     names = ("ground", "curb", "car", "vegetation", "vertical")
     found: dict[str, ConfusionMatrix] = {}
     for seed in range(FIRST_SEED, FIRST_SEED + MORE_SEEDS):
-        source, reference = write_scan(folder, simulate_static_scan(StaticScanParams(seed=seed, **COARSE)))
+        source, reference = write_scan(folder, seed, COARSE)
         for title, options in PRINTED.items():
             labels = folder / "labels.npy"
             config = load_config(preset="street-scan", options={"sequential_angle": options})
@@ -223,7 +234,7 @@ def readings(folder: Path) -> None:
             found[title] = found[title] + matrix if title in found else matrix
     print(f"## Readings, one at a time\n\n{MORE_SEEDS} of the streets above, every class by itself.\n")
     print("```console\n$ prc classify scan.npz labels.npy --preset street-scan --set sequential_angle.ground.bridge=0")
-    print("$ prc evaluate labels.npy reference.npy --mapping sequential_angle\n```\n")
+    print("$ prc evaluate labels.npy scan.npz --mapping sequential_angle\n```\n")
     print_scores(found, names)
     print()
 
@@ -239,14 +250,11 @@ def vegetation(folder: Path) -> None:
     print("T' by the share of foliage, of cars and of all else that it takes.\n")
     print("| scan | T | T, kept with .9, σ 20° | T, printed chords | T' foliage | T' cars | T' else | script's end |")
     print("|---|" + "---:|" * 7)
-    for title, options in VEGETATION.items():
-        scan = simulate_static_scan(StaticScanParams.model_validate({"azimuth_step_deg": 0.92} | options))
-        items = list(scan.labelled_blocks())
-        ranges = np.concatenate([item.block.range_m for item in items])
-        xyz = np.concatenate([item.block.xyz_m for item in items if item.block.xyz_m is not None])
-        label = np.concatenate([item.labels for item in items])
-        lines = vertical_lines(ranges, xyz, scan.beam_rad, split_sides(scan.beam_rad), 300.0)
-        angles = AnglesParams(range_noise_m=scan.params.noise_m)
+    for title, (seed, options) in VEGETATION.items():
+        block, label = scan_of(seed, {"scanner": {"azimuth_step_deg": 0.92}}, options)
+        beam = beams(block)
+        lines = vertical_lines(block.range_m, block.xyz_m, beam, split_sides(beam), 300.0)
+        angles = AnglesParams(range_noise_m=0.01 if options.get("scanner", {}).get("noise_m") else NOISE_M)
         literal = angles.model_copy(update={"min_chord_sigmas": 0.0, "chord_depth_sigmas": 0.0})
         signed = signed_angles(lines, angles).signed_deg
         foliage = label == Label.VEGETATION
@@ -359,20 +367,22 @@ def rate(job: Callable[[], object], runs: int = 3) -> float:
 
 def speed(folder: Path) -> None:
     """Rates of every stage on one core, of all in memory with one and two threads, and of the whole command."""
-    scan = simulate_static_scan(StaticScanParams(seed=3))
-    blocks = list(scan.blocks())
-    n_lines, n_shots = scan.params.n_lines, scan.info.n_records or 1
+    whole, _ = scan_of(3)
+    n_lines, n_shots = whole.n_lines, whole.range_m.size
     config = street_scan()
-    times = dict(stage_times(scan))
+    times = dict(stage_times(whole))
+
+    def all_stages(threads: int) -> None:
+        for _ in label_blocks(blocks(whole), config.config.classifier, threads=threads):
+            pass
+
     for threads in (1, 2):
-        job = partial(label_blocks, params=config.config.classifier, threads=threads)
-        times[f"all stages, in memory, {threads} thread{'s' * (threads > 1)}"] = rate(
-            lambda job=job: list(job(iter(blocks))), 7
-        )
-    source, _ = write_scan(folder, scan)
+        name = f"all stages, in memory, {threads} thread{'s' * (threads > 1)}"
+        times[name] = rate(partial(all_stages, threads), 7)
+    source, _ = write_scan(folder, 3)
     times["from .npz to .npy"] = rate(lambda: classify(source, folder / "speed.npy", config, overwrite=True))
     times["from .npz to .laz"] = rate(lambda: classify(source, folder / "speed.laz", config, overwrite=True))
-    print(f"## Speed\n\n{n_lines:,} lines of {scan.params.points_per_line:,} shots; stages on one core.\n")
+    print(f"## Speed\n\n{n_lines:,} lines of {whole.points_per_line:,} shots; stages on one core.\n")
     print("| work | lines a second | million shots a second |\n|---|---:|---:|")
     for name, seconds in times.items():
         print(f"| {name} | {n_lines / seconds:,.0f} | {n_shots / seconds / 1e6:.2f} |")
@@ -382,8 +392,8 @@ def speed(folder: Path) -> None:
 def memory(folder: Path) -> None:
     """Peak resident size of the command at two sizes, each in a process of its own."""
     print("## Memory\n\n| input | lines | shots | peak resident size |\n|---|---:|---:|---:|")
-    scan = simulate_static_scan(StaticScanParams(seed=3, azimuth_step_deg=0.23))
-    xyz = np.concatenate([block.xyz_m for block in scan.blocks() if block.xyz_m is not None])
+    xyz = scan_of(3, {"scanner": {"azimuth_step_deg": 0.23}})[0].xyz_m
+    assert xyz is not None
     config = folder / "raw.toml"
     fields = ", ".join(f'{{ name = "{name}", type = "f4" }}' for name in "xyz")
     config.write_text(
@@ -403,19 +413,29 @@ def memory(folder: Path) -> None:
     print()
 
 
-def stage_times(scan: StaticScan) -> dict[str, float]:
+def beams(block: ScanBlock) -> F64:
+    """Angles of the beams of a static scan."""
+    assert block.beam_rad is not None
+    return block.beam_rad
+
+
+def blocks(block: ScanBlock, lines: int = 64) -> Iterator[ScanBlock]:
+    """Yield some lines at a time."""
+    for first in range(0, block.n_lines, lines):
+        yield cut(block, first, min(first + lines, block.n_lines))
+
+
+def stage_times(block: ScanBlock) -> dict[str, float]:
     """Time of every stage [s], each on what the stages before it found, the whole scan at once."""
-    items = list(scan.blocks())
-    ranges = np.concatenate([item.range_m for item in items])
-    xyz = np.concatenate([item.xyz_m for item in items if item.xyz_m is not None])
-    sides = split_sides(scan.beam_rad)
+    ranges, xyz, beam = block.range_m, block.xyz_m, beams(block)
+    sides = split_sides(beam)
     times: dict[str, float] = {}
 
     def timed(name: str, job: Callable[[], Any]) -> Any:
         times[name] = rate(job)
         return job()
 
-    lines = timed("lines from low to high", lambda: vertical_lines(ranges, xyz, scan.beam_rad, sides, 300.0))
+    lines = timed("lines from low to high", lambda: vertical_lines(ranges, xyz, beam, sides, 300.0))
     angles = timed("signed angles", lambda: signed_angles(lines, AnglesParams()))
     signed = angles.signed_deg
     surface = timed("T, H and V", lambda: coarse(signed, lines, CoarseParams()))
