@@ -27,9 +27,10 @@ def classify(source: Path, output: Path) -> float:
 
 def write_raw(path: Path, n_lines: int) -> None:
     """Write a street of any length by repeating a simulated one."""
-    from prc_cli.simulation.street import StreetParams, simulate_street
+    from prc_cli.simulate import load_settings, open_simulation
 
-    scan = simulate_street(StreetParams(n_lines=600, points_per_line=POINTS_PER_LINE))
+    options = {"lines": 600, "scanner": {"points_per_line": POINTS_PER_LINE}}
+    scan = open_simulation("street", load_settings("street", options=options)).scan
     tile = np.concatenate([block.range_m for block in scan.blocks()])
     with path.open("wb") as handle:
         for first in range(0, n_lines, len(tile)):
