@@ -1,7 +1,6 @@
-"""Streets: an endless scene of bodies to drive through, and the small street that ``prc demo`` still uses."""
+"""Streets: an endless scene of bodies to drive through."""
 
-from prc_cli.simulation.street.old_street import LANE_M, StreetParams, StreetScan, _rays, simulate_street
 from prc_cli.simulation.street.params import StreetSceneParams
 from prc_cli.simulation.street.scene import StreetScene
 
-__all__ = ["LANE_M", "StreetParams", "StreetScan", "StreetScene", "StreetSceneParams", "_rays", "simulate_street"]
+__all__ = ["StreetScene", "StreetSceneParams"]
