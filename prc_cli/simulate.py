@@ -191,7 +191,9 @@ def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[s
     if kind not in _MODELS:
         raise ConfigError("kind", f"found {kind!r}, expected one of: {', '.join(KINDS)}")
     where = "simulation" if path is None else str(path)
-    table = merge({} if path is None else read_toml(Path(path)), options or {})
+    written = {} if path is None else read_toml(Path(path))
+    _refuse_two_presets(written, options or {}, where)
+    table = merge(written, options or {})
     for name, presets in _presets(kind).items():
         given = table.get(name, {})
         if not isinstance(given, Mapping):
@@ -215,6 +217,18 @@ def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[s
         fitting = ", ".join(name for name, each in SCANNERS.items() if each.is_static == (kind == "street-scan"))
         raise ConfigError(where, f"scanner: the scanner {found}, expected one for a {kind}", f"choose from: {fitting}")
     return settings
+
+
+def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], where: str) -> None:
+    """Refuse a preset beside a table of the file: its keys would be laid over the preset, maybe every one of them."""
+    for name in ("scene", "scanner", "trajectory"):
+        asked, given = options.get(name), written.get(name)
+        if not (isinstance(asked, Mapping) and isinstance(given, Mapping)):
+            continue
+        own = sorted(set(given) - {"name"})
+        if "name" in asked and own and asked["name"] != given.get("name"):
+            problem = f"{name}: found the preset {asked['name']!r} asked for beside {own[0]} in [{name}], expected one"
+            raise ConfigError(where, problem, f"leave [{name}] out of the file, or do not ask for a preset")
 
 
 def _presets(kind: Kind) -> dict[str, dict[str, dict[str, Any]]]:

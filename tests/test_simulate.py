@@ -340,3 +340,11 @@ def test_nothing_is_replaced_unasked_and_nothing_is_left_of_a_failed_run(tmp_pat
     with pytest.raises(KeyboardInterrupt):
         simulate("street", tmp_path / "b.e57", small("street"), beside=Beside(tmp_path / "t.csv"), progress=fail)
     assert [path.name for path in tmp_path.iterdir()] == ["a_reference.npy"]
+
+
+def test_a_preset_is_refused_beside_the_same_table_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "street.toml"
+    path.write_text("[scanner]\nslant_deg = 10\n")
+    with pytest.raises(ConfigError, match=r"beside slant_deg in \[scanner\]"):
+        load_settings("street", path, {"scanner": {"name": "profiler-1mhz"}})
+    assert load_settings("street", path, {"scanner": {"noise_m": 0.01}}).scanner.slant_deg == 10
