@@ -88,6 +88,9 @@ def cli(debug: bool) -> None:
 def main(args: list[str] | None = None) -> None:
     """Run the command line; every refusal of the package ends here as one line and an exit code."""
     arguments = sys.argv[1:] if args is None else args
+    # a parent may have closed them, as some daemons do
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     _leave_on_signals()
     sys.exit(_run(arguments, debug="--debug" in arguments))
 

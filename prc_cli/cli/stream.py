@@ -61,7 +61,10 @@ def stream(
     if continuous and hop not in (None, 1):
         message = f"--continuous and --hop {hop} contradict each other"
         raise click.UsageError(message)
-    for name, file in (("stdin", sys.stdin), ("stdout", sys.stdout)):
+    for name, file, own in (("stdin", sys.stdin, sys.__stdin__), ("stdout", sys.stdout, sys.__stdout__)):
+        if own is None:
+            message = f"{name} is closed, expected a pipe or a file"
+            raise click.UsageError(message)
         if file.isatty():
             message = f"{name} is a terminal, expected a pipe or a file: ranges and labels are bytes, not text"
             raise click.UsageError(message)
