@@ -1,15 +1,18 @@
 """Peak resident size of ``prc classify`` and ``prc calibrate`` at two input sizes, each run in a process of its own.
 
     python -m benchmarks.memory                           # 1.3 and 13 million shots
+    python -m benchmarks.memory --full                    # 10 and 100 million shots; takes 10 GB of disk and minutes
     python -m benchmarks.memory --lines 3000 30000
 
-The stream is a tiled simulated street; the table is what the documentation quotes.
+The stream is a tiled simulated street; the table is what the documentation quotes. Text is written for the smaller
+size alone with ``--full``: its reader holds a block of it, whatever its length.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +20,15 @@ import numpy as np
 from benchmarks.peak import peak_mib
 
 POINTS_PER_LINE = 2154
+FULL_LINES = (4643, 46_426)
+LIMIT_MIB = 250
+"""The goal, whatever the size."""
+WITH_M = ("-M", str(POINTS_PER_LINE))
 
 
 def classify(source: Path, output: Path) -> float:
     """Peak resident size of one run [MiB]."""
-    options = ["--preset", "urban", "-M", str(POINTS_PER_LINE), "--quiet", "--overwrite"]
+    options = ["--preset", "urban", "--quiet", "--overwrite", *(() if source.suffix == ".npz" else WITH_M)]
     return peak_mib(["classify", str(source), str(output), *options])
 
 
@@ -37,28 +44,63 @@ def write_raw(path: Path, n_lines: int) -> None:
             tile[: n_lines - first].tofile(handle)
 
 
+def write_csv(path: Path, raw: Path) -> None:
+    """Write the ranges of a raw dump as text, one a row; a missing shot is nan."""
+    ranges = np.memmap(raw, "<f4", "r")
+    with path.open("w", encoding="ascii") as handle:
+        handle.write("range\n")
+        for first in range(0, len(ranges), 1 << 20):
+            values = ranges[first : first + (1 << 20)].tolist()
+            handle.writelines(f"{value:.3f}\n" if value > 0 else "nan\n" for value in values)
+
+
+def measure(folder: Path, n_lines: int, *, with_text: bool) -> Iterator[tuple[str, float]]:
+    """Yield every job and its peak [MiB]; inputs are removed again."""
+    from benchmarks.las import write_drive
+
+    raw, array, text = folder / "street.bin", folder / "street.npz", folder / "street.csv"
+    write_raw(raw, n_lines)
+    yield "raw → npy", classify(raw, folder / "labels.npy")
+    yield "raw → laz", classify(raw, folder / "built.laz")
+    yield (
+        "raw → calibrate",
+        peak_mib(["calibrate", str(raw), "-o", str(folder / "c.toml"), "--overwrite", "-q", *WITH_M]),
+    )
+    np.savez(array, range_m=np.memmap(raw, "<f4", "r").reshape(-1, POINTS_PER_LINE))
+    yield "npz → npy", classify(array, folder / "labels.npy")
+    array.unlink()
+    if with_text:
+        write_csv(text, raw)
+        yield "csv → npy", classify(text, folder / "labels.npy")
+        text.unlink()
+    for suffix in (".laz", ".las"):
+        drive = folder / f"drive{suffix}"
+        write_drive(drive, raw, 6)
+        yield f"{suffix[1:]} → {suffix[1:]}", classify(drive, folder / f"again{suffix}")
+        yield f"{suffix[1:]} → npy", classify(drive, folder / "labels.npy")
+        drive.unlink()
+        (folder / f"again{suffix}").unlink()
+
+
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--lines", type=int, nargs=2, default=[600, 6000])
+    parser.add_argument("--full", action="store_true")
     arguments = parser.parse_args()
-    print(f"| job | {' | '.join(f'{n * POINTS_PER_LINE / 1e6:.1f} M shots' for n in arguments.lines)} | ratio |")
-    print("|---|---|---|---|")
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        peaks: dict[str, list[float]] = {}
-        for n_lines in arguments.lines:
-            raw = folder / "street.bin"
-            write_raw(raw, n_lines)
-            jobs = {"raw → npy": (raw, "labels.npy"), "raw → laz": (raw, "built.laz")}
-            jobs["laz → laz"] = (folder / "built.laz", "again.laz")
-            jobs["laz → npy"] = (folder / "built.laz", "again.npy")
-            for job, (source, output) in jobs.items():
-                peaks.setdefault(job, []).append(classify(source, folder / output))
-            config = ["-o", str(folder / "calibrated.toml"), "--overwrite", "-q", "-M", str(POINTS_PER_LINE)]
-            peaks.setdefault("raw → calibrate", []).append(peak_mib(["calibrate", str(raw), *config]))
-        for job, (small, large) in peaks.items():
-            print(f"| {job} | {small:.0f} MiB | {large:.0f} MiB | {large / small:.2f} |")
+    lines = FULL_LINES if arguments.full else arguments.lines
+    peaks: dict[str, list[float]] = {}
+    for number, n_lines in enumerate(lines):
+        with tempfile.TemporaryDirectory() as name:
+            for job, peak in measure(Path(name), n_lines, with_text=not (arguments.full and number)):
+                peaks.setdefault(job, []).append(peak)
+    sizes = " | ".join(f"{n * POINTS_PER_LINE / 1e6:.1f} M shots [MiB]" for n in lines)
+    print(f"| job | {sizes} | ratio | goal [MiB] |")
+    print("|---|---|---|---|---|")
+    for job, found in peaks.items():
+        cells = [f"{peak:.0f}" for peak in found] + [""] * (2 - len(found))
+        ratio = f"{found[1] / found[0]:.2f}" if len(found) == 2 else ""
+        print(f"| {job} | {' | '.join(cells)} | {ratio} | {LIMIT_MIB if 'calibrate' not in job else ''} |")
 
 
 if __name__ == "__main__":

@@ -180,7 +180,8 @@ def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segmen
         return LabelledBlock(block, labels, extra, ids)
 
     keep_memory()
-    yield from ordered(work, begin(), threads=threads)
+    # one more than are worked on: the queue before the threads holds the next ones
+    yield from ordered(work, begin(), threads=threads, ahead=threads + 1)
 
 
 def _sequential_angle(
@@ -268,6 +269,7 @@ def classify(
     loaded = _loaded(config)
     source, output = Path(source), Path(output)
     trajectory = loaded.trajectory
+    keep_memory()  # before any thread
     threads = default_threads() if threads is None else threads
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
     for path in (output, record_path(output)):

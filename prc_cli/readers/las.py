@@ -18,7 +18,7 @@ from prc_cli.readers.las_layout import layers_of, read_layout
 from prc_cli.readers.las_laz import LazRecords
 from prc_cli.readers.records import STANDARD_NAMES, RecordChunk
 
-CHUNK_RECORDS = 1 << 18
+CHUNK_RECORDS = 1 << 16
 """Records decoded at a time."""
 CHUNK_BYTES = 64 << 20
 """Most bytes decoded at a time; fat records make shorter chunks."""

@@ -192,6 +192,7 @@ class TextSource:
                 csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES),
                 csv.ParseOptions(delimiter=self._text.delimiter),
                 csv.ConvertOptions(column_types=wanted, include_columns=list(wanted), null_values=[""]),
+                pa.system_memory_pool(),  # which gives freed memory to whatever comes next, not to pyarrow alone
             )
         except pa.ArrowInvalid:
             return None

@@ -11,7 +11,7 @@ from typing import BinaryIO, Protocol, cast
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
 
-BLOCK_BYTES = 4 << 20
+BLOCK_BYTES = 2 << 20
 """Bytes of text read at a time."""
 MAX_LINE_BYTES = 1 << 20
 """Longest line; a longer one is a file of something else."""
