@@ -22,6 +22,8 @@ from prc_cli.core.files import cache_folder
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
+_HELPER = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
 
 def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
     """Compile a function for the given numba signatures when its module is imported.
@@ -43,7 +45,7 @@ def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
 
     def compiled(function: FunctionT) -> FunctionT:
         jit: Any = numba.njit  # typed by some versions of numba and not by others
-        options = {"nogil": True, "error_model": "numpy"}
+        options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         folder = writable_cache()
         if folder is not None:
             try:
@@ -65,10 +67,11 @@ def helper(function: FunctionT) -> FunctionT:
 
     No signature and no cache file of its own: it takes the types it is called with and is kept inside the compiled
     kernels, which are compiled anew when their module changes. Hence never share one between modules.
-    The compiler inlines what is small or called once.
+    The compiler inlines what is small or called once. Only kernels can call it: what Python or C would need to call it
+    would have to be compiled as well.
     """
     jit: Any = numba.njit  # typed by some versions of numba and not by others
-    compiled: FunctionT = jit(nogil=True, error_model="numpy")(function)
+    compiled: FunctionT = jit(**_HELPER)(function)
     return compiled
 
 
@@ -79,7 +82,7 @@ def inlined(function: FunctionT) -> FunctionT:
     steps of a loop. Calls in many places cost time to compile.
     """
     jit: Any = numba.njit  # typed by some versions of numba and not by others
-    compiled: FunctionT = jit(nogil=True, error_model="numpy", forceinline=True)(function)
+    compiled: FunctionT = jit(**_HELPER, forceinline=True)(function)
     return compiled
 
 

@@ -8,6 +8,7 @@ None of this is needed for a run to succeed: whatever goes wrong here, a loop is
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import subprocess
 import sys
@@ -95,7 +96,14 @@ def _source(module: str) -> Path:
 
 
 def _compile(module: str, folder: Path) -> None:
-    import_module(module)
+    """Compile a module, not looking for garbage meanwhile: among what the compiler makes there is little, for long."""
+    collecting = gc.isenabled()
+    gc.disable()
+    try:
+        import_module(module)
+    finally:
+        if collecting:
+            gc.enable()
     with contextlib.suppress(OSError):
         _mark(module, folder).touch()
 
