@@ -94,7 +94,7 @@ def surface_image(
         for k in range(width):
             beam[m] = k
             m += not math.isnan(signed[k])
-        begin = 0
+        begin = int(np.int64(0))  # not the literal, for which a helper would be compiled once more
         while begin < m:
             if vegetation[row, beam[begin]]:
                 labels[beam[begin]] = _VEGETATION

@@ -228,7 +228,7 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
     foreground = np.empty((n_lines, n_columns), np.bool_)
     first_hole = np.empty(n_lines + 1, np.int32)
     holes = np.empty(n_lines * n_columns + 1, np.int32)
-    n_holes = 0
+    n_holes = int(np.int64(0))  # not the literal, for which a helper would be compiled once more
     for line in range(n_lines):
         inside, apart, row = supported[line], background[line], foreground[line]
         for h in range(n_columns):
@@ -269,6 +269,35 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
     return components, pixels
 
 
+@helper
+def _sort_votes(component: I32, label: I64, n: int) -> I32:
+    """Order votes by component, then by label; merged by hand, as the library's sort takes seconds to compile."""
+    order = np.empty(n, np.int32)
+    merged = np.empty(n, np.int32)
+    for i in range(n):
+        order[i] = i
+    width = 1
+    while width < n:
+        for begin in range(0, n, 2 * width):
+            middle, end = min(begin + width, n), min(begin + 2 * width, n)
+            i, j = begin, middle
+            for k in range(begin, end):
+                one, other = order[min(i, n - 1)], order[min(j, n - 1)]
+                if component[one] == component[other]:
+                    later = label[one] > label[other]
+                else:
+                    later = component[one] > component[other]
+                if i == middle or (j < end and later):
+                    merged[k] = other
+                    j += 1
+                else:
+                    merged[k] = one
+                    i += 1
+        order, merged = merged, order
+        width *= 2
+    return order
+
+
 @kernel("int64[::1](int32[::1], int64[::1], int64, int64)")
 def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
     """Let the last line before a block vote for the labels of the block's components.
@@ -297,7 +326,7 @@ def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: 
     component = np.empty(width, np.int32)
     label = np.empty(width, np.int64)
     votes = np.empty(width, np.int64)
-    n_stretches = 0
+    n_stretches = int(np.int64(0))  # as above
     for h in range(width):
         if first_line[h] == 0 or last_line[h] == 0:
             continue
@@ -312,9 +341,7 @@ def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: 
     taken = np.zeros(n_components + 1, np.int64)
     if not n_stretches:
         return taken
-    # by label, then (stable) by component: the stretches of a pair follow each other, older labels first
-    order = np.argsort(label[:n_stretches], kind="mergesort")
-    order = order[np.argsort(component[:n_stretches][order], kind="mergesort")]
+    order = _sort_votes(component, label, n_stretches)
     most = 0
     count = 0
     for i in range(n_stretches):

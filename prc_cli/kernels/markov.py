@@ -189,8 +189,9 @@ def hmm_cusum(
     density = np.empty((3, n), np.float64)
     samples, power = np.empty(n, np.float64), np.empty(n, np.int64)
     beam = np.empty(n, np.int64)
+    anew, once = bool(np.bool_(True)), bool(np.bool_(False))  # not literals, for each of which all is compiled again
     for row in range(n_rows):
-        m = 0
+        m = begin = int(np.int64(0))
         for k in range(n):
             value = np.float64(values[row, k])
             if not math.isnan(value):
@@ -198,18 +199,17 @@ def hmm_cusum(
                 beam[m] = k
                 m += 1
         _densities(samples, m, means, half_precision, log_sigma, density, power)
-        begin = 0
         previous = -1
         while begin < m:
             verdict, alarm, onset = _sequential_test(
-                density, begin, m, h0, initial_h0, h1, initial_h1, 1.0, upper, True
+                density, begin, m, h0, initial_h0, h1, initial_h1, 1.0, upper, anew
             )
             if verdict == 0:
                 break
             first = onset if backdate else alarm
             if not sprt:
                 verdict, alarm, onset = _sequential_test(
-                    density, alarm + 1, m, h1, initial_h1, h0, initial_h0, 1.0, upper_back, True
+                    density, alarm + 1, m, h1, initial_h1, h0, initial_h0, 1.0, upper_back, anew
                 )
                 last = m - 1
                 if verdict != 0:
@@ -218,7 +218,7 @@ def hmm_cusum(
             else:
                 # the region has to be confirmed once before it may end
                 verdict, t, _ = _sequential_test(
-                    density, alarm + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, False
+                    density, alarm + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, once
                 )
                 begin = t + 1
                 if verdict == 0:
@@ -227,7 +227,7 @@ def hmm_cusum(
                     continue
                 while verdict > 0:
                     verdict, t, _ = _sequential_test(
-                        density, t + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, False
+                        density, t + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, once
                     )
                 last = min(t, m - 1)
                 for back in range(last, alarm, -1):
