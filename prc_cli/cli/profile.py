@@ -14,7 +14,7 @@ REST = "all else"
 """What no stage covers: threads of libraries, handing on of blocks, the run record."""
 _WAITING = "waiting"
 _NO_RATE = (REST, "loading compiled loops", "opening")
-_NEGLIGIBLE_S = 1e-4
+_NEGLIGIBLE_S = 1e-5
 
 
 def profile_of(profile: Profile, n_shots: int, threads: int) -> dict[str, Any]:

@@ -126,7 +126,8 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
     narrow = plain and item.name == "range" and stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
     with np.errstate(over="ignore", invalid="ignore"):
         # what was read for this alone need not be copied
-        own = stored.flags.c_contiguous and stored.flags.writeable
+        kept = item.name == "range" and plain and missing is None
+        own = stored.flags.c_contiguous and (stored.flags.writeable or kept)
         values: NDArray[np.floating[Any]] = stored.astype(np.float32 if narrow else np.float64, copy=not own)
         if not plain:
             values *= item.scale

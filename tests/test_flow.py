@@ -1,0 +1,248 @@
+"""One file through reader, classifier and writer at the same time: equal bytes, clean ends, no thread left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import prc_cli.pipeline as pipeline
+from prc_cli.classifiers.prc.pipeline import ParallelBlocks
+from prc_cli.config import load_config
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.profile import profiling
+from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.pipeline import classify, load_classifier
+from prc_cli.readers.grid import GridStream
+from prc_cli.writers.base import StagedWriter
+from tests.street import POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+
+OPTIONS = {"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"lines_per_block": 15}}
+SHORT = load_config(preset="urban", options=OPTIONS)
+OURS = ("read-ahead", "write-behind", "fingerprint", "ThreadPoolExecutor")
+
+
+@pytest.fixture(scope="module")
+def image() -> np.ndarray:
+    return street()
+
+
+@pytest.fixture
+def no_thread_left() -> Iterator[None]:
+    yield
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith(OURS)]
+
+
+@pytest.mark.usefixtures("no_thread_left")
+@pytest.mark.parametrize("suffix", [".npy", ".csv", ".parquet", ".las", ".laz"])
+@pytest.mark.parametrize("kind", [".bin", ".csv", ".npz"])
+def test_bytes_are_equal_with_any_number_of_threads(tmp_path: Path, image: np.ndarray, kind: str, suffix: str) -> None:
+    write = {".bin": write_raw, ".csv": write_csv, ".npz": write_npz}[kind]
+    source = write(tmp_path / f"drive{kind}", image)
+    found = []
+    for threads in (1, 2, 3):
+        output = tmp_path / f"{threads}{suffix}"
+        record = classify(source, output, SHORT, threads=threads).record
+        found.append((output.read_bytes(), record))
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.usefixtures("no_thread_left")
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_rewritten_clouds_are_equal_with_any_number_of_threads(tmp_path: Path, image: np.ndarray, suffix: str) -> None:
+    source = tmp_path / f"drive{suffix}"
+    classify(write_npz(tmp_path / "drive.npz", image), source, SHORT)
+    outputs = [tmp_path / f"{threads}{suffix}" for threads in (1, 2, 3)]
+    for threads, output in enumerate(outputs, 1):
+        classify(source, output, SHORT, threads=threads)
+    assert outputs[0].read_bytes() == outputs[1].read_bytes() == outputs[2].read_bytes()
+
+
+def after(n: int, function: Callable[..., object], error: BaseException) -> Callable[..., object]:
+    """Let a function work ``n`` times and then raise."""
+    calls = iter(range(10_000))
+
+    def call(*arguments: object, **named: object) -> object:
+        if next(calls) >= n:
+            raise error
+        return function(*arguments, **named)
+
+    return call
+
+
+@pytest.mark.usefixtures("no_thread_left")
+@pytest.mark.parametrize("threads", [1, 2, 3])
+@pytest.mark.parametrize("where", ["reader", "classifier", "writer", "progress"])
+@pytest.mark.parametrize("error", [InputError("a", "b", "c"), KeyboardInterrupt(), ValueError("fault")])
+def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray, where: str, threads: int, error: BaseException
+) -> None:
+    if isinstance(error, KeyboardInterrupt) and where == "classifier":
+        pytest.skip("interrupts arrive in the main thread")
+    source = write_raw(tmp_path / "drive.bin", image)
+    out = tmp_path / "out"
+    out.mkdir()
+    progress = None
+    if where == "reader":
+        monkeypatch.setattr(GridStream, "_dense_block", after(1, GridStream._dense_block, error))
+        monkeypatch.setattr("prc_cli.readers.raw_binary.CHUNK_BYTES", 4 * 20 * POINTS_PER_LINE)
+    elif where == "classifier":
+        monkeypatch.setattr(ParallelBlocks, "classify", after(2, ParallelBlocks.classify, error))
+    elif where == "writer":
+        monkeypatch.setattr(StagedWriter, "add", after(2, StagedWriter.add, error))
+    else:
+        progress = after(2, lambda n: None, error)
+    start = time.perf_counter()
+    with pytest.raises(type(error)):
+        classify(source, out / "labels.npy", SHORT, threads=threads, progress=progress)  # type: ignore[arg-type]
+    assert time.perf_counter() - start < 5
+    assert os.listdir(out) == []
+
+
+@pytest.mark.usefixtures("no_thread_left")
+def test_the_writer_may_be_slow_and_few_blocks_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
+) -> None:
+    config = load_config(options=OPTIONS | {"prc": {"lines_per_block": 4}})
+    source = write_npz(tmp_path / "drive.npz", np.tile(image, (3, 1)))
+    begun, written, most = 0, 0, 0
+    begin, add = ParallelBlocks.begin, StagedWriter.add
+
+    def count(self: ParallelBlocks, *arguments: object) -> object:
+        nonlocal begun, most
+        begun += 1
+        most = max(most, begun - written)
+        return begin(self, *arguments)  # type: ignore[arg-type]
+
+    def dawdle(self: StagedWriter, block: LabelledBlock) -> None:
+        nonlocal written
+        time.sleep(0.002)
+        add(self, block)
+        written += 1
+
+    monkeypatch.setattr(ParallelBlocks, "begin", count)
+    monkeypatch.setattr(StagedWriter, "add", dawdle)
+    classify(source, tmp_path / "labels.npy", config, threads=2)
+    assert written == begun > 20
+    # three with the classifier, one on its way, one that waits, one that is written
+    assert most <= 3 + 1 + pipeline.AHEAD + 1
+
+
+def test_the_input_is_read_and_fingerprinted_while_blocks_are_classified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
+) -> None:
+    names: set[str] = set()
+    block_of, add = GridStream._dense_block, StagedWriter.add
+
+    def read(*arguments: object) -> ScanBlock:
+        names.add(threading.current_thread().name)
+        return block_of(*arguments)  # type: ignore[arg-type]
+
+    def write(self: StagedWriter, block: LabelledBlock) -> None:
+        names.add(threading.current_thread().name)
+        add(self, block)
+
+    monkeypatch.setattr(GridStream, "_dense_block", read)
+    monkeypatch.setattr(StagedWriter, "add", write)
+    source = write_raw(tmp_path / "drive.bin", image)
+    classify(source, tmp_path / "one.npy", SHORT, threads=1)
+    assert names == {threading.main_thread().name}
+    names.clear()
+    classify(source, tmp_path / "two.npy", SHORT, threads=2)
+    assert names == {"read-ahead", "write-behind"}
+
+
+def test_an_input_that_vanishes_from_the_fingerprint_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
+) -> None:
+    source = write_raw(tmp_path / "drive.bin", image)
+    (tmp_path / "out").mkdir()
+    gone = InputError("drive.bin", "cannot be read", "check")
+    monkeypatch.setattr("prc_cli.writers.record.FingerprintBeside._read", after(0, print, gone))
+    with pytest.raises(InputError, match="cannot be read"):
+        classify(source, tmp_path / "out" / "labels.npy", SHORT, threads=2)
+    assert os.listdir(tmp_path / "out") == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of files")
+@pytest.mark.parametrize("suffix", [".npy", ".laz"])
+def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suffix: str) -> None:
+    import resource
+
+    source = write_raw(tmp_path / "drive.bin", np.tile(image, (4, 1)))
+    (tmp_path / "out").mkdir()
+    output = tmp_path / "out" / f"labels{suffix}"
+
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+
+    # loops that are not in the cache yet could not be written there
+    load_classifier(SHORT)
+    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(output), "-M", str(POINTS_PER_LINE), "-q"]
+    run = subprocess.run(
+        [*command, "--threads", "2"], capture_output=True, text=True, check=False, preexec_fn=limit, timeout=120
+    )
+    assert run.returncode == 1, run.stderr
+    assert run.stderr.count("\n") == 1
+    assert "cannot be written" in run.stderr
+    assert os.listdir(tmp_path / "out") == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) -> None:
+    source, out = tmp_path / "drive.bin", tmp_path / "out"
+    out.mkdir()
+    with source.open("wb") as handle:
+        handle.truncate(4 * 2154 * 400_000)  # a hole: nothing but missing shots, for as long as it takes
+    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(out / "labels.npy"), "-M", "2154", "-q"]
+    with subprocess.Popen([*command, "--threads", threads], stderr=subprocess.PIPE, text=True) as run:
+        deadline = time.monotonic() + 60
+        # the run is in its midst when labels are there
+        while not any(part.stat().st_size > 300_000 for part in out.iterdir()) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert run.poll() is None
+        run.send_signal(signal.SIGINT)
+        start = time.monotonic()
+        _, told = run.communicate(timeout=20)
+    assert time.monotonic() - start < 10
+    assert run.returncode == 130
+    assert "Traceback" not in told
+    assert list(out.iterdir()) == []
+
+
+def test_a_profile_covers_the_run(tmp_path: Path, image: np.ndarray) -> None:
+    source = write_raw(tmp_path / "drive.bin", np.tile(image, (4, 1)))
+    for threads in (1, 2):
+        with profiling() as profile:
+            classify(source, tmp_path / "labels.npy", SHORT, threads=threads, overwrite=True)
+        found = {each.name: each for each in profile.stages()}
+        expected = {
+            "opening", "reading", "support", "background", "components", "votes", "surfaces", "classes", "writing",
+            "fingerprint", "finishing the output",
+        }  # fmt: skip
+        assert expected <= set(found)
+        assert found["support"].calls == found["writing"].calls
+        assert sum(each.cpu_s for each in found.values()) <= profile.cpu_s
+        if threads == 1:
+            assert sum(each.wall_s for each in found.values()) <= profile.wall_s
+
+
+def test_output_errors_in_the_writer_thread_are_output_errors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
+) -> None:
+    full = OSError(28, "No space left on device")
+    monkeypatch.setattr("prc_cli.writers.straight.write_all", after(1, lambda *_: None, full))
+    source = write_raw(tmp_path / "drive.bin", image)
+    with pytest.raises(OutputError, match="the disk is full"):
+        classify(source, tmp_path / "labels.npy", SHORT, threads=2)
+    assert os.listdir(tmp_path) == ["drive.bin"]
