@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from prc_cli import kernels
 from prc_cli.classifiers.prc import pipeline as prc
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.returns import label_extra_returns
@@ -44,7 +45,19 @@ Progress: TypeAlias = Callable[[int], None]
 KERNELS_OF = {
     "prc": frozenset({"components", "support", "surfaces"}),
     SEQUENTIAL_ANGLE: frozenset(
-        {"angles", "coarse", "curb", "dividers", "fourier", "ground", "lines", "markov", "suspicious", "verticals"}
+        {
+            "angles",
+            "coarse",
+            "curb",
+            "dividers",
+            "fourier",
+            "ground",
+            "labels",
+            "lines",
+            "markov",
+            "suspicious",
+            "verticals",
+        }
     ),
 }
 """Modules of the compiled loops of every method."""
@@ -133,6 +146,7 @@ def label_blocks(
     *,
     threads: int = 1,
     segments: bool = False,
+    stages: bool = False,
     shots_at_once: int = SHOTS_AT_ONCE,
 ) -> Iterator[LabelledBlock]:
     """Classify a stream block by block; what crosses blocks is one state a scanner.
@@ -147,6 +161,8 @@ def label_blocks(
         Threads that classify; results do not depend on it. At most twice as many blocks are held at a time.
     segments : bool
         Find the segment ids too, where the method has any.
+    stages : bool
+        Give what was found on the way too, where the method has any.
     shots_at_once : int
         Sequential-angle: about as many shots, whole lines, are taken at a time; labels do not depend on it.
 
@@ -158,7 +174,7 @@ def label_blocks(
     if isinstance(params, PrcParams):
         yield from _prc(blocks, params, threads, segments=segments)
     else:
-        yield from _sequential_angle(blocks, params, threads, shots_at_once)
+        yield from _sequential_angle(blocks, params, threads, shots_at_once, stages=stages)
 
 
 def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segments: bool) -> Iterator[LabelledBlock]:
@@ -185,7 +201,7 @@ def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segmen
 
 
 def _sequential_angle(
-    blocks: Iterator[ScanBlock], params: SequentialAngleParams, threads: int, shots_at_once: int
+    blocks: Iterator[ScanBlock], params: SequentialAngleParams, threads: int, shots_at_once: int, *, stages: bool
 ) -> Iterator[LabelledBlock]:
     scanners: dict[int, sequential_angle.ParallelBlocks] = {}
     waiting: dict[int, LineBuffer] = {}
@@ -196,32 +212,35 @@ def _sequential_angle(
             if block.beam_rad is None:
                 problem = "no beam angles, expected the angle of every column from straight down"
                 raise InputError("block of ranges", problem)
-            one = scanners.pop(block.scanner, None) or sequential_angle.ParallelBlocks(block.beam_rad, params)
+            one = scanners.pop(block.scanner, None)
+            if one is None:
+                one = sequential_angle.ParallelBlocks(block.beam_rad, params, stages=stages)
             if not block.is_last:
                 scanners[block.scanner] = one
             yield block, one, one.begin(block.range_m, block.xyz_m, last=block.is_last)
 
-    def work(item: Item) -> tuple[ScanBlock, U8, StageLabels]:
+    def work(item: Item) -> tuple[ScanBlock, U8, StageLabels | None]:
         block, one, job = item
         return block, *one.classify(job)
 
     keep_memory()
-    for block, labels, stages in ordered(work, begin(), threads=threads):
+    for block, labels, found in ordered(work, begin(), threads=threads):
         buffer = waiting.setdefault(block.scanner, LineBuffer())
         buffer.add(block)
-        if len(labels):
-            final = buffer.take(len(labels))
+        start = 0
+        for final in buffer.take_parts(len(labels)):
+            rows = slice(start, start + final.n_lines)
+            start = rows.stop
             # what lies beyond the scanner's reach is missing to the method, but it is a return
-            beyond = (labels == Label.MISSING) & ~np.isnan(final.range_m)
-            labels[beyond] = Label.UNCLASSIFIED
-            final = replace(final, tally=final.tally + ReadTally(n_beyond=int(np.count_nonzero(beyond))))
+            own, n_beyond = kernels.mark_beyond(final.range_m, labels[rows])
+            final = replace(final, next_m=None, tally=final.tally + ReadTally(n_beyond=n_beyond))
             # lines leave alone or together, as it happens: only the shot's own line may have a say
             further, limit = final.extra, params.extra_return_m
             extra = label_extra_returns(
-                final.range_m, labels, further.line, further.column, further.range_m, limit, 0.0,
+                final.range_m, own, further.line, further.column, further.range_m, limit, 0.0,
                 alone=Label.UNCLASSIFIED,
             )  # fmt: skip
-            yield LabelledBlock(final, labels, extra, stages=stages)
+            yield LabelledBlock(final, own, extra, stages=None if found is None else found.of_lines(rows))
 
 
 def load_classifier(config: LoadedConfig | RunConfig | None = None) -> None:
@@ -325,7 +344,9 @@ def _write_labels(
         if threads > 1:
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
-        labelled = label_blocks(blocks, config.classifier, threads=threads, segments=config.output.segment_ids)
+        labelled = label_blocks(
+            blocks, config.classifier, threads=threads, segments=config.output.segment_ids, stages=config.output.stages
+        )
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put

@@ -187,6 +187,10 @@ class StageLabels:
     ground_height_m: F32
     """(lines, M) float32, z_g, the height of the ground relative to the scanner at that line [m]; NaN = unknown."""
 
+    def of_lines(self, lines: slice) -> StageLabels:
+        """Return some of the lines; views."""
+        return StageLabels(self.surface[lines], self.dense_vegetation[lines], self.ground_height_m[lines])
+
 
 @dataclass(frozen=True, slots=True)
 class LabelledBlock:

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
     from prc_cli.kernels.ground import ground_rows as ground_rows
     from prc_cli.kernels.ground import main_height as main_height
     from prc_cli.kernels.ground import potential_heights as potential_heights
+    from prc_cli.kernels.labels import combine_classes as combine_classes
+    from prc_cli.kernels.labels import mark_beyond as mark_beyond
+    from prc_cli.kernels.labels import mark_cars as mark_cars
     from prc_cli.kernels.lines import arrange_lines as arrange_lines
     from prc_cli.kernels.lines import arrange_plane as arrange_plane
     from prc_cli.kernels.markov import hmm_cusum as hmm_cusum
@@ -61,6 +64,7 @@ KERNELS: dict[str, str] = {
     "carry_labels": "prc_cli.kernels.components",
     "cast_shots": "prc_cli.kernels.casting",
     "clean_ranges": "prc_cli.kernels.support",
+    "combine_classes": "prc_cli.kernels.labels",
     "connect_verticals": "prc_cli.kernels.curb",
     "count_covered": "prc_cli.kernels.surfaces",
     "cut_verticals": "prc_cli.kernels.dividers",
@@ -77,6 +81,8 @@ KERNELS: dict[str, str] = {
     "label_components": "prc_cli.kernels.components",
     "line_angles": "prc_cli.kernels.angles",
     "main_height": "prc_cli.kernels.ground",
+    "mark_beyond": "prc_cli.kernels.labels",
+    "mark_cars": "prc_cli.kernels.labels",
     "possible_curbs": "prc_cli.kernels.curb",
     "potential_heights": "prc_cli.kernels.ground",
     "select_components": "prc_cli.kernels.surfaces",

@@ -102,7 +102,12 @@ def signed_angles(
             z[m] = xyz_m[row, k, 2]
             beam[m] = k
             m += not math.isnan(range_m[row, k])
+        end = -1
+        dx = dy = dz = 0.0
         for i in range(m):
+            # the chord to the shot before is known where that shot's own chord ends here
+            follows = end == i
+            bx, by, bz = dx, dy, dz
             dx = dy = dz = square = 0.0
             end = -1
             for j in range(i + 1, min(i + 1 + max_beams, m)):
@@ -115,8 +120,8 @@ def signed_angles(
                     break
             if end < 0:
                 continue
-            sign[n_chords] = 1.0
-            for j in range(i - 1, max(i - 1 - max_beams, -1), -1):
+            sign[n_chords] = -1.0 if follows and dx * bx + dy * by + dz * bz < 0.0 else 1.0
+            for j in range(-1 if follows else i - 1, max(i - 1 - max_beams, -1), -1):
                 bx = x[i] - x[j]
                 by = y[i] - y[j]
                 bz = z[i] - z[j]

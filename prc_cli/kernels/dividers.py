@@ -107,8 +107,12 @@ def _flat_stretch(
     """
     size = last + 1 - first
     farthest[size] = -np.inf
+    longest = -np.inf
     for i in range(size - 1, -1, -1):
         farthest[i] = max(farthest[i + 1], points[first + i, _DISTANCE])
+        longest = max(longest, farthest[i] - points[first + i, _DISTANCE])
+    if longest < length_m:
+        return -1, -1
     sums[0, :] = 0.0
     for i in range(size):  # from the first point on, so that little is lost to rounding
         h = points[first + i, _DISTANCE] - points[first, _DISTANCE]
@@ -162,17 +166,17 @@ def _first_flat(
     return -1, -1
 
 
-@kernel("void(float64[:, ::1], int64, float64, int32[::1])")
-def _find_jumps(points: F64, size: int, separation_m: float, next_jump: I32) -> None:
-    """Find for every point the first one from it on that a jump away from the scanner follows, or the last one."""
-    next_jump[size - 1] = size - 1
-    for j in range(size - 2, -1, -1):
-        next_jump[j] = next_jump[j + 1]
+@kernel("int64(float64[:, ::1], int64, int64, float64)")
+def _next_jump(points: F64, size: int, j: int, separation_m: float) -> int:
+    """Find the first point from one on that a jump away from the scanner follows, or the last one."""
+    while j < size - 1:
         dx, dy = points[j + 1, 0] - points[j, 0], points[j + 1, 1] - points[j, 1]
         dz = points[j + 1, 2] - points[j, 2]
         ahead = dx * points[j, 0] + dy * points[j, 1] > 0.0
         if ahead and math.sqrt(dx * dx + dy * dy + dz * dz) > separation_m:
-            next_jump[j] = j
+            break
+        j += 1
+    return j
 
 
 @kernel("int32[:, ::1](int32[:, ::1], int64)")
@@ -254,7 +258,6 @@ def car_intervals(
     beam = np.empty(n, np.int32)
     code = np.empty(n, np.uint8)
     points = np.empty((n, 5), np.float64)
-    next_jump = np.empty(n, np.int32)
     sums = np.empty((n + 1, 5), np.float64)
     farthest = np.empty(n + 1, np.float64)
     found = np.empty((64, 3), np.int32)
@@ -274,8 +277,7 @@ def car_intervals(
             code,
             points,
         )
-        if size > 0:
-            _find_jumps(points, size, separation_m, next_jump)
+        jump = -1
         j = 1
         while j < size:
             if code[j - 1] != _HORIZONTAL or code[j] != _VERTICAL:
@@ -293,7 +295,9 @@ def car_intervals(
             begin = j
             j = size
             while begin < size:  # one interval after the other, as far as jumps alone divide them
-                last = next_jump[begin]
+                if jump < begin:
+                    jump = _next_jump(points, size, begin, separation_m)
+                last = jump
                 flat_from, flat_to = _first_flat(
                     code, points, begin, last, flat_length_m, flat_residual_m, flat_slope, sums, farthest
                 )

@@ -33,25 +33,25 @@ def arrange_lines(range_m: F32, xyz_m: F32, columns: I32, max_range_m: float) ->
     """
     n_lines = range_m.shape[0]
     n_sides, n = columns.shape
-    ranges = np.full((n_lines * n_sides, n), np.nan, np.float32)
-    xyz = np.full((n_lines * n_sides, n, 3), np.nan, np.float32)
-    horizontal = np.full((n_lines * n_sides, n), np.nan, np.float32)
+    ranges = np.empty((n_lines * n_sides, n), np.float32)
+    xyz = np.empty((n_lines * n_sides, n, 3), np.float32)
+    horizontal = np.empty((n_lines * n_sides, n), np.float32)
+    nan = np.float32(np.nan)
     for line in range(n_lines):
         for side in range(n_sides):
             row = line * n_sides + side
             for k in range(n):
-                column = columns[side, k]
-                if column < 0:
-                    continue
+                column = max(columns[side, k], 0)
                 r = range_m[line, column]
                 x, y, z = xyz_m[line, column, 0], xyz_m[line, column, 1], xyz_m[line, column, 2]
-                if np.float64(r) <= max_range_m and not np.isnan(x + y + z):
-                    ranges[row, k] = r
-                    xyz[row, k, 0] = x
-                    xyz[row, k, 1] = y
-                    xyz[row, k, 2] = z
-                    across = np.float64(x) * np.float64(x) + np.float64(y) * np.float64(y)
-                    horizontal[row, k] = np.float32(np.sqrt(across))
+                seen = np.float64(r) <= max_range_m and not np.isnan(x + y + z) and columns[side, k] >= 0
+                ranges[row, k] = r if seen else nan
+                xyz[row, k, 0] = x if seen else nan
+                xyz[row, k, 1] = y if seen else nan
+                xyz[row, k, 2] = z if seen else nan
+            for k in range(n):  # by itself, for vector instructions; NaN where the shot is missing
+                x_here, y_here = np.float64(xyz[row, k, 0]), np.float64(xyz[row, k, 1])
+                horizontal[row, k] = np.float32(np.sqrt(x_here * x_here + y_here * y_here))
     return ranges, xyz, horizontal
 
 

@@ -85,6 +85,19 @@ class LineBuffer:
 
     def take(self, n_lines: int, ahead: int = 0) -> ScanBlock:
         """Remove ``n_lines`` lines; the ``ahead`` lines after them are shown but stay."""
+        block = join(self.take_parts(n_lines))
+        following: list[NDArray[np.float32]] = []
+        missing = ahead
+        for part in self.parts:
+            if not missing:
+                break
+            following.append(part.range_m[:missing])
+            missing -= len(following[-1])
+        empty = np.empty((0, block.points_per_line), np.float32)
+        return replace(block, next_m=np.concatenate(following) if following else empty)
+
+    def take_parts(self, n_lines: int) -> list[ScanBlock]:
+        """Remove ``n_lines`` lines, as they came: nothing is copied but what a cut needs."""
         taken: list[ScanBlock] = []
         left = n_lines
         while left:
@@ -95,16 +108,7 @@ class LineBuffer:
             taken.append(part)
             left -= part.n_lines
         self.n_lines -= n_lines
-        block = join(taken)
-        following: list[NDArray[np.float32]] = []
-        missing = ahead
-        for part in self.parts:
-            if not missing:
-                break
-            following.append(part.range_m[:missing])
-            missing -= len(following[-1])
-        empty = np.empty((0, block.points_per_line), np.float32)
-        return replace(block, next_m=np.concatenate(following) if following else empty)
+        return taken
 
 
 def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:

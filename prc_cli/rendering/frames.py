@@ -113,7 +113,7 @@ def frames(
     elif isinstance(params := config.classifier, PrcParams) and set(steps) & set(PRC_STEPS):
         yield from _traced(blocks, params, steps)
     else:
-        for item in label_blocks(blocks, config.classifier):
+        for item in label_blocks(blocks, config.classifier, stages=True):
             planes = {**_of_block(item.block, steps), "classes": item.labels}
             if item.stages is not None:
                 planes |= _of_stages(item.block, item.stages, steps)

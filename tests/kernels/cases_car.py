@@ -123,11 +123,39 @@ def spectrum_case(rng: Generator) -> tuple[Any, ...]:
     return signal.astype(np.float32), found, band, ratio, int(rng.choice([0, 1, 8])), int(rng.choice([8, 64, 2048]))
 
 
+def shares(rng: Generator) -> float:
+    return float(rng.choice([0.0, 0.05, 0.5]))
+
+
+def car_case(rng: Generator) -> tuple[Any, ...]:
+    surface, _ = surfaces(rng, *size(rng))
+    _, xyz, horizontal = geometry(rng, surface)
+    limit = rng.choice([1.0, 3.0, np.inf], len(surface)).astype(np.float32)
+    low = rng.choice([-2.0, -1.0, np.nan, -np.inf], len(surface)).astype(np.float32)
+    return intervals(rng, surface), horizontal, xyz, surface, limit, low
+
+
+def class_case(rng: Generator) -> tuple[Any, ...]:
+    surface, _ = surfaces(rng, *size(rng))
+    horizontal = geometry(rng, surface)[2]
+    ground, car, curb = (rng.random(surface.shape) < shares(rng) for _ in range(3))
+    return surface, ground, car, horizontal, curb & (surface != MISSING), np.array([0, 5, 7, 8, 1], np.uint8)
+
+
+def beyond_case(rng: Generator) -> tuple[Any, ...]:
+    labels = rng.choice([0, 0, 7, 8], size(rng)).astype(np.uint8) * np.uint8(rng.random() < 0.5)
+    ranges = np.where(rng.random(labels.shape) < shares(rng), 301.0, np.nan).astype(np.float32)
+    return np.where(labels == 0, ranges, np.float32(5.0)), labels
+
+
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "car_intervals": interval_case,
+    "combine_classes": class_case,
     "cut_verticals": cut_case,
     "first_high_verticals": high_case,
     "first_triggers": trigger_case,
+    "mark_beyond": beyond_case,
+    "mark_cars": car_case,
     "stable_intervals": spectrum_case,
 }
 

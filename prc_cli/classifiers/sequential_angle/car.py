@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
+from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.dividers import DividersParams, dividers
 from prc_cli.classifiers.sequential_angle.fourier import FourierParams, fourier
 from prc_cli.classifiers.sequential_angle.high_verticals import HighVerticalsParams, high_verticals
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.suspicious import SuspiciousParams, suspicious
-from prc_cli.core.classes import Surface
 from prc_cli.core.config import Params
-from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.core.types import F32, U8, Mask
 
 
 class CarParams(Params):
@@ -74,34 +74,6 @@ def cars(
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, params.dividers, range_noise_m=range_noise_m)
     intervals = intervals[fourier(signed_deg, intervals, params.fourier)]
     limit = high_verticals(lines, surface, z_g, params.high_verticals)
-    found = paint(intervals, surface.shape)
-    found &= lines.horizontal_m <= limit[:, None]  # false where there is no return
-    if params.ground_layer_m > 0:
-        low = lines.xyz_m[..., 2] < (z_g + np.float32(params.ground_layer_m))[:, None]
-        found &= ~(low & (car_surface == Surface.HORIZONTAL))
-    return found
-
-
-def paint(intervals: I32, shape: tuple[int, ...]) -> Mask:
-    """Mark the beams of intervals.
-
-    Parameters
-    ----------
-    intervals : (K, 3) int32
-        Row, first beam, last beam.
-    shape : (R, n)
-
-    Returns
-    -------
-    (R, n) bool
-
-    Examples
-    --------
-    >>> paint(np.array([[0, 1, 2], [0, 3, 3]], dtype=np.int32), (2, 5)).astype(int)
-    array([[0, 1, 1, 1, 0],
-           [0, 0, 0, 0, 0]])
-    """
-    marks = np.zeros(shape, np.bool_)
-    for row, first, last in intervals.tolist():
-        marks[row, first : last + 1] = True
-    return marks
+    low_m = z_g + np.float32(params.ground_layer_m if params.ground_layer_m > 0 else -np.inf)
+    marked: Mask = kernels.mark_cars(intervals, lines.horizontal_m, lines.xyz_m, car_surface, limit, low_m)
+    return marked

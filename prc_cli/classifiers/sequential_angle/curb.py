@@ -204,28 +204,6 @@ def curbs(
     )
 
 
-def behind_curbs(horizontal_m: F32, curb: Mask) -> Mask:
-    """Tell which points lie behind the curb of their row.
-
-    Parameters
-    ----------
-    horizontal_m : (F, n) float32
-        Horizontal distance from the scanner [m]; NaN = missing.
-    curb : (F, n) bool
-
-    Returns
-    -------
-    (F, n) bool
-        True where a point is farther away than the nearest curb point of its row.
-    """
-    behind = np.zeros(curb.shape, dtype=np.bool_)
-    rows = np.flatnonzero(curb.any(axis=1))
-    distances = horizontal_m[rows]
-    nearest = np.min(np.where(curb[rows], distances, np.float32(np.inf)), axis=1, keepdims=True, initial=np.inf)
-    behind[rows] = distances > nearest
-    return behind
-
-
 def _tail(before: F32, new: F32) -> F32:
     """Return the last rows of both, as many as there were before; a copy."""
     n = len(before)

@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
 from prc_cli.classifiers.sequential_angle.car import CarParams, cars
 from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
 from prc_cli.classifiers.sequential_angle.curb import (
     CurbParams,
     CurbState,
-    behind_curbs,
     curbs,
     possible_curbs,
 )
@@ -39,7 +39,7 @@ from prc_cli.classifiers.sequential_angle.ground import (
 )
 from prc_cli.classifiers.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
-from prc_cli.core.classes import LABEL_OF_SURFACE, Label, Surface
+from prc_cli.core.classes import LABEL_OF_SURFACE, Surface
 from prc_cli.core.config import Params
 from prc_cli.core.errors import InputError
 from prc_cli.core.profile import stage
@@ -116,8 +116,8 @@ class Undecided:
 
     surface: U8
     """(R, n) uint8, coarse layer."""
-    dense: Mask
-    """(R, n) bool, T'."""
+    car_surface: U8
+    """(R, n) uint8, car layer, for T'."""
     ground: Mask
     """(R, n) bool, G."""
     car: Mask
@@ -239,7 +239,7 @@ def classify_block(
     found = [find_cars(part, params) for part in ready]
     (done, curb), curbs_so_far = decide_curbs(found, state.curbs, params, last=last)
     state = replace(state, ground=ground_so_far, curbs=curbs_so_far)
-    return SequentialAngleResult(*in_columns(done, curb, state), state)
+    return SequentialAngleResult(in_columns(done, curb, state), stages_in_columns(done, state), state)
 
 
 class ParallelBlocks:
@@ -253,10 +253,12 @@ class ParallelBlocks:
     beam_rad : (M,) float64
         As for :func:`initial_state`.
     params : SequentialAngleParams
+    stages : bool
+        Bring back what was found on the way too.
     """
 
-    def __init__(self, beam_rad: F64, params: SequentialAngleParams) -> None:
-        self._params = params
+    def __init__(self, beam_rad: F64, params: SequentialAngleParams, *, stages: bool = False) -> None:
+        self._params, self._stages = params, stages
         self._beams = initial_state(beam_rad, params)
         self._turn = 0
         self._ground = Relay(self._beams.ground)
@@ -275,15 +277,17 @@ class ParallelBlocks:
         self._turn += 1
         return job
 
-    def classify(self, job: BlockJob) -> tuple[U8, StageLabels]:
+    def classify(self, job: BlockJob) -> tuple[U8, StageLabels | None]:
         """Label the lines that became final, in any thread; jobs must begin in order."""
         params, last = self._params, job.last
         try:
             rows = within_lines(job.range_m, job.xyz_m, self._beams, params)
             ready, _ = self._ground.take_turn(job.turn, lambda before: follow_ground(rows, before, params, last=last))
             found = [find_cars(part, params) for part in ready]
-            final, _ = self._curbs.take_turn(job.turn, lambda before: decide_curbs(found, before, params, last=last))
-            return in_columns(*final, self._beams)
+            (done, curb), _ = self._curbs.take_turn(
+                job.turn, lambda before: decide_curbs(found, before, params, last=last)
+            )
+            return in_columns(done, curb, self._beams), stages_in_columns(done, self._beams) if self._stages else None
         except BaseException:
             for relay in (self._ground, self._curbs):
                 relay.give_up(job.turn)
@@ -360,8 +364,7 @@ def find_cars(part: OnGround, params: SequentialAngleParams) -> WithCars:
     lines, surface = rows.lines, rows.surface
     possible = possible_curbs(lines, surface, part.ground, z_g, params.curb, range_noise_m=noise)
     car = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
-    dense = rows.car_surface == Surface.VEGETATION
-    undecided = Undecided(surface, dense, part.ground, car, lines.horizontal_m, z_g)
+    undecided = Undecided(surface, rows.car_surface, part.ground, car, lines.horizontal_m, z_g)
     return WithCars(lines, rows.signed_deg, possible, undecided)
 
 
@@ -399,27 +402,38 @@ def combine(rows: Undecided, curb: Mask) -> U8:
     (R, n) uint8
         :class:`prc_cli.core.classes.Label`.
     """
-    labels = np.array(LABEL_OF_SURFACE, np.uint8)[rows.surface]
-    np.copyto(labels, np.uint8(Label.GROUND), where=rows.ground)
-    np.copyto(labels, np.uint8(Label.CAR), where=rows.car & ~behind_curbs(rows.horizontal_m, curb))
-    np.copyto(labels, np.uint8(Label.CURB), where=curb)
+    labels: U8 = kernels.combine_classes(
+        rows.surface, rows.ground, rows.car, rows.horizontal_m, curb, np.array(LABEL_OF_SURFACE, np.uint8)
+    )
     return labels
 
 
 @stage("classes")
-def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> tuple[U8, StageLabels]:
+def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> U8:
     """Label final rows, and bring them back to the columns of their scan lines; of the state the beams."""
     sides, m = state.sides, len(state.beam_rad)
     if not done:
+        return np.empty((0, m), np.uint8)
+    curbs_of_all = curb[0] if len(curb) == 1 else np.concatenate(curb)
+    ends = np.cumsum([len(part.surface) for part in done])
+    labels = [
+        to_columns(combine(part, curbs_of_all[end - len(part.surface) : end]), sides, m)
+        for part, end in zip(done, ends, strict=True)
+    ]
+    return labels[0] if len(labels) == 1 else np.concatenate(labels)
+
+
+@stage("stages")
+def stages_in_columns(done: Sequence[Undecided], state: SequentialAngleState) -> StageLabels:
+    """Bring what was found on the way of final rows back to the columns of their scan lines."""
+    sides, m = state.sides, len(state.beam_rad)
+    if not done:
         none = np.empty((0, m), np.uint8)
-        return none, StageLabels(none, none.astype(np.bool_), none.astype(np.float32))
+        return StageLabels(none, none.astype(np.bool_), none.astype(np.float32))
     rows = _join(done)
-    labels = combine(rows, np.concatenate(curb))
-    height = np.repeat(rows.ground_height_m[:, None], labels.shape[1], axis=1)
-    stages = StageLabels(
-        to_columns(rows.surface, sides, m), to_columns(rows.dense, sides, m), to_columns(height, sides, m)
-    )
-    return to_columns(labels, sides, m), stages
+    height = np.repeat(rows.ground_height_m[:, None], rows.surface.shape[1], axis=1)
+    dense = rows.car_surface == Surface.VEGETATION
+    return StageLabels(to_columns(rows.surface, sides, m), to_columns(dense, sides, m), to_columns(height, sides, m))
 
 
 def _split(parts: tuple[Undecided, ...], n_rows: int) -> tuple[list[Undecided], tuple[Undecided, ...]]:

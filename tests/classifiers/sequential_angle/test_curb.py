@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, behind_curbs, curbs, possible_curbs
+from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, curbs, possible_curbs
 from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, initial_ground, potential_ground
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.types import F32, I32, U8, Mask
@@ -223,10 +223,3 @@ def test_a_wall_holds_no_line_back_and_costs_little() -> None:
         return best
 
     assert seconds(1000) < 10 * seconds(250) + 0.005
-
-
-def test_behind_is_farther_than_the_nearest_curb_point_of_the_row() -> None:
-    distance = np.array([[1, 3, 5, 4, np.nan], [1, 2, 3, 4, 5]], np.float32)
-    curb = np.array([[0, 1, 1, 0, 0], [0, 0, 0, 0, 0]], dtype=bool)
-    assert behind_curbs(distance, curb).astype(int).tolist() == [[0, 0, 1, 1, 0], [0, 0, 0, 0, 0]]
-    assert behind_curbs(distance[:0], curb[:0]).shape == (0, 5)

@@ -216,7 +216,7 @@ def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
     surface = np.array([[2, 3, 3, 1, 0]], np.uint8)
     rows = Undecided(
         surface=surface,
-        dense=np.zeros((1, 5), np.bool_),
+        car_surface=surface,
         ground=np.array([[True, False, False, False, False]]),
         car=np.array([[False, True, True, True, False]]),
         horizontal_m=np.array([[2.0, 3.0, 5.0, 6.0, np.nan]], np.float32),
@@ -322,7 +322,7 @@ def test_threads_change_nothing(threads: int) -> None:
     block, _ = scan()
     whole, _ = run(iter([block]), PARAMS, block.n_lines)
     assert block.beam_rad is not None
-    blocks = ParallelBlocks(block.beam_rad, PARAMS)
+    blocks = ParallelBlocks(block.beam_rad, PARAMS, stages=True)
 
     def jobs() -> Iterator[BlockJob]:
         n_lines = 0
@@ -332,7 +332,9 @@ def test_threads_change_nothing(threads: int) -> None:
 
     parts = list(ordered(blocks.classify, jobs(), threads=threads))
     np.testing.assert_array_equal(np.concatenate([labels for labels, _ in parts]), whole[0])
-    np.testing.assert_array_equal(np.concatenate([stages.surface for _, stages in parts]), whole[1])
+    np.testing.assert_array_equal(
+        np.concatenate([stages.surface for _, stages in parts if stages is not None]), whole[1]
+    )
 
 
 def test_the_state_holds_nothing_hidden() -> None:

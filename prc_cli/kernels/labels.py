@@ -1,0 +1,123 @@
+"""Loops that give shots their class, when all stages have had their say (Stamos et al. 2012, sec. 7 and 8)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.classes import Label, Surface
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.kernels.cache import kernel
+
+_HORIZONTAL = int(Surface.HORIZONTAL)
+_MISSING, _GROUND, _CAR, _CURB = int(Label.MISSING), int(Label.GROUND), int(Label.CAR), int(Label.CURB)
+_UNCLASSIFIED = int(Label.UNCLASSIFIED)
+
+
+@kernel(
+    "boolean[:, ::1](int32[:, ::1], float32[:, ::1], float32[:, :, ::1], uint8[:, ::1], float32[::1], float32[::1])"
+)
+def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32) -> Mask:
+    """Mark the returns of intervals that are neither too far away nor next to the ground.
+
+    Parameters
+    ----------
+    intervals : (K, 3) int32
+        Row, first beam, last beam.
+    horizontal_m : (R, n) float32, metres
+        NaN = missing, never marked.
+    xyz_m : (R, n, 3) float32, metres
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    limit_m : (R,) float32, metres
+        Largest horizontal distance of every row.
+    low_m : (R,) float32, metres
+        Horizontal points below this height are left out; NaN = none is.
+
+    Returns
+    -------
+    (R, n) bool
+    """
+    marked = np.zeros(surface.shape, np.bool_)
+    for i in range(len(intervals)):
+        row = intervals[i, 0]
+        limit, low = limit_m[row], low_m[row]
+        for k in range(intervals[i, 1], intervals[i, 2] + 1):
+            on_ground = surface[row, k] == _HORIZONTAL and xyz_m[row, k, 2] < low
+            marked[row, k] = horizontal_m[row, k] <= limit and not on_ground
+    return marked
+
+
+@kernel("uint8[:, ::1](uint8[:, ::1], boolean[:, ::1], boolean[:, ::1], float32[:, ::1], boolean[:, ::1], uint8[::1])")
+def combine_classes(surface: U8, ground: Mask, car: Mask, horizontal_m: F32, curb: Mask, label_of: U8) -> U8:
+    """Give every beam its class; cars behind a curb go back to the coarse classification.
+
+    Parameters
+    ----------
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    ground, car : (R, n) bool
+        G, and C before the curbs' say; the ground goes before the surface, a car before both.
+    horizontal_m : (R, n) float32, metres
+        Finite at curb points; NaN is not behind anything.
+    curb : (R, n) bool
+        Goes before all others; behind is what is farther away than the nearest curb point of the row.
+    label_of : (5,) uint8
+        Label of every surface.
+
+    Returns
+    -------
+    (R, n) uint8
+        :class:`prc_cli.core.classes.Label`.
+    """
+    n_rows, n = surface.shape
+    labels = np.empty((n_rows, n), np.uint8)
+    zero, one, two, three, four = label_of[0], label_of[1], label_of[2], label_of[3], label_of[4]
+    for row in range(n_rows):
+        n_curb = 0
+        for k in range(n):
+            n_curb += curb[row, k]
+        for k in range(n):  # selections, not a table: they are vector instructions
+            code = surface[row, k]
+            label = zero if code == 0 else one if code == 1 else two if code == 2 else three if code == 3 else four
+            label = np.uint8(_GROUND) if ground[row, k] else label
+            labels[row, k] = np.uint8(_CAR) if car[row, k] and n_curb == 0 else label
+        if n_curb > 0:
+            nearest = np.float32(np.inf)
+            for k in range(n):
+                if curb[row, k]:
+                    nearest = min(nearest, horizontal_m[row, k])
+            for k in range(n):
+                if car[row, k] and not horizontal_m[row, k] > nearest:
+                    labels[row, k] = _CAR
+                if curb[row, k]:
+                    labels[row, k] = _CURB
+    return labels
+
+
+@kernel("Tuple((uint8[:, ::1], int64))(float32[:, ::1], uint8[:, ::1])")
+def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:
+    """Call returns unclassified that are missing to the method, lying beyond the scanner's reach.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        NaN = missing.
+    labels : (lines, M) uint8
+        :class:`prc_cli.core.classes.Label`.
+
+    Returns
+    -------
+    labels : (lines, M) uint8
+    n_beyond : int
+        How many they are.
+    """
+    n_lines, m = labels.shape
+    marked = np.empty((n_lines, m), np.uint8)
+    n_beyond = 0
+    for line in range(n_lines):
+        for k in range(m):
+            label = labels[line, k]
+            beyond = label == _MISSING and range_m[line, k] == range_m[line, k]
+            marked[line, k] = np.uint8(_UNCLASSIFIED) if beyond else label
+            n_beyond += beyond
+    return marked, n_beyond
