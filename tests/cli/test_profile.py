@@ -11,7 +11,6 @@ import pytest
 from prc_cli.cli import main
 from tests.street import POINTS_PER_LINE, angles, street, write_raw
 
-
 NADIR = "input.nadir=180"
 
 
