@@ -18,7 +18,7 @@ from prc_cli.core.errors import PrcError
 from prc_cli.core.interrupts import raise_or_hold
 
 COMMANDS: dict[str, tuple[str, str]] = {
-    "demo": ("prc_cli.cli.demo:demo", "Simulate a street, classify it, evaluate it, draw it: no data needed."),
+    "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
     "info": ("prc_cli.cli.info:info", "Say what a file holds and whether it can be classified."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
