@@ -91,7 +91,10 @@ class LazRecords:
         start = header.data_offset + 8
         position = self._table_position()
         self._handle.seek(position)
-        _, n_chunks = struct.unpack("<II", self._handle.read(8))
+        raw = self._handle.read(8)
+        if len(raw) < 8:
+            raise damaged(where, position, "the file ends, expected the LAZ chunk table: it changed while read")
+        n_chunks = struct.unpack("<II", raw)[1]
         # every chunk begins with one record as it is: a bound for the count before anything is allocated
         if not 1 <= n_chunks <= (position - start) // header.record_bytes:
             most = (position - start) // header.record_bytes
