@@ -4,7 +4,7 @@ The paper suggests it for a higher update rate, without saying how. Here the blo
 lines, and the new ones are labelled in it. What lies before the block plays the part that the block before plays in
 Algorithm 1: its last line votes for labels, and its smooth shots count for the ground. With ``hop = k`` that is
 Algorithm 1 itself, but for a last block that is cut short, which takes lines before it in. Support and background
-know no blocks, so noise is the same for every hop.
+know no blocks, so noise is the same for every hop, but for the noise that forest.py counts as ground in its columns.
 """
 
 from __future__ import annotations
