@@ -16,6 +16,7 @@ import click
 from prc_cli import __version__
 from prc_cli.core.errors import PrcError
 from prc_cli.core.interrupts import raise_or_hold
+from prc_cli.kernels import spare_linear_algebra
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
@@ -92,6 +93,8 @@ def main(args: list[str] | None = None) -> None:
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     _leave_on_signals()
+    if args is None:  # the process is this command
+        spare_linear_algebra()
     sys.exit(_run(arguments, debug="--debug" in arguments))
 
 

@@ -106,6 +106,19 @@ def __getattr__(name: str) -> Any:
     return kernel
 
 
+_spare = False
+
+
+def spare_linear_algebra() -> None:
+    """Let the compiler do without SciPy's linear algebra, a fifth of what a short command takes.
+
+    No kernel uses it. Other compiled functions of the same process could not multiply matrices, so that only a process
+    that is the command ``prc`` and nothing else may say this.
+    """
+    global _spare
+    _spare = True
+
+
 def load_kernels(modules: frozenset[str] | None = None) -> None:
     """Compile kernels, on all cores and in one process at a time, or load them from the cache.
 
@@ -116,8 +129,11 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
     modules : set of str, optional
         Names of kernel modules, such as ``angles``; default: all.
     """
+    from prc_cli.kernels.cache import load_compiler
     from prc_cli.kernels.compiling import compile_missing  # which loads the compiler
 
+    if _spare:
+        load_compiler()
     wanted = {name: home for name, home in KERNELS.items() if modules is None or home.rpartition(".")[2] in modules}
     compile_missing(sorted(set(wanted.values())))
     for name in wanted:

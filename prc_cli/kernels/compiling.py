@@ -23,7 +23,7 @@ import llvmlite.binding  # type: ignore[import-untyped]
 import numba
 
 from prc_cli.core.threads import default_threads
-from prc_cli.kernels.cache import writable_cache
+from prc_cli.kernels.cache import load_compiler, writable_cache
 
 try:
     import fcntl
@@ -145,6 +145,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 def main(modules: Sequence[str]) -> None:
     """Compile modules in this process."""
+    load_compiler()
     folder = writable_cache()
     for module in modules:
         if folder is not None:
