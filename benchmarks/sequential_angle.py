@@ -46,7 +46,9 @@ from prc_cli.evaluation.reports import as_markdown
 from prc_cli.evaluation.scores import scores
 from prc_cli.pipeline import classify, label_blocks
 from prc_cli.readers.regroup import cut, join
-from prc_cli.simulate import Beside, load_settings, open_simulation, simulate
+from prc_cli.simulated_files import Beside, simulate
+from prc_cli.simulation.settings import load_settings
+from prc_cli.simulation.simulation import open_simulation
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))

@@ -31,12 +31,14 @@ from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import scores
 from prc_cli.pipeline import classify
-from prc_cli.simulate import Kind, Settings, load_settings, open_simulation, simulate
+from prc_cli.simulated_files import simulate
 from prc_cli.simulation.drive import SimulatedScan
 from prc_cli.simulation.forest.params import PRESETS as FORESTS
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.scanners import SCANNERS
+from prc_cli.simulation.settings import Kind, Settings, load_settings
+from prc_cli.simulation.simulation import open_simulation
 from prc_cli.simulation.trajectory import Station
 from prc_cli.simulation.world import Bodies
 

@@ -19,7 +19,8 @@ from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F32
 from prc_cli.kernels import load_kernels, oracle, oracle_prc
 from prc_cli.pipeline import classify_ranges, label_blocks
-from prc_cli.simulate import load_settings, open_simulation
+from prc_cli.simulation.settings import load_settings
+from prc_cli.simulation.simulation import open_simulation
 
 ROUNDS = 7
 """Every job runs once a round, so that what else the machine does falls on all of them; the best time counts."""

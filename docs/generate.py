@@ -17,8 +17,8 @@ from prc_cli.cli import cli
 from prc_cli.config import PRESET_SOURCES, PRESETS, RunConfig, load_config, to_toml
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
-from prc_cli.simulate import KINDS, load_settings
 from prc_cli.simulation.scanners import SCANNERS, Scanner
+from prc_cli.simulation.settings import KINDS, load_settings
 
 ROOT = Path(__file__).resolve().parent.parent
 GENERATED = "<!-- written by docs/generate.py from the code; do not edit -->\n"

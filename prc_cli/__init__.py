@@ -6,7 +6,7 @@ The functions below are what the commands themselves call; they are loaded on fi
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)
 ['calibrate', 'classify', 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'load_config', 'open_stream', \
-'render', 'stream', 'thin', 'transfer']
+'render', 'simulate', 'stream', 'thin', 'transfer']
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from prc_cli.label_transfer import transfer
     from prc_cli.pipeline import classify, classify_ranges, open_stream
     from prc_cli.rendering import render
+    from prc_cli.simulated_files import simulate
     from prc_cli.streaming import stream
     from prc_cli.thinning import thin
 
@@ -36,6 +37,7 @@ __all__ = [
     "load_config",
     "open_stream",
     "render",
+    "simulate",
     "stream",
     "thin",
     "transfer",
@@ -48,6 +50,7 @@ _HOME = {
     "evaluate_all": "prc_cli.comparison",
     "load_config": "prc_cli.config",
     "render": "prc_cli.rendering",
+    "simulate": "prc_cli.simulated_files",
     "stream": "prc_cli.streaming",
     "thin": "prc_cli.thinning",
     "transfer": "prc_cli.label_transfer",

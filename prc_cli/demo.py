@@ -15,7 +15,8 @@ from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_json, as_markdown
 from prc_cli.pipeline import Progress, RunSummary, classify
 from prc_cli.rendering import RenderOptions, render
-from prc_cli.simulate import Beside, Kind, load_settings, simulate
+from prc_cli.simulated_files import Beside, simulate
+from prc_cli.simulation.settings import Kind, load_settings
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,15 +18,9 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.pipeline import classify, open_stream
 from prc_cli.readers.labels import open_codes
 from prc_cli.readers.regroup import join
-from prc_cli.simulate import (
-    Beside,
-    Kind,
-    Settings,
-    load_settings,
-    open_simulation,
-    reference_path,
-    simulate,
-)
+from prc_cli.simulated_files import Beside, reference_path, simulate
+from prc_cli.simulation.settings import Kind, Settings, load_settings
+from prc_cli.simulation.simulation import open_simulation
 
 FORMATS = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst", ".bin", ".npz", ".npy", ".e57")
 REGISTERED = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst")

@@ -1,0 +1,202 @@
+"""Parameters of whole simulations, as options and TOML files give them: a scene, a scanner, what carries it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from pydantic import Field
+
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.config import Params, build, merge, read_toml
+from prc_cli.core.errors import ConfigError
+from prc_cli.simulation.drive import MOST_LINES
+from prc_cli.simulation.forest.params import PRESETS as FORESTS
+from prc_cli.simulation.forest.params import ForestSceneParams
+from prc_cli.simulation.scanners import SCANNERS, Scanner
+from prc_cli.simulation.street.params import CHARACTERS, StreetSceneParams
+from prc_cli.simulation.trajectory import MOTIONS, MotionParams
+from prc_cli.simulation.trajectory_files import Frame
+
+Kind: TypeAlias = Literal["street", "forest", "street-scan"]
+
+SCENES: dict[Kind, dict[str, dict[str, Any]]] = {
+    "street": {"mixed": {}, **{name: {"character": name} for name in CHARACTERS}},
+    "forest": {name: params.model_dump() for name, params in FORESTS.items()},
+}
+SCENES["street-scan"] = SCENES["street"]
+"""Parameters of scenes by name."""
+
+_DEFAULTS: dict[Kind, dict[str, str]] = {
+    "street": {"scene": "mixed", "scanner": "photon-80", "trajectory": "car"},
+    "forest": {"scene": "mixed", "scanner": "focus3d-120", "trajectory": "backpack"},
+    "street-scan": {"scene": "mixed", "scanner": "scanstation2"},
+}
+
+
+class SimulationSettings(Params):
+    """What every simulation has."""
+
+    seed: int = Field(1, ge=0, lt=2**63, description="the same seed gives the same scene, way and noise")
+    sight_m: float | None = Field(None, gt=1, le=2000, description="nothing farther is simulated [m]; unset = by kind")
+    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
+
+
+class FrameParams(Params):
+    """A projected coordinate system in metres and where the simulated world lies in it."""
+
+    crs: str = Field(Frame().crs, description="as pyproj takes it")
+    easting_m: float = Field(Frame().easting_m, description="of the world's origin [m]")
+    northing_m: float = Field(Frame().northing_m, description="of the world's origin [m]")
+    height_m: float = Field(Frame().height_m, description="of the world's origin above the ellipsoid [m]")
+
+
+_FRAME = "where the world lies on earth; unset = nowhere, coordinates count from the start, but for an SBET"
+
+
+class DriveSettings(SimulationSettings):
+    """A drive down a street."""
+
+    length_m: float = Field(300.0, gt=0, le=1e7, description="way of the platform [m]")
+    duration_s: float | None = Field(None, gt=0, le=1e7, description="instead of a length [s]")
+    lines: int | None = Field(None, ge=1, le=MOST_LINES, description="scan lines, instead of a length")
+    scene: StreetSceneParams = Field(default_factory=StreetSceneParams, description="street")
+    scanner: Scanner = Field(SCANNERS["photon-80"], description="scanner and its mount")
+    trajectory: MotionParams = Field(MOTIONS["car"], description="how the platform moves")
+    frame: FrameParams | None = Field(None, description=_FRAME)
+
+
+class WalkSettings(SimulationSettings):
+    """A walk through a forest."""
+
+    length_m: float = Field(100.0, gt=0, le=1e7, description="way of the platform [m]")
+    duration_s: float | None = Field(None, gt=0, le=1e7, description="instead of a length [s]")
+    lines: int | None = Field(None, ge=1, le=MOST_LINES, description="scan lines, instead of a length")
+    scene: ForestSceneParams = Field(default_factory=ForestSceneParams, description="forest")
+    scanner: Scanner = Field(SCANNERS["focus3d-120"], description="scanner and its mount")
+    trajectory: MotionParams = Field(MOTIONS["backpack"], description="how the platform moves")
+    frame: FrameParams | None = Field(None, description=_FRAME)
+
+
+class StationParams(Params):
+    """Where the tripod of a static scan stands, and how far its head turns."""
+
+    along_m: float = Field(60.0, ge=0, le=1e6, description="from here on along the middle of the right-hand lane [m]")
+    left_m: float = Field(0.0, ge=-30, le=30, description="to the left of it [m]")
+    clearance_m: float = Field(
+        2.5, ge=0, le=20, description="at the first place with so much room around; 0 = just where it is said [m]"
+    )
+    turn_deg: float = Field(360.0, gt=0, le=360, description="angle that the head turns [degrees]")
+
+
+class StationSettings(SimulationSettings):
+    """A static scan of a street."""
+
+    lines: int | None = Field(None, ge=1, le=MOST_LINES, description="scan lines, instead of station.turn_deg")
+    scene: StreetSceneParams = Field(default_factory=StreetSceneParams, description="street")
+    scanner: Scanner = Field(SCANNERS["scanstation2"], description="scanner")
+    station: StationParams = Field(default_factory=StationParams, description="place")
+
+
+Settings: TypeAlias = DriveSettings | WalkSettings | StationSettings
+_MODELS: dict[Kind, type[Settings]] = {
+    "street": DriveSettings,
+    "forest": WalkSettings,
+    "street-scan": StationSettings,
+}
+KINDS: tuple[Kind, ...] = tuple(_MODELS)
+"""What can be simulated."""
+
+
+def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[str, Any] | None = None) -> Settings:
+    """Build the parameters of a simulation.
+
+    Parameters
+    ----------
+    kind : {"street", "forest", "street-scan"}
+        What is simulated.
+    path : path, optional
+        TOML file with the tables ``[scene]``, ``[scanner]`` and ``[trajectory]`` (``[station]`` for a static scan);
+        ``name`` in a table is the preset that its other keys are laid over.
+    options : mapping, optional
+        Nested table laid over the file.
+
+    Returns
+    -------
+    DriveSettings, WalkSettings or StationSettings
+
+    Raises
+    ------
+    ConfigError
+        Unknown kind, preset or key, or a value out of its bounds.
+
+    Examples
+    --------
+    >>> load_settings("street", options={"scanner": {"name": "profiler-1mhz", "slant_deg": 30}}).scanner.line_hz
+    200.0
+    """
+    if kind not in _MODELS:
+        raise ConfigError("kind", f"found {kind!r}, expected one of: {', '.join(KINDS)}")
+    where = "simulation" if path is None else str(path)
+    written = {} if path is None else read_toml(Path(path))
+    _refuse_two_presets(written, options or {}, where)
+    table = merge(written, options or {})
+    for name, presets in _presets(kind).items():
+        given = table.get(name, {})
+        if not isinstance(given, Mapping):
+            raise ConfigError(where, f"{name}: found {given!r}, expected: a table")
+        chosen = given.get("name", _DEFAULTS[kind][name])
+        if chosen not in presets:
+            problem = f"{name}.name: found {chosen!r}, expected one of: {', '.join(presets)}"
+            raise ConfigError(where, problem)
+        own = {key: value for key, value in given.items() if key != "name"}
+        table[name] = merge(presets[chosen], own)
+        if name == "trajectory" and "stop_every_m" not in own:
+            table[name] = _with_room_to_stop(table[name])
+    try:
+        settings = build(_MODELS[kind], table, where)
+    except ConfigError as error:
+        # the hint of the other configuration leads nowhere here
+        hint = error.hint if "prc config" not in error.hint else f"see `prc simulate parameters {kind}`"
+        raise ConfigError(error.where, error.problem, hint) from None
+    if settings.scanner.is_static != (kind == "street-scan"):
+        found = "is static" if settings.scanner.is_static else "is none for a tripod"
+        fitting = ", ".join(name for name, each in SCANNERS.items() if each.is_static == (kind == "street-scan"))
+        raise ConfigError(where, f"scanner: the scanner {found}, expected one for a {kind}", f"choose from: {fitting}")
+    return settings
+
+
+def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], where: str) -> None:
+    """Refuse a preset beside a table of the file: its keys would be laid over the preset, maybe every one of them."""
+    for name in ("scene", "scanner", "trajectory"):
+        asked, given = options.get(name), written.get(name)
+        if not (isinstance(asked, Mapping) and isinstance(given, Mapping)):
+            continue
+        own = sorted(set(given) - {"name"})
+        if "name" in asked and own and asked["name"] != given.get("name"):
+            problem = f"{name}: found the preset {asked['name']!r} asked for beside {own[0]} in [{name}], expected one"
+            raise ConfigError(where, problem, f"leave [{name}] out of the file, or do not ask for a preset")
+
+
+def _presets(kind: Kind) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the presets of every table that has some."""
+    found: dict[str, dict[str, dict[str, Any]]] = {
+        "scene": SCENES[kind],
+        "scanner": {name: scanner.model_dump() for name, scanner in SCANNERS.items()},
+    }
+    if kind != "street-scan":
+        found["trajectory"] = {name: motion.model_dump() for name, motion in MOTIONS.items()}
+    return found
+
+
+def _with_room_to_stop(motion: dict[str, Any]) -> dict[str, Any]:
+    """Move stops farther apart where the speed leaves no room to brake between them; asked-for ones are not moved."""
+    if not motion["stop_every_m"]:
+        return motion
+    with contextlib.suppress(ValueError, TypeError, ZeroDivisionError):
+        free = MotionParams(**{**motion, "stop_every_m": 0.0})
+        return {**motion, "stop_every_m": max(motion["stop_every_m"], math.ceil(free.braking_m / 0.3))}
+    return motion  # what is wrong with it is told where it is checked
