@@ -125,9 +125,8 @@ def surface_image(
         # shots without an angle go with the shot before them, the first ones with the first that has one
         label = _UNDECIDED if m == 0 else int(labels[beam[0]])
         for k in range(width):
-            if math.isnan(range_m[row, k]):
-                continue
             if labels[k] != _MISSING:
                 label = int(labels[k])
-            labels[k] = label
+            elif not math.isnan(range_m[row, k]):
+                labels[k] = label
     return image

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 NONE, HIGH, REJECTED, CURB, FIRST_REGION = 0, 1, 2, 3, 4
 """Labels: not vertical; too high for a curb; decided, not a curb; decided, a curb; from here on regions undecided."""
@@ -88,7 +88,7 @@ def possible_curbs(
     return found, beam
 
 
-@helper
+@inlined
 def _root(parent: I32, label: int) -> int:
     """Follow a label to the one that stands for its region, shortening the way for the next one."""
     while parent[label] != label:
@@ -97,7 +97,7 @@ def _root(parent: I32, label: int) -> int:
     return label
 
 
-@helper
+@inlined
 def _near(here: F32, k: int, there: F32, j: int, reach_2: float) -> bool:
     """Tell whether two points lie within the grouping distance."""
     dx = np.float64(here[k, 0]) - np.float64(there[j, 0])
@@ -274,7 +274,8 @@ def _carry(
     n_left = 0
     for row in range(n_rows - first_row):
         for k in range(n):
-            label = _root(parent, labels[row + first_row, k])
+            label = labels[row + first_row, k]
+            label = _root(parent, label) if label > HIGH else label
             if label != NONE and number[label] == 0:
                 number[label] = FIRST_REGION + n_left
                 n_left += 1
@@ -433,7 +434,8 @@ def connect_verticals(
     curb = np.empty(((first_open - n_given) * n_sides, n), np.bool_)
     for row in range(len(curb)):
         for k in range(n):
-            curb[row, k] = _root(parent, labels[row + n_given * n_sides, k]) == CURB
+            label = labels[row + n_given * n_sides, k]
+            curb[row, k] = label > HIGH and _root(parent, label) == CURB
     begin = min(first_open, n_lines - 1)
     left, regions_left, extents_left = _carry(parent, spans, low, high, labels, begin * n_sides, begin, n_ids)
     return curb, left, n_lines - begin if first_open == n_lines else 0, regions_left, extents_left

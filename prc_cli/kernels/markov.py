@@ -27,23 +27,27 @@ _LEAST = -708.0
 
 
 @helper
-def _densities(values: F64, m: int, means: F64, half_precision: F64, log_sigma: F64, density: F64, power: I64) -> None:
+def _densities(
+    values: F64, m: int, means: F64, half_precision: F64, log_sigma: F64, density: F64, power: I64, top: I64
+) -> None:
     """Densities of m values in the three states, divided by the largest: the ratio of likelihoods stays the same.
 
     ``density`` (3, n) takes them. The exponential is computed here for many values at a time: the library's one takes
-    one by one.
+    one by one. That of the largest is 1, so the other two go into the first two rows for it.
     """
-    for state in range(3):
-        for i in range(m):
-            d = values[i] - means[state]
-            density[state, i] = -(d * d) * half_precision[state] - log_sigma[state]
+    mean_0, mean_1, mean_2 = means[0], means[1], means[2]
+    half_0, half_1, half_2 = half_precision[0], half_precision[1], half_precision[2]
+    log_0, log_1, log_2 = log_sigma[0], log_sigma[1], log_sigma[2]
     for i in range(m):
-        largest = max(density[0, i], density[1, i], density[2, i])
-        density[0, i] -= largest
-        density[1, i] -= largest
-        density[2, i] -= largest
+        d_0, d_1, d_2 = values[i] - mean_0, values[i] - mean_1, values[i] - mean_2
+        a, b, c = -(d_0 * d_0) * half_0 - log_0, -(d_1 * d_1) * half_1 - log_1, -(d_2 * d_2) * half_2 - log_2
+        largest = max(a, b, c)
+        first, last = a == largest, b != largest and a != largest
+        density[0, i] = (b if first else a) - largest
+        density[1, i] = (b if last else c) - largest
+        top[i] = 0 if first else 2 if last else 1
     scale = power.view(np.float64)
-    for state in range(3):
+    for state in range(2):
         for i in range(m):
             x = max(density[state, i], _LEAST)
             halvings = math.floor(x * 1.4426950408889634 + 0.5)
@@ -55,6 +59,11 @@ def _densities(values: F64, m: int, means: F64, half_precision: F64, log_sigma: 
             density[state, i] = series if density[state, i] >= _LEAST else 0.0
         for i in range(m):
             density[state, i] *= scale[i]
+    for i in range(m):
+        one, other = density[0, i], density[1, i]
+        density[0, i] = 1.0 if top[i] == 0 else one
+        density[1, i] = one if top[i] == 0 else 1.0 if top[i] == 1 else other
+        density[2, i] = 1.0 if top[i] == 2 else other
 
 
 @helper
@@ -187,7 +196,7 @@ def hmm_cusum(
     highest = math.exp(accept)
     lowest = math.exp(reject)
     density = np.empty((3, n), np.float64)
-    samples, power = np.empty(n, np.float64), np.empty(n, np.int64)
+    samples, power, top = np.empty(n, np.float64), np.empty(n, np.int64), np.empty(n, np.int64)
     beam = np.empty(n, np.int64)
     anew, once = bool(np.bool_(True)), bool(np.bool_(False))  # not literals, for each of which all is compiled again
     for row in range(n_rows):
@@ -198,7 +207,7 @@ def hmm_cusum(
                 samples[m] = value
                 beam[m] = k
                 m += 1
-        _densities(samples, m, means, half_precision, log_sigma, density, power)
+        _densities(samples, m, means, half_precision, log_sigma, density, power, top)
         previous = -1
         while begin < m:
             verdict, alarm, onset = _sequential_test(
