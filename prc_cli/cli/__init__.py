@@ -38,6 +38,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as shells have it."""
+AGAIN_S = 0.05
+"""A signal that was dropped comes again so much later [s]."""
 
 
 class LazyGroup(click.Group):
@@ -133,6 +135,23 @@ def _leave_on_signals() -> None:
     # a parent may have told its children to ignore Ctrl-C, as nohup does
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda number, frame: raise_or_hold(KeyboardInterrupt()))
+    sys.unraisablehook = _deliver_again
+
+
+def _deliver_again(dropped: sys.UnraisableHookArgs) -> None:
+    """Let a signal come once more whose exception Python dropped, because it arrived while an object was deleted."""
+    if not isinstance(dropped.exc_value, (KeyboardInterrupt, SystemExit)):
+        sys.__unraisablehook__(dropped)
+        return
+    number = signal.SIGINT if isinstance(dropped.exc_value, KeyboardInterrupt) else signal.SIGTERM
+    main = threading.main_thread().ident
+    # not from here: what is raised in this hook is dropped as well
+    if main is not None and hasattr(signal, "pthread_kill"):
+        timer = threading.Timer(AGAIN_S, signal.pthread_kill, (main, number))
+    else:
+        timer = threading.Timer(AGAIN_S, signal.raise_signal, (number,))
+    timer.daemon = True
+    timer.start()
 
 
 def one_line(error: PrcError | str) -> str:

@@ -1,0 +1,31 @@
+"""A signal that arrives while an object is deleted, where Python drops what its handler raises."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import os, signal, time
+from prc_cli.cli import _leave_on_signals
+_leave_on_signals()
+
+class Deleted:
+    def __del__(self):
+        os.kill(os.getpid(), signal.{name})
+        sum(range(100))
+
+Deleted()
+time.sleep(20)
+print("still running")
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends itself a signal")
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", -2)])
+def test_it_comes_again(name: str, code: int) -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM.format(name=name)], capture_output=True, text=True, timeout=15)
+    assert (done.returncode, done.stdout) == (code, "")
