@@ -259,7 +259,7 @@ def params_to_toml(params: Params, sources: Mapping[str, str] | None = None, *, 
     params : Params
         The table, with those inside it.
     sources : mapping, optional
-        Where the value of a dotted key came from, for its comment.
+        Where the value of a dotted key, or a whole table, came from, for its comment.
     comments : bool
         With the description of every key.
 
@@ -284,7 +284,8 @@ def _toml_lines(table: Params, prefix: str, sources: Mapping[str, str], comments
         yield ""
         if comments and (documentation := type(value).__doc__):
             yield f"# {documentation.strip().splitlines()[0]}"
-        yield f"[{prefix}{key}]"
+        source = sources.get(f"{prefix}{key}")
+        yield f"[{prefix}{key}]" + (f"  # from: {source}" if comments and source else "")
         yield from _toml_lines(value, f"{prefix}{key}.", sources, comments)
 
 

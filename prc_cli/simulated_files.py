@@ -45,6 +45,9 @@ _LAS = (".las", ".laz")
 _REGISTERED = (*_LAS, ".csv", ".csv.gz", ".csv.zst", ".parquet")
 """Outputs that hold registered coordinates beside the ranges."""
 _ONE_RETURN = (".npy", ".npz", ".bin")
+_SBET = (".sbet", ".out")
+_SUFFIXES: dict[str, tuple[str, ...]] = {"trajectory": (".csv", *_SBET), "labels": (".npy",), "stems": (".csv",)}
+"""What files beside the stream may end in."""
 TRAJECTORY_HZ = 200.0
 """Positions a second of trajectories that are written."""
 STEM_MARGIN_M = 30.0
@@ -74,7 +77,7 @@ class Beside:
     """Files that are written beside the stream, each only if it has a name."""
 
     trajectory: Path | None = None
-    """Where the scanner was: ``.sbet`` or ``.out`` SBET, else CSV."""
+    """Where the scanner was: ``.sbet`` or ``.out`` for SBET, ``.csv``."""
     labels: Path | None = None
     """``.npy``: the reference class of every record of the output; there by itself where the output holds none."""
     stems: Path | None = None
@@ -297,7 +300,7 @@ def _frame(settings: Settings, beside: Beside) -> Frame:
     asked = None if isinstance(settings, StationSettings) else settings.frame
     if asked is not None:
         return Frame(**asked.model_dump())
-    is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in (".sbet", ".out")
+    is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in _SBET
     return Frame() if is_sbet else WORLD
 
 
@@ -316,13 +319,15 @@ def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, 
     beside = beside or Beside()
     if beside.labels is None and stream_suffix(output) in _BESIDE:
         beside = replace(beside, labels=reference_path(output))
-    if beside.labels is not None and beside.labels.suffix.lower() != ".npy":
-        problem = f"found suffix {beside.labels.suffix!r}, expected .npy"
-        raise ConfigError(str(beside.labels), problem, "labels are a class code a record, a NumPy array")
     if beside.stems is not None and kind != "forest":
         raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
     if beside.trajectory is not None and kind == "street-scan":
         raise ConfigError("trajectory", "asked for of a tripod, which does not move", "leave it out")
+    for name, suffixes in _SUFFIXES.items():
+        path = getattr(beside, name)
+        if path is not None and path.suffix.lower() not in suffixes:
+            problem = f"found suffix {path.suffix!r}, expected {' or '.join(suffixes)}"
+            raise ConfigError(str(path), problem, f"write the {name} under such a name")
     paths = [path.absolute() for path in (*outputs_of(output), *beside.paths())]
     if len(set(paths)) < len(paths):
         raise ConfigError(str(output), "two of the files that are to be written have one name")

@@ -308,6 +308,9 @@ def test_a_file_gives_parameters_and_options_win(tmp_path: Path) -> None:
     ("kind", "output", "beside", "said"),
     [
         ("street", "a.npz", {"labels": "a.csv"}, "found suffix '.csv', expected .npy"),
+        ("street", "a.npz", {"trajectory": "w.txt"}, r"w.txt: found suffix '.txt', expected .csv or .sbet or .out"),
+        ("forest", "a.npz", {"trajectory": "w"}, r"w: found suffix '', expected .csv or .sbet or .out"),
+        ("forest", "a.npz", {"stems": "stems.txt"}, r"stems.txt: found suffix '.txt', expected .csv; write the stems"),
         ("street", "a.npz", {"stems": "a.csv"}, "asked for in a street, which has none"),
         ("street-scan", "a.npz", {"trajectory": "a.csv"}, "asked for of a tripod"),
         ("street", "a.csv", {"trajectory": "a.csv"}, "two of the files .* have one name"),

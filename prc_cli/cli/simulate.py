@@ -20,7 +20,7 @@ from prc_cli.simulated_files import Beside, SimulationSummary, check_simulation
 from prc_cli.simulated_files import simulate as simulate_file
 from prc_cli.simulation.drive import load_simulator
 from prc_cli.simulation.scanners import SCANNERS
-from prc_cli.simulation.settings import KINDS, SCENES, Kind, load_settings
+from prc_cli.simulation.settings import KINDS, SCENES, Kind, load_settings, preset_notes
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
@@ -74,12 +74,19 @@ def _options(*groups: list[Any]) -> Callable[[CommandT], CommandT]:
     return add
 
 
+_SCENE_HELP: dict[Kind, str] = {
+    "street": "What stands along the street; mixed changes every 120 m.",
+    "forest": "What kind of forest; mixed is a managed stand of pine, spruce and birch.",
+    "street-scan": "What stands along the street; mixed changes every 120 m.",
+}
+
+
 def _presets(kind: Kind) -> list[Any]:
     static = kind == "street-scan"
     scanners = [name for name, scanner in SCANNERS.items() if scanner.is_static == static]
     return [
         _option("--scanner", type=click.Choice(scanners), help="Preset; see prc simulate scanners."),
-        _option("--scene", type=click.Choice(list(SCENES[kind])), help="Preset."),
+        _option("--scene", type=click.Choice(list(SCENES[kind])), help=_SCENE_HELP[kind]),
     ]
 
 
@@ -180,8 +187,10 @@ def parameters(kind: Kind, config_file: Path | None, assignments: tuple[str, ...
     \b
     Example: prc simulate parameters street --set scanner.name=profiler-1mhz > fast.toml
     """
-    settings = load_settings(kind, config_file, _table({"assignments": assignments}))
-    click.echo(params_to_toml(settings, comments=not bare), nl=False)
+    options = _table({"assignments": assignments})
+    settings = load_settings(kind, config_file, options)
+    notes = preset_notes(kind, settings, config_file, options)
+    click.echo(params_to_toml(settings, notes, comments=not bare), nl=False)
 
 
 _KEYS = {

@@ -42,7 +42,6 @@ class SimulationSettings(Params):
 
     seed: int = Field(1, ge=0, lt=2**63, description="the same seed gives the same scene, way and noise")
     sight_m: float | None = Field(None, gt=1, le=2000, description="nothing farther is simulated [m]; unset = by kind")
-    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
 class FrameParams(Params):
@@ -67,6 +66,7 @@ class DriveSettings(SimulationSettings):
     scanner: Scanner = Field(SCANNERS["photon-80"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["car"], description="how the platform moves")
     frame: FrameParams | None = Field(None, description=_FRAME)
+    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
 class WalkSettings(SimulationSettings):
@@ -79,6 +79,7 @@ class WalkSettings(SimulationSettings):
     scanner: Scanner = Field(SCANNERS["focus3d-120"], description="scanner and its mount")
     trajectory: MotionParams = Field(MOTIONS["backpack"], description="how the platform moves")
     frame: FrameParams | None = Field(None, description=_FRAME)
+    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
 class StationParams(Params):
@@ -99,6 +100,7 @@ class StationSettings(SimulationSettings):
     scene: StreetSceneParams = Field(default_factory=StreetSceneParams, description="street")
     scanner: Scanner = Field(SCANNERS["scanstation2"], description="scanner")
     station: StationParams = Field(default_factory=StationParams, description="place")
+    classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes of the reference")
 
 
 Settings: TypeAlias = DriveSettings | WalkSettings | StationSettings
@@ -167,6 +169,46 @@ def load_settings(kind: Kind, path: Path | str | None = None, options: Mapping[s
         fitting = ", ".join(name for name, each in SCANNERS.items() if each.is_static == (kind == "street-scan"))
         raise ConfigError(where, f"scanner: the scanner {found}, expected one for a {kind}", f"choose from: {fitting}")
     return settings
+
+
+def preset_notes(
+    kind: Kind, settings: Settings, path: Path | str | None = None, options: Mapping[str, Any] | None = None
+) -> dict[str, str]:
+    """Tell which preset every table of a simulation's parameters came from, and what was changed in it.
+
+    Parameters
+    ----------
+    kind, path, options
+        As given to :func:`load_settings`.
+    settings : DriveSettings, WalkSettings or StationSettings
+        What it made of them.
+
+    Returns
+    -------
+    dict
+        By the name of the table. One that was given whole, without a preset's name, has a note only if it is a preset.
+
+    Examples
+    --------
+    >>> options = {"scanner": {"slant_deg": 30.0}}
+    >>> preset_notes("street", load_settings("street", options=options), options=options)["scanner"]
+    'preset photon-80; changed: slant_deg'
+    """
+    asked = merge({} if path is None else read_toml(Path(path)), options or {})
+    notes = {}
+    for name, presets in _presets(kind).items():
+        values = getattr(settings, name).model_dump()
+        whole = {key: type(getattr(settings, name))(**preset).model_dump() for key, preset in presets.items()}
+        given = asked.get(name, {})
+        equal = [key for key, preset in whole.items() if preset == values]
+        if "name" not in given and set(given) >= set(values):
+            if equal:
+                notes[name] = f"preset {equal[0]}"
+            continue
+        chosen = given.get("name", _DEFAULTS[kind][name])
+        changed = ", ".join(key for key, value in values.items() if value != whole[chosen][key])
+        notes[name] = f"preset {chosen}" + (f"; changed: {changed}" if changed else "")
+    return notes
 
 
 def _refuse_two_presets(written: Mapping[str, Any], options: Mapping[str, Any], where: str) -> None:

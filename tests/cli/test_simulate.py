@@ -78,12 +78,35 @@ def test_printed_parameters_are_read_back(prc: Prc, tmp_path: Path, kind: str) -
     assert "\n#" not in prc("simulate", "parameters", kind, "--bare").out
 
 
+def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: Path) -> None:
+    options = ("--set", "scanner.name=profiler-1mhz", "--set", "scanner.slant_deg=30", "--set", "scene.name=suburb")
+    text = prc("simulate", "parameters", "street", *options).out
+    assert [line for line in text.splitlines() if line.startswith("[")] == [
+        "[scene]  # from: preset suburb",
+        "[scanner]  # from: preset profiler-1mhz; changed: slant_deg",
+        "[trajectory]  # from: preset car",
+        "[classes]",
+    ]
+    (tmp_path / "a.toml").write_text(text)
+    # a whole table is what it says, whatever the default would have been
+    again = prc("simulate", "parameters", "street", "--config", tmp_path / "a.toml").out
+    assert "[scene]  # from: preset suburb\n" in again
+    assert "[scanner]\n" in again
+
+
+def test_help_tells_what_a_scene_is(prc: Prc) -> None:
+    for kind, said in (("street", "stands along the street"), ("forest", "kind of forest")):
+        assert said in " ".join(prc("simulate", kind, "--help").out.split())
+
+
 def test_bad_input_is_one_line(prc: Prc, tmp_path: Path) -> None:
     (tmp_path / "there.npz").write_text("mine")
     for options, code, said in (
         (["street", "-o", tmp_path / "a.xyz"], 2, "found suffix '.xyz', expected one of .las"),
         (["street", "-o", tmp_path / "there.npz"], 2, "exists already"),
         (["street", "-o", tmp_path / "none" / "a.npz"], 1, "output folder does not exist"),
+        (["street", "-o", tmp_path / "a.npz", "--trajectory", tmp_path / "w.txt"], 2, ".csv or .sbet or .out"),
+        (["forest", "-o", tmp_path / "a.npz", "--stems", tmp_path / "s.txt"], 2, "found suffix '.txt', expected .csv"),
         (["street"], 2, "Missing option '-o'"),
         (["street", "-o", tmp_path / "a.npz", "--length", "5", "--lines", "3"], 2, "--length and --lines contradict"),
         (["street", "-o", tmp_path / "a.npz", "--scanner", "scanstation2"], 2, "is not one of 'photon-80'"),

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,6 +47,29 @@ def test_the_same_seed_makes_the_same_forest_whatever_was_seen_before(scene: For
     fresh = ForestScene(ForestSceneParams(), seed=11)
     fresh.bodies_near(-40.0, 90.0, 20.0)
     _assert_same(fresh.bodies_near(15.0, 25.0, 12.0), scene.bodies_near(15.0, 25.0, 12.0))
+
+
+def test_two_threads_make_every_cell_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[tuple[str, int, int]] = []
+    for name in ("_make_cell", "_make_stems"):
+        monkeypatch.setattr(ForestScene, name, _slow(name, getattr(ForestScene, name), made))
+    scene = ForestScene(ForestSceneParams(), seed=11)
+    with ThreadPoolExecutor(2) as pool:
+        one, other = pool.map(lambda _: scene.bodies_near(15.0, 25.0, 5.0), range(2))
+    _assert_same(one, other)
+    assert made
+    assert len(set(made)) == len(made)
+
+
+def _slow(name: str, make: Callable[..., Any], made: list[tuple[str, int, int]]) -> Callable[..., Any]:
+    """Note what is made, slowly enough for another thread to ask for it."""
+
+    def wrapper(self: ForestScene, i: int, j: int) -> Any:
+        made.append((name, i, j))
+        time.sleep(0.005)
+        return make(self, i, j)
+
+    return wrapper
 
 
 def test_another_seed_makes_another_forest(scene: ForestScene) -> None:

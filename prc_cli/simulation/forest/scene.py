@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from threading import RLock
 
 import numpy as np
 
@@ -59,19 +60,23 @@ class ForestScene:
         self._candidates = lru_cache(_STEM_CELLS_KEPT)(self._stand.candidates)
         self._stems = lru_cache(_STEM_CELLS_KEPT)(self._make_stems)
         self._cell = lru_cache(_CELLS_KEPT)(self._make_cell)
+        # threads ask for the same cells at the same time, and a cache alone would have each of them make its own
+        self._lock = RLock()
 
     def bodies_near(self, x_m: float, y_m: float, radius_m: float) -> Bodies:
         """Return the bodies whose circle on the map touches the one that is asked for."""
         parts = []
         for i, j in _cells_near(x_m, y_m, radius_m + _OVERHANG_M):
-            cell = self._cell(i, j)
+            with self._lock:
+                cell = self._cell(i, j)
             far = np.hypot(cell.centre[:, 0] - x_m, cell.centre[:, 1] - y_m)
             parts.append(take(cell.bodies, far <= radius_m + cell.reach))
         return Bodies.join(parts)
 
     def stems_near(self, x_m: float, y_m: float, radius_m: float) -> Stems:
         """Return the trees whose foot stands within a circle."""
-        stems = Stems.join([self._stems(i, j) for i, j in _cells_near(x_m, y_m, radius_m)])
+        with self._lock:
+            stems = Stems.join([self._stems(i, j) for i, j in _cells_near(x_m, y_m, radius_m)])
         return stems.take(np.hypot(stems.base[:, 0] - x_m, stems.base[:, 1] - y_m) <= radius_m)
 
     def path_point(self, s_m: F64) -> tuple[F64, F64]:
