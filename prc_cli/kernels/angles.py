@@ -16,17 +16,35 @@ _HORIZONTAL = 2
 """H as :class:`prc_cli.core.classes.Surface` numbers it."""
 
 
-_TERMS = 24
-_ARC_SINE = np.array([math.comb(2 * n, n) / 4.0**n / (2 * n + 1) for n in range(_TERMS)])
-"""Series of arcsin(s) / s in powers of s squared; for s up to 1/2 what is left out is below the last bit."""
+_ARC_SINE = np.array(
+    (
+        1.0,
+        0.16666666666666796,
+        0.07499999999966611,
+        0.04464285717686322,
+        0.030381942642327187,
+        0.022372216106072148,
+        0.017351600625343435,
+        0.01398088299217101,
+        0.011398850408440755,
+        0.010778675120995992,
+        0.0037180577483250537,
+        0.02166805886905636,
+        -0.02093065831518245,
+        0.03257934796692842,
+    )
+)
+"""Polynomial for arcsin(s) / s in powers of s squared, equal to it at Chebyshev's nodes of s up to 1/2: what it differs
+by, 1.1e-18, is below the last bit."""
+_TERMS = len(_ARC_SINE)
 
 
 @helper
 def _to_degrees(cosine: F64, length: F64, m: int) -> None:
-    """Turn heights of chords, by the squares of their lengths, and so by their cosines, into angles from 0 to 180 [deg], many at a time: the library's arc cosine takes one by one.
+    """Turn heights of chords, given the squares of their lengths too, into angles from 0 to 180 [deg].
 
-    arccos(c) = 2 arcsin(sqrt((1 - c) / 2)) where the cosine is above 1/2, and alike below -1/2; between them
-    90 deg less arcsin(c).
+    Many at a time: the library's arc cosine takes one by one. arccos(c) = 2 arcsin(sqrt((1 - c) / 2)) where the cosine
+    is above 1/2, and alike below -1/2; between them 90 deg less arcsin(c).
     """
     for i in range(m):
         cosine[i] = min(max(cosine[i] / math.sqrt(length[i]), -1.0), 1.0)
@@ -42,9 +60,24 @@ def _to_degrees(cosine: F64, length: F64, m: int) -> None:
         cosine[i] = math.degrees(angle)
 
 
-_ARC_TERMS = 21
-_ARC_TANGENT = np.array([(-1.0) ** n / (2 * n + 1) for n in range(_ARC_TERMS)])
-"""Series of arctan(t) / t in powers of t squared; for t up to tan(pi / 8) what is left out is below the last bit."""
+_ARC_TANGENT = np.array(
+    (
+        1.0,
+        -0.3333333333333312,
+        0.19999999999940837,
+        -0.14285714279244968,
+        0.11111110744657099,
+        -0.09090896801472813,
+        0.07692045194561481,
+        -0.06662950246036792,
+        0.05846866752275139,
+        -0.05035049795312439,
+        0.03796390316111083,
+        -0.017803896394812564,
+    )
+)
+"""Polynomial for arctan(t) / t in powers of t squared, likewise, for t up to tan(pi / 8); it differs by 1.3e-18."""
+_ARC_TERMS = len(_ARC_TANGENT)
 _EIGHTH = math.tan(math.pi / 8.0)
 
 
@@ -159,8 +192,7 @@ def signed_angles(
                     if dx * bx + dy * by + dz * bz < 0.0:
                         sign[n_chords] = -1.0
                     break
-            angle[n_chords], length[n_chords] = dz, square
-            begin[n_chords] = beam[i]
+            angle[n_chords], length[n_chords], begin[n_chords] = dz, square, beam[i]
             n_chords += 1
             ahead[row, beam[i]] = beam[end]
         _to_degrees(angle, length, n_chords)

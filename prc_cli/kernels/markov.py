@@ -16,9 +16,25 @@ _LARGE = 2.0**500
 _Three = tuple[float, float, float]
 
 
-_TERMS = 14
-_EXPONENTIAL = np.array([1.0 / math.factorial(n) for n in range(_TERMS)])
-"""Series of exp(r); for r up to ln(2) / 2 what is left out is below the last bit."""
+_EXPONENTIAL = np.array(
+    (
+        1.0,
+        1.0,
+        0.5000000000000019,
+        0.1666666666666668,
+        0.04166666666648799,
+        0.008333333333319592,
+        0.0013888888952343797,
+        0.00019841269890069431,
+        2.4801485451264055e-05,
+        2.7557240894691074e-06,
+        2.76326511328741e-07,
+        2.5110046444457486e-08,
+    )
+)
+"""Polynomial for exp(r), equal to it at Chebyshev's nodes of r up to ln(2) / 2: what it differs by is below the last
+bit."""
+_TERMS = len(_EXPONENTIAL)
 _LN2_HIGH = 2.0**-32 * round(2.0**32 * math.log(2.0))
 _LN2_LOW = -4.2009150726810846e-11
 """ln(2) as a number of few bits, whose multiples are exact, and the rest."""

@@ -37,14 +37,16 @@ def log_ratios(values: F64, params: HmmParams) -> F64:
     """Logarithm of the ratio of likelihoods after every value, from the recursion that the test runs on."""
     means, sigmas, h0, h1 = (np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1))
     found, in_states, power = np.empty(n := len(values)), np.empty((3, n)), np.empty(n, np.int64)
-    kernel_module._densities(values, n, means, 0.5 / sigmas**2, np.log(sigmas), in_states, power)
+    kernel_module._densities.py_func(
+        values, n, means, 0.5 / sigmas**2, np.log(sigmas), in_states, power, np.empty(n, np.int64)
+    )
     densities = np.ascontiguousarray(in_states.T)
     for t in range(n):
         density = densities[t]
         if t == 0:
             one, zero = (tuple(initial * density) for initial in (params.initial_h1, params.initial_h0))
         else:
-            one, zero = (kernel_module._forward(s, h, density) for s, h in ((one, h1), (zero, h0)))
+            one, zero = (kernel_module._forward.py_func(s, h, density) for s, h in ((one, h1), (zero, h0)))
         found[t] = np.log(sum(one)) - np.log(sum(zero))
     return found
 
