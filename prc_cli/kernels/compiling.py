@@ -10,8 +10,10 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from hashlib import sha256
@@ -50,11 +52,16 @@ def compile_missing(modules: Sequence[str]) -> None:
     if not _missing(modules, folder):
         return
     with _alone(folder):
-        parts = shares(_missing(modules, folder), default_threads())
-        children = [child for part in parts[1:] if (child := _start(part)) is not None]
+        missing = _largest_first(_missing(modules, folder))
         try:
-            for module in parts[0] if parts else []:
-                _compile(module, folder)
+            shares = Path(tempfile.mkdtemp(prefix="prc-shares-", dir=folder))
+        except OSError:
+            return
+        children: list[subprocess.Popen[bytes]] = []
+        try:
+            started = (_start(shares, missing) for _ in range(min(default_threads(), len(missing)) - 1))
+            children.extend(child for child in started if child is not None)
+            _compile_unclaimed(shares, missing, folder)
             for child in children:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     child.wait(PATIENCE_S)
@@ -63,15 +70,22 @@ def compile_missing(modules: Sequence[str]) -> None:
                 if child.poll() is None:
                     child.kill()
                     child.wait()
+            shutil.rmtree(shares, ignore_errors=True)
 
 
-def shares(modules: Sequence[str], n: int) -> list[list[str]]:
-    """Deal modules out to processes so that each has about as much source to compile, the largest share first."""
-    sizes = {module: _source(module).stat().st_size for module in modules}
-    parts: list[list[str]] = [[] for _ in range(min(n, len(modules)))]
-    for module in sorted(modules, key=lambda each: -sizes[each]):
-        min(parts, key=lambda part: sum(sizes[each] for each in part)).append(module)
-    return sorted(parts, key=lambda part: -sum(sizes[each] for each in part))
+def _largest_first(modules: Sequence[str]) -> list[str]:
+    """Order modules by how much source there is to compile, so that what is left for the end is small."""
+    return sorted(modules, key=lambda module: -_source(module).stat().st_size)
+
+
+def _compile_unclaimed(shares: Path, modules: Sequence[str], folder: Path) -> None:
+    """Compile the modules that no other process has claimed; whoever is quicker does more."""
+    for module in modules:
+        try:
+            (shares / module).open("xb").close()
+        except OSError:  # another has it; or nothing can be written, and it is compiled where it is used
+            continue
+        _compile(module, folder)
 
 
 def _missing(modules: Sequence[str], folder: Path) -> list[str]:
@@ -108,12 +122,13 @@ def _compile(module: str, folder: Path) -> None:
         _mark(module, folder).touch()
 
 
-def _start(modules: Sequence[str]) -> subprocess.Popen[bytes] | None:
+def _start(shares: Path, modules: Sequence[str]) -> subprocess.Popen[bytes] | None:
     """Begin to compile in a child process, if there can be one; it finds the packages where this process does."""
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     try:
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", __name__, *modules],  # -P: nothing is imported from the current folder
+            # -P: nothing is imported from the current folder
+            [sys.executable, "-P", "-m", __name__, str(shares), *modules],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             env={**os.environ, "PYTHONPATH": path},
         )  # fmt: skip
@@ -143,14 +158,13 @@ def _alone(folder: Path) -> Iterator[None]:
         yield
 
 
-def main(modules: Sequence[str]) -> None:
-    """Compile modules in this process."""
+def main(shares: str, modules: Sequence[str]) -> None:
+    """Compile, in this process, modules that nobody else compiles."""
     load_compiler()
     folder = writable_cache()
-    for module in modules:
-        if folder is not None:
-            _compile(module, folder)
+    if folder is not None:
+        _compile_unclaimed(Path(shares), modules, folder)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(sys.argv[1], sys.argv[2:])

@@ -68,13 +68,23 @@ def test_no_lock_can_be_made(tmp_path: Path) -> None:
         pass
 
 
-def test_shares_are_even_and_complete() -> None:
+def test_what_takes_longest_is_compiled_first() -> None:
     modules = sorted(set(KERNELS.values()))
-    parts = compiling.shares(modules, 2)
-    assert sorted(module for part in parts for module in part) == modules
-    sizes = [sum(compiling._source(module).stat().st_size for module in part) for part in parts]
-    assert sizes[0] >= sizes[1] > 0.7 * sizes[0]
-    assert compiling.shares([], 2) == []
+    ordered = compiling._largest_first(modules)
+    assert sorted(ordered) == modules
+    assert ordered[0] == "prc_cli.kernels.ground"
+    assert ordered[-1] == "prc_cli.kernels.verticals"
+
+
+def test_every_module_is_compiled_by_one_process_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiled: list[str] = []
+    monkeypatch.setattr(compiling, "_compile", lambda module, folder: compiled.append(module))
+    (tmp_path / "b").touch()  # another process has it
+    for _ in range(2):
+        compiling._compile_unclaimed(tmp_path, ["a", "b", "c"], tmp_path)
+    assert compiled == ["a", "c"]
+    compiling._compile_unclaimed(tmp_path / "gone", ["d"], tmp_path)
+    assert compiled == ["a", "c"]
 
 
 @needs_compiler
@@ -84,16 +94,16 @@ def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatc
     monkeypatch.setattr(compiling, "_missing", lambda modules, folder: list(modules))
     monkeypatch.setattr(compiling, "default_threads", lambda: 2)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
-    assert compiling._start(["prc_cli.kernels.verticals"]) is None
+    assert compiling._start(tmp_path, ["prc_cli.kernels.verticals"]) is None
     compiling.compile_missing(["prc_cli.kernels.verticals", "prc_cli.kernels.lines"])
-    assert len(list(tmp_path.glob("*.compiled"))) == 1
+    assert len(list(tmp_path.glob("*.compiled"))) == 2
     assert callable(kernels.first_high_verticals)
 
 
 @needs_compiler
 def test_child_process_compiles_its_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    child = compiling._start(["prc_cli.kernels.verticals"])
+    child = compiling._start(tmp_path, ["prc_cli.kernels.verticals"])
     assert child is not None
     assert child.wait() == 0
     assert len(list(tmp_path.glob("prc-verticals-*.compiled"))) == 1
