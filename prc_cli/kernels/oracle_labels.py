@@ -14,8 +14,9 @@ def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_
     for row, first, last in intervals.tolist():
         inside[row, first : last + 1] = True
     on_ground = np.logical_and(np.less(xyz_m[..., 2], low_m[:, None]), surface == Surface.HORIZONTAL)
-    near: Mask = np.less_equal(horizontal_m, limit_m[:, None])
-    return inside & near & ~on_ground
+    near = np.less_equal(horizontal_m, limit_m[:, None])
+    marked: Mask = inside & near & ~on_ground
+    return marked
 
 
 def combine_classes(surface: U8, ground: Mask, car: Mask, horizontal_m: F32, curb: Mask, label_of: U8) -> U8:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.random import Generator
@@ -13,6 +15,9 @@ from prc_cli.core.types import F64
 from prc_cli.kernels import angles as kernel_module
 from prc_cli.kernels import oracle_angles
 from tests.classifiers.sequential_angle.scenes import lines_of, lines_through, street_lines
+
+HELPERS: Any = kernel_module
+"""Their plain functions are called: compiled, helpers have no way in from outside."""
 
 LITERAL = AnglesParams(min_chord_sigmas=0)
 STEP = np.deg2rad(0.1)
@@ -137,7 +142,7 @@ def test_line_angle_is_the_angle_of_chord_and_beam(rng: Generator) -> None:
         beam, ranges, direction = straight_line(rng)
         pairs = list(zip(beam, beam[1:], ranges, ranges[1:], strict=False))
         phi, along_beam = np.sin(np.diff(beam)), np.cos(np.diff(beam)) - ranges[:-1] / ranges[1:]
-        kernel_module._directions.py_func(phi, along_beam, len(phi))
+        HELPERS._directions.py_func(phi, along_beam, len(phi))
         geometric = [oracle_angles.angle_at_first(*pair) for pair in pairs]
         np.testing.assert_allclose(phi, geometric, rtol=0, atol=4e-13)
         along = phi + beam[:-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,9 @@ from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64
 from prc_cli.kernels import markov as kernel_module
+
+HELPERS: Any = kernel_module
+"""Their plain functions are called: compiled, helpers have no way in from outside."""
 
 SLOW = ((0.9, 0.05, 0.05), (0.05, 0.9, 0.05), (0.05, 0.05, 0.9))
 SCRIPT = HmmParams(
@@ -37,7 +41,7 @@ def log_ratios(values: F64, params: HmmParams) -> F64:
     """Logarithm of the ratio of likelihoods after every value, from the recursion that the test runs on."""
     means, sigmas, h0, h1 = (np.array(t) for t in (params.means_deg, params.sigmas_deg, params.h0, params.h1))
     found, in_states, power = np.empty(n := len(values)), np.empty((3, n)), np.empty(n, np.int64)
-    kernel_module._densities.py_func(
+    HELPERS._densities.py_func(
         values, n, means, 0.5 / sigmas**2, np.log(sigmas), in_states, power, np.empty(n, np.int64)
     )
     densities = np.ascontiguousarray(in_states.T)
@@ -46,7 +50,7 @@ def log_ratios(values: F64, params: HmmParams) -> F64:
         if t == 0:
             one, zero = (tuple(initial * density) for initial in (params.initial_h1, params.initial_h0))
         else:
-            one, zero = (kernel_module._forward.py_func(s, h, density) for s, h in ((one, h1), (zero, h0)))
+            one, zero = (HELPERS._forward.py_func(s, h, density) for s, h in ((one, h1), (zero, h0)))
         found[t] = np.log(sum(one)) - np.log(sum(zero))
     return found
 
