@@ -109,6 +109,9 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     except PrcError as error:
         message, code = one_line(error), error.exit_code
     except click.ClickException as error:
+        if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: its message is the whole help
+            error.show()
+            return error.exit_code
         context = getattr(error, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
         message, code = one_line(f"{error.format_message()}{hint}"), error.exit_code

@@ -94,6 +94,15 @@ def test_printed_parameters_name_the_preset_of_every_table(prc: Prc, tmp_path: P
     assert "[scanner]\n" in again
 
 
+@pytest.mark.parametrize("command", [(), ("simulate",)])
+def test_a_group_alone_shows_its_help(prc: Prc, command: tuple[str, ...]) -> None:
+    result = prc(*command)
+    shown = (result.out + result.err).splitlines()
+    assert shown[0].startswith("Usage: prc")
+    assert "Commands:" in shown
+    assert not any(line.startswith("error") for line in shown)
+
+
 def test_help_tells_what_a_scene_is(prc: Prc) -> None:
     for kind, said in (("street", "stands along the street"), ("forest", "kind of forest")):
         assert said in " ".join(prc("simulate", kind, "--help").out.split())
