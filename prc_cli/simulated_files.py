@@ -28,7 +28,7 @@ from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.settings import Kind, Settings, StationSettings, load_settings
 from prc_cli.simulation.simulation import Simulation, open_simulation
 from prc_cli.simulation.trajectory import Trajectory
-from prc_cli.simulation.trajectory_files import WORLD, Frame, write_trajectory
+from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write_trajectory
 from prc_cli.writers.record import ClassCount, Fingerprint, RunRecord
 from prc_cli.writers.streams import (
     StreamItem,
@@ -134,9 +134,10 @@ def simulate(
     suffix = stream_suffix(output)
     chosen = load_settings(kind) if settings is None else settings
     wanted = check_simulation(kind, output, beside, overwrite=overwrite)
+    frame = _frame(chosen, wanted)
+    check_frame(wanted.trajectory or output, frame)
     for path in (*outputs_of(output), *wanted.paths()):
         remove_stale(path)
-    frame = _frame(chosen, wanted)
     is_static = chosen.scanner.is_static
     simulation = open_simulation(
         kind,
@@ -149,7 +150,8 @@ def simulate(
     with contextlib.ExitStack() as stack:
         if wanted.trajectory is not None:
             temporary = stack.enter_context(atomic_output(wanted.trajectory))
-            _write_trajectory(simulation, wanted.trajectory, temporary, frame)
+            platform, end_s = simulation.scan.platform, simulation.end_s
+            write_trajectory(wanted.trajectory, platform, end_s, hz=TRAJECTORY_HZ, frame=frame, into=temporary)
         if wanted.stems is not None:
             temporary = stack.enter_context(atomic_output(wanted.stems))
             temporary.write_text("".join(f"{row}\n" for row in _stem_rows(simulation)), encoding="utf-8", newline="\n")
@@ -344,13 +346,6 @@ def reference_path(output: Path) -> Path:
     'drive_reference.npy'
     """
     return output.with_name(f"{output.stem}_reference.npy")
-
-
-def _write_trajectory(simulation: Simulation, path: Path, temporary: Path, frame: Frame) -> None:
-    """Write the trajectory under a name that keeps the suffix, which decides its format, then under the given one."""
-    written = temporary.with_name(f"{temporary.name}{path.suffix}")
-    write_trajectory(written, simulation.scan.platform, simulation.end_s, hz=TRAJECTORY_HZ, frame=frame)
-    written.replace(temporary)
 
 
 def _stem_rows(simulation: Simulation) -> Iterator[str]:

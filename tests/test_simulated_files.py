@@ -193,6 +193,21 @@ def test_an_sbet_trajectory_gives_the_same_ranges(drive: tuple[ScanBlock, Any], 
     assert np.nanmax(np.abs(after.range_m - drive[0].range_m[:, : after.points_per_line])) < 0.003
 
 
+@pytest.mark.parametrize(
+    ("crs", "said"), [("EPSG:4326", "is not a projected one in metres"), ("EPSG:99999", "cannot be used")]
+)
+@pytest.mark.parametrize("track", [None, "drive.sbet", "drive.csv"])
+def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
+    tmp_path: Path, track: str | None, crs: str, said: str
+) -> None:
+    pytest.importorskip("pyproj")
+    beside = Beside(trajectory=tmp_path / track if track else None)
+    with pytest.raises(ConfigError, match=said) as error:
+        simulate("street", tmp_path / "drive.laz", small("street", frame={"crs": crs}), beside=beside)
+    assert error.value.where == str(tmp_path / (track or "drive.laz"))
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv", ".e57"])
 def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"station{suffix}"

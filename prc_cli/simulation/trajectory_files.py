@@ -6,8 +6,10 @@ origin of a :class:`Frame`; points of the same run must be shifted by the same.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -50,7 +52,14 @@ WORLD = Frame("", 0.0, 0.0, 0.0)
 
 
 def write_trajectory(
-    path: Path, platform: Platform, duration_s: float, *, hz: float = 200.0, start_s: float = 0.0, frame: Frame = WORLD
+    path: Path,
+    platform: Platform,
+    duration_s: float,
+    *,
+    hz: float = 200.0,
+    start_s: float = 0.0,
+    frame: Frame = WORLD,
+    into: Path | None = None,
 ) -> None:
     """Write where a scanner is from time 0 on, batch by batch.
 
@@ -73,6 +82,8 @@ def write_trajectory(
         What is added to all times, such as seconds of the GPS week [s].
     frame : Frame
         Coordinate system of the file.
+    into : Path, optional
+        Temporary file that is filled instead, by a caller who puts it in place together with others.
 
     Raises
     ------
@@ -83,7 +94,8 @@ def write_trajectory(
     """
     is_sbet = path.suffix.lower() in (".sbet", ".out")
     earth = _earth(path, frame) if is_sbet else None
-    with atomic_output(path) as temporary, temporary.open("wb") as handle:
+    target = atomic_output(path) if into is None else contextlib.nullcontext(into)
+    with target as temporary, temporary.open("wb") as handle:
         if earth is None:
             handle.write((",".join(_COLUMNS) + "\n").encode())
         for time_s, pose, velocity in _positions(platform, duration_s, hz):
@@ -103,6 +115,18 @@ def _positions(platform: Platform, duration_s: float, hz: float) -> Iterator[tup
         time_s = np.arange(first, min(first + _BATCH, n)) / hz
         pose = platform.pose(time_s)
         yield time_s, pose, (platform.pose(time_s + 0.5 / hz).position - pose.position) * (2.0 * hz)
+
+
+def check_frame(path: Path, frame: Frame) -> None:
+    """Refuse a coordinate system that coordinates in metres cannot have, as far as pyproj is there to know it.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file that was to be in it.
+    """
+    if frame.crs and find_spec("pyproj") is not None:
+        _earth(path, frame)
 
 
 def _earth(path: Path, frame: Frame) -> pyproj.Proj:
