@@ -65,10 +65,11 @@ class ForestScene:
 
     def bodies_near(self, x_m: float, y_m: float, radius_m: float) -> Bodies:
         """Return the bodies whose circle on the map touches the one that is asked for."""
+        # one thread makes all that are missing: taking turns at every cell costs more than waiting once
+        with self._lock:
+            cells = [self._cell(i, j) for i, j in _cells_near(x_m, y_m, radius_m + _OVERHANG_M)]
         parts = []
-        for i, j in _cells_near(x_m, y_m, radius_m + _OVERHANG_M):
-            with self._lock:
-                cell = self._cell(i, j)
+        for cell in cells:
             far = np.hypot(cell.centre[:, 0] - x_m, cell.centre[:, 1] - y_m)
             parts.append(take(cell.bodies, far <= radius_m + cell.reach))
         return Bodies.join(parts)
