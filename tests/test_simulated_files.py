@@ -360,3 +360,9 @@ def test_a_preset_is_refused_beside_the_same_table_of_the_file(tmp_path: Path) -
     with pytest.raises(ConfigError, match=r"beside slant_deg in \[scanner\]"):
         load_settings("street", path, {"scanner": {"name": "profiler-1mhz"}})
     assert load_settings("street", path, {"scanner": {"noise_m": 0.01}}).scanner.slant_deg == 10
+
+
+def test_a_head_turns_once() -> None:
+    settings = load_settings("street-scan", options={"lines": 91, "scanner": {"azimuth_step_deg": 4.0}})
+    with pytest.raises(ConfigError, match="found 91, expected at most 90: the head turns once"):
+        open_simulation("street-scan", settings)

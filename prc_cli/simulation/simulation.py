@@ -120,10 +120,15 @@ def _timeless(scene: ForestScene) -> BodiesNear:
 
 
 def _count_lines(settings: Settings, platform: Station | Trajectory) -> int:
+    if isinstance(settings, StationSettings):
+        step_deg = settings.scanner.azimuth_step_deg
+        most = max(1, round(360.0 / step_deg))
+        if settings.lines is not None and settings.lines > most:
+            problem = f"found {settings.lines}, expected at most {most}: the head turns once, in steps of {step_deg:g}°"
+            raise ConfigError("lines", problem, "set a smaller scanner.azimuth_step_deg")
+        return max(1, round(settings.station.turn_deg / step_deg)) if settings.lines is None else settings.lines
     if settings.lines is not None:
         return settings.lines
-    if isinstance(settings, StationSettings):
-        return max(1, round(settings.station.turn_deg / settings.scanner.azimuth_step_deg))
     if settings.duration_s is not None:
         return max(1, math.floor(settings.duration_s * settings.scanner.line_hz))
     assert isinstance(platform, Trajectory)
