@@ -62,7 +62,7 @@ KERNELS_OF = {
 }
 """Modules of the compiled loops of every method."""
 
-SHOTS_AT_ONCE = 1 << 18
+SHOTS_AT_ONCE = 1 << 17
 """Shots that the sequential-angle classifier takes at a time; its labels do not depend on it."""
 AHEAD = 1
 """Blocks that wait between reader and classifier, and between classifier and writer: each side makes one meanwhile."""
