@@ -17,9 +17,12 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.threads import default_threads
 from prc_cli.core.types import I64
 from prc_cli.readers.las_header import DAMAGED, LasHeader, damaged
 
+_TOGETHER_BYTES = 16 << 20
+"""Most bytes of records that are decoded together because there are many cores."""
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
 _LOOK_BYTES = 4 << 20
@@ -151,7 +154,7 @@ class LazRecords:
         Parameters
         ----------
         n_max : int
-            Most records of a batch; batches begin with a chunk where whole chunks fit.
+            Most records of a batch. As many chunks are decoded together as there are cores, and given out in batches.
         selection : int
             Layers to decode (``lazrs.SELECTIVE_DECOMPRESS_*``), point formats 6-10 only.
 
@@ -176,10 +179,12 @@ class LazRecords:
         with lazrs_errors(self._where, "the compressed records cannot be opened"):
             decoder = self._open(kind, selection)
         n_chunks = len(self.table.first_record) - 1
+        # every core decodes a chunk of its own
+        n_together = max(n_max, min(default_threads() * largest, _TOGETHER_BYTES // size))
         chunk = 0
         while chunk < n_chunks:
             first = int(self.table.first_record[chunk])
-            end = max(int(np.searchsorted(self.table.first_record, first + n_max, side="right")) - 1, chunk + 1)
+            end = max(int(np.searchsorted(self.table.first_record, first + n_together, side="right")) - 1, chunk + 1)
             # a handle of its own: the decoder must find the other one where it left it
             with Path(self._where).open("rb") as handle:
                 self._check_layers(handle, chunk, end)
