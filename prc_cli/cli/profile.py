@@ -53,7 +53,7 @@ def print_profile(profile: Profile, n_shots: int, threads: int) -> None:
     """Print a profile, the dearest stage first."""
     shown = profile_of(profile, n_shots, threads)
     table = Table(title="where the time went")
-    for heading in ("stage", "wall s", "CPU s", "share of CPU", "Mshots per CPU s"):
+    for heading in ("stage", "wall s", "CPU s", "of CPU", "M/s of a core"):
         table.add_column(heading, justify="left" if heading == "stage" else "right", no_wrap=True)
     for row in shown["stages"]:
         wall = "" if row["name"] == REST else f"{row['wall_s']:.3f}"
