@@ -27,6 +27,10 @@ CHUNK_SIZE_AT = 12
 ITEMS_AT = 32
 """Byte where the items of a record begin: number, then type, size and version of each."""
 _WAVEPACKET13 = 9  # laszip's item type
+_LAYERED_FORMATS = 6
+"""From this point format on every field of a chunk is a layer of its own."""
+_LAYERS_OF_ITEM = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Layers by item type; extra bytes (14) have one a byte."""
 _BATCH_RECORDS = 400_000
 _BATCH_BYTES = 16 << 20
 _PLAIN_BYTES = 1 << 20
@@ -286,9 +290,27 @@ def _decompressor(source: Source, las: LasFile) -> Any:
         if vlr.item_size() != las.record_length:
             problem = f"found laszip items of {vlr.item_size()} bytes, expected {las.record_length} (record length)"
             raise damaged(las.path, "laszip VLR", problem)
+        if las.point_format >= _LAYERED_FORMATS:
+            _check_layers(source, las, vlr, laszip.payload)
         serial = vlr.uses_variable_size_chunks() or large_chunks(vlr)
         kind = lazrs.LasZipDecompressor if serial else lazrs.ParLasZipDecompressor
         return kind(source, laszip.payload)
+
+
+def _check_layers(source: Source, las: LasFile, vlr: Any, payload: bytes) -> None:
+    """Refuse chunks whose layers claim more bytes than the chunk has: the decoder would make room for them first."""
+    (n_items,) = struct.unpack_from("<H", payload, ITEMS_AT)
+    items = struct.iter_unpack("<HHH", payload[ITEMS_AT + 2 : ITEMS_AT + 2 + 6 * n_items])
+    head = struct.Struct(f"<{1 + sum(_LAYERS_OF_ITEM.get(kind, size) for kind, size, _ in items)}I")
+    first = las.point_offset + 8
+    for chunk, (_, n_bytes) in enumerate(lazrs.read_chunk_table(source, vlr)):
+        source.seek(first + las.record_length)
+        layers = head.unpack(source.exact(head.size, f"LAZ chunk {chunk}"))[1:]
+        claimed = las.record_length + head.size + sum(layers)
+        if claimed > n_bytes:
+            raise damaged(las.path, f"byte {first}", f"LAZ chunk {chunk} claims {claimed} bytes, expected {n_bytes}")
+        first += n_bytes
+    source.seek(las.point_offset)
 
 
 @contextlib.contextmanager
