@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -30,6 +29,7 @@ from prc_cli.simulation.simulation import Simulation, open_simulation
 from prc_cli.simulation.trajectory import Trajectory
 from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write_trajectory
 from prc_cli.writers.record import ClassCount, Fingerprint, RunRecord
+from prc_cli.writers.straight import StraightCodes
 from prc_cli.writers.streams import (
     StreamItem,
     StreamShape,
@@ -155,16 +155,16 @@ def simulate(
         if wanted.stems is not None:
             temporary = stack.enter_context(atomic_output(wanted.stems))
             temporary.write_text("".join(f"{row}\n" for row in _stem_rows(simulation)), encoding="utf-8", newline="\n")
-        codes_file: _CodesFile | None = None
+        codes_file: StraightCodes | None = None
         if wanted.labels is not None:
-            handle = stack.enter_context(stack.enter_context(atomic_output(wanted.labels)).open("w+b"))
-            codes_file = _CodesFile(handle)
+            codes_file = StraightCodes(stack.enter_context(atomic_output(wanted.labels)))
+            stack.callback(codes_file.close)
         record, counts = _write(simulation, output, codes_file, frame, progress)
     return SimulationSummary(output, record, counts, (*outputs_of(output), *wanted.paths()))
 
 
 def _write(
-    simulation: Simulation, output: Path, codes_file: _CodesFile | None, frame: Frame, progress: Progress | None
+    simulation: Simulation, output: Path, codes_file: StraightCodes | None, frame: Frame, progress: Progress | None
 ) -> tuple[RunRecord, Counts]:
     """Simulate and write the stream, and the codes beside it."""
     scan, suffix = simulation.scan, stream_suffix(output)
@@ -189,7 +189,7 @@ def _write(
             item = _item(found, lookup, frame.origin() if shape.registered else None)
             writer.add_item(item)
             if codes_file is not None:
-                codes_file.write(codes_in_order(item, suffix))
+                codes_file.append(codes_in_order(item, suffix))
 
         with write_behind(put) as queue:
             for found in scan.simulated():
@@ -243,34 +243,6 @@ def codes_in_order(item: StreamItem, suffix: str) -> U8:
     rank = np.concatenate([np.full(len(own), -np.inf), extra.range_m if suffix in _LAS else np.zeros(len(cell))])
     order = np.lexsort((np.arange(len(owner)), rank, owner))
     return np.concatenate([codes[own], item.extra_codes])[order].astype(np.uint8)
-
-
-class _CodesFile:
-    """A ``.npy`` of class codes that grows."""
-
-    def __init__(self, handle: BinaryIO) -> None:
-        self._handle = handle
-        self._n = 0
-        self._header_bytes = handle.write(self._header())
-
-    def _header(self) -> bytes:
-        buffer = io.BytesIO()
-        np.lib.format.write_array_header_1_0(buffer, {"descr": "|u1", "fortran_order": False, "shape": (self._n,)})
-        return buffer.getvalue()
-
-    def write(self, codes: U8) -> None:
-        """Add the codes of the next records."""
-        self._handle.write(codes.data)
-        self._n += len(codes)
-
-    def finish(self) -> None:
-        """Say how many there are."""
-        header = self._header()
-        # numpy leaves room for the axis to grow, so that both headers take the same bytes
-        assert len(header) == self._header_bytes
-        self._handle.seek(0)
-        self._handle.write(header)
-        self._handle.flush()
 
 
 def _record(simulation: Simulation, counts: Counts) -> RunRecord:

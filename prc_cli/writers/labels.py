@@ -93,7 +93,7 @@ class LabelFileWriter(ScatterWriter):
 
     def _write_npy(self, columns: Iterator[Columns], total: int) -> None:
         with self._temporary.open("wb") as handle:
-            handle.write(npy_header(total))
+            handle.write(npy_header("|u1", (total,)))
             for item in columns:
                 handle.write(item.codes.data)
 

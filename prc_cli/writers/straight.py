@@ -39,7 +39,7 @@ class StraightCodes:
         self.counts: I64 = np.zeros(256, np.int64)
         """(256,) int64, records by code."""
         self._file: BinaryIO = path.open("w+b", buffering=0)
-        self._start = len(npy_header(0))
+        self._start = len(npy_header("|u1", (0,)))
         self._file.write(bytes(self._start))
 
     def append(self, codes: U8) -> None:
@@ -57,7 +57,7 @@ class StraightCodes:
 
     def finish(self) -> None:
         """Write the header and close the file."""
-        header = npy_header(self.n)
+        header = npy_header("|u1", (self.n,))
         assert len(header) == self._start, "numpy leaves room for any length of an array"
         self._file.seek(0)
         write_all(self._file, memoryview(header))
@@ -68,8 +68,8 @@ class StraightCodes:
         self._file.close()
 
 
-def npy_header(n: int) -> bytes:
-    """Return what stands before ``n`` codes in a ``.npy`` file."""
+def npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
+    """Return what stands before the values in a ``.npy`` file."""
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": (n,)})
+    np.lib.format.write_array_header_1_0(header, {"descr": dtype, "fortran_order": False, "shape": shape})
     return header.getvalue()

@@ -5,7 +5,6 @@ Arrays grow in temporary files, since an archive holds them one after the other 
 
 from __future__ import annotations
 
-import io
 import shutil
 import zipfile
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F64
+from prc_cli.writers.straight import npy_header
 from prc_cli.writers.streams import StagedStreamWriter, StreamItem, StreamShape
 
 COPY_BYTES = 1 << 20
@@ -44,12 +44,12 @@ class NpyStream(_ArrayStream):
     def _add(self, item: StreamItem) -> None:
         if not self._n_lines:
             self._m = item.block.points_per_line
-            self._header_bytes = self._handle.write(_header("<f4", (0, self._m)))
+            self._header_bytes = self._handle.write(npy_header("<f4", (0, self._m)))
         self._n_lines += item.block.n_lines
         self._handle.write(np.ascontiguousarray(item.block.range_m, "<f4").data)
 
     def _write(self) -> None:
-        header = _header("<f4", (self._n_lines, self._m))
+        header = npy_header("<f4", (self._n_lines, self._m))
         # numpy leaves room for the first axis to grow, so that both headers take the same bytes
         assert len(header) == self._header_bytes
         self._handle.seek(0)
@@ -104,13 +104,13 @@ class NpzStream(_ArrayStream):
         with self._temporary.open("w+b") as target, zipfile.ZipFile(target, "w", self._method) as archive:
             for name, (handle, dtype, rest) in self._parts.items():
                 with self._member(archive, name) as member:
-                    member.write(_header(dtype, (self._n_lines, self._m, *rest)))
+                    member.write(npy_header(dtype, (self._n_lines, self._m, *rest)))
                     handle.seek(0)
                     shutil.copyfileobj(handle, member, COPY_BYTES)
                 handle.close()
             if self._angle_deg is not None:
                 with self._member(archive, "angle_deg") as member:
-                    member.write(_header("<f8", self._angle_deg.shape))
+                    member.write(npy_header("<f8", self._angle_deg.shape))
                     member.write(self._angle_deg.astype("<f8").tobytes())
 
     def _member(self, archive: zipfile.ZipFile, name: str) -> zipfile._ZipWriteHandle:  # type: ignore[name-defined]
@@ -118,9 +118,3 @@ class NpzStream(_ArrayStream):
         info.compress_type = self._method
         info.create_system = 3  # the same bytes on every platform
         return archive.open(info, "w", force_zip64=True)
-
-
-def _header(dtype: str, shape: tuple[int, ...]) -> bytes:
-    buffer = io.BytesIO()
-    np.lib.format.write_array_header_1_0(buffer, {"descr": dtype, "fortran_order": False, "shape": shape})
-    return buffer.getvalue()
