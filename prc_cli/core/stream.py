@@ -7,7 +7,7 @@ range). Readers make :class:`ScanBlock`, classifiers see only its arrays, writer
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -157,6 +157,30 @@ class ScanBlock:
             return self.record
         first = self.first_line * self.points_per_line
         return np.arange(first, first + self.range_m.size, dtype=np.int64).reshape(self.range_m.shape)
+
+
+def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
+    """Return the lines ``start`` to ``stop`` of a block; its tally goes with the lines from 0."""
+    inside = (block.extra.line >= start) & (block.extra.line < stop)
+    extra = ExtraReturns(
+        block.extra.line[inside] - np.int32(start),
+        block.extra.column[inside],
+        block.extra.range_m[inside],
+        block.extra.record[inside],
+    )
+    lines = slice(start, stop)
+    return replace(
+        block,
+        first_line=block.first_line + start,
+        range_m=block.range_m[lines],
+        record=None if block.record is None else block.record[lines],
+        time_s=None if block.time_s is None else block.time_s[lines],
+        xyz_m=None if block.xyz_m is None else block.xyz_m[lines],
+        intensity=None if block.intensity is None else block.intensity[lines],
+        extra=extra,
+        tally=block.tally if start == 0 else ReadTally(),
+        is_last=block.is_last and stop == block.n_lines,
+    )
 
 
 class ScanStream(Protocol):

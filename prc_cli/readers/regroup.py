@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
+from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock, cut
 
 LOOK_AHEAD_SHOTS = 1
 """Shots needed beyond the next line: the flat index i + M + 1 of a line's last shot lies two lines on."""
@@ -109,30 +109,6 @@ class LineBuffer:
             left -= part.n_lines
         self.n_lines -= n_lines
         return taken
-
-
-def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
-    """Return the lines ``start`` to ``stop`` of a block; its tally goes with the lines from 0."""
-    inside = (block.extra.line >= start) & (block.extra.line < stop)
-    extra = ExtraReturns(
-        block.extra.line[inside] - np.int32(start),
-        block.extra.column[inside],
-        block.extra.range_m[inside],
-        block.extra.record[inside],
-    )
-    lines = slice(start, stop)
-    return replace(
-        block,
-        first_line=block.first_line + start,
-        range_m=block.range_m[lines],
-        record=None if block.record is None else block.record[lines],
-        time_s=None if block.time_s is None else block.time_s[lines],
-        xyz_m=None if block.xyz_m is None else block.xyz_m[lines],
-        intensity=None if block.intensity is None else block.intensity[lines],
-        extra=extra,
-        tally=block.tally if start == 0 else ReadTally(),
-        is_last=block.is_last and stop == block.n_lines,
-    )
 
 
 def join(parts: list[ScanBlock]) -> ScanBlock:

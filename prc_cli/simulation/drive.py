@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlock, StreamInfo
+from prc_cli.core.stream import Assumption, ExtraReturns, LabelledBlock, ScanBlock, StreamInfo, cut
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, I32, U8
 from prc_cli.kernels import load_kernels
@@ -135,7 +135,7 @@ class SimulatedScan:
             raise ConfigError(where, f"found {lines}, expected at least 1 line in a block")
         for item in self.simulated():
             for first in range(0, item.labelled.block.n_lines, lines):
-                yield _cut(item.labelled, slice(first, first + lines))
+                yield _cut(item.labelled, first, first + lines)
 
     def simulated(self) -> Iterator[SimulatedBlock]:
         """Simulate from the start, with reference labels and registered coordinates.
@@ -270,29 +270,11 @@ def _relative(scanner: Scanner, first_line: int, range_m: F32) -> F32:
     return np.stack(parts, axis=-1).astype(np.float32)
 
 
-def _cut(item: LabelledBlock, rows: slice) -> LabelledBlock:
-    """Return some lines of a block."""
-    block = item.block
-    if rows.start == 0 and rows.stop >= block.n_lines:
-        return item
-    inside = (block.extra.line >= rows.start) & (block.extra.line < rows.stop)
-    extra = ExtraReturns(
-        block.extra.line[inside] - np.int32(rows.start),
-        block.extra.column[inside],
-        block.extra.range_m[inside],
-        block.extra.record[inside],
-    )
-    part = replace(
-        block,
-        first_line=block.first_line + rows.start,
-        range_m=block.range_m[rows],
-        time_s=None if block.time_s is None else block.time_s[rows],
-        xyz_m=None if block.xyz_m is None else block.xyz_m[rows],
-        intensity=None if block.intensity is None else block.intensity[rows],
-        extra=extra,
-        is_last=block.is_last and rows.stop >= block.n_lines,
-    )
-    return LabelledBlock(part, item.labels[rows], item.extra_labels[inside])
+def _cut(item: LabelledBlock, start: int, stop: int) -> LabelledBlock:
+    """Return the lines from ``start`` to before ``stop``, or to the last one."""
+    stop = min(stop, item.block.n_lines)
+    inside = (item.block.extra.line >= start) & (item.block.extra.line < stop)
+    return LabelledBlock(cut(item.block, start, stop), item.labels[start:stop], item.extra_labels[inside])
 
 
 def ground_below(bodies_near: BodiesNear, x_m: float, y_m: float, z_m: float) -> float:
