@@ -13,9 +13,9 @@ import numpy as np
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanStream
 from prc_cli.readers.grid import open_grid
-from prc_cli.readers.layout import decode, record_dtype
 from prc_cli.readers.options import RANGES_ONLY, InputConfig, Layout
-from prc_cli.readers.records import STANDARD_NAMES, RecordChunk
+from prc_cli.readers.raw_binary import LayoutRecords
+from prc_cli.readers.records import RecordChunk
 
 READ_BYTES = 1 << 20
 """Most bytes taken from the pipe at a time, and what the pipe is asked to hold where the system lets one ask."""
@@ -35,7 +35,7 @@ class ByteStream(Protocol):
         """Return what has arrived, at most ``size`` bytes, waiting for at least one; empty at the end."""
 
 
-class PipeSource:
+class PipeSource(LayoutRecords):
     """Records of a layout out of a pipe, as a :class:`prc_cli.readers.records.RecordSource`.
 
     What is read while the stream is being opened is kept, so that :meth:`chunks` can begin anew; after :meth:`seal`
@@ -51,29 +51,18 @@ class PipeSource:
         For messages.
     """
 
-    format = "raw binary"
-    """Reader name, for messages."""
     n_records = None
     """Only reading can tell."""
 
     def __init__(self, handle: ByteStream, layout: Layout, name: str = "stdin") -> None:
+        super().__init__(layout, name)
         self._handle = handle
-        self._header_bytes = layout.header_bytes
-        self._dtype = record_dtype(layout)
-        self._fields = {item.name: item for item in layout.fields}
         self._kept: list[bytes] = []
         self._n_kept = 0
         self._sealed = self._ended = False
-        self.path = name
         self.arrived_s = 0.0
         """When the last bytes came, on the clock of :func:`time.perf_counter` [s]."""
         widen_pipe(handle)
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver, standard names first."""
-        standard = [name for name in STANDARD_NAMES if name in self._fields]
-        return tuple(standard + [name for name in self._fields if name not in standard])
 
     def seal(self) -> None:
         """Keep no more bytes than those that were read so far: the next :meth:`chunks` is the last."""
@@ -85,14 +74,11 @@ class PipeSource:
         Raises
         ------
         ConfigError
-            When a name is none of :attr:`dimensions`.
+            When a name is none of the layout's.
         InputError
             When nothing comes, the pipe breaks, or it ends inside a record or before its first one.
         """
-        unknown = [name for name in names if name not in self._fields]
-        if unknown:
-            hint = f"the layout has: {', '.join(self.dimensions)}"
-            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the layout", hint)
+        self._check_names(names)
         each, n_header, first, rest = self._dtype.itemsize, self._header_bytes, 0, b""
         for piece in self._pieces():
             data = rest + piece if rest else piece
@@ -102,8 +88,7 @@ class PipeSource:
             rest = data[n_records * each :]
             if n_records:
                 records = np.frombuffer(data, self._dtype, count=n_records)
-                values = {name: decode(records[name], self._fields[name]) for name in names}
-                yield RecordChunk(first, values, n_records)
+                yield self._decoded(first, records, names)
                 first += n_records
         if not first:
             problem = f"ended before the first record of {each} bytes"

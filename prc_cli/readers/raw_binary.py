@@ -21,7 +21,45 @@ CHUNK_BYTES = 64 << 20
 """Most bytes decoded at a time; fat records make shorter chunks."""
 
 
-class RawBinarySource:
+class LayoutRecords:
+    """Records of a layout, wherever their bytes come from.
+
+    Parameters
+    ----------
+    layout : Layout
+        Header, byte order and fields.
+    path : str
+        File name, for messages.
+    """
+
+    format = "raw binary"
+    """Reader name, for messages and ``prc info``."""
+
+    def __init__(self, layout: Layout, path: str) -> None:
+        self.path = path
+        """File name, for messages."""
+        self._header_bytes = layout.header_bytes
+        self._dtype = record_dtype(layout)
+        self._fields = {item.name: item for item in layout.fields}
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that can be decoded, standard names first."""
+        standard = [name for name in STANDARD_NAMES if name in self._fields]
+        return tuple(standard + [name for name in self._fields if name not in standard])
+
+    def _check_names(self, names: tuple[str, ...]) -> None:
+        unknown = [name for name in names if name not in self._fields]
+        if unknown:
+            hint = f"the layout has: {', '.join(self.dimensions)}"
+            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the layout", hint)
+
+    def _decoded(self, first: int, records: NDArray[Any], names: tuple[str, ...]) -> RecordChunk:
+        values = {name: decode(records[name], self._fields[name]) for name in names}
+        return RecordChunk(first, values, len(records))
+
+
+class RawBinarySource(LayoutRecords):
     """A raw dump as a :class:`prc_cli.readers.records.RecordSource`.
 
     Parameters
@@ -41,14 +79,9 @@ class RawBinarySource:
         When the file is empty, shorter than its header, ends after it, or ends inside a record.
     """
 
-    format = "raw binary"
-    """Reader name, for messages and ``prc info``."""
-
     def __init__(self, path: Path, layout: Layout, chunk_records: int = CHUNK_RECORDS) -> None:
+        super().__init__(layout, str(path))
         self._path = path
-        self._header_bytes = layout.header_bytes
-        self._dtype = record_dtype(layout)
-        self._fields = {item.name: item for item in layout.fields}
         self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self._dtype.itemsize))
         self._n_records = self._count()
 
@@ -81,20 +114,9 @@ class RawBinarySource:
         self._chunk_records = max(1, self._chunk_records // n_records) * min(n_records, self._chunk_records)
 
     @property
-    def path(self) -> str:
-        """File name, for messages."""
-        return str(self._path)
-
-    @property
     def n_records(self) -> int:
         """Number of records, from the size of the file."""
         return self._n_records
-
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver, standard names first."""
-        standard = [name for name in STANDARD_NAMES if name in self._fields]
-        return tuple(standard + [name for name in self._fields if name not in standard])
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named fields from the start, in bounded memory, in the order of the file.
@@ -106,16 +128,12 @@ class RawBinarySource:
         InputError
             When the file cannot be read or is shorter than it was when opened.
         """
-        unknown = [name for name in names if name not in self._fields]
-        if unknown:
-            hint = f"the layout has: {', '.join(self.dimensions)}"
-            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the layout", hint)
+        self._check_names(names)
         with open_to_read(self._path) as handle:
             handle.seek(self._header_bytes)
             for first in range(0, self._n_records, self._chunk_records):
                 records = self._read(handle, first, min(self._chunk_records, self._n_records - first))
-                values = {name: decode(records[name], self._fields[name]) for name in names}
-                yield RecordChunk(first, values, len(records))
+                yield self._decoded(first, records, names)
 
     def _read(self, handle: IO[bytes], first: int, wanted: int) -> NDArray[Any]:
         try:
