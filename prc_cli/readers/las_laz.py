@@ -17,6 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.laz_chunks import chunk_head
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import I64
 from prc_cli.readers.las_header import DAMAGED, LasHeader, damaged
@@ -27,8 +28,6 @@ _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
 _LOOK_BYTES = 4 << 20
 _RUN_BLOCK = 512
-_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Compressed layers by item type of point formats 6-10; extra bytes (14) have one a byte."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,8 +245,7 @@ class LazRecords:
         """Compare the sizes that chunks of point formats 6-10 declare of themselves with the chunk table."""
         if self._items[0][0] < 10:
             return
-        n_layers = sum(_LAYERS.get(kind, n_bytes) for kind, n_bytes in self._items)
-        layout = struct.Struct(f"<{1 + n_layers}I")
+        layout = chunk_head(self._items)
         size = self._header.record_bytes
         first_byte = self.table.first_byte[first : end + 1].tolist()
         first_record = self.table.first_record[first : end + 1].tolist()

@@ -14,6 +14,7 @@ import lazrs
 import numpy as np
 
 from prc_cli.core.errors import OutputError
+from prc_cli.core.laz_chunks import chunk_head
 from prc_cli.core.threads import read_ahead
 from prc_cli.core.types import U8
 from prc_cli.writers.las_file import LasFile, Source, damaged, open_source
@@ -29,8 +30,6 @@ ITEMS_AT = 32
 _WAVEPACKET13 = 9  # laszip's item type
 _LAYERED_FORMATS = 6
 """From this point format on every field of a chunk is a layer of its own."""
-_LAYERS_OF_ITEM = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Layers by item type; extra bytes (14) have one a byte."""
 _BATCH_RECORDS = 400_000
 _BATCH_BYTES = 16 << 20
 _PLAIN_BYTES = 1 << 20
@@ -301,7 +300,7 @@ def _check_layers(source: Source, las: LasFile, vlr: Any, payload: bytes) -> Non
     """Refuse chunks whose layers claim more bytes than the chunk has: the decoder would make room for them first."""
     (n_items,) = struct.unpack_from("<H", payload, ITEMS_AT)
     items = struct.iter_unpack("<HHH", payload[ITEMS_AT + 2 : ITEMS_AT + 2 + 6 * n_items])
-    head = struct.Struct(f"<{1 + sum(_LAYERS_OF_ITEM.get(kind, size) for kind, size, _ in items)}I")
+    head = chunk_head((kind, size) for kind, size, _ in items)
     first = las.point_offset + 8
     for chunk, (_, n_bytes) in enumerate(lazrs.read_chunk_table(source, vlr)):
         source.seek(first + las.record_length)
