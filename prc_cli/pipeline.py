@@ -133,11 +133,10 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     InputError
         When the file is damaged, or holds nothing that a range can be taken from.
     """
-    loaded = _loaded(config)
-    config = loaded.config
+    config = _loaded(config).config
     lines = config.prc.lines_per_block if config.method != SEQUENTIAL_ANGLE else 1
     stream = open_input(Path(path), config.input, config.layout, lines_at_once=lines)
-    return with_beams(stream, loaded.config.input) if loaded.config.method == SEQUENTIAL_ANGLE else stream
+    return with_beams(stream, config.input) if config.method == SEQUENTIAL_ANGLE else stream
 
 
 def label_blocks(

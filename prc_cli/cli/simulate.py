@@ -25,8 +25,7 @@ from prc_cli.simulation.settings import KINDS, SCENES, Kind, load_settings, pres
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 
-def _option(*names: str, **attributes: Any) -> Callable[[CommandT], CommandT]:
-    return click.option(*names, **attributes)
+_option = click.option
 
 
 _OUTPUT = [

@@ -21,8 +21,6 @@ ARRAY_NAMES = {"range_m": "range", "time_s": "time", "gps_time": "time", "line":
 """Names of arrays and Parquet columns that mean a standard name."""
 AXES = ("x", "y", "z")
 XYZ = "xyz"
-MAX_ROW = 10_000_000
-"""Longest scan line of an image."""
 
 
 def open_table(path: Path) -> RecordSource | None:

@@ -13,7 +13,7 @@ import numpy as np
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F64, U8
-from prc_cli.simulation.drive import BodiesNear, SimulatedScan, ground_below, lines_of, room_around
+from prc_cli.simulation.drive import SimulatedScan, ground_below, lines_of, room_around
 from prc_cli.simulation.forest.reference import reference_labels
 from prc_cli.simulation.forest.scene import ForestScene
 from prc_cli.simulation.settings import Kind, Settings, StationSettings, WalkSettings, load_settings
@@ -87,20 +87,18 @@ def open_simulation(
     relabel: Callable[[F64], U8] | None = None
     if isinstance(chosen, WalkSettings):
         forest = scene = ForestScene(chosen.scene, seed)
-        near = _timeless(forest)
         platform = Trajectory(forest.path_point, chosen.trajectory, scanner.height_m, seed)
         if reference == "cylinders":
             relabel = partial(reference_labels, forest)
     else:
         street = scene = StreetScene(chosen.scene, seed)
-        near = street.bodies_near
         if isinstance(chosen, StationSettings):
             platform = _stand(street, chosen)
         else:
             platform = Trajectory(street.path_point, chosen.trajectory, scanner.height_m, seed)
     scan = SimulatedScan(
         f"simulated {kind}",
-        near,
+        scene.bodies_near,
         scanner,
         platform,
         seed,
@@ -112,11 +110,6 @@ def open_simulation(
         relabel=relabel,
     )
     return Simulation(kind, chosen, scene, scan)
-
-
-def _timeless(scene: ForestScene) -> BodiesNear:
-    """Nothing moves in a forest."""
-    return lambda x_m, y_m, radius_m, time_s: scene.bodies_near(x_m, y_m, radius_m)
 
 
 def _count_lines(settings: Settings, platform: Station | Trajectory) -> int:

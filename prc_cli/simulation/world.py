@@ -140,7 +140,7 @@ class Bodies:
 class Scene(Protocol):
     """A world that is made as it is looked at."""
 
-    def bodies_near(self, x_m: float, y_m: float, radius_m: float) -> Bodies:
+    def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
         """Return the bodies that have a part within a circle, and maybe a few more.
 
         The same body has the same numbers whatever the circle, and bodies come in an order that depends on nothing

@@ -63,8 +63,8 @@ class ForestScene:
         # threads ask for the same cells at the same time, and a cache alone would have each of them make its own
         self._lock = RLock()
 
-    def bodies_near(self, x_m: float, y_m: float, radius_m: float) -> Bodies:
-        """Return the bodies whose circle on the map touches the one that is asked for."""
+    def bodies_near(self, x_m: float, y_m: float, radius_m: float, time_s: float = 0.0) -> Bodies:
+        """Return the bodies whose circle on the map touches the one that is asked for; nothing moves in a forest."""
         # one thread makes all that are missing: taking turns at every cell costs more than waiting once
         with self._lock:
             cells = [self._cell(i, j) for i, j in _cells_near(x_m, y_m, radius_m + _OVERHANG_M)]
