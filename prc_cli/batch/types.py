@@ -1,0 +1,226 @@
+"""What the parts of a batch run say to each other; plain values, so that they can go to other processes.
+
+The *name* of a file is its path relative to the archive with POSIX slashes. A name that is not UTF-8 holds its odd
+bytes as surrogates, as :func:`os.fsdecode` gives them.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Literal, Protocol, TypeAlias
+
+from prc_cli.config import LoadedConfig
+from prc_cli.core.errors import ConfigError, PrcError
+
+OWN_FOLDER = ".prc"
+"""Folder in the output tree that holds journal, lock and temporary parts."""
+
+State: TypeAlias = Literal["running", "done", "failed"]
+"""What the journal knows of a file: an entry that stays running was left by a killed run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """One of several equal parts of an archive, each for a run of its own."""
+
+    index: int
+    """Which part, from 1."""
+    count: int
+    """How many parts there are."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.index <= self.count:
+            problem = f"{self.index}/{self.count}, expected a part from 1 to the number of parts"
+            raise ConfigError("--shard", problem, "for example 3/8, the third of eight parts")
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Return the shard that ``i/n`` names.
+
+        Raises
+        ------
+        ConfigError
+            When the text is not two numbers, or i is not from 1 to n.
+
+        Examples
+        --------
+        >>> Shard.parse("3/8")
+        Shard(index=3, count=8)
+        """
+        found = re.fullmatch(r"\s*([0-9]{1,9})\s*/\s*([0-9]{1,9})\s*", text)
+        if found is None:
+            problem = f"{text!r}, expected i/n"
+            raise ConfigError("--shard", problem, "for example 3/8, the third of eight parts")
+        return cls(int(found[1]), int(found[2]))
+
+    def holds(self, name: str) -> bool:
+        """Tell whether a file belongs to this shard; the answer is the same on every machine, for ever."""
+        return int.from_bytes(sha256(os.fsencode(name)).digest()[:8], "big") % self.count == self.index - 1
+
+    def __str__(self) -> str:
+        return f"{self.index}/{self.count}"
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One file to classify."""
+
+    name: str
+    source: Path
+    output: Path
+    config: LoadedConfig
+    config_sha256: str
+    """Hash of the effective configuration, with the fingerprints of the files it names."""
+    overwrite: bool = False
+    """The output may be replaced, because the journal or the user says so."""
+
+
+@dataclass(frozen=True, slots=True)
+class InputPrint:
+    """What tells an input from its later versions."""
+
+    size: int
+    """Size [bytes]."""
+    mtime_ns: int
+    """Time of the last change [ns since 1970]."""
+    sha256: str | None
+    """Hash of the content, hexadecimal; None where the file was never read to its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Why a file failed."""
+
+    kind: str
+    """Name of the exception, or ``killed``, ``timeout``, ``memory``, ``interrupted``."""
+    where: str
+    problem: str
+    hint: str = ""
+
+    @classmethod
+    def of(cls, error: BaseException) -> Problem:
+        """Return the problem that an exception tells of."""
+        if isinstance(error, PrcError):
+            return cls(type(error).__name__, error.where, error.problem, error.hint)
+        return cls(type(error).__name__, "", str(error) or type(error).__name__)
+
+    def __str__(self) -> str:
+        text = f"{self.where}: {self.problem}" if self.where else self.problem
+        return text + (f"; {self.hint}" if self.hint else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A file that was classified; its output has its final name."""
+
+    name: str
+    input: InputPrint
+    output_size: int
+    """Size of the output [bytes]."""
+    output_mtime_ns: int
+    """Time of the last change of the output [ns since 1970]."""
+    seconds: float
+    """Wall time [s]."""
+    cpu_seconds: float
+    """CPU time of the worker [s]."""
+    peak_mib: float | None
+    """Highest resident memory of the worker so far [MiB]; None where the system does not tell."""
+    n_lines: int
+    """Scan lines."""
+    n_shots: int
+    """Shots, with and without return."""
+    n_records: int
+    """Records written."""
+    labels: tuple[tuple[str, int], ...]
+    """Records by label name."""
+    notices: tuple[str, ...] = ()
+    """What is unusual about the input."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A file that could not be classified; there is no output of this attempt."""
+
+    name: str
+    input: InputPrint | None
+    """None where the file could not even be looked at."""
+    seconds: float
+    """Wall time [s]."""
+    problem: Problem
+
+
+Outcome: TypeAlias = Done | Failed
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A worker has begun with a file."""
+
+    name: str
+    worker: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """A worker has finished some more scan lines of a file."""
+
+    name: str
+    n_lines: int
+    """Scan lines since the last such event."""
+
+
+Event: TypeAlias = Started | Progress | Done | Failed
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What a journal knows of one file."""
+
+    name: str
+    state: State
+    config_sha256: str
+    version: str
+    """Version of the program that ran."""
+    run: str
+    """Id of the run."""
+    attempts: int
+    """How often the file was begun since it was last done, the last time included."""
+    started: str
+    """UTC, ISO 8601."""
+    finished: str | None
+    """UTC, ISO 8601; None while running."""
+    owner: str
+    """Host and process that began with it."""
+    outcome: Outcome | None
+    """Of the last attempt that ended, which need not be the last one begun."""
+
+
+@dataclass(frozen=True, slots=True)
+class EngineSettings:
+    """How an engine works; none of it changes a byte of an output."""
+
+    jobs: int = 1
+    """Files at a time."""
+    threads: int = 1
+    """Threads a file."""
+    stall_s: float = 600.0
+    """A file without progress for so long is given up [s]."""
+    memory_limit_mib: int | None = None
+    """Memory that a worker may take [MiB]."""
+
+
+class Engine(Protocol):
+    """What runs the tasks."""
+
+    def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
+        """Run tasks; give events in the order they happen.
+
+        An exception of one file never ends it. Closing the iterator stops the workers within seconds and leaves no
+        process behind.
+        """
+        ...
