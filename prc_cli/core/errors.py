@@ -1,7 +1,8 @@
 """One exception tree: where, what was found, what was expected, what to do.
 
 The command line catches :class:`PrcError` once and turns it into one line and an exit code that scripts can
-trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed.
+trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 the classes of a file drifted
+from those of earlier runs, 5 another run is at work in the output folder.
 """
 
 from __future__ import annotations
@@ -61,3 +62,15 @@ class GateError(PrcError):
     """An evaluation that fell below the demanded figure."""
 
     exit_code = 3
+
+
+class DriftError(PrcError):
+    """A file whose classes are far from those of the archive's earlier files."""
+
+    exit_code = 4
+
+
+class BusyError(PrcError):
+    """An output folder that another run is working in; nothing was done."""
+
+    exit_code = 5
