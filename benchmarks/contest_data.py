@@ -1,0 +1,374 @@
+"""Scans of the contest: simulated ones by seed, real ones from ../shared/data or $PRC_DATA, all in one form.
+
+Every scan has what a scanner gives (ranges, angles, times, intensities, further returns), the reference class of
+every shot, and registered coordinates for methods that need them. Methods that work on the stream see no coordinates.
+
+    python -m benchmarks.contest_data train FOLDER       # streets and forests for tuning, seeds 9001-9199
+    python -m benchmarks.contest_data real FOLDER        # the real scans in the same form
+
+Seeds 7001-7199 are what is reported; nothing is tuned on them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.stream import ExtraReturns, ScanBlock
+from prc_cli.core.types import F32, F64, I32, I64, U8
+from prc_cli.simulation.drive import SimulatedBlock, SimulatedScan
+from prc_cli.simulation.settings import Kind, load_settings
+from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.trajectory import aim
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
+
+LINES_AT_ONCE = 256
+"""Lines of a block that the classifiers are given."""
+STRAY_SHARE, STRAY_M, FARTHEST_M = 0.25, 0.3, 100.0
+"""Background of pulsed scanners, which the simulator has none of: this share strays around its surface with this
+standard deviation [m], the rest comes from anywhere up to a distance [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """A whole scan in memory."""
+
+    name: str
+    range_m: F32
+    """(lines, M) float32 [m]; NaN = missing."""
+    angle_rad: F64
+    """(M,) float64, from straight down within the scan plane [rad]."""
+    codes: I64
+    """(lines, M) int64, reference codes of ``mapping``; 0 = not judged."""
+    mapping: str = "prc"
+    """Of the reference codes."""
+    time_s: F64 | None = None
+    """(lines, M) float64 [s]."""
+    intensity: F32 | None = None
+    """(lines, M) float32."""
+    fall: float = 1.0
+    """Cosine of the lean of the scan plane."""
+    world_m: F64 | None = None
+    """(lines, M, 3) float64, registered, or relative to the scanner of a single frame [m]."""
+    scanner_m: F64 | None = None
+    """(lines, 3) float64, where the scanner was [m]."""
+    extra: ExtraReturns = field(default_factory=ExtraReturns.none)
+    """Further returns; lines count from 0."""
+    extra_codes: I64 = field(default_factory=lambda: np.empty(0, np.int64))
+    extra_world_m: F64 = field(default_factory=lambda: np.empty((0, 3)))
+    is_upright: bool = False
+    """Upright lines of a scanner that turns, not those of a profiler."""
+
+    @property
+    def n_shots(self) -> int:
+        return self.range_m.size
+
+    def blocks(self, lines: int = LINES_AT_ONCE) -> Iterator[ScanBlock]:
+        """Give the stream as a reader would."""
+        m = self.range_m.shape[1]
+        for first in range(0, len(self.range_m), lines):
+            part = slice(first, first + lines)
+            inside = (self.extra.line >= first) & (self.extra.line < first + lines)
+            extra = ExtraReturns(
+                self.extra.line[inside] - np.int32(first),
+                self.extra.column[inside],
+                self.extra.range_m[inside],
+                self.extra.line[inside].astype(np.int64) * m + self.extra.column[inside],
+            )
+            yield ScanBlock(
+                first,
+                self.range_m[part],
+                time_s=None if self.time_s is None else self.time_s[part],
+                intensity=None if self.intensity is None else self.intensity[part],
+                xyz_m=None if not self.is_upright or self.world_m is None else self.world_m[part].astype(np.float32),
+                angle_rad=self.angle_rad,
+                beam_rad=(self.angle_rad + np.pi) % (2 * np.pi) - np.pi,
+                extra=extra,
+                is_last=first + lines >= len(self.range_m),
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """Which scan is simulated."""
+
+    name: str
+    seed: int
+    length_m: float
+    scene: str = "mixed"
+    scanner: str = "photon-80"
+    mount: dict[str, Any] = field(default_factory=dict)
+    """Further keys of ``[scanner]``."""
+    noise: float | None = None
+    """Share of noise that is aimed at; None = what the preset makes."""
+    kind: Kind = "street"
+    setback_m: float = 0.0
+
+    def options(self) -> dict[str, Any]:
+        """Return what ``prc simulate`` is told."""
+        scene: dict[str, Any] = {"name": self.scene}
+        if self.setback_m:
+            scene["setback_m"] = self.setback_m
+        scanner = {"name": self.scanner, **background(self.scanner, self.noise), **self.mount}
+        motion = {"trajectory": {"stop_every_m": 0.0}}
+        return {"seed": self.seed, "length_m": self.length_m, "scene": scene, "scanner": scanner, **motion}
+
+
+PULSED = ("sick-push-broom", "profiler-1mhz")
+DARK: dict[str, Any] = {"pane_share": 1.0, "ghost_share": 0.0}
+"""Panes answer themselves, so that no range comes from a reflection; mixed ranges at edges are left."""
+OWN_NOISE = 0.01
+"""Share of mixed ranges and ghosts that a street has without background light."""
+PRESET_NOISE = 0.036
+"""The same with the background light of the presets."""
+
+
+def background(scanner: str, noise: float | None) -> dict[str, Any]:
+    """Return the simulator's keys for a share of noise, as far as it makes noise of such a scanner."""
+    if noise is None:
+        return {}
+    if noise == 0:
+        nothing = dict.fromkeys(("background_share", "sky_share", "bright_sky_share", "cluster_share"), 0.0)
+        return {**nothing, **DARK}
+    if scanner in PULSED:
+        return {}
+    # the shares of the presets, times what brings about the share that is asked for
+    factor = max(noise - OWN_NOISE, 0.0) / (PRESET_NOISE - OWN_NOISE)
+    shares = {"background_share": 0.008, "sky_share": 0.04, "bright_sky_share": 0.4, "cluster_share": 0.01}
+    return {key: min(value * factor, 0.5) for key, value in shares.items()}
+
+
+def simulated(spec: Simulated) -> Scan:
+    """Simulate a scan with its reference and registered coordinates."""
+    simulation = open_simulation(spec.kind, load_settings(spec.kind, options=spec.options()), with_world=True)
+    lookup = ClassCodes().lookup()
+    parts: list[SimulatedBlock] = []
+    scanner_m = []
+    for item in simulation.scan.simulated():
+        noisy, origin_m = _with_background(item, simulation.scan, spec)
+        parts.append(noisy)
+        scanner_m.append(origin_m)
+    blocks = [part.labelled.block for part in parts]
+    extras = [
+        ExtraReturns(
+            (block.extra.line + block.first_line).astype(np.int32), block.extra.column, block.extra.range_m,
+            block.extra.record,
+        )
+        for block in blocks
+    ]  # fmt: skip
+    world = [part.world_m for part in parts if part.world_m is not None]
+    extra_world = [part.extra_world_m for part in parts if part.extra_world_m is not None]
+    angle_rad = blocks[0].angle_rad
+    assert angle_rad is not None
+    nadir_rad = simulation.scan.info.nadir_rad
+    return Scan(
+        spec.name,
+        np.concatenate([block.range_m for block in blocks]),
+        angle_rad - (nadir_rad or 0.0),
+        np.concatenate([lookup[part.labelled.labels] for part in parts]).astype(np.int64),
+        "contest",
+        time_s=np.concatenate([block.time_s for block in blocks if block.time_s is not None]),
+        intensity=np.concatenate([block.intensity for block in blocks if block.intensity is not None]),
+        fall=simulation.scan.info.fall,
+        world_m=np.concatenate(world),
+        scanner_m=np.concatenate(scanner_m),
+        extra=joined(extras),
+        extra_codes=np.concatenate([lookup[part.labelled.extra_labels] for part in parts]).astype(np.int64),
+        extra_world_m=np.concatenate(extra_world),
+    )
+
+
+def joined(extras: list[ExtraReturns]) -> ExtraReturns:
+    """Join further returns whose lines count from one beginning."""
+    return ExtraReturns(*[np.concatenate([getattr(each, f.name) for each in extras]) for f in fields(ExtraReturns)])
+
+
+def _with_background(item: SimulatedBlock, scan: SimulatedScan, spec: Simulated) -> tuple[SimulatedBlock, F64]:
+    """Give the ranges of pulsed scanners background, of which their simulation has none; and the scanner's places.
+
+    Background comes at random shots, those without return included.
+    """
+    block, labels = item.labelled.block, item.labelled.labels
+    shots = aim(scan.platform, scan.scanner, block.first_line, block.n_lines)
+    origin_m = shots.origin[:, shots.origin.shape[1] // 2]
+    if spec.scanner not in PULSED or not spec.noise or item.world_m is None:
+        return item, origin_m
+    random = np.random.default_rng((spec.seed, block.first_line))
+    there = ~np.isnan(block.range_m)
+    share = max(spec.noise - OWN_NOISE / 2, 0.0) * there.mean()
+    hit = random.random(there.shape) < share
+    stray = there & (random.random(there.shape) < STRAY_SHARE)
+    scanner = scan.scanner
+    anywhere = random.uniform(scanner.min_range_m, min(scanner.max_range_m, FARTHEST_M), there.shape)
+    moved = np.where(stray, np.nan_to_num(block.range_m) + random.normal(0.0, STRAY_M, there.shape), anywhere)
+    moved = np.maximum(np.rint(moved / scanner.resolution_m) * scanner.resolution_m, scanner.min_range_m)
+    ranges: F32 = np.where(hit, moved, block.range_m).astype(np.float32)
+    found: U8 = np.where(hit, np.uint8(Label.NOISE), labels)
+    world = np.where(hit[..., None], shots.origin + ranges[..., None] * shots.direction, item.world_m)
+    intensity = block.intensity
+    if intensity is not None:
+        intensity = np.where(hit, random.integers(1, 200, there.shape), intensity).astype(np.float32)
+    block = replace(block, range_m=ranges, intensity=intensity)
+    return replace(item, labelled=replace(item.labelled, block=block, labels=found), world_m=world), origin_m
+
+
+def save(scan: Scan, path: Path) -> None:
+    """Write a scan so that ``prc classify`` reads it; coordinates and further returns stand beside the ranges."""
+    arrays: dict[str, NDArray[Any]] = {
+        "range_m": scan.range_m,
+        "angle_deg": np.rad2deg(scan.angle_rad),
+        "class": scan.codes.astype(np.int32),
+        "fall": np.float64(scan.fall) * np.ones(1),
+        "extra_line": scan.extra.line,
+        "extra_column": scan.extra.column,
+        "extra_range_m": scan.extra.range_m,
+        "extra_class": scan.extra_codes.astype(np.int32),
+    }
+    optional = {"time_s": scan.time_s, "intensity": scan.intensity, "scanner_m": scan.scanner_m}
+    arrays |= {name: values for name, values in optional.items() if values is not None}
+    if scan.world_m is not None:
+        origin = np.floor(np.nanmean(scan.world_m, axis=(0, 1)))
+        arrays["world_m"] = (scan.world_m - origin).astype(np.float32)
+        arrays["world_origin_m"] = origin
+        arrays["extra_world_m"] = (scan.extra_world_m - origin).astype(np.float32)
+    np.savez(path, **arrays)
+
+
+TRAIN = (
+    Simulated("residential, photon-80, gap up, preset noise", 9001, 80, "residential"),
+    Simulated("terraces, photon-80, gap down 55°, slant 20°, 5 %", 9002, 80, "terraces",
+              mount={"centre_deg": 180.0, "field_deg": 305.0, "slant_deg": 20.0}, noise=0.05),
+    Simulated("suburb, photon-80, gap down 50°, slant 45°, 2 %", 9003, 80, "suburb",
+              mount={"centre_deg": 180.0, "field_deg": 310.0, "slant_deg": 45.0}, noise=0.02),
+    Simulated("boulevard, photon-80, gap up, slant 20°, rolled 30°, 10 %", 9004, 80, "boulevard",
+              mount={"roll_deg": 30.0, "slant_deg": 20.0}, noise=0.10),
+    Simulated("mixed, photon-80, gap slanted down, slant 45°, 0 %", 9005, 80, "mixed",
+              mount={"centre_deg": 180.0, "roll_deg": 45.0, "slant_deg": 45.0}, noise=0.0),
+    Simulated("residential, sick-push-broom, 2 %", 9006, 80, "residential", "sick-push-broom", noise=0.02),
+    Simulated("suburb, sick-push-broom, set back 12 m, 0 %", 9007, 80, "suburb", "sick-push-broom", noise=0.0,
+              setback_m=12.0),
+    Simulated("terraces, sick-push-broom, 10 %", 9008, 80, "terraces", "sick-push-broom", noise=0.10),
+    Simulated("residential, profiler-1mhz, up to 4 returns, slant 25°, 5 %", 9009, 60, "residential", "profiler-1mhz",
+              noise=0.05),
+    Simulated("boulevard, profiler-1mhz, up to 4 returns, slant 45°, 0 %", 9010, 60, "boulevard", "profiler-1mhz",
+              mount={"slant_deg": 45.0}, noise=0.0),
+    Simulated("suburb, photon-80, gap up, heading 45°, 5 %", 9011, 80, "suburb",
+              mount={"heading_deg": 45.0, "slant_deg": 20.0}, noise=0.05),
+)  # fmt: skip
+"""What may be tuned on."""
+TRAIN_FOREST = (
+    Simulated("mixed", 9101, 15, "mixed", "focus3d-120", kind="forest"),
+    Simulated("pine-heath", 9102, 15, "pine-heath", "focus3d-120", kind="forest"),
+    Simulated("dense-spruce", 9103, 15, "dense-spruce", "focus3d-120", kind="forest"),
+)
+
+OAKLAND_HZ = 37.5
+KITTI_RINGS = 64
+
+
+def oakland(strip: int) -> Scan:
+    """Return a real push-broom strip; its coordinates are those of the set, registered."""
+    path = DATA / "oakland" / f"oakland_{strip}.csv.gz"
+    table: F64 = np.genfromtxt(path, delimiter=",", skip_header=1)
+    n_lines = len(np.unique(table[:, 0]))
+
+    def image(column: int) -> F64:
+        return table[:, column].reshape(n_lines, -1)
+
+    ranges = image(3).astype(np.float32)
+    world = np.stack([image(4), image(5), image(6)], axis=-1)
+    angle_rad = np.deg2rad(image(2)[0])
+    codes = np.nan_to_num(image(7)).astype(np.int64)
+    return Scan(
+        f"Oakland strip {strip}", ranges, angle_rad, np.where(np.isnan(ranges), 0, codes), "contest_oakland",
+        world_m=world, scanner_m=scanner_places(world, ranges, angle_rad),
+    )  # fmt: skip
+
+
+def scanner_places(world_m: F64, range_m: F32, angle_rad: F64) -> F64:
+    """Estimate where the scanner was at every line of an upright profiler, (lines, 3) [m].
+
+    In its plane a return lies ``range * sin`` aside and ``range * cos`` below: the offset of the heights is that of
+    the scanner, and a line through the places against what lies aside gives the rest.
+    """
+    places = np.full((len(range_m), 3), np.nan)
+    aside, below = range_m * np.sin(angle_rad), range_m * np.cos(angle_rad)
+    for k in range(len(range_m)):
+        good = ~np.isnan(range_m[k])
+        if np.count_nonzero(good) < KITTI_RINGS // 2:
+            continue
+        places[k, 2] = np.median(world_m[k, good, 2] + below[k, good])
+        for axis in (0, 1):
+            places[k, axis] = np.polyfit(aside[k, good], world_m[k, good, axis], 1)[1]
+    known = np.flatnonzero(~np.isnan(places[:, 0]))
+    every = np.arange(len(places))
+    return np.stack([np.interp(every, known, places[known, axis]) for axis in range(3)], axis=1)
+
+
+def park() -> Scan:
+    """Return the park scan, without reference."""
+    with np.load(DATA / "forest" / "tls_park.npz") as arrays:
+        ranges, zenith = arrays["range_m"], arrays["zenith_deg"]
+    if zenith[0] < zenith[-1]:
+        ranges, zenith = ranges[:, ::-1], zenith[::-1]
+    ranges = np.ascontiguousarray(ranges, dtype=np.float32)
+    return Scan("park", ranges, np.deg2rad(180.0 - zenith), np.zeros(ranges.shape, np.int64), is_upright=True)
+
+
+README = """Data of the contest (issue 8), made by `python -m benchmarks.contest_data`; the tuning share only.
+
+train/street_90xx.npz, train_forest/forest_91xx.npz   simulated, seeds 9001-9199 (test seeds are 7001-7199: not here)
+real/oakland_{1,2,3}.npz (strip 1 is the train share), real/park.npz
+
+Keys: range_m (lines, M) float32 [m], NaN = no return
+      angle_deg (M,) from straight down within the scan plane, positive = left
+      time_s (lines, M); intensity (lines, M)
+      class (lines, M) int32: reference. Simulated: 0 missing, 1 other (poles, signs, wires, people), 2 ground,
+        5 vegetation, 6 building, 7 noise, 64 stem, 65 car, 66 curb (judged as ground), 67 vertical, 68 horizontal.
+        Oakland: the numbers of the set (mapping `oakland`).
+      extra_line, extra_column, extra_range_m, extra_class: further returns (profiler-1mhz), beyond range_m's
+      fall (1,): cosine of the lean of the scan plane (a truth of the simulator; not in a stream)
+      world_m + world_origin_m, scanner_m (lines, 3): registered coordinates. Not for methods of the stream.
+`prc classify X.npz` reads them (ranges, angles, times, intensities alone), `prc evaluate labels.npy X.npz --mapping
+prc` judges. In Python: benchmarks.contest_data.simulated(spec) gives a Scan, .blocks() a stream of ScanBlock with the
+further returns, for pipeline.label_blocks.
+
+"""
+
+
+def main() -> None:
+    """Write the scans that may be tuned on, or the real ones."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("train", "real"))
+    parser.add_argument("folder", type=Path)
+    arguments = parser.parse_args()
+    folder: Path = arguments.folder
+    folder.mkdir(parents=True, exist_ok=True)
+    scans: Iterator[tuple[str, Scan]]
+    if arguments.what == "train":
+        scans = ((f"{spec.kind}_{spec.seed}", simulated(spec)) for spec in (*TRAIN, *TRAIN_FOREST))
+    else:
+        scans = iter([(f"oakland_{n}", oakland(n)) for n in (1, 2, 3)] + [("park", park())])
+    (folder / "README.txt").write_text(README, encoding="utf-8")
+    for stem, scan in scans:
+        save(scan, folder / f"{stem}.npz")
+        n = np.bincount(scan.codes[~np.isnan(scan.range_m)].ravel(), minlength=1)
+        shares = {int(code): round(float(n[code] / n.sum()), 3) for code in np.flatnonzero(n)[:20]}
+        row = f"{stem}: {scan.name}: {scan.range_m.shape}, {len(scan.extra)} further returns, {shares}"
+        print(row)
+        with (folder / "README.txt").open("a", encoding="utf-8") as handle:
+            handle.write(row + "\n")
+
+
+if __name__ == "__main__":
+    main()
