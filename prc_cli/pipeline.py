@@ -133,10 +133,15 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     InputError
         When the file is damaged, or holds nothing that a range can be taken from.
     """
-    config = _loaded(config).config
-    lines = config.prc.lines_per_block if config.method != SEQUENTIAL_ANGLE else 1
-    stream = open_input(Path(path), config.input, config.layout, lines_at_once=lines)
-    return with_beams(stream, config.input) if config.method == SEQUENTIAL_ANGLE else stream
+    return _open(Path(path), _loaded(config).config, geometry=True)
+
+
+def _open(path: Path, config: RunConfig, *, geometry: bool) -> ScanStream:
+    """Open an input; ``geometry``: angles are looked for though the classifier does not need them."""
+    if config.method == SEQUENTIAL_ANGLE:
+        return with_beams(open_input(path, config.input, config.layout), config.input)
+    lines = config.prc.lines_per_block
+    return open_input(path, config.input, config.layout, lines_at_once=lines, geometry=geometry)
 
 
 def label_blocks(
@@ -296,7 +301,7 @@ def classify(
     check_input(source)
     before = source.stat()
     with timed("opening"):
-        stream = open_stream(source, loaded)
+        stream = _open(source, loaded.config, geometry=False)
     with (
         FingerprintBeside(source, threads=threads) as beside,
         open_writer(

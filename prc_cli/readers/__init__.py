@@ -117,7 +117,9 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
     return READERS[suffix](path, layout) if suffix in READERS else None
 
 
-def open_input(path: Path, config: InputConfig, layout: Layout | None = None, *, lines_at_once: int = 1) -> ScanStream:
+def open_input(
+    path: Path, config: InputConfig, layout: Layout | None = None, *, lines_at_once: int = 1, geometry: bool = True
+) -> ScanStream:
     """Open an input file as a stream of blocks.
 
     Parameters
@@ -130,6 +132,9 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None, *,
         Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
     lines_at_once : int
         Lines that are used together: files whose lines are known beforehand are best read in multiples of them.
+    geometry : bool
+        Find the angles of the columns and where down is; who needs nothing but ranges saves reading the first records
+        for them.
 
     Raises
     ------
@@ -159,7 +164,8 @@ def open_input(path: Path, config: InputConfig, layout: Layout | None = None, *,
     line_rule, by_elevation = config.lines, has_lines_by_elevation(config)
     if by_elevation:
         source, config = with_elevation(source, config)
-    stream = open_grid(source, config, line_hz=None if layout is None else layout.line_frequency)
+    line_hz = None if layout is None else layout.line_frequency
+    stream = open_grid(source, config, line_hz=line_hz, geometry=geometry)
     if by_elevation:
         stream = tell_elevation(stream, line_rule)
     return replace(stream, info=replace(stream.info, notes=tuple(getattr(source, "notes", ()))))

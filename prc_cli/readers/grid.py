@@ -37,7 +37,9 @@ from prc_cli.readers.sorting import sorted_by_time
 from prc_cli.readers.weeks import WeekSource, times_of_trajectory, week_steps
 
 
-def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | None = None) -> GridStream:
+def open_grid(
+    source: RecordSource, config: InputConfig, *, line_hz: float | None = None, geometry: bool = True
+) -> GridStream:
     """Turn a list of records into the stream.
 
     Parameters
@@ -48,6 +50,8 @@ def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | Non
         How lines, columns and ranges are found; ``auto`` is resolved and reported in ``info.assumptions``.
     line_hz : float, optional
         Scan lines a second, where a layout says so [Hz].
+    geometry : bool
+        Find the angles of the columns, and where down is, where the lines do not need them.
 
     Returns
     -------
@@ -77,7 +81,7 @@ def open_grid(source: RecordSource, config: InputConfig, *, line_hz: float | Non
     m, assumption = given_points_per_line(rules, source)
     if rules.lines == "fixed" and m is not None and not rules.has_returns and source.n_records is not None:
         check_partial_line(source.path, source.n_records, m, config)
-    setups, n_lines, found = find_setups(records, rules, m)
+    setups, n_lines, found = find_setups(records, rules, m, geometry=geometry)
     sizes = [setup.points_per_line for setup in setups.values()] or ([m] if m is not None else [])
     if not sizes:
         raise nothing_placed(source.path)

@@ -83,7 +83,7 @@ class _Extent:
 
 
 def find_setups(
-    source: RecordSource, rules: GridRules, points_per_line: int | None
+    source: RecordSource, rules: GridRules, points_per_line: int | None, *, geometry: bool = True
 ) -> tuple[dict[int, ScannerSetup], int | None, tuple[Assumption, ...]]:
     """Estimate what the rules need, scanner by scanner.
 
@@ -93,6 +93,8 @@ def find_setups(
     rules : GridRules
     points_per_line : int or None
         M where it is known already.
+    geometry : bool
+        Find the angles of the columns, and where down is, where lines and columns do not need them.
 
     Returns
     -------
@@ -109,7 +111,7 @@ def find_setups(
     """
     if points_per_line is not None and rules.config.points_per_line is None:
         check_found_columns(rules.path, points_per_line, source.n_records)
-    estimates, probes = _probe(source, rules, points_per_line)
+    estimates, probes = _probe(source, rules, points_per_line, geometry=geometry)
     n_lines: int | None = None
     extents: dict[int, _Extent] = {}
     sizes: dict[int, int | None] = dict.fromkeys(estimates, points_per_line)
@@ -135,7 +137,7 @@ def find_setups(
         found = estimates.get(scanner, _Estimates())
         angle = _angles(rules, size, found, probes.get(scanner))
         nadir_rad, fall = None, 1.0
-        if angle is not None and rules.height_names and scanner in probes:
+        if geometry and angle is not None and rules.height_names and scanner in probes:
             nadir_rad, fall, assumption = _nadir(rules, probes[scanner], scanner)
             taken.append(assumption)
         n_shots = extents[scanner].n_shots if scanner in extents else 0
@@ -218,14 +220,14 @@ def _beat(rules: GridRules, records: Table, points_per_line: int | None) -> Beat
 
 
 def _probe(
-    source: RecordSource, rules: GridRules, points_per_line: int | None
+    source: RecordSource, rules: GridRules, points_per_line: int | None, *, geometry: bool
 ) -> tuple[dict[int, _Estimates], dict[int, Table]]:
     """Read the first records of every scanner and estimate sweep and column angles."""
-    for_angles = rules.has_angle and (rules.columns == "dimension" or rules.lines == "fixed")
+    for_angles = geometry and rules.has_angle and (rules.columns == "dimension" or rules.lines == "fixed")
     needs_beat = _needs_beat(rules, points_per_line)
     if not _needs_probe(rules) and not for_angles and not needs_beat:
         return ({0: _Estimates(beat=given_beat(rules, points_per_line))} if rules.scanner is None else {}), {}
-    beside = ("angle", *rules.height_names) if rules.has_angle else ()
+    beside = ("angle", *(rules.height_names if geometry else ())) if rules.has_angle else ()
     names = tuple(dict.fromkeys((*rules.names, *beside)))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
     # every scanner must be met where the rules depend on its angles or its beat
