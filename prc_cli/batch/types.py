@@ -198,6 +198,26 @@ class Entry:
     """Host and process that began with it."""
     outcome: Outcome | None
     """Of the last attempt that ended, which need not be the last one begun."""
+    owns_output: bool = True
+    """A worker was sent to write the output, so what has its name is ours; False for a file that was only refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What a journal knows of one run."""
+
+    id: str
+    shard: str
+    """``i/n``; empty for the whole archive."""
+    version: str
+    owner: str
+    started: str
+    """UTC, ISO 8601."""
+    finished: str | None
+    """UTC, ISO 8601; None for a run that is at work or was killed."""
+    exit_code: int | None
+    totals: tuple[tuple[str, int], ...] = ()
+    """What it counted, by name."""
 
 
 @dataclass(frozen=True, slots=True)
