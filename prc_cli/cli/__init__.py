@@ -29,6 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
     "thin": ("prc_cli.cli.thin:thin", "Drop noise and thin out chosen classes of a stream."),
     "simulate": ("prc_cli.cli.simulate:simulate", "Make a scan of a street or a forest whose classes are known."),
+    "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation and a folder for outputs."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
     "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),

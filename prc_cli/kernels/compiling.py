@@ -89,7 +89,12 @@ def _compile_unclaimed(shares: Path, modules: Sequence[str], folder: Path) -> No
 
 
 def _missing(modules: Sequence[str], folder: Path) -> list[str]:
-    return [module for module in modules if module not in sys.modules and not _mark(module, folder).exists()]
+    return [module for module in modules if module not in sys.modules and not is_compiled(module, folder)]
+
+
+def is_compiled(module: str, folder: Path) -> bool:
+    """Tell whether a cache folder holds the kernels of a module, given by its full name."""
+    return _mark(module, folder).exists()
 
 
 def _mark(module: str, folder: Path) -> Path:

@@ -1,0 +1,181 @@
+"""``prc doctor`` finds what is wrong, says what to do, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import importlib.metadata as metadata
+import json
+import os
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from prc_cli import doctor
+from prc_cli.cli import main
+from prc_cli.doctor import Check, examine, file_system
+
+
+def checks(out: Path | None = None) -> dict[str, Check]:
+    return {check.name: check for check in examine(out, run=False)}
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stop:
+        main(["doctor", *arguments])
+    found = capsys.readouterr()
+    return int(stop.value.code or 0), found.out, found.err
+
+
+def test_this_installation_is_sound_from_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, _ = run(capsys, "--json", "--out", str(tmp_path / "new" / "folder"))
+    found = json.loads(out)
+    by_name = {check["name"]: check for check in found["checks"]}
+    assert code == 0, found
+    assert found["counts"]["bad"] == 0
+    assert by_name["end to end"]["details"]["scores"]["recall.ground"] > 0.95
+    assert by_name["LAZ"]["status"] == "ok"
+    assert by_name["journal in it"]["details"]["journal_mode"] in ("wal", "delete")
+    # the folder is asked about, not made, and nothing stays in the one that is there
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bounds_come_from_the_installed_metadata() -> None:
+    found = checks()["packages"].details
+    for text in metadata.requires("prc-cli") or []:
+        if "extra" not in text:
+            name, _, bound = text.partition(">=")
+            assert found[name]["at_least"] == bound
+            assert found[name]["found"] == metadata.version(name)
+
+
+def test_an_old_and_a_missing_package_are_bad_and_name_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metadata, "requires", lambda name: ["numpy>=999.1", "no-such-thing>=2", "click>=8"])
+    found = checks()["packages"]
+    assert found.status == "bad"
+    assert "no-such-thing missing (expected 2 or newer)" in found.found
+    assert found.hint == "pip install 'numpy>=999.1' 'no-such-thing>=2'"
+
+
+def test_versions_compare_as_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = {"a": "0.10.0", "b": "2.0rc1", "c": "3"}
+    monkeypatch.setattr(metadata, "requires", lambda name: ["a>=0.9.1", "b>=2", "c>=3.0.0"])
+    monkeypatch.setattr(metadata, "version", lambda name: installed.get(name, "1"))
+    assert checks()["packages"].status == "ok"
+
+
+def test_a_source_tree_that_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    def absent(name: str) -> None:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "requires", absent)
+    assert checks()["packages"].status == "warn"
+
+
+def test_extras_of_users_are_listed_and_those_of_developers_are_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = ["numpy>=2", "no-such-thing>=1; extra == 'magic'", "pytest>=8; extra == 'test'"]
+    monkeypatch.setattr(metadata, "requires", lambda name: texts)
+    found = checks()["extras"]
+    assert "magic: no (pip install 'prc-cli[magic]')" in found.found
+    assert "pytest" not in found.found
+
+
+def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def decompress_many(self, records: object) -> None:
+            pass
+
+    monkeypatch.setattr("prc_cli.writers.las_check.lazrs.LasZipDecompressor", Broken)
+    found = checks()["LAZ"]
+    assert found.status == "bad"
+    assert "differ" in found.found
+
+
+def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken() -> Iterator[Check]:
+        raise ZeroDivisionError
+        yield
+
+    monkeypatch.setattr(doctor, "_memory", broken)
+    found = checks()
+    assert found["memory"].status == "bad"
+    assert "temporary files" in found
+
+
+def test_no_folder_for_compiled_loops_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    from prc_cli.kernels import about
+    from prc_cli.kernels.about import CacheState
+
+    monkeypatch.setattr(about, "cache_state", lambda: CacheState(None, 0, 0, 18))
+    monkeypatch.setattr(doctor, "cache_state", about.cache_state)
+    found = checks()["compiled loops"]
+    assert (found.status, "NUMBA_CACHE_DIR" in found.hint) == ("warn", True)
+
+
+def test_little_memory_and_little_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(doctor, "_free_memory", lambda: 100 << 20)
+    monkeypatch.setattr(doctor, "DISK_BYTES", 1 << 62)
+    found = checks(tmp_path)
+    assert found["memory"].status == "bad"
+    assert found["output disk"].status == "warn"
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    try:
+        assert checks(tmp_path)[f"output folder {tmp_path}"].status == "bad"
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_a_file_in_the_place_of_the_folder_is_bad(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a\x1b[31m").write_bytes(b"")
+    code, out, _ = run(capsys, "--no-run", "-q", "--out", str(tmp_path / "a\x1b[31m"))
+    assert code == 1
+    assert "is no folder" in out
+    assert "\x1b" not in out
+
+
+def test_a_network_file_system_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "file_system", lambda folder: "nfs4")
+    found = checks(tmp_path)["journal in it"]
+    assert found.status == "warn"
+    assert "--shard" in found.hint
+
+
+def test_sqlite_without_wal_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = sqlite3.connect
+
+    class Refusing(sqlite3.Connection):
+        def execute(self, sql: str, *rest: object) -> sqlite3.Cursor:  # type: ignore[override]
+            return super().execute(sql.replace("journal_mode=WAL", "journal_mode=DELETE"), *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(sqlite3, "connect", lambda path, **named: real(path, factory=Refusing, **named))
+    found = checks(tmp_path)["journal in it"]
+    assert (found.status, found.details["journal_mode"]) == ("warn", "delete")
+
+
+def test_the_file_system_of_a_folder(tmp_path: Path) -> None:
+    mounts = tmp_path / "mounts"
+    inner = tmp_path / "with blank"
+    inner.mkdir()
+    place = str(tmp_path).replace(" ", "\\040")
+    mounts.write_text(
+        f"/dev/a / ext4 rw 0 0\n/dev/b {place} xfs rw 0 0\nserver:/x {place}/with\\040blank nfs4 rw 0 0\n"
+    )
+    assert file_system(inner, mounts) == "nfs4"
+    assert file_system(tmp_path, mounts) == "xfs"
+    assert file_system(Path("/"), mounts) == "ext4"
+    assert file_system(tmp_path, tmp_path / "none") == ""
+
+
+def test_quiet_prints_only_what_is_not_well(capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = run(capsys, "--no-run", "-q")
+    assert code == 0
+    assert not [line for line in out.splitlines() if line.startswith("ok")]
+    assert err == ""
