@@ -137,14 +137,14 @@ def trace_block(
     """Label a block of scan lines and keep the images on the way; see :func:`classify_block`."""
     _check_shapes(range_m, next_m, len(state.last_line), params)
     # steps 1 to 3: the block between the shots before and after it, S, G, and components of S without G
-    seen = _see(stream_window(state.tail, range_m, next_m), range_m.shape[1], params)
+    seen = see(stream_window(state.tail, range_m, next_m), range_m.shape[1], params)
     # step 3: H, components with the labels of the block before
-    connected, link = _connect(seen, _Link(state.last_line, state.next_id), params, segments=segments)
+    connected, link = connect(seen, Link(state.last_line, state.next_id), params, segments=segments)
     # steps 4 and 5: V, what is too small in H, grown together; R, both of them
-    v = _grow(seen, connected, params)
+    v = grow(seen, connected, params)
     # step 6: classes
-    ground, totals = _find_ground(connected, _count(v, params), link, state.totals, params)
-    labels = _draw(seen, v, ground, params)
+    ground, totals = choose_ground(connected, count(v, params), link, state.totals, params)
+    labels = draw(seen, v, ground, params)
     # step 7: on to the next block; only smooth shots vote there
     after = PrcState(tail_after(state.tail, range_m), link.last_line, totals, link.next_id)
     result = PrcResult(labels, v.to_segments() if segments else None, after)
@@ -183,7 +183,7 @@ class ParallelBlocks:
         self._width = points_per_line
         self._tail = state.tail
         self._turn = 0
-        self._links = Relay(_Link(state.last_line, state.next_id))
+        self._links = Relay(Link(state.last_line, state.next_id))
         self._totals = Relay(state.totals)
 
     def begin(self, range_m: F32, next_m: F32 | None) -> BlockJob:
@@ -203,16 +203,16 @@ class ParallelBlocks:
         """Label a block, in any thread; jobs must begin in order. Returns labels and, where asked for, segment ids."""
         params = self._params
         try:
-            seen = _see(stream_window(job.tail, job.range_m, job.next_m), self._width, params)
+            seen = see(stream_window(job.tail, job.range_m, job.next_m), self._width, params)
             connected, link = self._links.take_turn(
-                job.turn, lambda before: _connect(seen, before, params, segments=self._segments)
+                job.turn, lambda before: connect(seen, before, params, segments=self._segments)
             )
-            v = _grow(seen, connected, params)
-            counts = _count(v, params)
+            v = grow(seen, connected, params)
+            counts = count(v, params)
             ground, _ = self._totals.take_turn(
-                job.turn, lambda before: _find_ground(connected, counts, link, before, params)
+                job.turn, lambda before: choose_ground(connected, counts, link, before, params)
             )
-            return _draw(seen, v, ground, params), v.to_segments() if self._segments else None
+            return draw(seen, v, ground, params), v.to_segments() if self._segments else None
         except BaseException:
             for relay in (self._links, self._totals):
                 relay.give_up(job.turn)
@@ -230,7 +230,7 @@ class BlockJob:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
+class Seen:
     """What a block shows without the blocks before it but for their last shots."""
 
     window: F32
@@ -240,7 +240,7 @@ class _Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Link:
+class Link:
     """What a block leaves to the votes and the numbering of the next one; as in :class:`PrcState`."""
 
     last_line: I64
@@ -248,7 +248,7 @@ class _Link:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Connected:
+class Connected:
     """A block with the labels of the blocks before it."""
 
     components: Components
@@ -258,41 +258,47 @@ class _Connected:
     """Found early where segments are asked for, because the numbers of the next block follow them."""
 
 
-def _see(window: F32, points_per_line: int, params: PrcParams) -> _Seen:
+def see(window: F32, points_per_line: int, params: PrcParams) -> Seen:
+    """Find S, G and the components of a block: the expensive stages, which need nothing of the blocks before."""
     supported = support(window, points_per_line, params.support)
     apart = background(window, supported, params.background)
-    return _Seen(window, supported, apart, join(supported, apart))
+    return Seen(window, supported, apart, join(supported, apart))
 
 
-def _connect(seen: _Seen, before: _Link, params: PrcParams, *, segments: bool) -> tuple[_Connected, _Link]:
+def connect(seen: Seen, before: Link, params: PrcParams, *, segments: bool) -> tuple[Connected, Link]:
+    """Give components the labels of the blocks before; return what the next block needs."""
     s = seen.supported
     n_lines, points_per_line = s.shape
     h = identify(seen.joined, before.last_line, before.next_id, params.components)
     small = find_small(h, area_threshold(params.surfaces, n_lines, params.lines_per_block, points_per_line))
     v = surfaces(s, h, small, params.surfaces, with_patches=True) if segments else None
-    link = _Link(smooth_last_line(s, h, small, params.surfaces), h.next_id if v is None else v.next_id)
-    return _Connected(h, small, v), link
+    link = Link(smooth_last_line(s, h, small, params.surfaces), h.next_id if v is None else v.next_id)
+    return Connected(h, small, v), link
 
 
-def _grow(seen: _Seen, connected: _Connected, params: PrcParams) -> Surfaces:
+def grow(seen: Seen, connected: Connected, params: PrcParams) -> Surfaces:
+    """Split a block into smooth and non-smooth surfaces."""
     if connected.surfaces is not None:
         return connected.surfaces
     return surfaces(seen.supported, connected.components, connected.small, params.surfaces)
 
 
-def _count(v: Surfaces, params: PrcParams) -> I64:
+def count(v: Surfaces, params: PrcParams) -> I64:
+    """Count the smooth shots of every component, where the environment asks for them."""
     return count_smooth(v) if params.environment == "urban" else np.empty(0, np.int64)
 
 
-def _find_ground(
-    connected: _Connected, smooth: I64, link: _Link, totals: Totals, params: PrcParams
+def choose_ground(
+    connected: Connected, smooth: I64, link: Link, totals: Totals, params: PrcParams
 ) -> tuple[int, Totals]:
+    """Find the segment that is ground; return the totals that the next block needs."""
     if params.environment == "forest":
         return 0, totals
     return find_ground(connected.components, smooth, link.last_line, totals, params.urban)
 
 
-def _draw(seen: _Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:
+def draw(seen: Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:
+    """Give the shots of a block their labels."""
     if params.environment == "forest":
         return forest(seen.window, v, params.forest)
     return urban(seen.window, v, ground)
