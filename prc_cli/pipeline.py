@@ -42,6 +42,9 @@ from prc_cli.writers.record import Fingerprint, FingerprintBeside, RunRecord, fi
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
 
+Labeller: TypeAlias = Callable[[Iterator[ScanBlock], int], Iterator[LabelledBlock]]
+"""Labels a stream, given its blocks and a number of threads; in the order of the stream."""
+
 KERNELS_OF = {
     "prc": frozenset({"components", "support", "surfaces"}),
     SEQUENTIAL_ANGLE: frozenset(
@@ -260,6 +263,7 @@ def classify(
     overwrite: bool = False,
     progress: Progress | None = None,
     threads: int | None = None,
+    label: Labeller | None = None,
 ) -> RunSummary:
     """Classify one file and write its labels; the output exists whole or not at all.
 
@@ -278,6 +282,8 @@ def classify(
     threads : int, optional
         Threads that classify; default: one for every core. With more than one, reading, writing and the fingerprint of
         the input have a thread each beside them; with one, all is done in this one. The output does not depend on it.
+    label : callable, optional
+        Labels the stream where its labels are known already in part; default: :func:`label_blocks`.
 
     Returns
     -------
@@ -316,7 +322,7 @@ def classify(
             laz_contexts=stream.info.laz_contexts,
         ) as writer,
     ):
-        counts = _write_labels(stream, writer, loaded.config, threads, progress)
+        counts = _write_labels(stream, writer, label or _labeller(loaded.config), threads, progress)
         record = run_record(stream.info, counts, loaded, beside.result())
         record = replace(record, notices=(*record.notices, *_missed(counts, loaded.config)))
         after = source.stat()
@@ -327,8 +333,15 @@ def classify(
     return RunSummary(output, record, counts)
 
 
+def _labeller(config: RunConfig) -> Labeller:
+    """Label a stream from its ranges."""
+    return lambda blocks, threads: label_blocks(
+        blocks, config.classifier, threads=threads, segments=config.output.segment_ids, stages=config.output.stages
+    )
+
+
 def _write_labels(
-    stream: ScanStream, writer: LabelWriter, config: RunConfig, threads: int, progress: Progress | None
+    stream: ScanStream, writer: LabelWriter, label: Labeller, threads: int, progress: Progress | None
 ) -> Counts:
     """Read, classify and write at the same time; with one thread one after the other.
 
@@ -348,9 +361,7 @@ def _write_labels(
         if threads > 1:
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
-        labelled = label_blocks(
-            blocks, config.classifier, threads=threads, segments=config.output.segment_ids, stages=config.output.stages
-        )
+        labelled = label(blocks, threads)
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
@@ -502,6 +513,7 @@ def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:
 
 __all__ = [
     "Counts",
+    "Labeller",
     "Progress",
     "RunSummary",
     "classify",
