@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -71,8 +71,29 @@ def output_options(command: CommandT) -> CommandT:
     return command
 
 
+@dataclass(frozen=True, slots=True)
+class Layers:
+    """What the configuration is made of, each over the one before."""
+
+    path: Path | None
+    """``--config``."""
+    preset: str | None
+    """``--preset``; the file may name one too."""
+    table: dict[str, Any]
+    """All other options, nested."""
+    files: tuple[Path, ...]
+    """Further files that were read."""
+
+
 def config_from(options: dict[str, Any]) -> LoadedConfig:
     """Build the configuration from the values of :func:`stream_options` (given as keyword arguments)."""
+    layers = layers_from(options)
+    loaded = load_config(layers.path, layers.preset, layers.table)
+    return replace(loaded, files=(*loaded.files, *layers.files))
+
+
+def layers_from(options: dict[str, Any]) -> Layers:
+    """Read the values of :func:`stream_options` without putting them together with the file of ``--config``."""
     if options["sort_by_time"] and options["trust_order"]:
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)
@@ -104,5 +125,4 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
             message = f"--preset {preset} is for --method {of_preset}, not {method}"
             raise click.UsageError(message)
         table = merge(table, {"method": method})
-    loaded = load_config(options["config_file"], preset, table)
-    return loaded if layout_file is None else replace(loaded, files=(*loaded.files, layout_file))
+    return Layers(options["config_file"], preset, table, () if layout_file is None else (layout_file,))
