@@ -11,13 +11,15 @@ from pathlib import Path
 from prc_cli.batch.types import Done, Failed, InputPrint, Outcome, Problem, Task
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import PrcError
-from prc_cli.pipeline import Progress, RunSummary, classify, load_classifier
+from prc_cli.pipeline import Labeller, Progress, RunSummary, classify, load_classifier
 
 MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
 """Kinds of problems that the file's content has no part in."""
 
 
-def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
+def run_task(
+    task: Task, *, threads: int = 1, progress: Progress | None = None, label: Labeller | None = None
+) -> Outcome:
     """Classify one file.
 
     Parameters
@@ -28,6 +30,8 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
         Threads that classify; they do not change a byte.
     progress : callable, optional
         Called with the number of lines that were just finished.
+    label : callable, optional
+        Labels the stream where its labels are known already in part (:mod:`prc_cli.batch.parts`).
 
     Returns
     -------
@@ -47,12 +51,11 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
         load_classifier(task.config)
         begun, cpu = time.perf_counter(), time.process_time()
         _reset_peak()
-        summary = classify(
-            task.source, task.output, task.config, overwrite=task.overwrite, progress=progress, threads=threads
-        )
+        source, output, config, overwrite = task.source, task.output, task.config, task.overwrite
+        summary = classify(source, output, config, overwrite=overwrite, progress=progress, threads=threads, label=label)
         return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
     except Exception as error:
-        return Failed(task.name, before, time.perf_counter() - begun, _problem(error, task, before))
+        return Failed(task.name, before, time.perf_counter() - begun, problem_of(error, task, before))
 
 
 def stat_input(path: Path) -> InputPrint:
@@ -86,8 +89,8 @@ def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, c
     )
 
 
-def _problem(error: Exception, task: Task, before: InputPrint | None) -> Problem:
-    """Tell what a file cannot help, which may pass, from what is wrong with it."""
+def problem_of(error: Exception, task: Task, before: InputPrint | None) -> Problem:
+    """Return why a file failed; what it cannot help, which may pass, is told from what is wrong with it."""
     found = Problem.of(error)
     if isinstance(error, MemoryError):
         hint = "fewer --jobs or threads, or a higher --memory-limit"
