@@ -15,6 +15,7 @@ from typing import Any
 from prc_cli.batch.types import Problem
 from prc_cli.comparison import EvaluateOptions, evaluate_all
 from prc_cli.core.errors import ConfigError, InputError, PrcError
+from prc_cli.core.files import suffix_of
 from prc_cli.core.threads import ordered
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import Gate, GateResult, check_gates, parse_gate
@@ -33,7 +34,7 @@ class ReferenceSettings:
     """What outputs are compared with, and what they must reach."""
 
     tree: Path
-    """Folder of reference classes that mirrors the archive; a file has the name of the output but for the suffix."""
+    """Folder of reference classes that mirrors the archive; a file has the name of the input but for the suffix."""
     mapping_name: str = "prc"
     """Preset or file of the class mapping."""
     match: str = "order"
@@ -176,12 +177,12 @@ def evaluate_tree(
 
 def _compare(output: Output, tree: _Tree, mapping: ClassMapping, settings: ReferenceSettings) -> Compared:
     try:
-        reference = tree.find(output.relative)
+        reference = tree.find(output)
     except PrcError as error:
         return Compared(output.name, None, None, Problem.of(error))
     if reference is None:
-        problem = "no reference of this name, expected one with the output's name but for the suffix"
-        return Compared(output.name, None, None, Problem(NO_REFERENCE, output.relative, problem))
+        problem = "no reference, expected a file of this name but for the suffix in the reference tree"
+        return Compared(output.name, None, None, Problem(NO_REFERENCE, output.name, problem))
     shown = reference.relative_to(settings.tree).as_posix()
     options = EvaluateOptions(match=settings.match)
     if settings.match != "order" and output.path.suffix.lower() not in (".las", ".laz"):
@@ -200,22 +201,30 @@ class _Tree:
         self._root = root
         self._folders: dict[PurePosixPath, dict[str, list[Path]]] = {}
 
-    def find(self, relative: str) -> Path | None:
+    def find(self, output: Output) -> Path | None:
         """Return the file of reference classes of an output.
+
+        A reference has the name of the output, as another run would write it, or that of the input; but for the suffix.
 
         Raises
         ------
         InputError
             When two files have that name, or the folder cannot be listed.
         """
-        place = PurePosixPath(relative)
-        if place.parent not in self._folders:
-            self._folders[place.parent] = dict(_by_stem(self._root / place.parent))
-        found = self._folders[place.parent].get(stem_of(Path(place.name)), [])
-        if len(found) > 1:
-            problem = f"{' and '.join(path.name for path in found[:2])} have one name, expected one file"
-            raise InputError(str(found[0].parent), problem, "move one of them away")
-        return found[0] if found else None
+        name = PurePosixPath(output.name)
+        written = PurePosixPath(output.relative)
+        if name.parent not in self._folders:
+            self._folders[name.parent] = dict(_by_stem(self._root / name.parent))
+        folder = self._folders[name.parent]
+        input_stem = name.name[: len(name.name) - len(suffix_of(Path(name.name)))]
+        for stem in (stem_of(Path(written.name)), name.name, input_stem):
+            found = folder.get(stem, [])
+            if len(found) > 1:
+                problem = f"{' and '.join(path.name for path in found[:2])} have one name, expected one file"
+                raise InputError(str(found[0].parent), problem, "move one of them away")
+            if found:
+                return found[0]
+        return None
 
 
 def _by_stem(folder: Path) -> Iterator[tuple[str, list[Path]]]:

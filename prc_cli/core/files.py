@@ -11,12 +11,16 @@ import glob
 import hashlib
 import os
 import platform
+import re
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
 from prc_cli.core.errors import InputError, OutputError, OutputExistsError
+
+_TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-[0-9a-f]{8}\.part", re.DOTALL)
+"""Names that :func:`temporary_name` gives."""
 
 
 @contextlib.contextmanager
@@ -91,12 +95,23 @@ def remove_stale(path: Path) -> tuple[Path, ...]:
     """
     removed = []
     for part in path.parent.glob(f".{glob.escape(path.name)}.{_machine()}-*.part"):
-        process = part.name.removesuffix(".part").split("-")[-2]
-        if process.isdecimal() and not _is_running(int(process)):
+        if is_left_behind(part):
             with contextlib.suppress(OSError):
                 part.unlink()
                 removed.append(part)
     return tuple(removed)
+
+
+def is_left_behind(part: Path) -> bool | None:
+    """Tell whether a file is a temporary one whose process is dead; None if it is of another machine.
+
+    >>> is_left_behind(Path("drive.laz")), is_left_behind(Path(".drive.laz.0123abcd-77-89abcdef.part"))
+    (False, None)
+    """
+    found = _TEMPORARY.fullmatch(part.name)
+    if found is None:
+        return False
+    return not _is_running(int(found["process"])) if found["machine"] == _machine() else None
 
 
 def _machine() -> str:
