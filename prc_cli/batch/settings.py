@@ -67,3 +67,5 @@ class BatchSettings:
     """Memory that a worker may take [MiB]."""
     reference: ReferenceSettings | None = None
     """What the outputs are compared with, if anything."""
+    drift: bool = True
+    """Whether a file whose classes are unlike those of earlier ones raises an alarm."""
