@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import getpass
+import hashlib
 import json
 import os
 import platform
@@ -41,6 +42,7 @@ REBOOTED_S = 30.0
 """The same for an owner on this machine before it was started anew: a name may belong to two machines [s]."""
 ATTEMPTS = 200
 """How often a race is run again before it is given up; every attempt but the last was won by somebody."""
+ATTEMPT_PAUSE_S = 0.05
 CONFLICT_ATTEMPTS = 6
 """How often a run steps back from a run of another division of the archive that may be stepping back as well."""
 CONFLICT_PAUSE_S = 0.3
@@ -204,6 +206,7 @@ class Lock:
                 for _ in range(ATTEMPTS):
                     if self._try(temporary):
                         return
+                    time.sleep(random.uniform(0, ATTEMPT_PAUSE_S))
             finally:
                 temporary.unlink(missing_ok=True)
         problem = "changes hands faster than it can be read"
@@ -212,10 +215,20 @@ class Lock:
     def _try(self, temporary: Path) -> bool:
         """Try once to take or inherit the lock; False when a rival was quicker, who may have left since."""
         root = _read(self.path)
+        # links of earlier owners; they are listed before the lock is ours, so none can belong to our own heirs
+        spent = list(self.path.parent.glob(f"{self.path.name}.heir-*"))
         if root is None:
-            return _link(temporary, self.path)
-        chain = _chain(self.path, root)
-        last_path, last = chain[-1]
+            if not _link(temporary, self.path):
+                return False
+        elif not self._inherit(root, temporary):
+            return False
+        for path in spent:
+            path.unlink(missing_ok=True)
+        return True
+
+    def _inherit(self, root: Owner, temporary: Path) -> bool:
+        """Take over the lock of a dead owner; False when a rival was quicker."""
+        last_path, last = _chain(self.path, root)[-1]
         holder = _judge(last_path, last, temporary, self._patience)
         if holder is None or _read(self.path) != root:
             return False
@@ -228,19 +241,17 @@ class Lock:
             heir.unlink(missing_ok=True)
             return False
         # the link stays until our own file is the lock: whoever finds the dead owner there finds us as its heir
-        heir_copy = temporary_name(self.path)
-        _write(heir_copy, self.owner)
-        heir_copy.replace(self.path)
-        for path in self.path.parent.glob(f"{self.path.name}.heir-*"):
-            if path != _heir_path(self.path, self.owner):
-                path.unlink(missing_ok=True)
+        copy = temporary_name(self.path)
+        _write(copy, self.owner)
+        copy.replace(self.path)
+        heir.unlink(missing_ok=True)
         self.inherited_from = last
         return True
 
     def _conflicting(self) -> Holder | None:
         """Return a living owner whose files overlap with ours."""
         count = None if self._shard is None else self._shard.count
-        for holder in holders(self._folder, patience=self._patience):
+        for holder in holders(self._folder, beside=self.path, patience=self._patience):
             own = holder.owner.token == self.owner.token
             sibling = count is not None and holder.owner.shard.endswith(f"/{count}")
             if holder.alive and not own and not sibling:
@@ -281,10 +292,11 @@ class _Patience:
     rebooted_s: float = REBOOTED_S
 
 
-def holders(folder: Path, *, patience: _Patience | None = None) -> list[Holder]:
-    """Return who holds, or held, a lock of an output folder; for ``prc batch status``. Nothing is changed.
+def holders(folder: Path, *, beside: Path | None = None, patience: _Patience | None = None) -> list[Holder]:
+    """Return who holds, or held, a lock of an output folder; for ``prc batch status``.
 
-    Where the folder cannot be written, heartbeats are compared with the clock of this machine.
+    Nothing is changed. Without a file of ours ``beside`` the locks, which tells what time it is there, heartbeats are
+    compared with the clock of this machine.
     """
     found = []
     for path in sorted(folder.glob("lock*.json")):
@@ -292,7 +304,7 @@ def holders(folder: Path, *, patience: _Patience | None = None) -> list[Holder]:
         if root is None:
             continue
         last_path, last = _chain(path, root)[-1]
-        holder = _judge(last_path, last, None, patience or _Patience())
+        holder = _judge(last_path, last, beside, patience or _Patience())
         if holder is not None:
             found.append(holder)
     return found
@@ -323,9 +335,12 @@ def _read(path: Path) -> Owner | None:
     A file that is no lock (cut, or edited by hand) counts as that of an unknown owner of some other machine.
     """
     try:
+        number = path.stat().st_ino
         content = path.read_bytes()
     except FileNotFoundError:
         return None
+    except PermissionError:  # of a user who shares nothing but the heartbeat
+        return _unknown(f"closed{number}")
     try:
         values = json.loads(content)
         owner = Owner(**values)
@@ -334,9 +349,12 @@ def _read(path: Path) -> Owner | None:
         if not owner.token.isalnum():  # it becomes part of a file name
             raise ValueError
     except (ValueError, TypeError, RecursionError):
-        digest = f"unreadable{path.stat().st_mtime_ns}" if path.exists() else "unreadable"
-        return Owner("an unknown machine", "", "", 0, "", "unknown", "an unknown time", "", "", digest)
+        return _unknown(f"unreadable{number}x{hashlib.sha256(content).hexdigest()[:16]}")
     return owner
+
+
+def _unknown(token: str) -> Owner:
+    return Owner("an unknown machine", "", "", 0, "", "an unknown user", "an unknown time", "", "", token)
 
 
 def _link(source: Path, target: Path) -> bool:
@@ -344,10 +362,19 @@ def _link(source: Path, target: Path) -> bool:
     try:
         os.link(source, target)
     except FileExistsError:
-        return False
+        # a file server may have made the link and lost the answer
+        return _is_same(source, target)
     except OSError:
         return _create(source, target)
     return True
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    """Tell whether two names are of one file."""
+    try:
+        return one.samefile(other)
+    except OSError:
+        return False
 
 
 def _create(source: Path, target: Path) -> bool:
@@ -389,7 +416,7 @@ def _judge(path: Path, owner: Owner, beside: Path | None, patience: _Patience) -
         return None
     running = _is_running(owner)
     if running is None:
-        rebooted = owner.host == platform.node() and owner.boot != _boot() != ""
+        rebooted = owner.host == platform.node() and "" not in (owner.boot, _boot()) and owner.boot != _boot()
         running = silent < (patience.rebooted_s if rebooted else patience.silent_s)
     return Holder(path, owner, silent, running)
 
