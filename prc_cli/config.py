@@ -6,7 +6,7 @@ Layers, each over the one before: built-in defaults, a preset, a TOML file, comm
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.config import Params, build, flatten, merge, read_toml
+from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
 from prc_cli.core.errors import ConfigError
 from prc_cli.readers.options import InputConfig, Layout
 from prc_cli.writers.options import OutputConfig
@@ -183,9 +183,27 @@ def load_config(
     if chosen is not None:
         layers.append((f"preset {chosen}", preset_table(chosen)))
     if file_path is not None:
-        layers.append((str(file_path), _from_folder(table, file_path.parent)))
+        layers.append((str(file_path), from_folder(table, file_path.parent)))
     if options:
         layers.append(("option", options))
+    return from_layers(layers, () if file_path is None else (file_path,))
+
+
+def from_layers(layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Path, ...] = ()) -> LoadedConfig:
+    """Build a configuration of named nested tables, each laid over the one before.
+
+    Parameters
+    ----------
+    layers : sequence of (str, mapping)
+        Where a table comes from, and the table.
+    files : tuple of Path
+        Files that were read for it.
+
+    Raises
+    ------
+    ConfigError
+        Naming the layer, the key, what was found and what was expected.
+    """
     merged: dict[str, Any] = {}
     sources: dict[str, str] = {}
     for name, layer in layers:
@@ -193,23 +211,25 @@ def load_config(
         # each layer is validated on top of those below it, so that the message names the right source
         build(RunConfig, merged, name)
         sources.update(dict.fromkeys(dict(flatten(layer)), name))
-    config = build(RunConfig, merged, "configuration")
-    return LoadedConfig(config, sources, () if file_path is None else (file_path,))
+    return LoadedConfig(build(RunConfig, merged, "configuration"), sources, files)
 
 
-def _from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     """Let the trajectory that a configuration file names start at the file's folder, wherever the program runs."""
     inputs = table.get("input")
     rule = inputs.get("range") if isinstance(inputs, Mapping) else None
     if not isinstance(rule, str) or not rule.startswith("trajectory:"):
         return table
-    name = (folder / Path(rule.partition(":")[2]).expanduser()).absolute()
+    try:
+        name = (folder / Path(rule.partition(":")[2]).expanduser()).absolute()
+    except RuntimeError:
+        raise ConfigError("input.range", f"found {rule!r}, whose home folder is not known", "write it out") from None
     return merge(table, {"input": {"range": f"trajectory:{name}"}})
 
 
 def preset_table(name: Any) -> dict[str, Any]:
     """Return the table of a preset, or raise :class:`ConfigError` naming those there are."""
-    if name not in PRESETS:
+    if not isinstance(name, str) or name not in PRESETS:
         raise ConfigError("preset", f"found {name!r}, expected one of: {', '.join(PRESETS)}")
     return PRESETS[name]
 
@@ -230,11 +250,9 @@ def parse_assignment(text: str) -> dict[str, Any]:
 
 
 def _parse_value(text: str) -> Any:
-    import tomllib
-
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}", "--set")["value"]
+    except ConfigError:
         return text
 
 
