@@ -1,0 +1,388 @@
+"""``prc batch``: a tree of files, at night, by itself."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from prc_cli.cli.options import layers_from, output_options, stream_options
+from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.files import atomic_output
+
+if TYPE_CHECKING:
+    from prc_cli.batch.run import RunEvent
+    from prc_cli.batch.settings import BatchSettings
+    from prc_cli.batch.summary import BatchSummary
+    from prc_cli.batch.types import Engine, Shard
+
+_COMMAND_SCHEMA = 1
+
+
+class BatchCommand(click.Group):
+    """A command with arguments of its own whose first word may also be the name of one of its parts."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Go on with a part if the first word names one; a folder of that name is ``./status``."""
+        if args and args[0] in self.commands:
+            part = self.commands[args[0]]
+            return part.make_context(f"{info_name} {args[0]}", args[1:], parent=parent, **extra)
+        return super().make_context(info_name, args, parent=parent, **extra)
+
+    # what a plain command does, not a group
+    parse_args = click.Command.parse_args
+    invoke = click.Command.invoke
+    collect_usage_pieces = click.Command.collect_usage_pieces
+    shell_complete = click.Command.shell_complete
+
+
+def _complete_archive(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    parts = [CompletionItem(name) for name in batch.commands if name.startswith(incomplete)]
+    return [*parts, CompletionItem(incomplete, type="dir")]
+
+
+_option = click.option
+
+_SELECTION = [
+    _option("--include", multiple=True, metavar="GLOB", help="Only inputs of such names, e.g. '2026/**/*.laz'."),
+    _option("--exclude", multiple=True, metavar="GLOB", help="Not those of such names, or in such folders."),
+    _option("--since", metavar="WHEN", help="Only inputs changed since: 2026-01-31, 7d, 12h, or a file."),
+    _option("--limit", type=click.IntRange(min=1), metavar="N", help="At most N files; the rest another time."),
+    _option("--shard", metavar="I/N", help="Only the I-th of N parts, for as many machines."),
+    _option("--only-failed", is_flag=True, help="Only files that failed or were cut off before."),
+]
+_WORK = [
+    _option("--jobs", type=click.IntRange(min=1), metavar="N", help="Files at a time; default: one for every core."),
+    _option("--threads", type=click.IntRange(min=1), metavar="N", help="Threads a file; default: cores / jobs."),
+    _option("--engine", type=click.Choice(["local", "dask"]), default="local", show_default=True,
+            help="Processes of this machine, or a Dask cluster."),
+    _option("--scheduler", metavar="ADDRESS", help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786."),
+    _option("--retry", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
+            help="Try a file N times more in this run where the problem may pass."),
+    _option("--fail-fast/--keep-going", default=False, help="Begin no file after the first failure, or go on.  "
+            "[default: keep-going]"),
+    _option("--stall", "stall_s", type=click.FloatRange(min=0, min_open=True), default=600.0, show_default=True,
+            metavar="SECONDS", help="Give up a file without progress for so long."),
+    _option("--memory-limit", "memory_limit", type=click.IntRange(min=1), metavar="MB",
+            help="Memory that a worker may take [MiB]."),
+]  # fmt: skip
+_OUTPUTS = [
+    _option("--to", default="same", show_default=True, metavar="FORMAT",
+            help="laz, las, npy, csv or parquet; same: LAS and LAZ stay what they are, of all else labels (.npy)."),
+    _option("--overwrite", is_flag=True, help="Replace outputs that no run of prc batch wrote."),
+    _option("--adopt", is_flag=True, help="Take such outputs as done if their record says that they are the same."),
+    _option("--verify", is_flag=True, help="Compare the content of inputs, not only size and time."),
+    _option("--dry-run", is_flag=True, help="Only say what would be done, and what it would take."),
+]  # fmt: skip
+_CHECKS = [
+    _option("--reference", type=click.Path(path_type=Path), metavar="TREE",
+            help="Evaluate against the files of this tree of the same name but for the suffix."),
+    _option("--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml",
+            help="Which codes mean which class, as prc evaluate."),
+    _option("--match", default="order", show_default=True, metavar="HOW",
+            help="How records find their partner: order, time, dimension:NAME or nearest."),
+    _option("--fail-under", "gates", multiple=True, metavar="SCORE.CLASS=VALUE",
+            help="Exit code 3 if a score of all files together is lower, e.g. recall.ground=0.95."),
+    _option("--drift/--no-drift", default=True, show_default=True,
+            help="Exit code 4 if the classes of a file are unlike those of earlier ones."),
+]  # fmt: skip
+_TELLING = [
+    _option("--log-json", metavar="FILE|-", help="Write every event as a line of JSON, at the end of FILE."),
+    _option("--time-stamps", is_flag=True, help="Begin log lines with the time (UTC)."),
+]
+
+
+def _add(*groups: list[Callable[[Any], Any]]) -> Callable[[Any], Any]:
+    def add(command: Any) -> Any:
+        for option in reversed([option for group in groups for option in group]):
+            command = option(command)
+        return command
+
+    return add
+
+
+@click.group(cls=BatchCommand, subcommand_metavar="")
+@click.argument("archive", type=click.Path(path_type=Path), shell_complete=_complete_archive)
+@click.argument("out", type=click.Path(path_type=Path))
+@_add(_SELECTION, _WORK, _OUTPUTS, _CHECKS, _TELLING)
+@stream_options
+@output_options
+def batch(**options: Any) -> None:
+    """Classify every file of ARCHIVE that is not done yet into the same place of OUT.
+
+    Finished files are skipped; changed inputs, configurations and programs are done again. A run that was cut off
+    goes on where it was, and a second one in the same OUT does nothing (exit code 5). The journal lies in OUT/.prc.
+    The file of --config may hold [[override]] tables for some of the files.
+
+    Exit codes: 0 done, 1 a file failed, 2 wrong usage, 3 a gate failed, 4 the classes of a file are unlike those of
+    earlier ones, 5 another run is at work in OUT.
+
+    \b
+    Examples:
+      prc batch /archive /classified --preset urban
+      prc batch /archive /classified --config archive.toml --jobs 4 --dry-run
+      prc batch /archive /classified --config archive.toml -q --log-json /var/log/prc.jsonl
+      prc batch status /classified
+      prc batch retry /classified
+    """
+    _run(options)
+
+
+@batch.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@_option("--json", "as_json", is_flag=True, help="Print all of it as JSON on stdout.")
+def status(out: Path, as_json: bool) -> None:
+    """Say what is done, what failed and why, and who is at work in OUT.
+
+    \b
+    Example: prc batch status /classified
+    """
+    from prc_cli.batch.clean import own_folder
+    from prc_cli.batch.journal import read_entries, read_runs
+    from prc_cli.batch.lock import holders
+    from prc_cli.cli.batch_report import print_status, status_dict
+
+    folder = own_folder(out)
+    entries, runs, owners = read_entries(folder), read_runs(folder), holders(folder)
+    if as_json:
+        click.echo(json.dumps(status_dict(entries, runs, owners), indent=1))
+    else:
+        print_status(out, entries, runs, owners)
+
+
+@batch.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@_option("--shard", metavar="I/N", help="Repeat the last run of this shard.")
+@_option("--jobs", type=click.IntRange(min=1), metavar="N", help="Files at a time, other than last time.")
+@_option("--retry", type=click.IntRange(min=0), metavar="N", help="Try a file N times more, other than last time.")
+@_option("--dry-run", is_flag=True, help="Only say what would be done.")
+@output_options
+def retry(out: Path, shard: str | None, **changes: Any) -> None:
+    """Do the files of OUT again, now, that failed or were cut off, as the last run was asked to.
+
+    \b
+    Examples:
+      prc batch retry /classified
+      prc batch retry /classified --jobs 1
+    """
+    from prc_cli.batch.clean import own_folder
+    from prc_cli.batch.types import Shard
+
+    part = None if shard is None else Shard.parse(shard)
+    folder, options = _read_command(_command_path(own_folder(out), part))
+    options |= {key: value for key, value in changes.items() if value is not None}
+    options |= {"only_failed": True, "limit": None, "since": None, "out": out.absolute()}
+    # names that were given to the last run start at the folder that it was started in
+    with contextlib.chdir(folder):
+        _run(options)
+
+
+@batch.command()
+@click.argument("out", type=click.Path(path_type=Path))
+@_option(
+    "--forget",
+    "archive",
+    type=click.Path(path_type=Path),
+    metavar="ARCHIVE",
+    help="Forget inputs in the journal that this folder does not hold any more.",
+)
+@_option("--dry-run", is_flag=True, help="Only say what would be removed.")
+@_option("--json", "as_json", is_flag=True, help="Print it as JSON on stdout.")
+def clean(out: Path, archive: Path | None, dry_run: bool, as_json: bool) -> None:
+    """Remove temporary files that dead runs left in OUT; outputs stay.
+
+    \b
+    Examples:
+      prc batch clean /classified --dry-run
+      prc batch clean /classified --forget /archive
+    """  # fmt: skip
+    from prc_cli.batch.clean import clean as clean_folder
+    from prc_cli.cli.batch_report import print_cleaned
+
+    found = clean_folder(out, archive=archive, dry_run=dry_run)
+    if as_json:
+        table = {
+            "removed": [str(path) for path in found.files], "bytes": found.n_bytes,
+            "forgotten": list(found.forgotten), "kept": [str(path) for path in found.kept], "dry_run": dry_run,
+        }  # fmt: skip
+        click.echo(json.dumps(table, indent=1))
+    else:
+        print_cleaned(found, dry_run=dry_run)
+
+
+def _run(options: dict[str, Any]) -> None:
+    """Run a batch, or say what it would do, and leave with its exit code."""
+    if options["as_json"] and options["log_json"] == "-":
+        message = "--json and --log-json - both want stdout; give the log a file"
+        raise click.UsageError(message)
+    settings = _settings(options)
+    engine = _engine(options)
+    if options["dry_run"]:
+        _dry_run(settings, engine, options)
+        return
+    summary = _run_and_tell(settings, engine, options)
+    if options["as_json"]:
+        from prc_cli.batch.summary import as_dict
+
+        click.echo(json.dumps(as_dict(summary), indent=1, allow_nan=False))
+    click.get_current_context().exit(summary.exit_code)
+
+
+def _settings(options: dict[str, Any]) -> BatchSettings:
+    from prc_cli.batch.reference import ReferenceSettings
+    from prc_cli.batch.settings import BatchSettings, ConfigLayers
+    from prc_cli.batch.types import Shard
+
+    if options["gates"] and options["reference"] is None:
+        message = "--fail-under needs --reference TREE"
+        raise click.UsageError(message)
+    reference = None
+    if options["reference"] is not None:
+        reference = ReferenceSettings(options["reference"], options["mapping"], options["match"], options["gates"])
+        reference.check()
+    layers = layers_from(options)
+    same = (
+        "archive", "out", "include", "exclude", "since", "limit", "only_failed", "jobs", "threads", "to",
+        "retry", "fail_fast", "overwrite", "adopt", "verify", "stall_s", "drift",
+    )  # fmt: skip
+    return BatchSettings(
+        config=ConfigLayers(layers.path, layers.preset, layers.table, layers.files),
+        shard=None if options["shard"] is None else Shard.parse(options["shard"]),
+        memory_limit_mib=options["memory_limit"],
+        reference=reference,
+        **{key: options[key] for key in same},
+    )
+
+
+def _engine(options: dict[str, Any]) -> Engine | None:
+    if options["engine"] == "local":
+        if options["scheduler"] is not None:
+            message = "--scheduler is for --engine dask"
+            raise click.UsageError(message)
+        return None
+    if options["scheduler"] is None:
+        message = "--engine dask needs --scheduler ADDRESS"
+        raise click.UsageError(message)
+    from prc_cli.batch.dask_engine import DaskEngine
+
+    return DaskEngine(options["scheduler"])
+
+
+def _dry_run(settings: BatchSettings, engine: Engine | None, options: dict[str, Any]) -> None:
+    from prc_cli.batch.run import plan_batch
+    from prc_cli.cli.batch_report import plan_dict, print_plan
+
+    plan, estimate = plan_batch(settings, engine)
+    if options["as_json"]:
+        click.echo(json.dumps(plan_dict(plan, estimate), indent=1, allow_nan=False))
+    else:
+        print_plan(plan, estimate, verbose=options["verbose"])
+
+
+def _run_and_tell(settings: BatchSettings, engine: Engine | None, options: dict[str, Any]) -> BatchSummary:
+    from prc_cli.batch.run import Ready, run_batch
+    from prc_cli.cli.batch_report import Bars, Final, JsonLog, PlainLines, print_end, say
+
+    quiet, on_terminal = options["quiet"], sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+    shows_bars = on_terminal and not quiet and not options["time_stamps"]
+    log = None if options["log_json"] is None else JsonLog(options["log_json"])
+    if log is not None:
+        log.start(settings.archive, settings.out, None if settings.shard is None else str(settings.shard))
+
+    def keep_command(event: RunEvent) -> None:
+        if isinstance(event, Ready):  # the lock is held
+            _write_command(settings, options)
+
+    summary: BatchSummary | None = None
+    code, problem = 1, ""
+    try:
+        with contextlib.ExitStack() as stack:
+            show = (
+                stack.enter_context(Bars())
+                if shows_bars
+                else PlainLines(quiet=quiet, verbose=options["verbose"], stamps=options["time_stamps"])
+            )
+            final = Final(keep_command, show, *([] if log is None else [log]))
+            stack.callback(final.close)
+            summary = run_batch(settings, engine, final)
+        code = summary.exit_code
+    except PrcError as error:
+        code, problem = error.exit_code, str(error)
+        raise
+    except (KeyboardInterrupt, SystemExit) as stop:
+        code = 130 if isinstance(stop, KeyboardInterrupt) else int(stop.code or 0)
+        problem = "interrupted"
+        say("interrupted; what was finished stays, and the next run goes on from there")
+        raise SystemExit(code) from None
+    finally:
+        if log is not None:
+            log.end(code, summary, problem)
+    print_end(summary, quiet=quiet, listed=not shows_bars)
+    return summary
+
+
+# -- the last run, for retry ------------------------------------------------------------------------------------------
+
+
+def _command_path(folder: Path, shard: Shard | None) -> Path:
+    return folder / ("command.json" if shard is None else f"command.{shard.index}-of-{shard.count}.json")
+
+
+def _write_command(settings: BatchSettings, options: dict[str, Any]) -> None:
+    """Keep what a run was asked for beside its journal; one that cannot be kept is no reason to stop."""
+    from prc_cli.batch.types import OWN_FOLDER
+
+    table = {
+        "schema": _COMMAND_SCHEMA,
+        "folder": str(Path.cwd()),
+        "options": {key: None if value is None else _plain(value) for key, value in options.items()},
+    }
+    with contextlib.suppress(PrcError), atomic_output(_command_path(settings.out / OWN_FOLDER, settings.shard)) as file:
+        file.write_text(json.dumps(table, indent=1) + "\n", encoding="ascii", newline="\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return value if isinstance(value, bool | int | float) else str(value)
+
+
+def _read_command(path: Path) -> tuple[Path, dict[str, Any]]:
+    """Return the folder that the last run was started in, and its options, checked as if they were typed."""
+    hint = "give the whole command with --only-failed instead"
+    try:
+        table = json.loads(path.read_bytes())
+        folder, kept = Path(table["folder"]), dict(table["options"])
+        if table["schema"] != _COMMAND_SCHEMA or not folder.is_dir():
+            raise ValueError
+    except FileNotFoundError:
+        raise ConfigError(str(path), "is not there, expected what the last run was asked for", hint) from None
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ConfigError(str(path), "cannot be used, expected what the last run was asked for", hint) from None
+    context = click.Context(batch)
+    options: dict[str, Any] = {}
+    for parameter in batch.params:
+        name = parameter.name
+        if name is None or not parameter.expose_value:
+            continue
+        value = kept.get(name)
+        try:
+            if value is None or value == []:
+                options[name] = parameter.get_default(context) if name not in kept else () if value == [] else None
+            else:
+                options[name] = parameter.type_cast_value(context, value)
+        except click.ClickException as error:
+            raise ConfigError(str(path), f"{name}: {error.format_message()}", hint) from None
+    return folder, options
+
+
+__all__ = ["batch"]
