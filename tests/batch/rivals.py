@@ -1,0 +1,116 @@
+"""Processes that fight for one lock and drop dead in the middle of it; a script of its own, because it forks.
+
+``python rivals.py FOLDER SEED SECONDS KINDS`` prints what happened as JSON. Every step of a rival in the file system
+may be slow, and may be its last: it leaves with ``os._exit``, as a kill would make it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+from prc_cli.batch import lock as subject
+from prc_cli.batch.lock import Lock
+from prc_cli.batch.types import Shard
+from prc_cli.core.errors import BusyError
+
+N_RIVALS = 6
+DEATH = 0.01
+"""Chance that a step is the last."""
+DEATH_INSIDE = 0.4
+"""Chance to die while the lock is held."""
+
+
+def main() -> None:
+    folder, seed, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    kinds = [None if kind == "whole" else Shard.parse(kind) for kind in sys.argv[4].split(",")]
+    subject.ATTEMPT_PAUSE_S, subject.CONFLICT_PAUSE_S = 0.002, 0.01
+    (folder / "inside").mkdir()
+    end = time.monotonic() + seconds
+    running: set[int] = set()
+    n_lives = 0
+    while time.monotonic() < end or running:
+        while len(running) < N_RIVALS and time.monotonic() < end:
+            n_lives += 1
+            pid = os.fork()
+            if pid == 0:
+                _live(folder, random.Random(seed * 100_003 + n_lives), kinds, end)
+                os._exit(0)
+            running.add(pid)
+        pid, _ = os.wait()
+        running.discard(pid)
+    words = [word for path in (folder / "log").iterdir() for word in path.read_text().split()]
+    counts = Counter(words)
+    left = [name for name in os.listdir(folder / ".prc") if "heir" in name]
+    print(json.dumps({**counts, "lives": n_lives, "heirs left": len(left)}))
+
+
+def _live(folder: Path, rng: random.Random, kinds: list[Shard | None], end: float) -> None:
+    (folder / "log").mkdir(exist_ok=True)
+    log = (folder / "log" / str(os.getpid())).open("a", buffering=1)
+    kind = rng.choice(kinds)
+
+    def step(death: float = DEATH) -> None:
+        if rng.random() < 0.3:
+            time.sleep(rng.random() * 0.001)
+        elif rng.random() < 0.05:
+            time.sleep(rng.random() * 0.02)
+        if rng.random() < death:
+            log.write("died\n")
+            os._exit(9)
+
+    for name in ("_read", "_link", "_write", "_judge", "_chain"):
+        setattr(subject, name, _with_steps(getattr(subject, name), step))
+    os.fsync = lambda handle: None  # no power is cut here; more rounds a second
+    Path.replace = _with_steps(Path.replace, step)  # type: ignore[method-assign]
+    Path.unlink = _with_steps(Path.unlink, step)  # type: ignore[method-assign]
+    while time.monotonic() < end:
+        try:
+            with Lock(folder / ".prc", kind) as lock:
+                log.write("inherited\n" if lock.inherited_from else "entered\n")
+                mark = folder / "inside" / f"{os.getpid()}.{'whole' if kind is None else kind.count}"
+                mark.touch()
+                for other in (folder / "inside").iterdir():
+                    if other != mark and _alive(int(other.name.split(".")[0])) and _excludes(mark, other):
+                        log.write("VIOLATION\n")
+                time.sleep(rng.random() * 0.01)
+                step(DEATH_INSIDE)
+                lock.check()
+                os.unlink(mark)
+        except BusyError as error:
+            log.write("LOST\n" if "lost" in error.problem else "busy\n")
+            time.sleep(rng.random() * 0.003)
+
+
+def _with_steps(function, step):  # type: ignore[no-untyped-def]
+    def stepped(*arguments, **named):  # type: ignore[no-untyped-def]
+        step()
+        result = function(*arguments, **named)
+        step()
+        return result
+
+    return stepped
+
+
+def _excludes(mark: Path, other: Path) -> bool:
+    return mark.suffix != other.suffix or mark.suffix == ".whole" or SAME_SHARD
+
+
+SAME_SHARD = len(sys.argv) > 4 and len(set(sys.argv[4].split(","))) == 1
+"""With one kind only, nobody else may be inside at all."""
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+if __name__ == "__main__":
+    main()
