@@ -47,7 +47,7 @@ def main() -> None:
     words = [word for path in (folder / "log").iterdir() for word in path.read_text().split()]
     counts = Counter(words)
     left = [name for name in os.listdir(folder / ".prc") if "heir" in name]
-    print(json.dumps({**counts, "lives": n_lives, "heirs left": len(left)}))
+    sys.stdout.write(json.dumps({**counts, "lives": n_lives, "heirs left": len(left)}))
 
 
 def _live(folder: Path, rng: random.Random, kinds: list[Shard | None], end: float) -> None:
@@ -66,6 +66,7 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None], end: floa
 
     for name in ("_read", "_link", "_write", "_judge", "_chain"):
         setattr(subject, name, _with_steps(getattr(subject, name), step))
+    unlink = Path.unlink
     os.fsync = lambda handle: None  # no power is cut here; more rounds a second
     Path.replace = _with_steps(Path.replace, step)  # type: ignore[method-assign]
     Path.unlink = _with_steps(Path.unlink, step)  # type: ignore[method-assign]
@@ -81,7 +82,7 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None], end: floa
                 time.sleep(rng.random() * 0.01)
                 step(DEATH_INSIDE)
                 lock.check()
-                os.unlink(mark)
+                unlink(mark)
         except BusyError as error:
             log.write("LOST\n" if "lost" in error.problem else "busy\n")
             time.sleep(rng.random() * 0.003)
