@@ -140,7 +140,7 @@ def limit_memory(mib: int) -> None:
     resource.setrlimit(kind, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
 
 
-def _moved() -> Callable[[], int]:
+def bytes_moved() -> Callable[[], int]:
     """Return a function that tells how much this process has moved: bytes where the system tells, else CPU time."""
     place = Path("/proc/self/io")
     own = 0
@@ -162,7 +162,7 @@ def _moved() -> Callable[[], int]:
 
 def _beat(parent: _Parent) -> None:
     """Tell the parent, from a thread, that data is moving although no line is finished, as at the end of a file."""
-    moved = _moved()
+    moved = bytes_moved()
     last = moved()
     while True:
         time.sleep(BEAT_S)
