@@ -303,12 +303,12 @@ def _toml_lines(table: Params, prefix: str, sources: Mapping[str, str], comments
         if comments and (documentation := type(value).__doc__):
             yield f"# {documentation.strip().splitlines()[0]}"
         source = sources.get(f"{prefix}{key}")
-        yield f"[{prefix}{key}]" + (f"  # from: {source}" if comments and source else "")
+        yield f"[{prefix}{key}]" + (_origin(source) if comments and source else "")
         yield from _toml_lines(value, f"{prefix}{key}.", sources, comments)
 
 
 def _toml_key(key: str, value: Any, info: FieldInfo, source: str | None, comments: bool) -> Iterator[str]:
-    origin = f"  # from: {source}" if comments and source else ""
+    origin = _origin(source) if comments and source else ""
     if comments and info.description:
         yield f"# {info.description}"
     if value is None:
@@ -317,11 +317,22 @@ def _toml_key(key: str, value: Any, info: FieldInfo, source: str | None, comment
     elif isinstance(value, tuple) and value and isinstance(value[0], Params):
         rows = (row.model_dump(mode="json", by_alias=True, exclude_defaults=True) for row in value)
         yield f"{key} = [{origin}"
-        yield from (f"    {{ {', '.join(f'{k} = {json.dumps(v)}' for k, v in row.items())} }}," for row in rows)
+        yield from (f"    {{ {', '.join(f'{k} = {_toml_value(v)}' for k, v in row.items())} }}," for row in rows)
         yield "]"
     else:
-        # JSON's strings, numbers, booleans and lists are TOML's as well
-        yield f"{key} = {json.dumps(value)}{origin}"
+        yield f"{key} = {_toml_value(value)}{origin}"
+
+
+def _origin(source: str) -> str:
+    """Return a comment; the name of a file must not end it."""
+    shown = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in source)
+    return f"  # from: {shown}"
+
+
+def _toml_value(value: Any) -> str:
+    """Return JSON's strings, numbers, booleans and lists, which are TOML's but for some escaped characters."""
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in text)
 
 
 def json_schema() -> dict[str, Any]:

@@ -117,6 +117,8 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         context = getattr(error, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
         message, code = one_line(f"{error.format_message()}{hint}"), error.exit_code
+    except MemoryError:
+        message, code = "not enough memory for this input and these parameters; no output was left behind", 1
     except (click.Abort, KeyboardInterrupt):
         message, code = "interrupted; no output was left behind", INTERRUPTED
     except OSError as error:
@@ -126,7 +128,10 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     else:
         return code if isinstance(code, int) else 0
     if debug:
-        traceback.print_exc()
+        from prc_cli.cli.safe import printable_lines
+
+        with contextlib.suppress(OSError):
+            click.echo(printable_lines(traceback.format_exc()), err=True)
     with contextlib.suppress(OSError):
         click.echo(f"error: {message}", err=True)
     return code

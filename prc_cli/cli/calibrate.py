@@ -28,6 +28,7 @@ from prc_cli.calibration.reports import (
 from prc_cli.calibration.search import MEAN_F1, Tried
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress, results
+from prc_cli.cli.safe import printable_lines
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
 
@@ -148,7 +149,7 @@ def calibrate(
                 temporary.write_text(text(found), encoding="utf-8")
     chosen = "json" if as_json_flag else form
     if chosen in ("json", "markdown"):
-        click.echo((as_json(found) if chosen == "json" else as_markdown(found)).rstrip("\n"))
+        click.echo(printable_lines((as_json(found) if chosen == "json" else as_markdown(found)).rstrip("\n")))
     elif not quiet:
         _print(found)
     if not quiet:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.config import json_schema, load_config, to_toml
 
 
@@ -35,7 +36,7 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
     if as_json:
         click.echo(json.dumps({"config": loaded.config.to_table(), "sources": loaded.sources}, indent=2))
     else:
-        click.echo(to_toml(loaded, comments=not bare), nl=False)
+        click.echo(printable_lines(to_toml(loaded, comments=not bare)), nl=False)
 
 
 @config.command()
@@ -47,7 +48,7 @@ def check(file: Path) -> None:
     Example: prc config check night_run.toml
     """
     loaded = load_config(file)
-    click.echo(f"{file}: valid, {len(loaded.sources)} keys set")
+    click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set"))
 
 
 @config.command()

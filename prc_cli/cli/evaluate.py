@@ -11,6 +11,7 @@ import click
 
 from prc_cli.class_pictures import class_pictures
 from prc_cli.cli.report import print_evaluation, print_evaluation_details
+from prc_cli.cli.safe import printable_lines
 from prc_cli.comparison import EvaluateOptions, evaluate_all
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
@@ -197,7 +198,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         with atomic_output(path) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
     if form != "table":
-        click.echo(_text(form, found, gates, mapping, pictures).rstrip("\n"))
+        click.echo(printable_lines(_text(form, found, gates, mapping, pictures).rstrip("\n")))
     elif not options["quiet"]:
         print_evaluation(found.matrix, scores(found.matrix), found.intervals)
         print_evaluation_details(found, gates)

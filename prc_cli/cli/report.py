@@ -8,11 +8,13 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
+from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.evaluation.reports import (
     NO_INTERVALS,
@@ -38,17 +40,25 @@ MAX_PARTS = 40
 """Parts of a split that are shown on a terminal."""
 
 
+class _SafeConsole(Console):
+    """A console whose terminal obeys nobody else: names in files, and of files, may hold control characters."""
+
+    def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
+        """Take what is to be printed; cells, headings and titles of tables come this way too."""
+        return super().render_str(printable_lines(text), **options)
+
+
 @cache
 def console() -> Console:
     """Return the console on stderr; stdout is kept for results."""
-    return Console(stderr=True, markup=False, highlight=False)
+    return _SafeConsole(stderr=True, markup=False, highlight=False, emoji=False)
 
 
 @cache
 def results() -> Console:
     """Return the console on stdout, for the tables that are the result of a command."""
     # a pipe or a file gets the whole table, not one cut to 80 columns
-    return Console(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False)
+    return _SafeConsole(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False, emoji=False)
 
 
 COMPILING_S = 2.0
@@ -77,7 +87,7 @@ def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
         return
     from tqdm import tqdm
 
-    with tqdm(desc=name, unit=" lines", unit_scale=True, leave=False) as bar:
+    with tqdm(desc=printable(name), unit=" lines", unit_scale=True, leave=False) as bar:
         yield bar.update
 
 

@@ -15,6 +15,15 @@ def printable(text: str) -> str:
     return "".join(_shown(character) for character in text)
 
 
+def printable_lines(text: str) -> str:
+    r"""Return a text of several lines, each of them as :func:`printable` has it.
+
+    >>> printable_lines("a\x1b[2J\nb")
+    'a\\x1b[2J\nb'
+    """
+    return "".join(character if character == "\n" else _shown(character) for character in text)
+
+
 def _shown(character: str) -> str:
     if character.isprintable():
         return character

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from prc_cli.cli.options import output_options
 from prc_cli.cli.report import compiling_note, console, line_progress, results
+from prc_cli.cli.safe import printable_lines
 from prc_cli.config import params_to_toml, parse_assignment
 from prc_cli.core.classes import Label
 from prc_cli.core.config import merge
@@ -189,7 +190,7 @@ def parameters(kind: Kind, config_file: Path | None, assignments: tuple[str, ...
     options = _table({"assignments": assignments})
     settings = load_settings(kind, config_file, options)
     notes = preset_notes(kind, settings, config_file, options)
-    click.echo(params_to_toml(settings, notes, comments=not bare), nl=False)
+    click.echo(printable_lines(params_to_toml(settings, notes, comments=not bare)), nl=False)
 
 
 _KEYS = {

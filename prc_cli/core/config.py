@@ -6,6 +6,7 @@ What the keys mean is declared by the stages themselves; :mod:`prc_cli.config` p
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,6 +28,14 @@ _EXPECTED = {"model_type": "a table", "missing": "a value, this key is required"
 
 ParamsT = TypeVar("ParamsT", bound=Params)
 
+MAX_TOML_BYTES = 1 << 20
+"""Largest configuration file; the whole schema filled in takes some kilobytes."""
+MAX_DEPTH = 64
+"""Deepest dotted key; the parser's time and memory grow with the square of it."""
+_DEEP_KEY = re.compile(
+    r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % MAX_DEPTH,  # noqa: UP031
+)
+
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file.
@@ -34,19 +43,47 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        When the file is absent, unreadable, or not TOML (the message carries line and column).
+        When the file is absent, unreadable, too large, or not TOML (the message carries line and column).
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as handle:
+            raw = handle.read(MAX_TOML_BYTES + 1)
+        text = raw.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")  # any line end
     except OSError as error:
         raise ConfigError(str(path), f"cannot be read ({error.strerror})", "check the name of the file") from error
     except UnicodeDecodeError as error:
         problem = f"byte {error.start} is not UTF-8, expected a TOML text file"
         raise ConfigError(str(path), problem) from error
+    if len(raw) > MAX_TOML_BYTES:
+        raise ConfigError(str(path), f"more than {MAX_TOML_BYTES} bytes, expected a configuration file")
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Parse TOML that may come from anybody.
+
+    Parameters
+    ----------
+    text : str
+        TOML.
+    where : str
+        File or option that it came from, for the message.
+
+    Raises
+    ------
+    ConfigError
+        When it is not TOML, or what Python's parser cannot take: values inside one another without end, keys of many
+        parts, numbers of thousands of digits.
+    """
+    if deep := _DEEP_KEY.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ConfigError(where, f"line {line}: a key of more than {MAX_DEPTH} parts, expected a few")
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(str(path), f"not valid TOML: {error}") from error
+    except RecursionError:
+        raise ConfigError(where, "not valid TOML: values inside one another too deep") from None
+    except ValueError as error:  # TOMLDecodeError, and what int() refuses
+        raise ConfigError(where, f"not valid TOML: {error}") from error
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -25,7 +25,8 @@ def _rule(*patterns: str) -> AfterValidator:
     def check(value: str) -> str:
         for pattern in patterns:
             regex = re.escape(pattern).replace(r"\*", ".+").replace(r"\#", r"[0-9.eE+-]+")
-            if re.fullmatch(regex, value):
+            # no name of a file or a dimension holds a zero byte
+            if re.fullmatch(regex, value) and "\0" not in value:
                 return value
         shown = ", ".join(pattern.replace("*", "NAME").replace("#", "NUMBER") for pattern in patterns)
         message = f"one of: {shown}"

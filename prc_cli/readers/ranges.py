@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption
 from prc_cli.core.types import F32, F64
 from prc_cli.readers.options import InputConfig, parse_origin
@@ -88,8 +88,12 @@ def open_ranges(
         return RangeRule(origin_m=(0.0, 0.0, 0.0))
     if kind == "origin":
         return RangeRule(origin_m=parse_origin(rule))
+    try:
+        file = Path(argument).expanduser()
+    except RuntimeError:
+        raise ConfigError("input.range", f"found {rule!r}, whose home folder is not known", "write it out") from None
     trajectory = load_trajectory(
-        Path(argument).expanduser(),
+        file,
         crs=config.trajectory_crs,
         source_crs_wkt=crs_wkt,
         time_offset=config.trajectory_time_offset,

@@ -1,0 +1,298 @@
+"""Small valid files of every format that the program reads, made by code."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+N_LINES, M = 14, 24
+"""Lines and columns of every seed."""
+LINE_HZ = 50.0
+
+LAYOUT = """\
+[layout]
+endian = "little"
+points_per_line = 24
+header_bytes = 0
+
+[[layout.fields]]
+name = "range"
+type = "f4"
+missing = 0
+
+[[layout.fields]]
+name = "intensity"
+type = "u2"
+scale = 0.5
+"""
+
+TEXT_LAYOUT = """\
+[layout]
+delimiter = ","
+[[layout.fields]]
+name = "range"
+source = "range"
+unit = "m"
+"""
+
+CONFIG = """\
+preset = "urban"
+method = "prc"
+
+[input]
+points_per_line = 24
+lines = "auto"
+range = "auto"
+max_range = 90.0
+order = "trust"
+
+[prc]
+lines_per_block = 9
+[prc.support]
+zeta_p = 0.1
+[prc.surfaces]
+area = "auto"
+
+[classes]
+noise = 7
+"""
+
+MAPPING = """\
+unlisted = "error"
+ignore = [0, "20-30"]
+ignore_reference = []
+
+[predicted]
+ground = [2]
+vegetation = [3, 4, 5]
+building = [6]
+noise = [7, 1]
+
+[reference]
+ground = [2]
+vegetation = ["3-5"]
+building = [6]
+noise = [7, 1]
+"""
+
+
+def ranges(seed: int = 1) -> np.ndarray:
+    """(lines, M) float32 [m]: a ground and two walls, some missing."""
+    rng = np.random.default_rng(seed)
+    angle = 2 * np.pi * np.arange(M) / M
+    with np.errstate(divide="ignore"):
+        ground = np.where(np.cos(angle) > 0.1, 2.0 / np.cos(angle), 60.0)
+        wall = np.where(np.abs(np.sin(angle)) > 0.1, 8.0 / np.abs(np.sin(angle)), 60.0)
+    image = np.minimum(ground, wall) + rng.normal(0, 0.005, (N_LINES, M))
+    image[image > 40] = np.nan
+    image[rng.random(image.shape) < 0.05] = np.nan
+    return image.astype(np.float32)
+
+
+@cache
+def _flat() -> dict[str, np.ndarray]:
+    image = ranges()
+    line, column = np.indices(image.shape)
+    there = np.isfinite(image)
+    angle = np.rad2deg(2 * np.pi * column / M)
+    points = {
+        "line": line[there],
+        "column": column[there],
+        "range": image[there].astype(float),
+        "angle": angle[there],
+        "time": ((line + column / M) / LINE_HZ + 1e-7)[there],
+    }
+    turn = np.deg2rad(points["angle"])
+    points["x"] = points["line"] * 0.1
+    points["y"] = points["range"] * np.sin(turn)
+    points["z"] = 2 - points["range"] * np.cos(turn)
+    points["class"] = np.where(points["z"] < 0.1, 2, np.where(points["z"] > 3, 6, 3))
+    return points
+
+
+def _las(version: str, point_format: int, *, compressed: bool, with_range: bool = True, minor: int | None = None) -> bytes:
+    points = _flat()
+    header = laspy.LasHeader(version=version, point_format=point_format)
+    header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
+    if with_range:
+        header.add_extra_dim(laspy.ExtraBytesParams("range", np.float32))
+        header.add_extra_dim(laspy.ExtraBytesParams("scan_line", np.uint16, scales=np.array([1.0]), offsets=np.zeros(1)))
+        header.add_extra_dim(laspy.ExtraBytesParams("column", np.uint16))
+    header.vlrs.append(laspy.VLR("hello", 7, "a description", b"some text"))
+    header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "wkt", b'PROJCS["made up"]\0'))
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = points["x"], points["y"], points["z"]
+    data.classification = points["class"]
+    if point_format >= 6:
+        data.scan_angle = (points["angle"] / 0.006).astype(np.int64).clip(-30000, 30000)
+    else:
+        data.scan_angle_rank = (points["angle"] - 180).clip(-90, 90)
+    if "gps_time" in header.point_format.dimension_names:
+        data.gps_time = points["time"]
+    if with_range:
+        data.range = points["range"]
+        data.scan_line, data.column = points["line"], points["column"]
+    if version == "1.4":
+        data.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("extended", 9, "an extended one", b"y" * 40)])
+    out = io.BytesIO()
+    data.write(out, do_compress=compressed)
+    raw = bytearray(out.getvalue())
+    if minor is not None:
+        raw[25] = minor
+    return bytes(raw)
+
+
+def _csv() -> bytes:
+    rows = ["scan_line,column,angle_deg,range,x,y,z,time,class"]
+    points = _flat()
+    columns = zip(*(points[name].tolist() for name in ("line", "column", "angle", "range", "x", "y", "z", "time", "class")), strict=True)
+    rows += [",".join(map(repr, row)) for row in columns]
+    return ("\n".join(rows) + "\n").encode()
+
+
+def _zst(data: bytes) -> bytes:
+    return bytes(pa.Codec("zstd").compress(data))
+
+
+def _npy(array: np.ndarray) -> bytes:
+    out = io.BytesIO()
+    np.save(out, array)
+    return out.getvalue()
+
+
+def _npz(*, packed: bool = True) -> bytes:
+    out = io.BytesIO()
+    image = ranges()
+    save = np.savez_compressed if packed else np.savez
+    save(
+        out,
+        range_m=image,
+        angle_deg=360.0 * np.arange(M) / M,
+        time_s=np.arange(N_LINES) / LINE_HZ,
+        intensity=np.ones(image.shape, np.uint16),
+        **{"class": np.where(np.isfinite(image), 2, 0).astype(np.uint8)},
+    )
+    return out.getvalue()
+
+
+def _parquet() -> bytes:
+    points = _flat()
+    table = pa.table({name: points[name] for name in ("line", "column", "range", "class", "time", "x", "y", "z")})
+    out = io.BytesIO()
+    parquet.write_table(table, out)
+    return out.getvalue()
+
+
+def _e57() -> bytes:
+    import tempfile
+
+    from tests.readers.organised_files import Scan, e57_fields, grid_points, write_e57
+
+    fields = e57_fields(grid_points(N_LINES, M))
+    scan = Scan(fields, rotation=(1.0, 0.0, 0.0, 0.0), bounds=(0, M - 1, 0, N_LINES - 1), limits=(0.0, 1.0))
+    with tempfile.TemporaryDirectory() as folder:
+        return write_e57(Path(folder) / "a.e57", [scan]).read_bytes()
+
+
+def _ptx() -> bytes:
+    from tests.readers.organised_files import grid_points, ptx_scan
+
+    return "".join(ptx_scan(grid_points(N_LINES, M, seed)) for seed in (1, 2)).encode()
+
+
+def _trajectory_csv() -> bytes:
+    times = np.arange(-0.1, N_LINES / LINE_HZ + 0.2, 0.02)
+    return ("time,x,y,z\n" + "".join(f"{t:.3f},{5 * t:.3f},0.0,2.0\n" for t in times)).encode()
+
+
+def _sbet() -> bytes:
+    times = np.arange(-0.1, N_LINES / LINE_HZ + 0.2, 0.02)
+    rows = np.zeros((len(times), 17))
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = times, 1.05, 0.43 + times * 1e-7, 40.0
+    return rows.astype("<f8").tobytes()
+
+
+def _uos() -> bytes:
+    points = _flat()
+    return "".join(f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in zip(points["x"], points["y"], points["z"], strict=True)).encode()
+
+
+def _raw() -> bytes:
+    record = np.zeros(N_LINES * M, np.dtype([("range", "<f4"), ("intensity", "<u2")]))
+    record["range"] = np.nan_to_num(ranges().ravel())
+    return record.tobytes()
+
+
+def _labels_csv() -> bytes:
+    points = _flat()
+    rows = "".join(f"{index},{code}\n" for index, code in enumerate(points["class"].tolist()))
+    return ("record,class\n" + rows).encode()
+
+
+SEEDS: dict[str, Callable[[], bytes]] = {
+    **{f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False) for n in range(11)},
+    **{f"pf{n}.laz": lambda n=n: _las("1.2" if n < 4 else "1.4", n, compressed=True) for n in (0, 1, 2, 3, 6, 7, 8)},
+    "v10.las": lambda: _las("1.2", 1, compressed=False, minor=0),
+    "v11.las": lambda: _las("1.1", 1, compressed=False),
+    "plain.las": lambda: _las("1.4", 6, compressed=False, with_range=False),
+    "a.csv": _csv,
+    "a.csv.gz": lambda: gzip.compress(_csv(), mtime=0),
+    "a.csv.zst": lambda: _zst(_csv()),
+    "a.txt": lambda: _csv().replace(b",", b" "),
+    "a.3d": _uos,
+    "a.bin": _raw,
+    "f4.bin": lambda: ranges().tobytes(),
+    "a.npy": lambda: _npy(ranges()),
+    "fortran.npy": lambda: _npy(np.asfortranarray(ranges())),
+    "labels.npy": lambda: _npy(_flat()["class"].astype(np.uint8)),
+    "a.npz": _npz,
+    "stored.npz": lambda: _npz(packed=False),
+    "a.ptx": _ptx,
+    "a.e57": _e57,
+    "a.parquet": _parquet,
+    "a.label": lambda: _flat()["class"].astype("<u4").tobytes(),
+    "labels.csv": _labels_csv,
+    "track.csv": _trajectory_csv,
+    "track.sbet": _sbet,
+    "layout.toml": lambda: LAYOUT.encode(),
+    "text_layout.toml": lambda: TEXT_LAYOUT.encode(),
+    "config.toml": lambda: CONFIG.encode(),
+    "mapping.toml": lambda: MAPPING.encode(),
+    "simulate.toml": lambda: b'seed = 3\nlength_m = 5.0\n[scanner]\npoints_per_line = 24\n',
+}
+"""Content of a valid file by its name."""
+
+
+@cache
+def seed(name: str) -> bytes:
+    """Content of a valid file."""
+    return SEEDS[name]()
+
+
+def write_seeds(folder: Path) -> None:
+    """Write every seed under its name."""
+    for name in SEEDS:
+        (folder / name).write_bytes(seed(name))
+
+
+def las_count_offset(data: bytes) -> tuple[int, str]:
+    """Where the number of records stands in a LAS file, and its struct code."""
+    return (247, "<Q") if data[25] == 4 else (107, "<I")
+
+
+def las_vlrs(data: bytes) -> list[int]:
+    """First byte of every VLR of a valid LAS file."""
+    at, found = struct.unpack_from("<H", data, 94)[0], []
+    for _ in range(struct.unpack_from("<I", data, 100)[0]):
+        found.append(at)
+        at += 54 + struct.unpack_from("<H", data, at + 20)[0]
+    return found

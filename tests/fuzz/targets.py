@@ -1,0 +1,135 @@
+"""Which commands are tried on a damaged file of which format."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+INPUTS = {
+    "las": tuple(f"pf{n}.las" for n in range(11)) + ("v10.las", "v11.las", "plain.las"),
+    "laz": tuple(f"pf{n}.laz" for n in (0, 1, 2, 3, 6, 7, 8)),
+    "npy": ("a.npy", "fortran.npy"),
+    "npz": ("a.npz", "stored.npz"),
+    "csv": ("a.csv",),
+    "gz": ("a.csv.gz",),
+    "zst": ("a.csv.zst",),
+    "txt": ("a.txt",),
+    "uos": ("a.3d",),
+    "raw": ("a.bin",),
+    "ptx": ("a.ptx",),
+    "e57": ("a.e57",),
+}
+"""Seeds of archive files, by target."""
+
+_SMALL = ("--width", "300", "--height", "300")
+_P = ("--preset", "urban", "--trust-order")
+READ: tuple[tuple[str, ...], ...] = (
+    ("info", "{case}"),
+    ("info", "-v", "{case}", "--trust-order"),
+    ("info", "--json", "{case}", "--method", "sequential-angle", "--trust-order"),
+    ("classify", "{case}", "{out}/o.npy", *_P),
+    ("classify", "-v", "{case}", "{out}/o.csv", *_P),
+    ("classify", "{case}", "{out}/o.parquet", "--method", "sequential-angle", "--trust-order"),
+    ("classify", "{case}", "{out}/o.npy", "-M", "24", *_P, "--lines", "fixed"),
+    ("convert", "{case}", "{out}/o.npz", "--trust-order"),
+    ("convert", "{case}", "{out}/o.csv.gz", "--trust-order"),
+    ("convert", "-v", "{case}", "{out}/o.las", "--trust-order"),
+    ("convert", "{case}", "{out}/o.e57", "--trust-order"),
+    ("convert", "{case}", "{out}/o.bin", "--trust-order", "--lines", "dimension:scan_line", "--columns", "order"),
+    ("convert", "{case}", "{out}/o.npz", "--lines", "time:50", "--columns", "time:1200", "--sort-by-time"),
+    ("convert", "{case}", "{out}/o.npz", "--lines", "angle-wrap", "--columns", "angle", "--trust-order"),
+    ("convert", "{case}", "{out}/o.npz", "--range", "sensor-xyz", "--lines", "elevation:20", "--trust-order"),
+    ("convert", "{case}", "{out}/o.npz", "--range", "sensor-xyz", "--lines", "rings", "--trust-order"),
+    ("convert", "{case}", "{out}/o.npz", "--range", "origin:0,0,2", "--trust-order"),
+    ("convert", "{case}", "{out}/o.npz", "--scanner", "user_data", "--trust-order"),
+    ("convert", "{case}", "{out}/o.npz", "--range", "trajectory:{seeds}/track.csv", "--trust-order"),
+    ("evaluate", "{case}", "{case}"),
+    ("evaluate", "{case}", "{case}", "--match", "nearest", "--tolerance", "0.1"),
+    ("evaluate", "{case}", "{case}", "--match", "time", "--tolerance", "0.1", "--by-range", "5,10"),
+    ("evaluate", "{case}", "{case}", "-M", "24", "--by-lines", "4", "--intervals", "jackknife"),
+    ("thin", "{case}", "{out}/o.npz", "--keep", "ground=1/4", *_P),
+    ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
+    ("render", "{case}", "{out}/o.png", *_P, *_SMALL, "--view", "top", "--range", "sensor-xyz"),
+    ("calibrate", "{case}", "-o", "{out}/o.toml", "--trust-order", "--preset", "urban"),
+)  # fmt: skip
+
+LAS = (
+    ("classify", "{case}", "{out}/o.laz", *_P),
+    ("classify", "{case}", "{out}/o.las", *_P, "--segment-ids"),
+    ("convert", "{case}", "{out}/o.laz"),
+    ("convert", "{case}", "{out}/o.las"),
+    ("thin", "{case}", "{out}/o.laz", "--drop", "ground"),
+    ("transfer", "{seeds}/pf6.las", "{case}", "{out}/o.las"),
+    ("transfer", "{case}", "{seeds}/pf6.laz", "{out}/o.laz"),
+    ("transfer", "{case}", "{seeds}/pf6.laz", "{out}/o.laz", "--by", "record", "--min-match", "0"),
+)
+
+LABELS = (
+    ("evaluate", "{case}", "{seeds}/labels.npy"),
+    ("evaluate", "{seeds}/labels.npy", "{case}", "--format", "json"),
+    ("evaluate", "{seeds}/labels.npy", "{case}", "--format", "html", "--output", "{out}/o.html"),
+    ("evaluate", "{case}", "{seeds}/a.csv", "--format", "markdown"),
+    ("evaluate", "{case}", "{seeds}/a.csv", "--match", "dimension:record"),
+    ("transfer", "{case}", "{seeds}/pf6.las", "{out}/o.las", "--points", "{seeds}/a.csv"),
+    ("render", "{seeds}/a.csv", "{out}/o.png", "--labels", "{case}", *_SMALL),
+    ("thin", "{seeds}/a.csv", "{out}/o.npz", "--labels", "{case}", "--keep", "ground=1/4"),
+    ("calibrate", "{seeds}/a.csv", "--reference", "{case}", "--budget", "2"),
+)
+
+LAYOUT = (
+    ("info", "{seeds}/a.bin", "--layout", "{case}"),
+    ("classify", "{seeds}/a.bin", "{out}/o.npy", "--layout", "{case}", *_P),
+    ("convert", "{seeds}/a.csv", "{out}/o.npz", "--layout", "{case}", *_P[2:]),
+    ("config", "show", "--layout", "{case}"),
+)
+
+
+@dataclass(frozen=True)
+class Target:
+    """Files to damage and what to do with them."""
+
+    seeds: tuple[str, ...]
+    commands: tuple[tuple[str, ...], ...]
+
+
+TARGETS: dict[str, Target] = {
+    **{name: Target(seeds, (*READ, *LAS) if name in ("las", "laz") else READ) for name, seeds in INPUTS.items()},
+    "raw": Target(("a.bin", "f4.bin"), tuple((*command, "--layout", "{seeds}/layout.toml") for command in READ if command[0] != "evaluate")),
+    "labels": Target(("labels.npy", "a.npz", "labels.csv", "a.csv", "a.parquet", "a.label", "pf6.laz"), LABELS),
+    "trajectory": Target(("track.csv", "track.sbet"), (
+        ("info", "{seeds}/pf1.las", "--range", "trajectory:{case}"),
+        ("convert", "{seeds}/pf6.laz", "{out}/o.npz", "--range", "trajectory:{case}"),
+        ("convert", "{seeds}/a.csv", "{out}/o.npz", "--range", "trajectory:{case}", "--set", "input.trajectory_crs=EPSG:32635"),
+    )),
+    "layout": Target(("layout.toml", "text_layout.toml"), LAYOUT),
+    "config": Target(("config.toml",), (
+        ("config", "check", "{case}"),
+        ("config", "show", "--config", "{case}"),
+        ("classify", "{seeds}/a.npz", "{out}/o.npy", "--config", "{case}"),
+        ("info", "{seeds}/a.csv", "--config", "{case}"),
+    )),
+    "mapping": Target(("mapping.toml",), tuple(
+        ("evaluate", "{seeds}/labels.npy", "{seeds}/labels.npy", "--mapping", "{case}", "--format", form)
+        for form in ("table", "csv", "markdown", "latex", "html", "json")
+    )),
+    "simulate": Target(("simulate.toml",), (
+        ("simulate", "street", "-o", "{out}/o.npz", "--config", "{case}", "--lines", "3", "-q"),
+    )),
+    "stream": Target(("a.bin", "f4.bin", "a.npz"), (
+        ("stream", "-M", "24", "--preset", "urban", "-v"),
+        ("stream", "--layout", "{seeds}/layout.toml", "--hop", "1", "--json"),
+        ("stream", "-M", "24", "--method", "sequential-angle", "--hop", "1"),
+        ("stream", "-M", "24", "--method", "sequential-angle"),
+    )),
+}  # fmt: skip
+"""Everything that is attacked, by name."""
+
+
+def suffix_of_seed(name: str) -> str:
+    """Return the suffix, with the compression behind it."""
+    return "." + name.split(".", 1)[1]
+
+
+def arguments(command: tuple[str, ...], case: str, out: str, seeds: str) -> list[str]:
+    """Return a command with its names filled in."""
+    # not format(): file names may hold braces
+    return [part.replace("{case}", case).replace("{out}", out).replace("{seeds}", seeds) for part in command]
