@@ -398,11 +398,11 @@ def plan_dict(plan: Plan, estimate: Estimate) -> dict[str, Any]:
         ],
         "bytes": plan.n_bytes,
         "skipped": len(plan.done),
-        "adopted": [found.name for found in plan.adopted],
+        "adopted": [found.name for _, found in plan.adopted],
         "refused": [failed_dict(found) for found in plan.refused],
         "left_out": [{"name": found.name, "reason": found.reason} for found in plan.left_out],
         "beyond_limit": plan.n_beyond_limit,
-        "vanished": plan.n_vanished,
+        "not_selected": plan.n_not_selected,
         "estimate": {
             "seconds": estimate.seconds,
             "peak_mib": estimate.peak_mib,
@@ -426,7 +426,7 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
         results().print(f"{'left out':<15} {printable(f'{left.name}: {left.reason}')}", soft_wrap=True)
     counts = [
         (len(plan.done), "done already"), (len(plan.adopted), "would be adopted"),
-        (plan.n_beyond_limit, "left for another run"), (plan.n_vanished, "in the journal and not selected or gone"),
+        (plan.n_beyond_limit, "left for another run"), (plan.n_not_selected, "not selected"),
     ]  # fmt: skip
     told = "".join(f", {count:,} {what}" for count, what in counts if count)
     results().print(f"{_n(len(plan.todo), 'file')} to do ({_size(plan.n_bytes)}){told}", soft_wrap=True)
