@@ -85,9 +85,12 @@ def parts_folder(task: Task) -> Path:
     >>> parts_folder(task).relative_to("out/.prc/parts").name
     'cdfd966c004eb82a'
     """
-    depth = len(PurePosixPath(task.name).parts)
-    out = task.output.parents[depth - 1]
-    return out / OWN_FOLDER / PARTS_FOLDER / sha256(os.fsencode(task.name)).hexdigest()[:16]
+    return out_of(task) / OWN_FOLDER / PARTS_FOLDER / sha256(os.fsencode(task.name)).hexdigest()[:16]
+
+
+def out_of(task: Task) -> Path:
+    """Return the output tree that the output of a task is in."""
+    return task.output.parents[len(PurePosixPath(task.name).parts) - 1]
 
 
 def split(task: Task, shots: int = SPLIT_SHOTS) -> tuple[Part, ...] | str:

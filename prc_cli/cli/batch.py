@@ -65,7 +65,10 @@ _WORK = [
     _option("--threads", type=click.IntRange(min=1), metavar="N", help="Threads a file; default: cores / jobs."),
     _option("--engine", type=click.Choice(["local", "dask"]), default="local", show_default=True,
             help="Processes of this machine, or a Dask cluster."),
-    _option("--scheduler", metavar="ADDRESS", help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786."),
+    _option("--scheduler", metavar="ADDRESS",
+            help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786; default: one of its own on this machine."),
+    _option("--split", "split_shots", type=click.IntRange(min=0), default=200_000_000, show_default=True,
+            metavar="SHOTS", help="Dask: split an input of twice so many shots or more, if it can be; 0 = never."),
     _option("--retry", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
             help="Try a file N times more in this run where the problem may pass."),
     _option("--fail-fast/--keep-going", default=False, help="Begin no file after the first failure, or go on.  "
@@ -269,12 +272,16 @@ def _engine(options: dict[str, Any]) -> Engine | None:
             message = "--scheduler is for --engine dask"
             raise click.UsageError(message)
         return None
-    if options["scheduler"] is None:
-        message = "--engine dask needs --scheduler ADDRESS"
-        raise click.UsageError(message)
     from prc_cli.batch.dask_engine import DaskEngine
+    from prc_cli.cli.batch_report import say
 
-    return DaskEngine(options["scheduler"])
+    return DaskEngine(
+        options["scheduler"],
+        split_shots=options["split_shots"],
+        notice=say,
+        jobs=options["jobs"],
+        threads=options["threads"] or 1,
+    )
 
 
 def _dry_run(settings: BatchSettings, engine: Engine | None, options: dict[str, Any]) -> None:
