@@ -1,0 +1,163 @@
+"""How the contest judges: confusion by blocks of lines, scores of the classes that exist, what the others became."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.contest_data import Scan
+from prc_cli.core.types import I64
+from prc_cli.evaluation.intervals import all_scores, block_intervals
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.result import Interval
+from prc_cli.evaluation.splits import GroupedCounts, cells_of
+
+FOLDER = Path(__file__).resolve().parent
+MAPPINGS = {
+    "street": FOLDER / "contest_street.toml",
+    "forest": FOLDER / "contest_forest.toml",
+    "cylinders": "lehtola_forest",
+    "oakland": FOLDER / "contest_oakland.toml",
+    "kitti": FOLDER / "contest_kitti.toml",
+}
+"""File or name of the mapping, as ``prc evaluate --mapping`` takes it."""
+_PROFILE_OTHERS = {"cars": [65], "poles, signs, wires, people": [1]}
+OTHERS: dict[str, dict[str, list[int]]] = {
+    "street": _PROFILE_OTHERS,
+    "forest": {},
+    "cylinders": {},
+    "oakland": {
+        "vehicles": list(range(1500, 1600)),
+        "poles, wires, signs": [*range(1100, 1200), 1413],
+        "undetermined": [1001, 1002, 1003],
+    },
+    "kitti": {
+        "vehicles, cycles, people": [10, 11, 13, 15, 16, 18, 20, 30, 31, 32, *range(252, 260)],
+        "poles, signs": [80, 81, 99],
+    },
+}
+"""Reference codes that are not judged: what they become is told."""
+BLOCKS = 20
+"""Blocks of lines of a scan for the intervals."""
+LEAST_SHARE = 0.005
+"""A class exists in a scan that has this share of its judged returns: below that its score hangs on a few shots."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a method did on a scan, or on several."""
+
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    blocks: I64
+    """(blocks, rows, columns) int64, reference by predicted."""
+    others: dict[str, dict[str, int]] = field(default_factory=dict)
+    """By name of what is not judged: how many returns became which class."""
+
+    @property
+    def counts(self) -> I64:
+        """(rows, columns) int64."""
+        total: I64 = self.blocks.sum(axis=0)
+        return total
+
+    @property
+    def present(self) -> tuple[str, ...]:
+        """Classes of the reference that have enough returns to be judged."""
+        sums = self.counts.sum(axis=1)
+        least = LEAST_SHARE * sums.sum()
+        return tuple(name for name, n in zip(self.rows, sums.tolist(), strict=True) if n >= least and n)
+
+    def score(self, name: str) -> float:
+        """Return a score by the name that ``prc evaluate --fail-under`` takes, ``f1.ground``; NaN if undefined."""
+        found = all_scores(self.counts[None], self.rows, self.columns)
+        return float(found[name][0]) if name in found else float("nan")
+
+    def f1(self) -> dict[str, float]:
+        """Return the F1 of the classes that exist."""
+        found = all_scores(self.counts[None], self.rows, self.columns)
+        return {name: float(found[f"f1.{name}"][0]) for name in self.present}
+
+    @property
+    def macro(self) -> float:
+        """Mean F1 of the classes that exist."""
+        return float(np.mean(list(self.f1().values())))
+
+    @property
+    def worst(self) -> str:
+        """The class with the lowest F1."""
+        found = self.f1()
+        return min(found, key=lambda name: found[name])
+
+    def intervals(self) -> dict[str, Interval]:
+        """Return block jackknife intervals, 95 %."""
+        return block_intervals(self.blocks, (self.rows, self.columns), "jackknife")
+
+    def __add__(self, other: Verdict) -> Verdict:
+        """Pool two verdicts of the same classes."""
+        assert (self.rows, self.columns) == (other.rows, other.columns)
+        others = {name: dict(became) for name, became in self.others.items()}
+        for name, became in other.others.items():
+            own = others.setdefault(name, {})
+            for column, n in became.items():
+                own[column] = own.get(column, 0) + n
+        return Verdict(self.rows, self.columns, np.concatenate([self.blocks, other.blocks]), others)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what JSON can hold."""
+        table = {"rows": self.rows, "columns": self.columns, "blocks": self.blocks.tolist(), "others": self.others}
+        return dict(table)
+
+    @classmethod
+    def of(cls, table: dict[str, Any]) -> Verdict:
+        """Read :meth:`as_dict` back."""
+        blocks = np.array(table["blocks"], np.int64)
+        return cls(tuple(table["rows"]), tuple(table["columns"]), blocks, table["others"])
+
+
+@lru_cache(maxsize=8)
+def mapping_of(name: str) -> ClassMapping:
+    return load_mapping(MAPPINGS[name])
+
+
+def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.integer]) -> Verdict:
+    """Compare codes with the reference of a scan, all returns of it.
+
+    Parameters
+    ----------
+    scan : Scan
+    codes : (lines, M) integer
+        Default codes of this program; what is not read is where there is no return.
+    extra_codes : (e,) integer
+        The same of the further returns.
+    """
+    mapping = mapping_of(scan.mapping)
+    there = ~np.isnan(scan.range_m)
+    line = np.concatenate([np.nonzero(there)[0], scan.extra.line])
+    predicted = np.concatenate([codes[there], extra_codes]).astype(np.int64)
+    reference = np.concatenate([scan.codes[there], scan.extra_codes])
+    # a return that a method leaves out is one that it has not classified
+    predicted[predicted == 0] = 1
+    per_block = max(1, -(-len(scan.range_m) // BLOCKS))
+    counts = GroupedCounts(mapping, "blocks")
+    counts.add((line // per_block).astype(np.int64), cells_of(mapping, predicted, reference))
+    rows, columns = mapping.names("reference"), mapping.names("predicted")
+    index = mapping.class_indices(predicted, "predicted")
+    others = {}
+    for name, listed in OTHERS[scan.mapping].items():
+        n = np.bincount(index[np.isin(reference, listed)], minlength=len(columns))
+        if n.sum():
+            others[name] = dict(zip(columns, n.tolist(), strict=True))
+    return Verdict(rows, columns, counts.scored(), others)
+
+
+def pooled(verdicts: list[Verdict]) -> Verdict:
+    """Pool verdicts of the same classes."""
+    first, *rest = verdicts
+    for each in rest:
+        first = first + each
+    return first

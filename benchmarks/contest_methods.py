@@ -1,0 +1,166 @@
+"""Methods of the contest that work on the stream: presets of this program, and switches of the fused one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+
+from benchmarks.contest_data import ROOT, Scan
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.config import merge
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.threads import default_threads
+from prc_cli.core.types import U8
+from prc_cli.pipeline import label_blocks, load_classifier
+
+SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
+STREETS = frozenset({"street", "oakland", "kitti"})
+FORESTS = frozenset({"forest", "cylinders"})
+FUSED = "fused"
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A configuration, and the scans that it is meant for."""
+
+    name: str
+    preset: str | None = None
+    options: dict[str, Any] = field(default_factory=dict)
+    path: Path | None = None
+    mappings: frozenset[str] = STREETS
+    suits: Callable[[Scan], bool] = lambda _: True
+
+    def config(self, scan: Scan) -> LoadedConfig:
+        """Return the configuration for a scan; only the ranging noise of the scanner may differ."""
+        options = self.options
+        if self.preset == "street-scan":
+            options = merge(options, {"sequential_angle": {"angles": {"range_noise_m": scan.range_noise_m}}})
+        if self.path is not None:
+            return load_config(self.path, options=options)
+        return load_config(preset=self.preset, options=options)
+
+    def takes(self, scan: Scan) -> bool:
+        """Tell whether the method is meant for such a scan."""
+        return scan.mapping in self.mappings and self.suits(scan)
+
+    def command(self) -> str:
+        """Return what ``prc classify`` is told."""
+        chosen = f"--preset {self.preset}" if self.path is None else f"--config {self.path.relative_to(ROOT)}"
+        return " ".join([chosen, *(f"--set {key}={value}" for key, value in _flat(self.options))])
+
+
+def _flat(table: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    """Return a nested table as ``--set`` takes it."""
+    found: list[tuple[str, Any]] = []
+    for key, value in table.items():
+        where = f"{before}{key}"
+        if isinstance(value, dict):
+            found += _flat(value, f"{where}.")
+        else:
+            found.append((where, str(value).lower() if isinstance(value, bool) else value))
+    return found
+
+
+def _zeta(zeta_s: float, zeta_p: float) -> dict[str, Any]:
+    return {"prc": {"support": {"zeta_s": zeta_s, "zeta_p": zeta_p}}}
+
+
+def _is_push_broom(scan: Scan) -> bool:
+    return scan.range_m.shape[1] < 400 and not scan.is_upright  # noqa: PLR2004
+
+
+PAPERS = (
+    Method("PRC, published", "urban"),
+    Method("PRC, published, ζ_p 0.1 m", "urban", {"prc": {"support": {"zeta_p": 0.1}}}),
+    Method("PRC, for push-brooms", path=SICK, suits=_is_push_broom),
+    Method("sequential-angle", "street-scan"),
+    Method("PRC forest, ζ 0.01 m, 0.01 m", "forest", _zeta(0.01, 0.01), mappings=FORESTS),
+    Method("PRC forest, ζ 1 m, 0.1 m", "forest", _zeta(1.0, 0.1), mappings=FORESTS),
+)
+"""What the two papers give, with published parameters but for the two push-broom ones."""
+
+
+def fused() -> tuple[Method, ...]:
+    """Return the fused presets that exist."""
+    found = []
+    for name, mappings in ((FUSED, STREETS), (f"{FUSED}-forest", FORESTS)):
+        try:
+            load_config(preset=name)
+        except ConfigError:
+            continue
+        found.append(Method(name, name, mappings=mappings))
+    return tuple(found)
+
+
+def ablations() -> tuple[Method, ...]:
+    """Return a fused method for each of its steps that can be switched off: the steps that have ``enabled``."""
+    found = []
+    for method in fused():
+        config = load_config(preset=method.preset).config
+        for path in _switches(config.classifier):
+            table: dict[str, Any] = {"enabled": False}
+            for key in reversed((_section(config), *path)):
+                table = {key: table}
+            name = f"{method.name} without {'.'.join(path)}"
+            found.append(Method(name, method.preset, table, mappings=method.mappings))
+    return tuple(found)
+
+
+def _section(config: BaseModel) -> str:
+    """Return the table that holds the parameters of the chosen classifier."""
+    classifier = config.classifier  # type: ignore[attr-defined]
+    return next(name for name in type(config).model_fields if getattr(config, name) is classifier)
+
+
+def _switches(params: BaseModel, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    found = []
+    for name in type(params).model_fields:
+        value = getattr(params, name)
+        if isinstance(value, BaseModel):
+            if getattr(value, "enabled", None) is True:
+                found.append((*before, name))
+            found += _switches(value, (*before, name))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """What a method of the stream says."""
+
+    codes: U8
+    """(lines, M) uint8, default class codes."""
+    extra_codes: U8
+    """(e,) uint8, of the further returns."""
+    cpu_s: float
+    """Seconds of all cores together."""
+    wall_s: float
+
+
+def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Labelled:
+    """Run a classifier over a whole scan that is in memory."""
+    load_classifier(config)
+    lookup = ClassCodes().lookup()
+    threads = default_threads() if threads is None else threads
+    start, busy = time.perf_counter(), time.process_time()
+    items = list(label_blocks(scan.blocks(), config.config.classifier, threads=threads))
+    wall_s, cpu_s = time.perf_counter() - start, time.process_time() - busy
+    labels: NDArray[np.uint8] = np.concatenate([item.labels for item in items])
+    extra = np.concatenate([item.extra_labels for item in items])
+    assert labels.shape == scan.range_m.shape
+    assert len(extra) == len(scan.extra)
+    return Labelled(lookup[labels], lookup[extra], cpu_s, wall_s)
+
+
+def label_scan(scan: Scan, method: Method) -> Labelled:
+    """Run a method over a scan."""
+    return label(scan, method.config(scan))
+
+

@@ -1,0 +1,231 @@
+"""Filters of registered clouds, run on the points of the contest with full 3-D coordinates, each in its own process.
+
+None of them is needed by anything else here: ``pip install .[peers]`` brings cloth-simulation-filter, pypatchworkpp and
+open3d; what is missing is said to be so. SMRF is written here by the definition of Pingel et al. (2013), since no
+package of it can be installed by pip.
+
+    python -m benchmarks.contest_peers POINTS.npz OUT.npz STEP [STEP ...]     # one chain; a step is JSON
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F64, I32, Mask
+
+NOISE, OTHER, GROUND = 7, 1, 2
+"""Default codes of this program."""
+PACKAGES = {
+    "csf": "cloth-simulation-filter",
+    "patchwork": "pypatchworkpp",
+    "statistical": "open3d",
+    "radius": "open3d",
+    "smrf": "scipy",
+}
+"""What every filter comes from."""
+
+
+class Points:
+    """All returns of a scan."""
+
+    def __init__(self, xyz_m: F64, line: I32, scanner_m: F64, height_m: float) -> None:
+        self.xyz_m, self.line, self.scanner_m, self.height_m = xyz_m, line, scanner_m, height_m
+
+    def some(self, which: Mask) -> Points:
+        """Return some of the points."""
+        return Points(self.xyz_m[which], self.line[which], self.scanner_m, self.height_m)
+
+
+def installed(name: str) -> str | None:
+    """Return the version of what a filter comes from, None where it is not installed."""
+    try:
+        return version(PACKAGES[name])
+    except PackageNotFoundError:
+        return None
+
+
+def statistical(points: Points, neighbours: int, sigmas: float) -> Mask:
+    """Statistical outliers: mean distance to the neighbours beyond the mean of all by so many deviations."""
+    cloud = _open3d_cloud(points)
+    return _left_out(len(points.xyz_m), cloud.remove_statistical_outlier(neighbours, sigmas)[1])
+
+
+def radius(points: Points, least: int, radius_m: float) -> Mask:
+    """Radius outliers: fewer than so many points within a radius."""
+    cloud = _open3d_cloud(points)
+    return _left_out(len(points.xyz_m), cloud.remove_radius_outlier(least, radius_m)[1])
+
+
+def _open3d_cloud(points: Points) -> Any:
+    open3d = import_module("open3d")
+    return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.xyz_m))
+
+
+def _left_out(n: int, kept: Any) -> Mask:
+    found = np.ones(n, dtype=bool)
+    found[np.asarray(kept, dtype=np.int64)] = False
+    return found
+
+
+def csf(points: Points, resolution_m: float, threshold_m: float, rigidness: int, slope_smoothing: bool) -> Mask:
+    """Cloth simulation filter (Zhang et al. 2016), its authors' package."""
+    module = import_module("CSF")
+    cloth = module.CSF()
+    cloth.params.bSloopSmooth = slope_smoothing
+    cloth.params.cloth_resolution = resolution_m
+    cloth.params.class_threshold = threshold_m
+    cloth.params.rigidness = rigidness
+    cloth.setPointCloud(points.xyz_m)
+    ground, rest = module.VecInt(), module.VecInt()
+    cloth.do_filtering(ground, rest, False)
+    found = np.zeros(len(points.xyz_m), dtype=bool)
+    found[np.array(ground, dtype=np.int64)] = True
+    return found
+
+
+def patchwork(points: Points, piece_m: float, distance_m: float, upright: float, reach_m: float) -> Mask:
+    """Patchwork++ (Lee et al. 2022), its authors' package, which takes one cloud around the scanner after the other.
+
+    A frame is what was measured on a piece of the way, with the scanner in the middle of it at the origin and z up. It
+    is a fair one: the scanner of a drive sees no ground in one line but in the lines of some metres.
+    """
+    module = import_module("pypatchworkpp")
+    params = module.Parameters()
+    params.verbose = False
+    params.sensor_height = points.height_m
+    params.enable_RNR = False  # it looks for reflections below the ground by intensities of that paper's scanner
+    params.min_range, params.max_range = 0.0, reach_m
+    params.th_dist, params.uprightness_thr = distance_m, upright
+    filtered = module.patchworkpp(params)
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points.scanner_m[:, :2], axis=0).T))])
+    piece = (way_m // piece_m).astype(np.int64)
+    found = np.zeros(len(points.xyz_m), dtype=bool)
+    of_point = piece[points.line]
+    for k in range(int(piece[-1]) + 1):
+        own = np.flatnonzero(of_point == k)
+        lines = np.flatnonzero(piece == k)
+        if not len(own):
+            continue
+        middle = points.scanner_m[lines[len(lines) // 2]]
+        filtered.estimateGround(np.ascontiguousarray(points.xyz_m[own] - middle, dtype=np.float32))
+        found[own[np.asarray(filtered.getGroundIndices(), dtype=np.int64)]] = True
+    return found
+
+
+def smrf(points: Points, cell_m: float, slope: float, window_m: float, threshold_m: float, scaler: float) -> Mask:
+    """Simple morphological filter (Pingel et al. 2013, sec. 2): an opened surface of lowest points, then a threshold."""
+    xyz = points.xyz_m
+    low = xyz[:, :2].min(axis=0)
+    cell = np.floor((xyz[:, :2] - low) / cell_m).astype(np.int64)
+    shape = tuple(cell.max(axis=0) + 1)
+    surface = np.full(shape, np.inf)
+    np.minimum.at(surface, (cell[:, 0], cell[:, 1]), xyz[:, 2])
+    empty = ~np.isfinite(surface)
+    surface[empty] = np.nan
+    surface = _filled(surface)
+    # low outliers: the same filter on the surface upside down, one cell, a slope of 500 %
+    sunken = _objects(-surface, 5.0, cell_m, 1)
+    surface = _filled(np.where(sunken, np.nan, surface))
+    objects = _objects(surface, slope, cell_m, max(1, round(window_m / cell_m)))
+    terrain = _filled(np.where(objects | empty | sunken, np.nan, surface))
+    rise = np.hypot(*np.gradient(terrain, cell_m)) if min(shape) > 1 else np.zeros(shape)
+    at = ((xyz[:, :2] - low) / cell_m - 0.5).T
+    sample = import_module("scipy.ndimage").map_coordinates
+    height = sample(terrain, at, order=1, mode="nearest")
+    limit = threshold_m + scaler * sample(rise, at, order=1, mode="nearest")
+    found: Mask = np.abs(xyz[:, 2] - height) <= limit
+    return found
+
+
+def _objects(surface: F64, slope: float, cell_m: float, most: int) -> Mask:
+    """Mark cells above what openings with growing discs leave, by more than the slope allows."""
+    ndimage = import_module("scipy.ndimage")
+    found = np.zeros(surface.shape, dtype=bool)
+    last = surface
+    for k in range(1, most + 1):
+        across = np.arange(-k, k + 1)
+        disc = across[:, None] ** 2 + across[None] ** 2 <= k * k
+        opened = ndimage.grey_opening(last, footprint=disc)
+        found |= last - opened > slope * k * cell_m
+        last = opened
+    return found
+
+
+def _filled(surface: F64) -> F64:
+    """Fill cells without a height from those around: linearly within them, with the nearest beyond."""
+    interpolate = import_module("scipy.interpolate")
+    known = ~np.isnan(surface)
+    if known.all():
+        return surface
+    at, wanted = np.argwhere(known), np.argwhere(~known)
+    result = surface.copy()
+    values = interpolate.LinearNDInterpolator(at, surface[known])(wanted)
+    beyond = np.isnan(values)
+    if beyond.any():
+        values[beyond] = interpolate.NearestNDInterpolator(at, surface[known])(wanted[beyond])
+    result[~known] = values
+    return result
+
+
+FILTERS: dict[str, Callable[..., Mask]] = {
+    "statistical": statistical,
+    "radius": radius,
+    "csf": csf,
+    "patchwork": patchwork,
+    "smrf": smrf,
+}
+NOISE_FILTERS = ("statistical", "radius")
+
+
+def run(points: Points, steps: list[dict[str, Any]]) -> tuple[NDArray[np.uint8], float]:
+    """Run filters one after the other; codes (n,) and the seconds of all cores together that it took."""
+    codes = np.full(len(points.xyz_m), OTHER, dtype=np.uint8)
+    start = time.process_time()
+    for step in steps:
+        options = dict(step)
+        name = options.pop("filter")
+        rest = codes != NOISE
+        found = FILTERS[name](points.some(rest), **options)
+        codes[np.flatnonzero(rest)[found]] = NOISE if name in NOISE_FILTERS else GROUND
+    return codes, time.process_time() - start
+
+
+def main() -> None:
+    """Run one chain of filters in this process; used by ``benchmarks.contest``."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("points", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("steps", nargs="+", type=json.loads)
+    arguments = parser.parse_args()
+    with np.load(arguments.points) as arrays:
+        points = Points(arrays["xyz_m"], arrays["line"], arrays["scanner_m"], float(arrays["height_m"]))
+    for step in arguments.steps:
+        import_module({"csf": "CSF", "patchwork": "pypatchworkpp", "smrf": "scipy"}.get(step["filter"], "open3d"))
+    before = _peak_mib()
+    codes, cpu_s = run(points, arguments.steps)
+    np.savez(arguments.output, codes=codes, cpu_s=cpu_s, peak_mib=_peak_mib(), before_mib=before)
+
+
+def _peak_mib() -> float:
+    """Return the most memory that this process ever held [MiB]."""
+    try:
+        with open("/proc/self/status") as status:
+            return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
+
+
+if __name__ == "__main__":
+    main()
