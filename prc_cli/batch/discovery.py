@@ -101,10 +101,7 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
 
 def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | LeftOut | None]:
     """List the archive; None stands for an input that was not selected. All that may hang is done here."""
-    archive, out = _folder(settings.archive), settings.out.resolve()
-    if archive == out or archive.is_relative_to(out):
-        problem = "the archive is the output folder or lies in it; inputs are never modified"
-        raise ConfigError(str(settings.out), problem, "choose another output folder")
+    archive, out = _folders(settings)
     tells_case = _tells_case(archive)
     include = Patterns(settings.include, tells_case=tells_case)
     exclude = Patterns(settings.exclude, tells_case=tells_case)
@@ -119,6 +116,23 @@ def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | L
             and (settings.shard is None or settings.shard.holds(item.name))
         )
         yield item if selected else None
+
+
+def check_folders(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
+    """Refuse, before anything is made, what cannot be an archive and its outputs; raises as :func:`discover`."""
+    for _ in _in_time(map(_folders, [settings]), settings.archive, patience_s):
+        pass
+
+
+def _folders(settings: BatchSettings) -> tuple[Path, Path]:
+    """Return archive and output folder, as they are called without links."""
+    archive, out = _folder(settings.archive), settings.out.resolve()
+    if archive == out or archive.is_relative_to(out):
+        problem = "the archive is the output folder or lies in it; inputs are never modified"
+        raise ConfigError(str(settings.out), problem, "choose another output folder")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(str(settings.out), "is no folder, expected one for the outputs", "choose another")
+    return archive, out
 
 
 def _folder(archive: Path) -> Path:
@@ -213,7 +227,7 @@ def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool)
     return None if readable else "a symbolic link"
 
 
-def _in_time(items: Iterator[_ItemT], archive: Path, patience_s: float) -> Iterator[_ItemT]:
+def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Iterator[_ItemT]:
     """Run an iterator in a thread, and give up when it says nothing for long.
 
     A thread that hangs in the system cannot be ended; it is a daemon, so that the program can.
