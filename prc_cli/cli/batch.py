@@ -228,11 +228,10 @@ def _run(options: dict[str, Any]) -> None:
         message = "--json and --log-json - both want stdout; give the log a file"
         raise click.UsageError(message)
     settings = _settings(options)
-    engine = _engine(options)
     if options["dry_run"]:
-        _dry_run(settings, engine, options)
+        _dry_run(settings, options)
         return
-    summary = _run_and_tell(settings, engine, options)
+    summary = _run_and_tell(settings, options)
     if options["as_json"]:
         from prc_cli.batch.summary import as_dict
 
@@ -266,37 +265,35 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
     )
 
 
-def _engine(options: dict[str, Any]) -> Engine | None:
+def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | None:
+    """Return the engine that is asked for; None for that of this machine."""
     if options["engine"] == "local":
-        if options["scheduler"] is not None:
-            message = "--scheduler is for --engine dask"
-            raise click.UsageError(message)
+        for name in ("scheduler", "split"):
+            if options[name] is not None:
+                message = f"--{name} is for --engine dask"
+                raise click.UsageError(message)
         return None
     from prc_cli.batch.dask_engine import DaskEngine
-    from prc_cli.cli.batch_report import say
+    from prc_cli.batch.parts import SPLIT_SHOTS
 
-    return DaskEngine(
-        options["scheduler"],
-        split_shots=options["split_shots"],
-        notice=say,
-        jobs=options["jobs"],
-        threads=options["threads"] or 1,
-    )
+    split = SPLIT_SHOTS if options["split"] is None else options["split"]
+    jobs, threads = options["jobs"], options["threads"] or 1
+    return DaskEngine(options["scheduler"], split_shots=split, notice=notice, jobs=jobs, threads=threads)
 
 
-def _dry_run(settings: BatchSettings, engine: Engine | None, options: dict[str, Any]) -> None:
+def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
     from prc_cli.batch.run import plan_batch
-    from prc_cli.cli.batch_report import plan_dict, print_plan
+    from prc_cli.cli.batch_report import plan_dict, print_plan, say
 
-    plan, estimate = plan_batch(settings, engine)
+    plan, estimate = plan_batch(settings, _engine(options, say))
     if options["as_json"]:
         click.echo(json.dumps(plan_dict(plan, estimate), indent=1, allow_nan=False))
     else:
         print_plan(plan, estimate, verbose=options["verbose"])
 
 
-def _run_and_tell(settings: BatchSettings, engine: Engine | None, options: dict[str, Any]) -> BatchSummary:
-    from prc_cli.batch.run import Ready, run_batch
+def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSummary:
+    from prc_cli.batch.run import Noted, Ready, run_batch
     from prc_cli.cli.batch_report import Bars, Final, JsonLog, PlainLines, print_end, say
 
     quiet, on_terminal = options["quiet"], sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
@@ -320,6 +317,7 @@ def _run_and_tell(settings: BatchSettings, engine: Engine | None, options: dict[
             )
             final = Final(keep_command, show, *([] if log is None else [log]))
             stack.callback(final.close)
+            engine = _engine(options, lambda text: final(Noted(text)))
             summary = run_batch(settings, engine, final)
         code = summary.exit_code
     except PrcError as error:
