@@ -67,8 +67,8 @@ _WORK = [
             help="Processes of this machine, or a Dask cluster."),
     _option("--scheduler", metavar="ADDRESS",
             help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786; default: one of its own on this machine."),
-    _option("--split", "split_shots", type=click.IntRange(min=0), default=200_000_000, show_default=True,
-            metavar="SHOTS", help="Dask: split an input of twice so many shots or more, if it can be; 0 = never."),
+    _option("--split", type=click.IntRange(min=0), metavar="SHOTS",
+            help="Dask: split an input of twice so many shots or more, if it can be; 0 = never.  [default: 200000000]"),
     _option("--retry", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
             help="Try a file N times more in this run where the problem may pass."),
     _option("--fail-fast/--keep-going", default=False, help="Begin no file after the first failure, or go on.  "
@@ -285,7 +285,8 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
     from prc_cli.batch.run import plan_batch
     from prc_cli.cli.batch_report import plan_dict, print_plan, say
 
-    plan, estimate = plan_batch(settings, _engine(options, say))
+    _engine(options, say)  # a wrong option is as wrong here; the sample is measured on this machine
+    plan, estimate = plan_batch(settings)
     if options["as_json"]:
         click.echo(json.dumps(plan_dict(plan, estimate), indent=1, allow_nan=False))
     else:
