@@ -39,6 +39,8 @@ class BatchCommand(click.Group):
         return super().make_context(info_name, args, parent=parent, **extra)
 
     # what a plain command does, not a group
+    allow_extra_args = False
+    allow_interspersed_args = True
     parse_args = click.Command.parse_args
     invoke = click.Command.invoke
     collect_usage_pieces = click.Command.collect_usage_pieces
