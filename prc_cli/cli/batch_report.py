@@ -265,9 +265,18 @@ def done_words(event: Done) -> str:
 
 
 def failed_words(event: Failed) -> str:
-    """Return why a file failed; its name stands once."""
-    text = str(event.problem)
-    return text if event.name in text else f"{event.name}: {text}"
+    """Return why a file failed; its name stands once, as it is in the archive."""
+    problem = event.problem
+    where = problem.where
+    # the journal holds names that are no UTF-8 escaped
+    for name in (event.name, event.name.encode("utf-8", "backslashreplace").decode("utf-8")):
+        before, found, rest = where.partition(name)
+        if found and (not before or before.endswith(("/", "\\"))):
+            where = event.name + rest
+            break
+    else:
+        where = f"{event.name}: {where}" if where else event.name
+    return f"{where}: {problem.problem}" + (f"; {problem.hint}" if problem.hint else "")
 
 
 def rare_words(event: RunEvent, *, quiet: bool) -> str:
@@ -416,8 +425,9 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     """Print what a run would do, on stdout."""
     shown = plan.todo if verbose else plan.todo[:SHOWN]
     for item in shown:
-        line = f"{item.reason:<15} {printable(item.task.name)} -> {printable(str(item.task.output))}"
-        results().print(line, soft_wrap=True)
+        name, output = item.task.name, item.task.output.name
+        arrow = "" if name.rpartition("/")[2] == output else f" -> {printable(output)}"
+        results().print(f"{item.reason:<15} {printable(name)}{arrow}", soft_wrap=True)
     if len(shown) < len(plan.todo):
         results().print(f"and {len(plan.todo) - len(shown):,} more; -v lists all")
     for refused in plan.refused:
@@ -445,6 +455,15 @@ def _short(name: str) -> str:
 
 def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _minute(stamp: str) -> str:
+    """Shorten a time of the journal.
+
+    >>> _minute("2026-11-21T17:49:02.072890+00:00")
+    '2026-11-21 17:49:02'
+    """
+    return stamp[:19].replace("T", " ")
 
 
 def _n(count: int, what: str) -> str:
@@ -517,7 +536,7 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
         ended = "at work" if living else "cut off"
         code = ended if run.exit_code is None else str(run.exit_code)
         totals = ", ".join(f"{count} {name}" for name, count in run.totals if count)
-        table.add_row(run.started, run.shard or "-", run.version, code, printable(totals))
+        table.add_row(_minute(run.started), run.shard or "-", run.version, code, printable(totals))
     if runs:
         results().print(table)
     wrong = [entry for entry in entries if entry.state != "done"]
@@ -526,7 +545,7 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
         if isinstance(entry.outcome, Failed) and entry.state == "failed":
             tell(f"failed {failed_words(entry.outcome)} ({entry.outcome.problem.kind}{tries})")
         else:
-            tell(f"{running} {entry.name} (since {entry.started}{tries})")
+            tell(f"{running} {entry.name} (since {_minute(entry.started)}{tries})")
     if len(wrong) > SHOWN:
         tell(f"and {len(wrong) - SHOWN:,} more; --json has all of them")
 
