@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.batch.types import EngineSettings, Event, Failed, Outcome, Problem, Progress, Started, Task
+from prc_cli.batch.work import MEMORY
 from prc_cli.batch.worker import PATIENCE_S, READY
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import remove_stale
@@ -68,6 +69,8 @@ class _Worker:
     """File of what it prints."""
     name: str
     ready: bool = False
+    leaves: bool = False
+    """It gets no more tasks."""
     task: Task | None = None
     begun: float = 0.0
     """When it got the task, or was started [s]."""
@@ -163,7 +166,6 @@ class _Pool:
         self._workers: list[_Worker] = []
         self._messages: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._failed_starts = 0
-        self._n_started = 0
 
     def run(self, tasks: Iterator[Task]) -> Iterator[Event]:
         """Give every worker a task when it is free, and tell what becomes of it."""
@@ -201,10 +203,10 @@ class _Pool:
         self._workers.clear()
 
     def _free_worker(self) -> _Worker | None:
-        return next((worker for worker in self._workers if worker.ready and worker.task is None), None)
+        free = (worker for worker in self._workers if worker.ready and not worker.leaves and worker.task is None)
+        return next(free, None)
 
     def _start(self) -> None:
-        self._n_started += 1
         words = tempfile.TemporaryFile()  # noqa: SIM115 - closed in clean_up
         threads = self._settings.threads
         path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
@@ -224,7 +226,7 @@ class _Pool:
             raise PrcError(
                 "worker process", problem, "fewer --jobs; check the limits of processes and memory"
             ) from error
-        worker = _Worker(process, words, f"{self._n_started}", begun=time.monotonic(), seen=time.monotonic())
+        worker = _Worker(process, words, f"process {process.pid}", begun=time.monotonic(), seen=time.monotonic())
         self._workers.append(worker)
         threading.Thread(target=_read, args=(worker, self._messages), name="worker-messages", daemon=True).start()
 
@@ -249,6 +251,9 @@ class _Pool:
             else:
                 outcome: Outcome = message
                 worker.task = None
+                if isinstance(outcome, Failed) and outcome.problem.kind == MEMORY:
+                    worker.leaves = True  # what is left of its memory is in pieces
+                    worker.dismiss()
                 yield outcome
 
     def _bury(self, worker: _Worker) -> Iterator[Event]:

@@ -18,8 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
-from prc_cli.batch.types import Failed, Outcome, Task
-from prc_cli.batch.work import MEMORY, run_task
+from prc_cli.batch.types import Outcome, Task
+from prc_cli.batch.work import run_task
 from prc_cli.core.interrupts import raise_or_hold
 from prc_cli.pipeline import load_classifier
 
@@ -122,8 +122,6 @@ def _serve(tasks: queue.SimpleQueue[Task | None], parent: _Parent, threads: int,
         outcome: Outcome = run_task(task, threads=threads, progress=lines)
         lines.flush()
         parent.tell(outcome)
-        if isinstance(outcome, Failed) and outcome.problem.kind == MEMORY:
-            break  # what is left of its memory is in pieces; the parent starts another
 
 
 def limit_memory(mib: int) -> None:
