@@ -42,6 +42,11 @@ if TYPE_CHECKING:
     from prc_cli.kernels.sensor import goes_behind as goes_behind
     from prc_cli.kernels.sensor import sense as sense
     from prc_cli.kernels.shots import aim_shots as aim_shots
+    from prc_cli.kernels.stems import forest_labels as forest_labels
+    from prc_cli.kernels.stems import ground_heights as ground_heights
+    from prc_cli.kernels.stems import ground_profiles as ground_profiles
+    from prc_cli.kernels.stems import stem_shots as stem_shots
+    from prc_cli.kernels.stems import upright_runs as upright_runs
     from prc_cli.kernels.support import background_mask as background_mask
     from prc_cli.kernels.support import clean_ranges as clean_ranges
     from prc_cli.kernels.support import support_mask as support_mask
@@ -74,7 +79,10 @@ KERNELS: dict[str, str] = {
     "find_modes": "prc_cli.kernels.ground",
     "first_high_verticals": "prc_cli.kernels.verticals",
     "first_triggers": "prc_cli.kernels.suspicious",
+    "forest_labels": "prc_cli.kernels.stems",
     "goes_behind": "prc_cli.kernels.sensor",
+    "ground_heights": "prc_cli.kernels.stems",
+    "ground_profiles": "prc_cli.kernels.stems",
     "ground_rows": "prc_cli.kernels.ground",
     "hmm_cusum": "prc_cli.kernels.markov",
     "join_and_fill": "prc_cli.kernels.components",
@@ -89,9 +97,11 @@ KERNELS: dict[str, str] = {
     "sense": "prc_cli.kernels.sensor",
     "signed_angles": "prc_cli.kernels.angles",
     "stable_intervals": "prc_cli.kernels.fourier",
+    "stem_shots": "prc_cli.kernels.stems",
     "support_histogram": "prc_cli.kernels.calibration",
     "support_mask": "prc_cli.kernels.support",
     "surface_image": "prc_cli.kernels.coarse",
+    "upright_runs": "prc_cli.kernels.stems",
 }
 """Module of every kernel, by name."""
 

@@ -28,6 +28,7 @@ from tests.kernels import (
     cases_ground,
     cases_lines,
     cases_simulation,
+    cases_stems,
 )
 from tests.kernels.twins import assert_equal_bits, twin
 
@@ -155,6 +156,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     **cases_casting.CASES,
     **cases_lines.CASES,
     **cases_simulation.CASES,
+    **cases_stems.CASES,
 }
 TOLERANCES = {**cases_angles.TOLERANCES, **cases_ground.TOLERANCES, **cases_car.TOLERANCES}
 

@@ -1,0 +1,90 @@
+"""Random arguments for the kernels of the forest: small forests of stems, ground and leaves, missing shots and ties."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from prc_cli.core.types import F32, F64
+from prc_cli.kernels import stems
+
+RUN_FIGURES = (0.02, 0.05, 0.004, 0.0003, 1.0, 0.3, 0.1, 0.15, 0.7, 0.03)
+
+
+def forest(rng: Generator) -> tuple[F32, F64, F64]:
+    """Ranges of a few lines over flat ground with upright bodies, and sine and cosine of the beams."""
+    n_lines, n_columns = int(rng.integers(1, 7)), int(rng.integers(1, 26))
+    first, last = (-2.6, 2.6) if rng.random() < 0.5 else (3.0, 0.05)
+    angle = np.linspace(first, last, n_columns) if n_columns > 1 else np.array([first])
+    sine, cosine = np.sin(angle), np.cos(angle)
+    with np.errstate(divide="ignore"):
+        ranges = np.where(cosine > 0, 1.8 / cosine, np.inf)
+        for place in rng.choice([-6.0, -3.0, -1.5, 1.0, 2.0, 5.0], int(rng.integers(0, 4))):
+            ranges = np.minimum(ranges, np.where(sine * place > 0, place / sine, np.inf))
+    ranges = np.tile(np.where(ranges < 40, ranges, np.nan), (n_lines, 1))
+    spread = rng.choice([0.0, 0.002, 0.5])
+    odd = rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.4])
+    ranges = ranges + rng.normal(0, spread, ranges.shape) * (rng.random(ranges.shape) < 0.5)
+    ranges = np.where(odd, rng.choice([2.0, 4.0, 4.25, 9.0], ranges.shape), ranges)
+    ranges[rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.7, 1.0])] = np.nan
+    return np.maximum(ranges, 0.3).astype(np.float32), sine, cosine
+
+
+def profile_case(rng: Generator) -> tuple[Any, ...]:
+    figures = np.array([rng.choice([0.25, 1.0, 0.3]), rng.choice([0.0, 0.5]), 0.1, rng.choice([0.0, 0.05])])
+    ranges, sine, cosine = forest(rng)
+    level = cosine * (rng.random() < 0.9)
+    return ranges, sine, level, int(rng.integers(1, 6)), 2 * int(rng.integers(1, 16)), figures
+
+
+def height_case(rng: Generator) -> tuple[Any, ...]:
+    ranges, sine, cosine = forest(rng)
+    together = int(rng.integers(1, 5))
+    profiles = rng.normal(-1.8, 0.5, (-(-len(ranges) // together), 2 * int(rng.integers(1, 30))))
+    profiles[rng.random(len(profiles)) < 0.2] = stems.NO_GROUND
+    return ranges, sine, cosine, profiles, together, float(rng.choice([0.25, 0.7]))
+
+
+def heights_of(rng: Generator, ranges: F32, cosine: F64) -> F32:
+    return (-ranges * cosine + rng.choice([1.8, 2.5, 1e9])).astype(np.float32)
+
+
+def runs_case(rng: Generator) -> tuple[Any, ...]:
+    ranges, sine, cosine = forest(rng)
+    figures = np.array(RUN_FIGURES)
+    figures[stems.ANGLE] = rng.choice([0.02, 0.1])
+    figures[stems.BEHIND] = rng.choice([0.15, np.inf])
+    figures[stems.GAP] = rng.choice([0.3, 2.0])
+    figures[stems.GAP_STEEP] = rng.choice([0.1, -np.inf])
+    return ranges, heights_of(rng, ranges, cosine), sine, cosine, figures
+
+
+def stems_case(rng: Generator) -> tuple[Any, ...]:
+    ranges, heights, sine, cosine, figures = runs_case(rng)
+    found = stems.upright_runs(ranges, heights, sine, cosine, figures)
+    least = np.array(
+        [rng.choice([0.05, -1.0, 1.0]), 0.005, rng.choice([3, 12]), rng.integers(1, 4), 0.5, 1.0, 0.12, 0.1]
+    )
+    if rng.random() < 0.5:
+        least[stems.EXTENT :] = 0.0, 0.0, 0.0, 1.0
+    return ranges, *found, least
+
+
+def labels_case(rng: Generator) -> tuple[Any, ...]:
+    ranges, _, cosine = forest(rng)
+    some = (rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6])) & ~np.isnan(ranges)
+    top, company = rng.choice([1e9, 1.0, 3.0]), rng.choice([-1.0, 0.0, 0.25])
+    figures = np.array([0.2, 0.04, rng.choice([0.04, 0.15, 1.0]), 0.04, top, rng.choice([-1.0, 0.0, 0.05]), company])
+    return ranges, heights_of(rng, ranges, cosine), some, int(rng.integers(1, 4)), figures
+
+
+CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "forest_labels": labels_case,
+    "ground_heights": height_case,
+    "ground_profiles": profile_case,
+    "stem_shots": stems_case,
+    "upright_runs": runs_case,
+}
