@@ -22,7 +22,7 @@ from prc_cli.batch.lock import Holder
 from prc_cli.batch.plan import Estimate, Plan
 from prc_cli.batch.run import Again, Noted, Ready, RunEvent
 from prc_cli.batch.summary import Alarm, BatchSummary, done_dict, failed_dict
-from prc_cli.batch.types import Done, Entry, Failed, Run, Started
+from prc_cli.batch.types import Done, Entry, Failed, Problem, Run, Started
 from prc_cli.batch.types import Progress as Lines
 from prc_cli.cli.report import console, results
 from prc_cli.cli.safe import printable
@@ -33,7 +33,8 @@ Hear = Callable[[RunEvent], None]
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""
-_NAME_WIDTH = 40
+_BESIDE_NAME = 60
+"""Columns of a terminal that bar, counts and time take beside a name."""
 LOG_SCHEMA = 1
 """Version of the form of the log; keys are added without a new number, never renamed or taken away."""
 
@@ -115,7 +116,7 @@ class Bars:
     def __init__(self) -> None:
         self._progress = Progress(
             TextColumn("{task.description}", markup=False),
-            BarColumn(bar_width=24),
+            BarColumn(bar_width=12),
             TextColumn("{task.fields[told]}", markup=False),
             TimeRemainingColumn(elapsed_when_finished=True),
             console=console(),
@@ -192,7 +193,7 @@ class Bars:
         seconds = time.perf_counter() - self._start
         rate = f", {self._n_shots / seconds / 1e6:.2g} M/s" if self._n_shots and seconds > 0 else ""
         failed = f", {self._n_failed} failed" if self._n_failed else ""
-        return f"{self._n_done + self._n_failed}/{self._n_todo} files{failed}, {self._n_shots:,} shots{rate}"
+        return f"{self._n_done + self._n_failed}/{self._n_todo} files{failed}{rate}"
 
 
 class JsonLog:
@@ -266,16 +267,19 @@ def done_words(event: Done) -> str:
 
 def failed_words(event: Failed) -> str:
     """Return why a file failed; its name stands once, as it is in the archive."""
-    problem = event.problem
+    return _about(event.name, event.problem)
+
+
+def _about(name: str, problem: Problem) -> str:
     where = problem.where
     # the journal holds names that are no UTF-8 escaped
-    for name in (event.name, event.name.encode("utf-8", "backslashreplace").decode("utf-8")):
-        before, found, rest = where.partition(name)
+    for written in (name, name.encode("utf-8", "backslashreplace").decode("utf-8")):
+        before, found, rest = where.partition(written)
         if found and (not before or before.endswith(("/", "\\"))):
-            where = event.name + rest
+            where = name + rest
             break
     else:
-        where = f"{event.name}: {where}" if where else event.name
+        where = f"{name}: {where}" if where else name
     return f"{where}: {problem.problem}" + (f"; {problem.hint}" if problem.hint else "")
 
 
@@ -384,7 +388,8 @@ def print_compared(summary: BatchSummary) -> None:
                 table.add_row(item.name, *(percent(getattr(item, score)) for score in CLASS_SCORES))
         results().print(table)
     for missing in found.unpaired[:SHOWN]:
-        say(f"not compared {missing.name}: {missing.problem}")
+        if missing.problem is not None:
+            say(f"not compared {_about(missing.name, missing.problem)}")
     if len(found.unpaired) > SHOWN:
         say(f"and {len(found.unpaired) - SHOWN} more, see summary.json")
     _print_gates(summary)
@@ -449,8 +454,10 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
 
 
 def _short(name: str) -> str:
+    """Return the end of a name, as much as there is room for beside a bar."""
     text = printable(name)
-    return text if len(text) <= _NAME_WIDTH else f"…{text[1 - _NAME_WIDTH :]}"
+    width = max(12, console().width - _BESIDE_NAME)
+    return text if len(text) <= width else f"…{text[1 - width :]}"
 
 
 def _now() -> str:
