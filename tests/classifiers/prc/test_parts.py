@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -49,10 +51,10 @@ def join(range_m: F32, params: PrcParams, facts: list[BlockFacts], threads: int 
 
 
 def label_in_parts(range_m: F32, params: PrcParams, borders: list[int], warm_up: int = 1) -> tuple[U8, int]:
-    """Labels by way of parts with borders at these blocks, the last part first; and how many blocks were drawn again."""
+    """Labels by way of parts that end at these blocks, the last one first; and how many blocks were drawn again."""
     n_blocks = -(-len(range_m) // params.lines_per_block)
     bounds = sorted({0, n_blocks, *borders})
-    parts = list(zip(bounds[:-1], bounds[1:], strict=True))
+    parts = list(pairwise(bounds))
     found = {part: facts_of(range_m, params, *part, warm_up) for part in reversed(parts)}
     return join(range_m, params, [facts for part in parts for facts in found[part]])
 
