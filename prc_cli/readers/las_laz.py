@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.laz_chunks import chunk_head
+from prc_cli.core.laz_chunks import RUN_BYTES, chunk_head, find_run
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import I64
 from prc_cli.readers.las_header import DAMAGED, LasHeader, damaged
@@ -26,8 +26,6 @@ _TOGETHER_BYTES = 16 << 20
 """Most bytes of records that are decoded together because there are many cores."""
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
-_LOOK_BYTES = 4 << 20
-_RUN_BLOCK = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,31 +261,17 @@ class LazRecords:
                 raise damaged(self._where, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
 
     def _check_runs(self, handle: BinaryIO, first: int, end: int) -> None:
-        """Refuse chunks with a long run of 0xFF, as bad blocks of a disk leave them.
-
-        The decoder of times calls itself once for every such code (lazrs 0.8) until its stack is used up, which
-        ends the process. Compressed data look random: a run of this length does not occur in sound files.
-        """
-        position, stop = int(self.table.first_byte[first]), int(self.table.first_byte[end])
-        handle.seek(position)
-        while position < stop:
-            raw = np.frombuffer(handle.read(min(_LOOK_BYTES, stop - position)), np.uint8)
-            if not len(raw):
-                return
-            # a run of twice the block covers a whole block wherever it begins
-            blocks = raw[: len(raw) // _RUN_BLOCK * _RUN_BLOCK].reshape(-1, _RUN_BLOCK)
-            suspects = np.flatnonzero(blocks[:, 0] == 0xFF)
-            full = suspects[(blocks[suspects] == 0xFF).all(axis=1)]
-            if len(full):
-                byte = position + int(full[0]) * _RUN_BLOCK
-                chunk = int(np.searchsorted(self.table.first_byte, byte, side="right")) - 1
-                bounds = self.table.first_record[chunk : chunk + 2]
-                problem = (
-                    f"records {bounds[0]} to {bounds[1] - 1} cannot be decompressed: LAZ chunk {chunk} holds "
-                    f"{_RUN_BLOCK} bytes of 0xFF in a row, expected compressed records"
-                )
-                raise damaged(self._where, byte, problem)
-            position += len(raw)
+        """Refuse chunks with a long run of 0xFF: the decoder would end the process."""
+        byte = find_run(handle, int(self.table.first_byte[first]), int(self.table.first_byte[end]))
+        if byte is None:
+            return
+        chunk = int(np.searchsorted(self.table.first_byte, byte, side="right")) - 1
+        bounds = self.table.first_record[chunk : chunk + 2]
+        problem = (
+            f"records {bounds[0]} to {bounds[1] - 1} cannot be decompressed: LAZ chunk {chunk} holds "
+            f"{RUN_BYTES} bytes of 0xFF in a row, expected compressed records"
+        )
+        raise damaged(self._where, byte, problem)
 
 
 @contextlib.contextmanager

@@ -7,6 +7,7 @@ import io
 import struct
 import zlib
 from collections.abc import Generator, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -14,7 +15,7 @@ import lazrs
 import numpy as np
 
 from prc_cli.core.errors import OutputError
-from prc_cli.core.laz_chunks import chunk_head
+from prc_cli.core.laz_chunks import RUN_BYTES, chunk_head, find_run
 from prc_cli.core.threads import read_ahead
 from prc_cli.core.types import U8
 from prc_cli.writers.las_file import LasFile, Source, damaged, open_source
@@ -170,22 +171,9 @@ def tail_bounds(source: Source, las: LasFile) -> tuple[int, int]:
         return las.point_offset + las.n_points * las.record_length, las.size
     if las.size < las.point_offset + 8:
         return min(las.size, las.point_offset), las.size
-    source.seek(las.point_offset)
-    table_at = struct.unpack("<q", source.exact(8, "the chunk table offset"))[0]
-    end = las.size
-    if table_at == -1:  # written to a pipe: the offset stands at the very end, and is not needed again
-        end -= 8
-        source.seek(end)
-        table_at = struct.unpack("<q", source.exact(8, "the chunk table offset"))[0]
-    if not las.point_offset < table_at <= end - 8:
-        problem = f"found the chunk table at byte {table_at}, expected it behind the points, before byte {end}"
-        raise damaged(las.path, f"byte {las.point_offset}", problem)
+    table_at, end = find_table(source, las)
     laszip = las.vlr(*LASZIP_KEY)
     assert laszip is not None
-    source.seek(table_at)
-    n_chunks = struct.unpack("<II", source.exact(8, "the chunk table"))[1]
-    if n_chunks > las.size:  # a chunk takes at least a byte
-        raise damaged(las.path, f"byte {table_at}", f"found a table of {n_chunks} chunks in {las.size} bytes")
     with decoding(source, 0):
         vlr = lazrs.LazVlr(laszip.payload)
         source.seek(table_at)
@@ -197,6 +185,35 @@ def tail_bounds(source: Source, las: LasFile) -> tuple[int, int]:
         return table_at + len(again.getvalue()), end
     # another encoder's table: what follows is known only from the EVLRs' own offset
     return (las.evlrs[0].start if las.evlrs else end), end
+
+
+def find_table(source: Source, las: LasFile) -> tuple[int, int]:
+    """Return the first byte of the table of chunks, and the end of what follows it.
+
+    Raises
+    ------
+    InputError
+        When it lies elsewhere than behind the points, or says of more chunks than there can be: the library would
+        make room for all of them first.
+    """
+    source.seek(las.point_offset)
+    table_at = struct.unpack("<q", source.exact(8, "the chunk table offset"))[0]
+    end = las.size
+    if table_at == -1:  # written to a pipe: the offset stands at the very end, and is not needed again
+        end -= 8
+        source.seek(end)
+        table_at = struct.unpack("<q", source.exact(8, "the chunk table offset"))[0]
+    if not las.point_offset < table_at <= end - 8:
+        problem = f"found the chunk table at byte {table_at}, expected it behind the points, before byte {end}"
+        raise damaged(las.path, f"byte {las.point_offset}", problem)
+    source.seek(table_at)
+    n_chunks = struct.unpack("<II", source.exact(8, "the chunk table"))[1]
+    # a chunk begins with a record as it is; a file without points may have one that is empty
+    most = max(1, (table_at - las.point_offset - 8) // las.record_length)
+    if n_chunks > most:
+        problem = f"found a table of {n_chunks} chunks, expected at most {most} in {las.size} bytes"
+        raise damaged(las.path, f"byte {table_at}", problem)
+    return table_at, end
 
 
 def laszip_payload(las: LasFile, point_format: int, n_extra_bytes: int, *, keep: bool) -> bytes:
@@ -256,6 +273,7 @@ def check_compressed(path: Path, output: Path, las: LasFile, checksum: int) -> N
         When the records read back are not those that were written.
     """
     found = 0
+    las = replace(las, size=path.stat().st_size)
     with open_source(path) as source:
         n = batch_records(las.record_length, compressed=True)
         with contextlib.closing(read_points(source, las, n)) as batches:
@@ -289,11 +307,26 @@ def _decompressor(source: Source, las: LasFile) -> Any:
         if vlr.item_size() != las.record_length:
             problem = f"found laszip items of {vlr.item_size()} bytes, expected {las.record_length} (record length)"
             raise damaged(las.path, "laszip VLR", problem)
+        _check_chunks(source, las, vlr)
         if las.point_format >= _LAYERED_FORMATS:
             _check_layers(source, las, vlr, laszip.payload)
         serial = vlr.uses_variable_size_chunks() or large_chunks(vlr)
         kind = lazrs.LasZipDecompressor if serial else lazrs.ParLasZipDecompressor
         return kind(source, laszip.payload)
+
+
+def _check_chunks(source: Source, las: LasFile, vlr: Any) -> None:
+    """Refuse chunks that the library cannot be given; it stands where the points begin then."""
+    start, table_at = las.point_offset + 8, find_table(source, las)[0]
+    source.seek(las.point_offset)
+    n_bytes = sum(n_bytes for _, n_bytes in lazrs.read_chunk_table(source, vlr))
+    if n_bytes > table_at - start:
+        problem = f"found chunks of {n_bytes} bytes, expected {table_at - start} before the chunk table"
+        raise damaged(las.path, f"byte {table_at}", problem)
+    if (byte := find_run(source, start, table_at)) is not None:
+        problem = f"found {RUN_BYTES} bytes of 0xFF in a row, expected compressed records"
+        raise damaged(las.path, f"byte {byte}", problem)
+    source.seek(las.point_offset)
 
 
 def _check_layers(source: Source, las: LasFile, vlr: Any, payload: bytes) -> None:

@@ -267,7 +267,21 @@ def read_structure(source: Source) -> LasFile:
     if not las.compressed and las.point_offset + n_points * las.record_length > size:
         found = max(size - las.point_offset, 0) // las.record_length
         raise damaged(source.path, f"byte {las.point_offset}", f"found {found} point records, expected {n_points}")
+    if las.compressed:
+        _check_laszip(las)
     return replace(las, evlrs=_read_evlrs(source, header, size))
+
+
+def _check_laszip(las: LasFile) -> None:
+    """Refuse a laszip VLR that cannot be; that there is none is told where the points are read."""
+    laszip = las.vlr("laszip encoded", 22204)
+    if laszip is None:
+        return
+    data = laszip.payload
+    n_items = struct.unpack_from("<H", data, 32)[0] if len(data) >= 34 else 0
+    if not n_items or len(data) < 34 + 6 * n_items or not struct.unpack_from("<I", data, 12)[0]:
+        problem = f"found {len(data)} bytes for {n_items} items of a record, or chunks of 0 records"
+        raise damaged(las.path, "laszip VLR", problem)
 
 
 def _read_vlrs(source: Source, header: Header, size: int) -> tuple[tuple[Vlr, ...], int]:

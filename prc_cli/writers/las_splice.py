@@ -28,6 +28,7 @@ from prc_cli.writers.las_codec import (
     batch_records,
     codec_errors,
     decoding,
+    find_table,
     has_variable_chunks,
     large_chunks,
     new_laszip_payload,
@@ -70,6 +71,7 @@ def find_chunks(source: Source, las: LasFile) -> Chunks | None:
         vlr = lazrs.LazVlr(payload)
         if large_chunks(vlr):
             return None
+        find_table(source, las)
         source.seek(las.point_offset)
         table = lazrs.read_chunk_table(source, vlr)
     chunk_points = vlr.chunk_size()

@@ -520,7 +520,7 @@ def test_points_cut_off_inside_a_chunk(tmp_path: Path) -> None:
     source = tmp_path / "in.laz"
     old = make_las(source, 6, raw_points=True)
     source.write_bytes(old.data[:-2000])
-    with pytest.raises(InputError, match=r"in\.laz: point record 0 and what follows: cannot be decompressed"):
+    with pytest.raises(InputError, match=r"in\.laz: byte \d+: found the chunk table at byte \d+, expected it behind"):
         write(tmp_path / "out.laz", source, record_blocks(random_labels(300)))
     assert list(tmp_path.iterdir()) == [source]
 
