@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from prc_cli.batch.discovery import check_folders, discover, output_name
+from prc_cli.batch.drift import drift
 from prc_cli.batch.journal import Journal, read_entries
 from prc_cli.batch.local import LocalEngine, share_cores
 from prc_cli.batch.lock import Lock
@@ -51,6 +52,8 @@ PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 """Before files are tried again; twice as long every time [s]."""
 ALONE = frozenset({"killed", "memory"})
 """Kinds of problems that a file has less often when no other is worked on."""
+EARLIER_FILES = 500
+"""Classes of files are compared with those of so many that were done last before this run."""
 SAMPLE_BYTES = 64 << 20
 """The sample of a format is the largest file up to this size, else the smallest of all [bytes]."""
 SAMPLE_S = 60.0
@@ -113,10 +116,7 @@ def plan_batch(
     plan = _plan(settings, config, known)
     jobs, threads = share_cores(settings.jobs, settings.threads, len(plan.todo))
     rates = journal_rates(plan.todo, known)
-    for suffix in sorted({suffix_of(item.task.source) for item in plan.todo} - set(rates)):
-        rate = _sample(suffix, plan.todo, engine or LocalEngine(), threads, listener)
-        if rate is not None:
-            rates[suffix] = rate
+    rates |= _sample(set(rates), plan.todo, engine or LocalEngine(), threads, listener)
     return plan, estimate(plan.todo, rates, jobs)
 
 
@@ -156,9 +156,9 @@ def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: L
     check_folders(settings)
     folder = settings.out / OWN_FOLDER
     with Lock(folder, settings.shard) as lock, Journal(folder, settings.shard) as journal:
-        run = _Run(settings, engine or LocalEngine(), listener, lock, journal)
         known = {entry.name: entry for entry in journal.entries()}
-        return run.execute(_plan(settings, config, known), config)
+        run = _Run(settings, engine or LocalEngine(), listener, lock, journal)
+        return run.execute(_plan(settings, config, known), config, _Earlier(known.values()))
 
 
 def _plan(settings: BatchSettings, config: BatchConfig, known: dict[str, Entry]) -> Plan:
@@ -180,12 +180,13 @@ class _Run:
         self._journal = journal
         self._owner = str(lock.owner)
         self._notes: list[str] = []
+        self._alarms: list[Alarm] = []
         self._outcomes: dict[str, Outcome] = {}
         self._running: dict[str, float] = {}
         self._stopping = False
         self._started, self._clock = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
 
-    def execute(self, plan: Plan, config: BatchConfig) -> BatchSummary:
+    def execute(self, plan: Plan, config: BatchConfig, earlier: _Earlier) -> BatchSummary:
         """Do what is planned and say what came out."""
         run = self._journal.begin_run(self._owner)
         if self._lock.inherited_from is not None:
@@ -198,6 +199,7 @@ class _Run:
         try:
             self._settle(plan)
             self._classify(plan)
+            self._compare_classes(plan, earlier)
             evaluation = self._evaluate(plan)
             if self._stopping:
                 ended = "stopped"
@@ -301,6 +303,19 @@ class _Run:
             self._journal.finish(Failed(name, None, time.monotonic() - begun, problem))
             self._outcomes.pop(name, None)
 
+    def _compare_classes(self, plan: Plan, earlier: _Earlier) -> None:
+        """Raise an alarm for every file whose classes are unlike those of the archive's earlier runs."""
+        if not self._settings.drift:
+            return
+        for item in plan.todo:
+            outcome = self._outcomes.get(item.task.name)
+            if isinstance(outcome, Done):
+                sentence = drift(dict(outcome.labels), earlier.of(item.task))
+                if sentence is not None:
+                    alarm = Alarm(outcome.name, sentence)
+                    self._alarms.append(alarm)
+                    self._listener(alarm)
+
     def _evaluate(self, plan: Plan) -> BatchEvaluation | None:
         """Compare all outputs of the archive that are done, whichever run wrote them, with the reference."""
         settings = self._settings
@@ -334,7 +349,7 @@ class _Run:
             failed=tuple(item for item in outcomes if isinstance(item, Failed)),
             n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
             reasons=reasons_of(item.reason for item in plan.todo),
-            alarms=(),
+            alarms=tuple(self._alarms),
             left_out=plan.left_out,
             notes=tuple(self._notes),
             ended=ended,
@@ -346,6 +361,23 @@ class _Run:
     def _note(self, text: str) -> None:
         self._notes.append(text)
         self._listener(Noted(text))
+
+
+class _Earlier:
+    """The classes of files that were done before this run, by configuration."""
+
+    def __init__(self, known: Iterable[Entry]) -> None:
+        self._files: dict[str, list[tuple[str, dict[str, int]]]] = {}
+        for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
+            if entry.state == "done" and isinstance(entry.outcome, Done):
+                files = self._files.setdefault(entry.config_sha256, [])
+                if len(files) <= EARLIER_FILES:
+                    files.append((entry.name, dict(entry.outcome.labels)))
+
+    def of(self, task: Task) -> list[dict[str, int]]:
+        """Return the records by label of files of the same configuration, without the file itself."""
+        files = self._files.get(task.config_sha256, [])
+        return [labels for name, labels in files if name != task.name][:EARLIER_FILES]
 
 
 @contextlib.contextmanager
@@ -363,30 +395,43 @@ def _exit_code(stop: BaseException) -> int:
     return INTERRUPTED
 
 
-def _sample(suffix: str, todo: Sequence[Planned], engine: Engine, threads: int, listener: Listener) -> Rate | None:
-    """Classify a file of a format into a temporary folder; None where that shows nothing."""
-    items = sorted((item for item in todo if suffix_of(item.task.source) == suffix), key=lambda item: item.size)
-    short = [item for item in items if item.size <= SAMPLE_BYTES]
-    candidates = short[::-1] if short else items
-    for item in candidates[:SAMPLE_FILES]:
-        listener(Noted(f"measuring a sample: {item.task.name}"))
+def _sample(
+    known: set[str], todo: Sequence[Planned], engine: Engine, threads: int, listener: Listener
+) -> dict[str, Rate]:
+    """Classify a file of every format that nothing is known of into a temporary folder; return what it took."""
+    rates: dict[str, Rate] = {}
+    candidates = {
+        suffix: _candidates([item for item in todo if suffix_of(item.task.source) == suffix])
+        for suffix in sorted({suffix_of(item.task.source) for item in todo} - known)
+    }
+    while candidates := {suffix: items for suffix, items in candidates.items() if items and suffix not in rates}:
+        chosen = {suffix: items.pop(0).task for suffix, items in candidates.items()}
+        for task in chosen.values():
+            listener(Noted(f"measuring a sample: {task.name}"))
         with tempfile.TemporaryDirectory(prefix="prc-sample-") as folder:
-            task = replace(item.task, output=Path(folder) / item.task.output.name, overwrite=True)
+            outputs = {name: Path(folder) / name / task.output.name for name, task in chosen.items()}
+            tasks = [replace(task, output=outputs[name], overwrite=True) for name, task in chosen.items()]
             # the second time libraries are loaded and the file is in memory, as for most files of a long run
-            outcomes = _run_sample([task, task], engine, threads)
-        if outcomes:
-            return sample_rate(outcomes[-1], item.task.name)
-    return None
+            for done in _run_sample([task for task in tasks for _ in range(2)], engine, threads):
+                rates[suffix_of(Path(done.name))] = sample_rate(done, done.name)
+    return rates
+
+
+def _candidates(items: Sequence[Planned]) -> list[Planned]:
+    """Choose files of a format that tell something and do not take long."""
+    by_size = sorted(items, key=lambda item: item.size)
+    short = [item for item in by_size if item.size <= SAMPLE_BYTES]
+    return (short[::-1] or by_size)[:SAMPLE_FILES]
 
 
 def _run_sample(tasks: Sequence[Task], engine: Engine, threads: int) -> list[Done]:
-    end = time.monotonic() + SAMPLE_S
+    end = time.monotonic() + SAMPLE_S * len(tasks)
     outcomes = []
     events = engine.run(iter(tasks), EngineSettings(jobs=1, threads=threads, stall_s=SAMPLE_S))
     with _closed(events):
         for event in events:
             if isinstance(event, Done):
                 outcomes.append(event)
-            if isinstance(event, Failed) or time.monotonic() > end:
+            if time.monotonic() > end:
                 break
     return outcomes
