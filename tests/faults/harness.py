@@ -1,0 +1,257 @@
+"""An archive of small mixed files, and runs of ``prc batch`` over it that can be struck and looked at."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import secrets
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from prc_cli.batch.journal import read_entries
+from prc_cli.batch.types import OWN_FOLDER, Entry
+from prc_cli.simulated_files import simulate
+from prc_cli.simulation.settings import load_settings
+
+MARK = "PRC_FAULTS_MARK"
+"""Environment variable by which a run and all its workers are found again."""
+LIMIT_S = 120.0
+"""A run that takes longer hangs [s]."""
+GONE_S = 10.0
+"""Workers of a dead run must have ended by then [s]."""
+RAW = """
+[[override]]
+match = "**/*.bin"
+[override.input]
+lines = "fixed"
+columns = "order"
+range = "dimension:range"
+"""
+NAMES = (
+    "2026/day 1/drive.bin",
+    "2026/day 1/drive.npz",
+    "2026/day 1/drive.csv",
+    "2026/day 2/drive.las",
+    "2026/day 2/drive.laz",
+    "2026/day 2/new\nline's.laz",
+    "2026/day 3/long.laz",
+    "rückweg.las",
+)
+FAST = ("2026/day 1/drive.npz", "2026/day 2/drive.laz", "rückweg.las")
+
+
+@dataclass(frozen=True)
+class Archive:
+    """Inputs, and what an undisturbed run makes of them."""
+
+    folder: Path
+    config: Path
+    whole: dict[str, bytes]
+    """Every output, records included, by its name in the output tree."""
+    seconds: float
+    """Of the undisturbed run."""
+
+    @property
+    def names(self) -> set[str]:
+        return {path.relative_to(self.folder).as_posix() for path in self.folder.rglob("*") if path.is_file()}
+
+
+def make_archive(folder: Path) -> Archive:
+    """Simulate the inputs and classify them undisturbed."""
+    inputs = folder / "archive"
+    config = folder / "archive.toml"
+    for number, name in enumerate(NAMES):
+        path = inputs / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        options = {"seed": number + 1, "lines": 30 if "long" in name else 10, "scanner": {"points_per_line": 1600}}
+        simulate("street", path, load_settings("street", options=options), threads=2)
+        for extra in (*path.parent.glob("*.prc.json"), *path.parent.glob("*_reference.npy")):
+            extra.unlink()
+    raw = inputs / "2026/day 1/drive.bin.toml"
+    layout = raw.read_text().partition("[layout]")[2]
+    config.write_text(RAW + "[override.layout]" + layout)
+    raw.unlink()
+    before = time.monotonic()
+    run = Batch(inputs, folder / "undisturbed", config)
+    code, said = run.end()
+    assert code == 0, said
+    seconds = time.monotonic() - before
+    archive = Archive(inputs, config, tree(folder / "undisturbed"), seconds)
+    assert len(archive.whole) == 2 * len(NAMES), sorted(archive.whole)
+    return archive
+
+
+class Batch:
+    """A run of ``prc batch`` as a process of its own session."""
+
+    def __init__(
+        self, archive: Path, out: Path, config: Path | None, *options: str, jobs: int = 2, user: int = 0
+    ) -> None:
+        self.out = out
+        self._mark = secrets.token_hex(8)
+        words = [] if config is None else ["--config", str(config)]
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "prc_cli", "batch", str(archive), str(out), "--jobs", str(jobs), *words, *options],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="surrogateescape",
+            start_new_session=True, env={**os.environ, MARK: self._mark}, user=user or None, group=user or None,
+            extra_groups=[] if user else None,
+        )  # fmt: skip
+
+    def members(self) -> list[int]:
+        """Return all living processes of the run."""
+        found = []
+        for path in Path("/proc").iterdir():
+            if path.name.isdecimal():
+                with contextlib.suppress(OSError):
+                    if self._mark.encode() in (path / "environ").read_bytes():
+                        found.append(int(path.name))
+        return found
+
+    def workers(self) -> list[int]:
+        """Return all living processes of the run but the first."""
+        return [pid for pid in self.members() if pid != self.process.pid]
+
+    def strike(self, number: int = signal.SIGKILL) -> bool:
+        """Send a signal to the first process alone; tell whether it was still running."""
+        running = self.process.poll() is None
+        if running:
+            self.process.send_signal(number)
+        return running
+
+    def strike_all(self) -> bool:
+        """Kill every process of the run, as far as that can be done at one moment."""
+        running = self.process.poll() is None
+        members = self.members()
+        for pid in members:  # none may act on the end of another
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGSTOP)
+        for pid in {*members, *self.members()}:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        return running
+
+    def strike_worker(self, rng: random.Random) -> bool:
+        """Kill one worker; tell whether there was one."""
+        workers = self.workers()
+        if not workers:
+            return False
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(rng.choice(workers), signal.SIGKILL)
+            return self.process.poll() is None
+        return False
+
+    def end(self, limit_s: float = LIMIT_S) -> tuple[int, str]:
+        """Wait for the end; return the exit code and what was printed."""
+        try:
+            said, _ = self.process.communicate(timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            self.strike_all()
+            said, _ = self.process.communicate()
+            message = f"the run hangs; it said: {said}"
+            raise AssertionError(message) from None
+        return self.process.returncode, said
+
+    def wait_until_gone(self) -> float:
+        """Wait until no process of the run is left; return how long that took [s]."""
+        begun = time.monotonic()
+        while members := self.members():
+            assert time.monotonic() - begun < GONE_S, f"still there: {members}"
+            time.sleep(0.01)
+        return time.monotonic() - begun
+
+
+def tree(out: Path) -> dict[str, bytes]:
+    """Return every file under its final name, without our own folder and the summary."""
+    found = {}
+    for path in out.rglob("*"):
+        name = path.relative_to(out).as_posix()
+        if path.is_file() and not name.startswith(OWN_FOLDER) and name != "summary.json" and path.suffix != ".part":
+            found[name] = path.read_bytes()
+    return found
+
+
+def parts(out: Path) -> list[Path]:
+    """Return all temporary files."""
+    return sorted(out.rglob("*.part"))
+
+
+def entries(out: Path) -> dict[str, Entry]:
+    """Return what the journals know; that they open is part of every test."""
+    return {entry.name: entry for entry in read_entries(out / OWN_FOLDER)}
+
+
+def check_nothing_half(archive: Archive, out: Path) -> None:
+    """What has its final name is whole, and the journal promises nothing that is not there."""
+    found = tree(out) if out.exists() else {}
+    for name, content in found.items():
+        assert archive.whole.get(name) == content, f"{name!r} is not what an undisturbed run writes"
+    for entry in entries(out).values() if (out / OWN_FOLDER).exists() else ():
+        if entry.state == "done":
+            outputs = [name for name in found if name.startswith(entry.name) and not name.endswith(".prc.json")]
+            assert len(outputs) == 1, f"{entry.name!r} is done, its output is {outputs}"
+
+
+def check_whole(archive: Archive, out: Path) -> None:
+    """The run that resumed ended as an undisturbed one, and left nothing else."""
+    assert tree(out) == archive.whole
+    assert parts(out) == []
+    known = entries(out)
+    assert set(known) == archive.names
+    assert {entry.state for entry in known.values()} == {"done"}
+    left = {path.name for path in (out / OWN_FOLDER).rglob("*") if not path.name.endswith(("-wal", "-shm"))}
+    assert left <= {"journal.sqlite", "command.json"}, left
+
+
+def moments(rng: random.Random, archive: Archive, out: Path, batch: Batch) -> Iterator[str]:
+    """Wait for a random moment and yield what it is: some time after the start, or just when a file appears."""
+    if rng.random() < 0.5:
+        time.sleep(rng.uniform(0.0, archive.seconds))
+        yield "time"
+        return
+    wanted = rng.choice([".part", "", ".json"])
+    known = set(out.rglob("*")) if out.exists() else set()
+    end = time.monotonic() + 2 * archive.seconds
+    n_more = rng.randrange(3)
+    while time.monotonic() < end and batch.process.poll() is None:
+        new = {path for path in out.rglob("*") if OWN_FOLDER not in path.parts} - known if out.exists() else set()
+        if any(path.suffix == wanted or not wanted for path in new):
+            if not n_more:
+                break
+            n_more -= 1
+        known |= new
+        time.sleep(0.001)
+    time.sleep(rng.random() * 0.02)
+    yield "file"
+
+
+def fresh(folder: Path) -> Path:
+    """Return a folder that does not exist."""
+    shutil.rmtree(folder, ignore_errors=True)
+    return folder
+
+
+@dataclass
+class Tally:
+    """What a series of kills met."""
+
+    kills: dict[str, int] = field(default_factory=dict)
+    """Processes killed while they ran, by what was killed."""
+    runs: int = 0
+    came_too_late: int = 0
+    """Runs that had ended."""
+    with_parts: int = 0
+    """Kills that left temporary files: in the middle of writing."""
+    with_running: int = 0
+    """Kills that left files which the journal calls running."""
+    resumed_to_the_end: int = 0
+    longest_orphan_s: float = 0.0
+
+    def count(self, kind: str) -> None:
+        self.kills[kind] = self.kills.get(kind, 0) + 1
