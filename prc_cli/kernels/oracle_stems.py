@@ -108,7 +108,7 @@ def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, figures: F6
             beside = tolerance + steep * up
             if up > spacing:
                 beside = tolerance + steep * spacing + gap_steep * (up - spacing)
-            return up <= gap and abs(y - run.y[-1]) <= beside
+            return bool(up <= gap and abs(y - run.y[-1]) <= beside)
 
         run = next((one for one in recent if follows(one)), None)
         if run is None:
@@ -117,7 +117,8 @@ def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, figures: F6
         else:
             recent.remove(run)
         run.passed, run.waiting = run.passed + run.waiting, 0
-        for values, value in ((run.columns, column), (run.y, y), (run.z, z), (run.r, r)):
+        run.columns.append(column)
+        for values, value in ((run.y, y), (run.z, z), (run.r, r)):
             values.append(value)
         recent.appendleft(run)
         for other in list(recent)[1:]:

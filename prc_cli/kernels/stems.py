@@ -178,8 +178,8 @@ def _goes_on(apart: float, up: float, spacing: float, tolerance: float, figures:
     if up > figures[GAP]:
         return False
     if up > spacing:
-        return apart <= tolerance + figures[STEEP] * spacing + figures[GAP_STEEP] * (up - spacing)
-    return apart <= tolerance + figures[STEEP] * up
+        return bool(apart <= tolerance + figures[STEEP] * spacing + figures[GAP_STEEP] * (up - spacing))
+    return bool(apart <= tolerance + figures[STEEP] * up)
 
 
 @helper
@@ -234,12 +234,9 @@ def _line_runs(ranges: F32, heights: F32, sine: F64, cosine: F64, figures: F64, 
 @helper
 def _is_upright(run: F64, figures: F64) -> bool:
     up = abs(run[_Z_LAST] - run[_Z_FIRST])
-    return (
-        run[_N] >= MIN_SHOTS
-        and up >= figures[SHORT]
-        and abs(run[_Y_LAST] - run[_Y_FIRST]) <= figures[LEAN] * up
-        and 2.0 * run[_PASSED] <= run[_N]
-    )
+    if run[_N] < MIN_SHOTS or 2.0 * run[_PASSED] > run[_N]:
+        return False
+    return bool(up >= figures[SHORT] and abs(run[_Y_LAST] - run[_Y_FIRST]) <= figures[LEAN] * up)
 
 
 @kernel(
@@ -376,9 +373,8 @@ def _is_flat(heights: F32, column: int, limit: float) -> bool:
     if column == 0 or column == len(heights) - 1:
         return False
     height = np.float64(heights[column])
-    return (
-        abs(height - np.float64(heights[column - 1])) < limit and abs(height - np.float64(heights[column + 1])) < limit
-    )
+    before, after = np.float64(heights[column - 1]), np.float64(heights[column + 1])
+    return bool(abs(height - before) < limit and abs(height - after) < limit)
 
 
 @helper

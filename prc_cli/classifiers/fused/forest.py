@@ -1,0 +1,123 @@
+"""Classes in the forest from the scan plane: ground, stems, other vegetation, noise.
+
+Needs range, angle and time of the stream, as PRC does (Lehtola et al. 2019), and where down is in the scan plane; no
+pose. Every block is labelled by itself: ground is found anew every few lines, and a stem tells within a few lines that
+it is one, so that nothing has to be carried from block to block.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.stems import StemsParams, find_stems
+from prc_cli.classifiers.fused.terrain import Plane, TerrainParams, heights_over_ground
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, U8, Mask
+
+LEAST_COLUMNS, MOST_COLUMNS = 2, 8
+"""Columns on either side in which company is looked for: fewer and more are too few and too slow."""
+
+
+class FlatParams(Params):
+    """Ground that is rougher than its profile (``[fused.forest.flat]``)."""
+
+    enabled: bool = Field(True, description="whether flat places are ground up to a greater height than others")
+    cover_m: float = Field(0.15, ge=0, le=10, description="height over the ground up to which flat places are ground")
+    step_m: float = Field(
+        0.04, ge=0, le=10, description="shots on flat places are less higher or lower than both their neighbours [m]"
+    )
+
+
+class TouchingParams(Params):
+    """Single shots of a stem between leaves and at its edges (``[fused.forest.touching]``)."""
+
+    enabled: bool = Field(True, description="whether a shot beside a stem's is of the stem where it is as far")
+    range_m: float = Field(0.05, ge=0, le=10, description="as far means within this much [m]")
+
+
+class CompanyParams(Params):
+    """Noise is alone (``[fused.forest.company]``)."""
+
+    enabled: bool = Field(True, description="whether shots alone in the air are noise")
+    range_m: float = Field(0.3, ge=0, le=100, description="company is within so much in range [m] ...")
+    angle_deg: float = Field(
+        0.3, ge=0, le=90, description="... and so much of the line on either side [degrees], 2 to 8 columns"
+    )
+
+
+class ForestParams(Params):
+    """The forest, in the scan plane (``[fused.forest]``)."""
+
+    soil_m: float = Field(0.04, ge=0, le=10, description="height over the ground up to which all is ground [m]")
+    below_m: float = Field(0.2, ge=0, le=100, description="what is farther below the ground is noise [m]")
+    stem_top_m: float = Field(
+        1000.0,
+        ge=0,
+        le=1000,
+        description="height over the ground, in the scan plane, up to which stems are stems and from which on they are "
+        "other vegetation [m]",
+    )
+    terrain: TerrainParams = TerrainParams()
+    stems: StemsParams = StemsParams()
+    flat: FlatParams = FlatParams()
+    touching: TouchingParams = TouchingParams()
+    company: CompanyParams = CompanyParams()
+
+
+def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
+    """Label a block of forest.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        The block, chronological; NaN = missing, all else finite and positive.
+    plane : Plane
+        Of the scanner.
+    params : ForestParams
+
+    Returns
+    -------
+    (lines, M) uint8
+        :class:`prc_cli.core.classes.Label`: GROUND, STEM, VEGETATION, NOISE; MISSING where there is no return.
+
+    Examples
+    --------
+    Ground, a stem and a stray shot before the sky:
+
+    >>> from prc_cli.core.classes import Label
+    >>> beam = np.deg2rad(np.linspace(45, 110, 651))
+    >>> down = np.maximum(np.cos(beam), 1e-9)
+    >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (8, 1)).astype(np.float32)
+    >>> lines[:, 551:] = np.nan
+    >>> lines[3, 600] = 30.0
+    >>> labels = forest(lines, Plane.of(beam), ForestParams())
+    >>> [Label(labels[3, column]).name for column in (0, 500, 590, 600)]
+    ['GROUND', 'STEM', 'MISSING', 'NOISE']
+    """
+    heights = heights_over_ground(range_m, plane, params.terrain)
+    stems = find_stems(range_m, heights, plane, params.stems)
+    return _draw(range_m, heights, stems, plane, params)
+
+
+@stage("classes")
+def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, params: ForestParams) -> U8:
+    """Draw ground and stems; what is neither is vegetation in company and noise alone."""
+    flat, touching, company = params.flat, params.touching, params.company
+    columns = round(math.radians(company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
+    figures = (
+        params.below_m,
+        params.soil_m,
+        flat.cover_m if flat.enabled else params.soil_m,
+        flat.step_m,
+        params.stem_top_m,
+        # ranges differ by 0 at least
+        touching.range_m if touching.enabled else -1.0,
+        company.range_m if company.enabled else -1.0,
+    )
+    around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
+    return kernels.forest_labels(range_m, heights_m, stems, around, np.array(figures))

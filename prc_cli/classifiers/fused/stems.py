@@ -1,0 +1,136 @@
+"""Stems: upright, opaque, and going on from line to line.
+
+A scan plane that leans cuts a stem in a narrow ellipse that stands upright in the plane, as long as the stem is thick
+over the sine of the lean; an upright plane cuts it from foot to crown. So every line has a run of returns one above the
+other. A crown has such runs too, by chance, but they are short, others beside them pass through, and the next line has
+none at the same place.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.terrain import Plane
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, F64, Mask
+
+
+class GapParams(Params):
+    """Stems that go on behind what hides them (``[fused.forest.stems.gaps]``)."""
+
+    enabled: bool = Field(True, description="whether a run goes on behind leaves")
+    longest_m: float = Field(0.3, ge=0, le=100, description="longest gap of a run [m]")
+    steep: float = Field(0.1, ge=0, le=100, description="metres to the side, at most, for every metre of a gap")
+
+
+class OpacityParams(Params):
+    """Nothing is seen through a stem (``[fused.forest.stems.opacity]``)."""
+
+    enabled: bool = Field(True, description="whether returns from behind count against a stem")
+    behind_m: float = Field(0.15, ge=0, le=100, description="how much farther than the stem such returns are [m]")
+    share: float = Field(0.1, ge=0, le=1, description="stems have this share of them at most")
+
+
+class JoiningParams(Params):
+    """Stems go on from line to line (``[fused.forest.stems.joining]``)."""
+
+    enabled: bool = Field(True, description="whether runs of successive lines are judged together")
+    near_m: float = Field(
+        0.05, ge=0, le=10, description="runs with shots of one column this near to each other belong together [m] ..."
+    )
+    near_share: float = Field(0.005, ge=0, le=1, description="... plus this share of the range")
+    runs: int = Field(3, ge=1, le=1000, description="runs that a stem has at least")
+
+
+class StemsParams(Params):
+    """What a stem is (``[fused.forest.stems]``)."""
+
+    above_m: float = Field(0.05, ge=0, le=10, description="height over the ground from which on there are stems [m]")
+    tolerance_m: float = Field(
+        0.004, ge=0, le=1, description="how far beside a run its next return may be in any case [m] ..."
+    )
+    tolerance_share: float = Field(0.0003, ge=0, le=0.1, description="... plus this share of the range")
+    steep: float = Field(1.0, gt=0, le=100, description="... plus so many metres for every metre up or down")
+    lean: float = Field(0.7, gt=0, le=100, description="metres that a run goes to the side for every metre up, at most")
+    short_m: float = Field(0.03, ge=0, le=10, description="shorter runs are none [m]")
+    shots: int = Field(12, ge=3, le=100_000, description="shots that a stem has at least")
+    extent_m: float = Field(0.5, ge=0, le=100, description="from the lowest to the highest of a stem, at least [m]")
+    total_m: float = Field(1.0, ge=0, le=10_000, description="length of all runs of a stem, at least [m]")
+    mean_m: float = Field(0.12, ge=0, le=100, description="length of the runs of a stem, on average, at least [m]")
+    gaps: GapParams = GapParams()
+    opacity: OpacityParams = OpacityParams()
+    joining: JoiningParams = JoiningParams()
+
+
+@stage("stems")
+def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) -> Mask:
+    """Mark the shots on stems.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        NaN = missing.
+    heights_m : (lines, M) float32, metres
+        From :func:`prc_cli.classifiers.fused.terrain.heights_over_ground`.
+    plane : Plane
+    params : StemsParams
+
+    Returns
+    -------
+    (lines, M) bool
+
+    Examples
+    --------
+    A stem 4 m to the side and ground, four times the same line:
+
+    >>> beam = np.deg2rad(np.linspace(45, 100, 551))
+    >>> down = np.maximum(np.cos(beam), 1e-9)
+    >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (4, 1)).astype(np.float32)
+    >>> heights = (2 - lines * np.cos(beam)).astype(np.float32)
+    >>> stems = find_stems(lines, heights, Plane.of(beam), StemsParams())
+    >>> heights[stems].min().round(1), stems[:, -1].all()
+    (np.float32(0.1), np.True_)
+    """
+    runs, table = kernels.upright_runs(range_m, heights_m, plane.sine, plane.cosine, _run_figures(plane, params))
+    return kernels.stem_shots(range_m, runs, table, _stem_figures(params))
+
+
+def _run_figures(plane: Plane, params: StemsParams) -> F64:
+    """Return what :func:`prc_cli.kernels.stems.upright_runs` is told, in its order."""
+    gaps, opacity = params.gaps, params.opacity
+    figures = (
+        plane.step_rad,
+        params.above_m,
+        params.tolerance_m,
+        params.tolerance_share,
+        params.steep,
+        gaps.longest_m if gaps.enabled else math.inf,
+        # beyond the spacing of shots on a wall nothing is near enough
+        gaps.steep if gaps.enabled else -math.inf,
+        opacity.behind_m if opacity.enabled else math.inf,
+        params.lean,
+        params.short_m,
+    )
+    return np.array(figures)
+
+
+def _stem_figures(params: StemsParams) -> F64:
+    """Return what :func:`prc_cli.kernels.stems.stem_shots` is told, in its order."""
+    joining = params.joining
+    figures = (
+        # ranges differ by 0 at least
+        joining.near_m if joining.enabled else -1.0,
+        joining.near_share if joining.enabled else 0.0,
+        params.shots,
+        joining.runs if joining.enabled else 1,
+        params.extent_m,
+        params.total_m,
+        params.mean_m,
+        params.opacity.share,
+    )
+    return np.array(figures, np.float64)

@@ -1,0 +1,89 @@
+"""The ground of a forest: what is lowest to the left and right of the scanner, line after line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, F64
+
+_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Where the beams of a scanner point within its scan plane."""
+
+    sine: F64
+    """(M,) float64, metres to the side for every metre of range."""
+    cosine: F64
+    """(M,) float64, metres down for every metre of range."""
+    step_rad: float
+    """Angle between neighbouring columns, in the middle [rad]."""
+
+    @classmethod
+    def of(cls, beam_rad: F64) -> Plane:
+        """Return the plane of beams, (M,) float64, given by their angles from straight down [rad].
+
+        >>> Plane.of(np.deg2rad([179.0, -179.0, -177.0])).step_rad.__round__(4)
+        0.0349
+        """
+        step = np.abs(np.diff(beam_rad))
+        step = np.minimum(step, np.abs(_TURN - step))
+        return cls(np.sin(beam_rad), np.cos(beam_rad), float(np.median(step)) if len(step) else 0.0)
+
+
+class TerrainParams(Params):
+    """How the height of the ground is found (``[fused.forest.terrain]``)."""
+
+    lines_together: int = Field(4, ge=1, le=1000, description="successive lines that share a profile of the ground")
+    bin_m: float = Field(0.25, gt=0, le=10, description="width of a step of the profile [m]")
+    reach_m: float = Field(80.0, gt=0, le=1000, description="how far to either side the profile goes [m]")
+    slope: float = Field(
+        0.5, ge=0, le=10, description="what is higher over the ground beside it than this for every metre is a plant"
+    )
+    near_m: float = Field(
+        0.1, ge=0, le=10, description="returns this near to the one before them in the line make the ground [m] ..."
+    )
+    near_share: float = Field(0.05, ge=0, le=1, description="... plus this share of the range; the rest may be noise")
+
+
+@stage("ground")
+def heights_over_ground(range_m: F32, plane: Plane, params: TerrainParams) -> F32:
+    """Return how far above the ground every return is.
+
+    The ground of a bin to the side is its third-lowest return. Where that is a plant, because nothing of the ground is
+    seen, the bin is higher than its neighbours by more than ground rises; it is left out, and a straight line put in.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        NaN = missing.
+    plane : Plane
+    params : TerrainParams
+
+    Returns
+    -------
+    (lines, M) float32, metres
+        In the scan plane; NaN = missing, far above all plants where no ground was seen.
+
+    Examples
+    --------
+    Flat ground 2 m below the scanner, and something 1 m high on it:
+
+    >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
+    >>> lines = np.tile(2 / np.cos(beam), (4, 1)).astype(np.float32)
+    >>> lines[:, 120] = 1.0
+    >>> heights = heights_over_ground(lines, Plane.of(beam), TerrainParams())
+    >>> heights[0, [0, 120]].round(2) + 0.0
+    array([0., 1.], dtype=float32)
+    """
+    n_bins = 2 * max(int(np.ceil(params.reach_m / params.bin_m)), 1)
+    figures = np.array([params.bin_m, params.slope, params.near_m, params.near_share])
+    profiles = kernels.ground_profiles(range_m, plane.sine, plane.cosine, params.lines_together, n_bins, figures)
+    return kernels.ground_heights(range_m, plane.sine, plane.cosine, profiles, params.lines_together, params.bin_m)
