@@ -41,7 +41,7 @@ class _Readable(Protocol):
 
 
 def find_run(handle: _Readable, start: int, stop: int) -> int | None:
-    """Return where a long run of 0xFF lies in a file, as bad blocks of a disk leave them; None without.
+    r"""Return where a long run of 0xFF lies in a file, as bad blocks of a disk leave them; None without.
 
     The decoder of times calls itself once for every such code (lazrs 0.8) until its stack is used up, which ends the
     process. Compressed data look random: a run of this length does not occur in sound files.

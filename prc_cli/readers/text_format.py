@@ -24,7 +24,8 @@ HEAD_BYTES = 1 << 16
 BLANKS = " "
 """Delimiter that stands for any number of blanks and tabs."""
 _DELIMITERS = (";", "\t", ",")
-_NUMBER = re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+# nothing is tried twice: a cell may hold a million digits
+_NUMBER = re.compile(r"[+-]?(?:(?:\d++\.?\d*+|\.\d++)(?:e[+-]?\d++)?+|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
