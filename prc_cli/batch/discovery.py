@@ -382,6 +382,8 @@ def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UT
     except (ValueError, OverflowError, OSError):
         pass
     try:
+        if not text.strip():
+            raise ValueError
         return Path(text).stat().st_mtime_ns
     except (OSError, ValueError):
         problem = f"found {text!r}, expected a duration (7d), a date (2026-01-31) or a file"

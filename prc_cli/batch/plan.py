@@ -309,13 +309,14 @@ def make_plan(
             loaded, digest = config.of(item.name, item.path)
             output = settings.out.absolute() / names[item.name]
             task = Task(item.name, item.path, output, loaded, digest, settings.overwrite)
-            found = _decide(item, task, known.get(item.name), settings)
+            entry = known.get(item.name)
+            found = _decide(item, task, entry, settings)
         except (PrcError, OSError) as error:
             refused.append(Failed(item.name, InputPrint(item.size, item.mtime_ns, None), 0.0, Problem.of(error)))
             continue
         if isinstance(found, Planned):
             todo.append(found)
-        elif isinstance(found, Done) and item.name not in known:
+        elif isinstance(found, Done) and (entry is None or not entry.owns_output):
             adopted.append((task, found))
         else:
             done.append(item.name)
