@@ -350,7 +350,8 @@ def oakland_noisy(strip: int) -> Scan:
     assert scan.world_m is not None
     assert scan.scanner_m is not None
     origin = scan.scanner_m[:, None]
-    world = np.where(hit[..., None], origin + (scan.world_m - origin) * (ranges / scan.range_m)[..., None], scan.world_m)
+    farther = (ranges / scan.range_m)[..., None]
+    world = np.where(hit[..., None], origin + (scan.world_m - origin) * farther, scan.world_m)
     codes = np.where(hit, 7, scan.codes)
     return replace(scan, name=f"{scan.name}, 5 % background added", range_m=ranges, world_m=world, codes=codes)
 

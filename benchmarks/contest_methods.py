@@ -74,7 +74,7 @@ def _zeta(zeta_s: float, zeta_p: float) -> dict[str, Any]:
 
 
 def _is_push_broom(scan: Scan) -> bool:
-    return scan.range_m.shape[1] < 400 and not scan.is_upright  # noqa: PLR2004
+    return scan.range_m.shape[1] < 400 and not scan.is_upright
 
 
 PAPERS = (
@@ -162,5 +162,3 @@ def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Label
 def label_scan(scan: Scan, method: Method) -> Labelled:
     """Run a method over a scan."""
     return label(scan, method.config(scan))
-
-

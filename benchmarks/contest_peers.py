@@ -125,7 +125,7 @@ def patchwork(points: Points, piece_m: float, distance_m: float, upright: float,
 
 
 def smrf(points: Points, cell_m: float, slope: float, window_m: float, threshold_m: float, scaler: float) -> Mask:
-    """Simple morphological filter (Pingel et al. 2013, sec. 2): an opened surface of lowest points, then a threshold."""
+    """Simple morphological filter (Pingel et al. 2013): an opened surface of lowest points, then a threshold."""
     xyz = points.xyz_m
     low = xyz[:, :2].min(axis=0)
     cell = np.floor((xyz[:, :2] - low) / cell_m).astype(np.int64)
@@ -221,7 +221,7 @@ def main() -> None:
 def _peak_mib() -> float:
     """Return the most memory that this process ever held [MiB]."""
     try:
-        with open("/proc/self/status") as status:
+        with Path("/proc/self/status").open() as status:
             return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)

@@ -1,0 +1,240 @@
+"""Runs of the contest, kept by content: only what changed since is run again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import contest_data as data
+from benchmarks import contest_peers as peers
+from benchmarks.contest_data import ROOT, Scan, Simulated
+from benchmarks.contest_judge import FOLDER, MAPPINGS, Verdict, judge
+from benchmarks.contest_methods import Method, label_scan
+
+Progress = Callable[[str], None]
+_MAKERS = ("simulation", "kernels/casting.py", "kernels/sensor.py", "kernels/shots.py")
+_CLASSIFIERS = ("classifiers", "kernels", "pipeline.py", "core")
+
+
+@dataclass(frozen=True, slots=True)
+class DataSet:
+    """A scan by how it is made."""
+
+    name: str
+    group: str
+    make: Callable[[], Scan]
+    how: str
+    """Where it comes from, for the cache and for the reader."""
+    with_peers: bool = False
+
+
+def _simulated(spec: Simulated, group: str, *, with_peers: bool = False) -> DataSet:
+    return DataSet(spec.name, group, partial(data.simulated, spec), repr(spec), with_peers)
+
+
+PHOTON, SICK_GROUP, PROFILER = "streets, photon-80", "streets, sick-push-broom", "streets, profiler-1mhz"
+OAKLAND, OAKLAND_NOISY, OAKLAND_TRAIN = "Oakland 2, 3", "Oakland 2, 3, background added", "Oakland 1 (tuned on)"
+KITTI, FOREST, FOREST_CYLINDERS = "KITTI frame", "forests", "forests, reference of cylinders"
+STREET_GROUPS = (PHOTON, SICK_GROUP, PROFILER)
+_GROUP_OF = {"photon-80": PHOTON, "sick-push-broom": SICK_GROUP, "profiler-1mhz": PROFILER}
+
+
+def data_sets() -> tuple[DataSet, ...]:
+    """Return all scans that are reported, real ones as far as they are at hand."""
+    found = [_simulated(spec, _GROUP_OF[spec.scanner], with_peers=True) for spec in data.TEST_STREETS]
+    if (data.DATA / "oakland").exists():
+        strip, noisy = "Oakland strip {}", "Oakland strip {}, 5 % background added"
+        found += [
+            DataSet(strip.format(n), OAKLAND, partial(data.oakland, n), f"oakland {n}", with_peers=True) for n in (2, 3)
+        ]
+        found += [
+            DataSet(noisy.format(n), OAKLAND_NOISY, partial(data.oakland_noisy, n), f"oakland noisy {n}", True)
+            for n in (2, 3)
+        ]
+        found.append(DataSet(strip.format(1), OAKLAND_TRAIN, partial(data.oakland, 1), "oakland 1"))
+    if (data.DATA / "kitti").exists():
+        found.append(DataSet("KITTI frame", KITTI, data.kitti, "kitti", True))
+    found += [_simulated(spec, FOREST) for spec in data.TEST_FORESTS]
+    found += [_simulated(replace(spec, cylinders=True), FOREST_CYLINDERS) for spec in data.TEST_FORESTS]
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What a method did on a scan."""
+
+    verdict: Verdict
+    shots: int
+    returns: int
+    cpu_s: float
+    when: str
+    """UTC, to the minute."""
+    peak_mib: float = float("nan")
+
+
+@dataclass(slots=True)
+class Store:
+    """Results by content, as JSON files in a folder."""
+
+    folder: Path
+    told: Progress
+    scans: dict[str, Scan] = field(default_factory=dict)
+    n_new: int = 0
+
+    def scan(self, item: DataSet) -> Scan:
+        """Return a scan; the last one is kept, since methods come one after the other."""
+        if item.how not in self.scans:
+            self.scans = {item.how: item.make()}
+        return self.scans[item.how]
+
+    def content(self, item: DataSet) -> str:
+        """Return the hash of what is in a scan, remembered by the hash of what makes it."""
+        key = _digest([item.how, source_hash(_MAKERS), _file_hash(FOLDER / "contest_data.py"), _file_hash_of(item)])
+        path = self.folder / f"scan-{key}.txt"
+        if not path.exists():
+            scan = self.scan(item)
+            parts = [scan.range_m, scan.codes, scan.angle_rad, scan.extra.range_m, scan.extra_codes]
+            parts += [] if scan.world_m is None else [scan.world_m]
+            digest = hashlib.blake2b(digest_size=16)
+            for part in parts:
+                digest.update(np.ascontiguousarray(part).data)
+            self._keep(path, digest.hexdigest())
+        return path.read_text(encoding="utf-8")
+
+    def stream_run(self, item: DataSet, method: Method) -> Run:
+        """Return what a method of the stream did, out of the store if nothing of it has changed."""
+        content = self.content(item)
+        scan = self.scan(item)
+        config = method.config(scan).config.to_table()
+        key = _digest([content, json.dumps(config, sort_keys=True), source_hash(_CLASSIFIERS), judge_hash()])
+        path = self.folder / f"stream-{key}.json"
+        if not path.exists():
+            self.told(f"{item.name}: {method.name}")
+            self.n_new += 1
+            labelled = label_scan(scan, method)
+            verdict = judge(scan, labelled.codes, labelled.extra_codes)
+            self._keep(path, json.dumps(_table(verdict, scan, labelled.cpu_s, None)))
+        return _run(path)
+
+    def peer_runs(self, item: DataSet, chains: dict[str, list[dict[str, Any]]]) -> dict[str, Run]:
+        """Return what chains of filters did on the registered points; two run at a time."""
+        content = self.content(item)
+        paths = {}
+        for name, steps in chains.items():
+            versions = [peers.installed(step["filter"]) for step in steps]
+            if None in versions:
+                continue
+            code = _file_hash(FOLDER / "contest_peers.py")
+            key = _digest([content, json.dumps([steps, versions]), code, judge_hash()])
+            paths[name] = self.folder / f"peer-{key}.json"
+        missing = {name: path for name, path in paths.items() if not path.exists()}
+        if missing:
+            scan = self.scan(item)
+            with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
+                points = Path(folder) / "points.npz"
+                write_points(scan, points)
+
+                def work(name: str) -> None:
+                    self.told(f"{item.name}: {name}")
+                    self.n_new += 1
+                    output = Path(folder) / f"{list(chains).index(name)}.npz"
+                    run_peer(points, output, chains[name])
+                    with np.load(output) as arrays:
+                        codes, cpu_s, peak_mib = arrays["codes"], float(arrays["cpu_s"]), float(arrays["peak_mib"])
+                    verdict = judge(scan, *_as_image(scan, codes))
+                    self._keep(missing[name], json.dumps(_table(verdict, scan, cpu_s, peak_mib)))
+
+                list(pool.map(work, missing))
+        return {name: _run(path) for name, path in paths.items()}
+
+    def _keep(self, path: Path, text: str) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_suffix(".part")
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+
+
+def write_points(scan: Scan, path: Path) -> None:
+    """Write all returns of a scan with registered coordinates, further returns at the end."""
+    assert scan.world_m is not None
+    assert scan.scanner_m is not None
+    there = ~np.isnan(scan.range_m)
+    xyz = np.concatenate([scan.world_m[there], scan.extra_world_m])
+    line = np.concatenate([np.nonzero(there)[0], scan.extra.line]).astype(np.int32)
+    np.savez(path, xyz_m=xyz, line=line, scanner_m=scan.scanner_m, height_m=scan.height_m)
+
+
+def _as_image(scan: Scan, codes: Any) -> tuple[Any, Any]:
+    there = ~np.isnan(scan.range_m)
+    n = np.count_nonzero(there)
+    image = np.zeros(scan.range_m.shape, np.uint8)
+    image[there] = codes[:n]
+    return image, codes[n:]
+
+
+def run_peer(points: Path, output: Path, steps: Iterable[dict[str, Any]]) -> None:
+    """Run a chain of filters in a process of its own, from the folder of the project."""
+    command = [sys.executable, "-m", "benchmarks.contest_peers", str(points), str(output), *map(json.dumps, steps)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        problem = f"{' '.join(command)}\n{done.stderr}"
+        raise RuntimeError(problem)
+
+
+def _table(verdict: Verdict, scan: Scan, cpu_s: float, peak_mib: float | None) -> dict[str, Any]:
+    returns = int((~np.isnan(scan.range_m)).sum()) + len(scan.extra)
+    when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
+    table = {"verdict": verdict.as_dict(), "shots": scan.n_shots, "returns": returns, "cpu_s": cpu_s, "when": when}
+    return table if peak_mib is None else {**table, "peak_mib": peak_mib}
+
+
+def _run(path: Path) -> Run:
+    table = json.loads(path.read_text(encoding="utf-8"))
+    return Run(**{**table, "verdict": Verdict.of(table["verdict"])})
+
+
+@lru_cache(maxsize=8)
+def source_hash(names: tuple[str, ...]) -> str:
+    """Return the hash of source files of the package."""
+    digest = hashlib.blake2b(digest_size=8)
+    for name in names:
+        path = ROOT / "prc_cli" / name
+        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path]:
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def judge_hash() -> str:
+    files = [FOLDER / "contest_judge.py", *(path for path in MAPPINGS.values() if isinstance(path, Path))]
+    return _digest([_file_hash(file) for file in files])
+
+
+def _file_hash_of(item: DataSet) -> str:
+    """Return the hash of the real file behind a scan, empty for simulated ones."""
+    kind, _, strip = item.how.rpartition(" ")
+    if item.how == "kitti":
+        return _file_hash(data.DATA / "kitti" / "000000.bin")
+    if kind.startswith("oakland"):
+        return _file_hash(data.DATA / "oakland" / f"oakland_{strip}.csv.gz")
+    return ""
+
+
+def _file_hash(path: Path) -> str:
+    return hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
+
+
+def _digest(parts: list[str]) -> str:
+    return hashlib.blake2b("\n".join(parts).encode(), digest_size=12).hexdigest()

@@ -1,0 +1,93 @@
+"""The contest's judge: what is judged, how scans without a class count, what is not judged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.contest_chains import CHAINS
+from benchmarks.contest_data import TEST_FORESTS, TEST_STREETS, TRAIN, TRAIN_FOREST, Scan, Simulated, save, simulated
+from benchmarks.contest_judge import MAPPINGS, judge, mapping_of, pooled
+from benchmarks.contest_methods import PAPERS, label_scan
+from benchmarks.contest_peers import FILTERS, Points, run
+
+
+def scan_of(codes: list[list[int]], mapping: str = "street") -> Scan:
+    reference = np.array(codes, np.int64)
+    ranges = np.where(reference == 0, np.nan, 10.0).astype(np.float32)
+    return Scan("toy", ranges, np.linspace(-1.0, 1.0, ranges.shape[1]), reference, mapping)
+
+
+def none() -> np.ndarray:
+    return np.empty(0, np.uint8)
+
+
+def test_seeds_for_tuning_are_never_reported() -> None:
+    tuned = {spec.seed for spec in (*TRAIN, *TRAIN_FOREST)}
+    reported = {spec.seed for spec in (*TEST_STREETS, *TEST_FORESTS)}
+    assert not tuned & reported
+    assert len(tuned) == len(TRAIN) + len(TRAIN_FOREST)
+    assert len(reported) == len(TEST_STREETS) + len(TEST_FORESTS)
+
+
+def test_cars_are_told_but_not_judged() -> None:
+    scan = scan_of([[2, 2, 65, 65], [6, 7, 1, 0]])
+    found = judge(scan, np.array([[2, 6, 2, 5], [6, 7, 7, 2]]), none())
+    assert found.counts.sum() == 4
+    assert found.score("precision.ground") == 1.0
+    assert found.score("recall.ground") == 0.5
+    assert found.others["cars"] == {"noise": 0, "ground": 1, "building": 0, "vegetation": 1, "other": 0}
+    assert found.others["poles, signs, wires, people"]["noise"] == 1
+
+
+def test_a_return_that_is_left_out_counts_against_its_class() -> None:
+    found = judge(scan_of([[2, 2]]), np.array([[2, 0]]), none())
+    assert found.score("recall.ground") == 0.5
+
+
+def test_macro_is_over_the_classes_that_exist() -> None:
+    found = judge(scan_of([[2, 2, 6, 6]]), np.array([[2, 2, 6, 7]]), none())
+    assert found.present == ("ground", "building")
+    assert found.macro == pytest.approx((1.0 + 2 / 3) / 2)
+    assert found.worst == "building"
+    assert pooled([found, found]).counts.sum() == 8
+
+
+@pytest.mark.parametrize("name", MAPPINGS)
+def test_every_mapping_takes_what_the_methods_say(name: str) -> None:
+    codes = np.array([0, 1, 2, 5, 6, 7, 64, 65, 66, 67, 68])
+    if name == "cylinders":
+        codes = np.array([0, 1, 2, 5, 7, 64])
+    assert (mapping_of(name).class_indices(codes, "predicted")[1:] >= 0).all()
+
+
+def test_a_simulated_scan_is_read_back_as_it_is_judged(tmp_path) -> None:
+    spec = Simulated("toy", 9050, 3.0, "residential", "sick-push-broom", noise=0.10)
+    scan = simulated(spec)
+    assert scan.mapping == "street"
+    noise = (scan.codes[~np.isnan(scan.range_m)] == 7).mean()
+    assert 0.06 < noise < 0.14
+    # noise lies on its beam: where it was measured is as far from the scanner as its range says
+    assert scan.world_m is not None
+    assert scan.scanner_m is not None
+    far = np.linalg.norm(scan.world_m - scan.scanner_m[:, None], axis=-1) - scan.range_m
+    assert np.nanmax(np.abs(far)) < 0.3
+    save(scan, tmp_path / "scan.npz")
+    with np.load(tmp_path / "scan.npz") as arrays:
+        np.testing.assert_array_equal(arrays["class"], scan.codes)
+    found = label_scan(scan, PAPERS[2])
+    assert judge(scan, found.codes, found.extra_codes).score("f1.ground") > 0.5
+
+
+def test_smrf_leaves_a_box_on_a_plane() -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(0.0, 40.0, 0.25), np.arange(0.0, 40.0, 0.25)))
+    box = (np.abs(x - 20.0) < 3.0) & (np.abs(y - 20.0) < 3.0)
+    xyz = np.stack([x, y, 0.05 * x + np.where(box, 2.5, 0.0)], axis=1)
+    points = Points(xyz, np.zeros(len(xyz), np.int32), np.zeros((1, 3)), 2.0)
+    step = {"filter": "smrf", "cell_m": 1.0, "slope": 0.15, "window_m": 18.0, "threshold_m": 0.5, "scaler": 1.25}
+    codes, _ = run(points, [step])
+    np.testing.assert_array_equal(codes == 2, ~box)
+
+
+def test_chains_name_filters_that_there_are() -> None:
+    assert {step["filter"] for chain in CHAINS.values() for step in chain} <= set(FILTERS)
