@@ -36,7 +36,13 @@ class BatchCommand(click.Group):
         if args and args[0] in self.commands:
             part = self.commands[args[0]]
             return part.make_context(f"{info_name} {args[0]}", args[1:], parent=parent, **extra)
-        return super().make_context(info_name, args, parent=parent, **extra)
+        typed = tuple(args)  # reading them takes them away
+        context = super().make_context(info_name, args, parent=parent, **extra)
+        out = str(context.params.get("out"))
+        if out in self.commands and out in typed and f"./{out}" not in typed:
+            message = f"did you mean {context.command_path} {out} FOLDER? A folder of this name is ./{out}"
+            raise click.UsageError(message, context)
+        return context
 
     # what a plain command does, not a group
     allow_extra_args = False

@@ -1,0 +1,443 @@
+"""``prc batch`` as it is typed: options, logs, tables, exit codes, and its parts; what runs files has its own tests."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.batch import run as run_module
+from prc_cli.batch.plan import Estimate, Plan
+from prc_cli.batch.run import Again, Listener, Noted, Ready
+from prc_cli.batch.settings import BatchSettings
+from prc_cli.batch.summary import Alarm, BatchSummary, LeftOut
+from prc_cli.batch.types import Done, Failed, InputPrint, Problem, Progress, Started
+from prc_cli.cli import main
+from prc_cli.cli.batch_report import failed_words
+from prc_cli.core.errors import BusyError
+from prc_cli.core.files import temporary_name
+from tests.street import street, write_csv, write_npz
+
+PRC = [sys.executable, "-m", "prc_cli"]
+
+
+class Result:
+    """Exit code and what was printed."""
+
+    def __init__(self, code: int, out: str, err: str) -> None:
+        self.code, self.out, self.err = code, out, err
+
+
+Run = Callable[..., Result]
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*arguments: object) -> Result:
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main(["batch", *map(str, arguments)])
+        found = capsys.readouterr()
+        return Result(int(stop.value.code or 0), found.out, found.err)
+
+    return call
+
+
+# -- real runs --------------------------------------------------------------------------------------------------------
+
+ODD = os.fsdecode(b"night/stra\xdfe\n\x1b[31m.csv")
+
+
+@pytest.fixture(scope="module")
+def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """An archive of two good files and a bad one, and an output folder after a first run without a home or terminal."""
+    folder = tmp_path_factory.mktemp("office")
+    archive, out = folder / "archive", folder / "out"
+    (archive / "night").mkdir(parents=True)
+    write_npz(archive / "drive.npz", street())
+    write_csv(archive / ODD, street(80))
+    (archive / "night" / "bad.laz").write_bytes(b"LASF" + bytes(400))
+    environment = {"PATH": os.environ["PATH"]}
+    if "NUMBA_CACHE_DIR" in os.environ:
+        environment["NUMBA_CACHE_DIR"] = os.environ["NUMBA_CACHE_DIR"]
+    elif "HOME" in os.environ:  # without a home, but not without what is compiled already
+        environment["XDG_CACHE_HOME"] = os.environ.get("XDG_CACHE_HOME", os.environ["HOME"] + "/.cache")
+    command = [*PRC, "batch", "archive", "out", "--preset", "urban", "--jobs", "1", "--log-json", "log.jsonl"]
+    result = subprocess.run(
+        command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=120
+    )
+    assert result.returncode == 1, result.stderr
+    assert result.stdout == b""
+    (folder / "err.txt").write_bytes(result.stderr)
+    return archive, out
+
+
+def test_one_line_a_file_without_control_characters(office: tuple[Path, Path]) -> None:
+    text = (office[1].parent / "err.txt").read_text(encoding="utf-8")
+    lines = text.splitlines()
+    assert "\x1b" not in text
+    assert sum(line.startswith("[") for line in lines) == 3
+    assert "[1/3] done drive.npz: 24,660 shots" in text
+    assert r"done night/stra\xdfe\n\x1b[31m.csv: 14,400 shots" in text
+    assert any(line.startswith("[2/3] failed night/bad.laz: byte") for line in lines)
+    assert lines[-1].startswith("2 done, 1 failed of 3 in ")
+    assert not any("\r" in line for line in lines)
+
+
+def test_the_log_tells_every_event_with_exact_names(office: tuple[Path, Path]) -> None:
+    lines = [json.loads(line) for line in (office[1].parent / "log.jsonl").read_bytes().splitlines()]
+    events = [line["event"] for line in lines]
+    assert (events[0], events[1], events[-1]) == ("run_start", "plan", "run_end")
+    assert events.count("file_start") == 3
+    assert {line["name"] for line in lines if line["event"] == "file_done"} == {"drive.npz", ODD}
+    failed = next(line for line in lines if line["event"] == "file_failed")
+    assert (failed["name"], failed["kind"]) == ("night/bad.laz", "InputError")
+    end = lines[-1]
+    assert (end["exit_code"], end["done"], end["failed"], end["found"]) == (1, 2, 1, 3)
+    assert all(line["time"].endswith("Z") for line in lines)
+
+
+def test_status_says_what_failed_and_summary_json_holds_it(office: tuple[Path, Path], prc: Run) -> None:
+    found = prc("status", office[1])
+    assert found.code == 0
+    assert "3 files: 2 done, 1 failed" in found.out
+    assert "failed night/bad.laz: byte" in found.out
+    assert "no run is at work" in found.out
+    table = json.loads(prc("status", office[1], "--json").out)
+    assert {entry["name"]: entry["state"] for entry in table["files"]} == {
+        "drive.npz": "done",
+        ODD: "done",
+        "night/bad.laz": "failed",
+    }
+    summary = json.loads((office[1] / "summary.json").read_text())
+    assert summary["counts"]["done"] == 2
+    assert summary["exit_code"] == 1
+
+
+def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(office: tuple[Path, Path], prc: Run) -> None:
+    archive, out = office
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+    found = prc(archive, out, "--preset", "urban", "--exclude", "bad.laz", "--set", "prc.surfaces.gamma=1", "--dry-run")
+    assert found.code == 0
+    assert "2 files to do" in found.out
+    assert "changed config  drive.npz -> drive.npz.labels.npy" in found.out
+    assert "nothing was written" in found.out
+    table = json.loads(prc(archive, out, "--preset", "urban", "--exclude", "bad.laz", "--dry-run", "--json").out)
+    assert (table["todo"], table["skipped"]) == ([], 2)
+    assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
+
+
+def test_nothing_to_do_is_one_line_or_none_and_the_reference_is_compared_anyway(
+    office: tuple[Path, Path], prc: Run, tmp_path: Path
+) -> None:
+    archive, out = office[0], tmp_path / "out"
+    shutil.copytree(office[1], out)
+    options = (archive, out, "--preset", "urban", "--exclude", "bad.laz")
+    found = prc(*options)
+    assert (found.code, found.out, found.err) == (0, "", f"nothing to do: 2 files are done ({out})\n")
+    found = prc(*options, "--quiet")
+    assert (found.code, found.out, found.err) == (0, "", "")
+    codes = np.load(out / "drive.npz.labels.npy")
+    np.save(tmp_path / "drive.npy", codes)
+    found = prc(*options, "--reference", tmp_path, "--fail-under", "accuracy=1")
+    assert found.code == 0
+    assert "100.0%" in found.out
+    assert r"not compared night/stra\xdfe\n\x1b[31m.csv: no reference" in found.err
+    codes[codes == 2] = 6
+    np.save(tmp_path / "drive.npy", codes)
+    found = prc(*options, "--reference", tmp_path, "--fail-under", "recall.building=0.9", "-q")
+    assert found.code == 3
+    assert "recall.building: found" in found.err
+    summary = json.loads((out / "summary.json").read_text())
+    assert [item["scores"] is None for item in summary["evaluation"]["files"]] == [False, True]
+
+
+def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
+    office: tuple[Path, Path], prc: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(office[1], out)
+    monkeypatch.chdir(tmp_path)
+    found = prc("retry", "out", "--json")
+    table = json.loads(found.out)
+    assert found.code == 1
+    assert [item["name"] for item in table["failed"]] == ["night/bad.laz"]
+    assert table["done"] == []
+    assert Path.cwd() == tmp_path
+    assert prc("clean", "out").out == "removed 0 files (0.0 MiB)\n"
+    (out / ".prc" / "command.json").write_text("[]")
+    found = prc("retry", "out")
+    assert (found.code, "--only-failed" in found.err) == (2, True)
+
+
+def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
+    office: tuple[Path, Path], prc: Run, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(office[1], out)
+    child = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    mine = temporary_name(out / "night" / "a.laz")
+    dead = mine.with_name(mine.name.replace(f"-{os.getpid()}-", f"-{int(child.stdout)}-"))
+    other = mine.with_name(".a.laz.00000000-1-01234567.part")
+    parts = out / ".prc" / "parts"
+    parts.mkdir(exist_ok=True)
+    (parts / "piece").write_bytes(b"abc")
+    kept = out / "night" / ".mine.part"
+    for path in (mine, dead, other, kept):
+        path.write_bytes(b"1234")
+    assert prc("clean", out, "--dry-run").out.count("would remove") == 3
+    assert dead.exists()
+    moved = tmp_path / "archive"
+    moved.mkdir()
+    shutil.copy(office[0] / "drive.npz", moved)
+    found = json.loads(prc("clean", out, "--forget", moved, "--json").out)
+    assert (found["removed"], found["bytes"]) == ([str(dead), str(parts)], 7)
+    assert sorted(found["forgotten"]) == sorted([ODD, "night/bad.laz"])
+    assert found["kept"] == [str(other)]
+    assert mine.exists()
+    assert kept.exists()
+    assert not dead.exists()
+    os.utime(other, (0, 0))
+    assert json.loads(prc("clean", out, "--json").out)["removed"] == [str(other)]
+    # an archive that is not mounted
+    (moved / "drive.npz").unlink()
+    assert prc("clean", out, "--forget", moved).code == 2
+    assert prc("clean", out, "--forget", tmp_path / "none").code == 1
+    assert prc("status", tmp_path / "none").code == 1
+
+
+# -- what is told, with a run that is made up -------------------------------------------------------------------------
+
+
+def done(name: str, n: int = 1_000_000) -> Done:
+    labels = (("missing", n // 4), ("ground", n // 2), ("noise", n // 4))
+    return Done(name, InputPrint(10, 1, "ab"), 5, 2, 2.0, 1.0, 10.0, 10, n, n, labels, ("a note",))
+
+
+def failed(name: str, kind: str = "InputError") -> Failed:
+    return Failed(name, None, 0.1, Problem(kind, f"/data/archive/{name}", "is cut short", "copy it again"))
+
+
+def made_up(*events: Any, **changes: Any) -> Callable[..., BatchSummary]:
+    """A run of these events and their summary."""
+
+    def run_batch(settings: BatchSettings, engine: object, listener: Listener) -> BatchSummary:
+        made_up.settings, made_up.engine = settings, engine  # type: ignore[attr-defined]
+        ended = {event.name: event for event in events if isinstance(event, Done | Failed)}
+        listener(Ready(Plan(()), 2, 1))
+        for event in events:
+            if isinstance(event, BaseException):
+                raise event
+            listener(event)
+        summary = BatchSummary(
+            "r1", settings.archive, settings.out, "s", "f", 10.0, max(len(ended), changes.get("n_found", 0)), 0,
+            done=tuple(item for item in ended.values() if isinstance(item, Done)),
+            failed=tuple(item for item in ended.values() if isinstance(item, Failed)),
+            alarms=tuple(event for event in events if isinstance(event, Alarm)),
+        )  # fmt: skip
+        return replace(summary, **changes)
+
+    return run_batch
+
+
+@pytest.fixture
+def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., None]:
+    monkeypatch.chdir(tmp_path)
+    return lambda *events, **changes: monkeypatch.setattr(run_module, "run_batch", made_up(*events, **changes))
+
+
+ALARM = Alarm("b.laz", "ground 1 %, usually 40 %")
+
+
+@pytest.mark.parametrize(
+    ("events", "code"),
+    [
+        ([done("a.laz")], 0),
+        ([done("a.laz"), failed("b.laz")], 1),
+        ([done("a.laz"), ALARM], 4),
+        ([done("a.laz"), failed("c.laz"), ALARM], 1),
+        ([BusyError("lock", "another run is at work")], 5),
+        ([KeyboardInterrupt()], 130),
+        ([SystemExit(143)], 143),
+    ],
+)
+def test_exit_codes(prc: Run, play: Callable[..., None], events: list[Any], code: int) -> None:
+    play(*events)
+    assert prc("a", "o", "--log-json", "log").code == code
+    last = json.loads(Path("log").read_bytes().splitlines()[-1])
+    assert (last["event"], last["exit_code"]) == ("run_end", code)
+
+
+def test_a_failure_that_passes_is_no_failure_in_the_log(prc: Run, play: Callable[..., None]) -> None:
+    killed = failed("a.laz", "killed")
+    play(Started("a.laz", "1"), killed, Again("a.laz", killed.problem), Started("a.laz", "2"), done("a.laz"))
+    found = prc("a", "o", "--log-json", "log")
+    assert found.code == 0
+    assert "failed" not in found.err
+    assert "again a.laz: tried once more (killed: is cut short)" in found.err
+    events = [json.loads(line)["event"] for line in Path("log").read_bytes().splitlines()]
+    assert events == ["run_start", "plan", "file_start", "file_again", "file_start", "file_done", "run_end"]
+    assert prc("a", "o", "-q").err == ""
+
+
+def test_quiet_says_what_is_wrong_and_nothing_else(prc: Run, play: Callable[..., None]) -> None:
+    play(Noted("took over a lock"), done("a.laz"), failed("b.laz"), ALARM, failed("c.laz"))
+    lines = prc("a", "o", "--quiet").err.splitlines()
+    assert lines[0].endswith("failed b.laz: is cut short; copy it again")
+    assert lines[1] == "alarm b.laz: ground 1 %, usually 40 %"
+    assert lines[2].endswith("failed c.laz: is cut short; copy it again")
+    assert lines[3].startswith("1 done, 2 failed, 1 alarm of 3 in 10.0 s; 1,000,000 shots, 0.1 million")
+    assert len(lines) == 4
+
+
+def test_the_last_failure_is_told_although_nothing_follows_it(prc: Run, play: Callable[..., None]) -> None:
+    play(failed("z.laz"), BusyError("lock", "was lost"))
+    assert "failed z.laz" in prc("a", "o").err
+
+
+def test_time_stamps_come_only_when_asked_for(prc: Run, play: Callable[..., None]) -> None:
+    play(done("a.laz"))
+    assert prc("a", "o").err.startswith("[-] done a.laz")
+    assert prc("a", "o", "--time-stamps").err[:2] == "20"
+    verbose = prc("a", "o", "-v").err
+    assert "note a.laz: a note" in verbose
+
+
+def test_the_end_has_pooled_classes_and_what_was_left_out(prc: Run, play: Callable[..., None]) -> None:
+    play(done("a.laz"), done("b.laz", 3_000_000), left_out=(LeftOut("x\x07", "not a regular file"),), n_waiting=3)
+    found = prc("a", "o")
+    assert "classes of 2 files" in found.err
+    assert "66.7%" in found.err
+    assert r"left out x\x07: not a regular file" in found.err
+    assert "3 left for another run" in found.err
+    assert json.loads(prc("a", "o", "--json", "-q").out)["labels"]["ground"] == 2_000_000
+
+
+def test_a_log_that_cannot_be_written_does_not_end_the_run(prc: Run, play: Callable[..., None]) -> None:
+    play(done("a.laz"))
+    found = prc("a", "o", "--log-json", "none/log")
+    assert found.code == 0
+    assert found.err.count("the log cannot be written") == 1
+
+
+def test_the_log_on_stdout_is_json_alone(prc: Run, play: Callable[..., None]) -> None:
+    play(done(ODD))
+    lines = prc("a", "o", "--log-json", "-").out.splitlines()
+    assert [json.loads(line)["event"] for line in lines] == ["run_start", "plan", "file_done", "run_end"]
+    assert json.loads(lines[2])["name"] == ODD
+    assert prc("a", "o", "--log-json", "-", "--json").code == 2
+
+
+def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None:
+    play()
+    Path("ref").mkdir()
+    options = "--include x --include y --exclude z --since 7d --limit 3 --shard 2/3 --jobs 4 --threads 5 --retry 2 "
+    options += (
+        "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed "
+    )
+    options += (
+        "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time --fail-under recall.stem=.1"
+    )
+    assert prc("a", "o", *options.split()).code in (0, 3)
+    found: BatchSettings = made_up.settings  # type: ignore[attr-defined]
+    expected = {
+        "archive": Path("a"), "out": Path("o"), "include": ("x", "y"), "exclude": ("z",), "since": "7d", "limit": 3,
+        "jobs": 4, "threads": 5, "retry": 2, "fail_fast": True, "overwrite": True, "adopt": True, "verify": True,
+        "stall_s": 9.0, "memory_limit_mib": 800, "to": "laz", "drift": False, "only_failed": True,
+    }  # fmt: skip
+    assert {key: getattr(found, key) for key in expected} == expected
+    assert str(found.shard) == "2/3"
+    assert found.config.preset == "forest"
+    assert found.config.options == {"prc": {"surfaces": {"gamma": 1}}, "input": {"points_per_line": 99}}
+    assert found.reference is not None
+    assert (found.reference.match, found.reference.gates) == ("time", ("recall.stem=.1",))
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["a"], "OUT"),
+        (["a", "o", "b"], "unexpected extra argument"),
+        (["a", "o", "--fail-under", "recall.ground=1"], "--reference"),
+        (["a", "o", "--scheduler", "tcp://x"], "--engine dask"),
+        (["a", "o", "--split", "5"], "--engine dask"),
+        (["a", "o", "--shard", "4/3"], "shard"),
+        (["a", "o", "--reference", "none"], "no such folder"),
+        (["a", "status"], "did you mean prc batch status FOLDER? A folder of this name is ./status"),
+        (["retry", "o", "--shard", "x"], "i/n"),
+    ],
+)
+def test_wrong_usage_is_exit_code_2(prc: Run, play: Callable[..., None], options: list[str], expected: str) -> None:
+    play()
+    if options[0] == "retry":
+        Path("o/.prc").mkdir(parents=True)
+        Path("o/.prc/journal.sqlite").touch()
+    found = prc(*options)
+    assert (found.code, expected in found.err) == (2, True), found.err
+
+
+def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None]) -> None:
+    play()
+    assert prc("./status", "./retry").code == 0
+    found: BatchSettings = made_up.settings  # type: ignore[attr-defined]
+    assert (found.archive, found.out) == (Path("status"), Path("retry"))
+
+
+def test_an_estimate_that_is_not_known_is_said(prc: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = Estimate(None, None, ("bin: nothing known",), 2)
+    monkeypatch.setattr(run_module, "plan_batch", lambda *_: (Plan((), done=("x",)), nothing))
+    found = prc("a", "o", "--dry-run")
+    assert "0 files to do (0.0 MiB), 1 done already" in found.out
+    assert "an unknown time, an unknown amount of memory, without 2 files" in found.out
+    assert json.loads(prc("a", "o", "--dry-run", "--json").out)["estimate"]["seconds"] is None
+
+
+@pytest.mark.parametrize(
+    ("where", "expected"),
+    [
+        ("/data/night/a.laz: byte 7", "night/a.laz: byte 7: bad"),
+        ("night/a.laz", "night/a.laz: bad"),
+        ("/tmp/trajectory.csv", "night/a.laz: /tmp/trajectory.csv: bad"),
+        ("", "night/a.laz: bad"),
+    ],
+)
+def test_a_failed_file_is_named_once(where: str, expected: str) -> None:
+    assert failed_words(Failed("night/a.laz", None, 0.0, Problem("InputError", where, "bad"))) == expected
+
+
+def test_bars_show_the_archive_and_every_file_in_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    import io
+
+    from rich.console import Console
+
+    from prc_cli.cli import batch_report
+
+    screen = Console(file=io.StringIO(), force_terminal=True, width=90, markup=False, highlight=False)
+    monkeypatch.setattr(batch_report, "console", lambda: screen)
+    with batch_report.Bars() as bars:
+        final = batch_report.Final(bars)
+        final(Ready(Plan((), refused=(failed("r.laz"), failed("s.laz"))), 1, 1))
+        for event in (Started("a[red]\x1b.laz", "1"), Progress("a[red]\x1b.laz", 70), Progress("unknown", 1)):
+            final(event)
+        bars._progress.refresh()
+        text = screen.file.getvalue()  # type: ignore[attr-defined]
+        assert r"a[red]\x1b.laz" in text
+        assert "70 lines" in text
+        for event in (done("a[red]\x1b.laz"), failed("r.laz"), Noted("by the way"), ALARM):
+            final(event)
+        final.close()
+        bars._progress.refresh()
+    text = screen.file.getvalue()  # type: ignore[attr-defined]
+    assert "2/2 files, 1 failed" in text
+    assert "failed r.laz: is cut short" in text
+    assert "note: by the way" in text
+    assert "alarm b.laz" in text
