@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections import Counter
@@ -201,11 +202,12 @@ class JsonLog:
 
     def __init__(self, target: str) -> None:
         self._path = None if target == "-" else Path(target)
-        self._run = ""
+        self._who: dict[str, Any] = {"process": os.getpid()}
         self._told = False
 
     def start(self, archive: Path, out: Path, shard: str | None) -> None:
         """Write that a run begins."""
+        self._who["shard"] = shard
         self._write(
             "run_start", schema=LOG_SCHEMA, archive=str(archive), out=str(out), shard=shard, version=__version__
         )
@@ -242,7 +244,7 @@ class JsonLog:
         self._write("run_end", exit_code=exit_code, error=error, **counts)
 
     def _write(self, event: str, **values: Any) -> None:
-        line = json.dumps({"time": _now(), "event": event, **values}, allow_nan=False) + "\n"
+        line = json.dumps({"time": _now(), "event": event, **self._who, **values}, allow_nan=False) + "\n"
         try:
             if self._path is None:
                 sys.stdout.write(line)
