@@ -118,8 +118,12 @@ def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | L
         yield item if selected else None
 
 
-def check_folders(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
-    """Refuse, before anything is made, what cannot be an archive and its outputs; raises as :func:`discover`."""
+def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
+    """Refuse what makes no sense before anything is made; raises as :func:`discover`."""
+    Patterns((*settings.include, *settings.exclude))
+    output_name("a.laz", settings.to)
+    if settings.since is not None:
+        parse_since(settings.since)
     for _ in _in_time(map(_folders, [settings]), settings.archive, patience_s):
         pass
 

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TypeAlias
 
-from prc_cli.batch.discovery import check_folders, discover, output_name
+from prc_cli.batch.discovery import check, discover, output_name
 from prc_cli.batch.drift import drift
 from prc_cli.batch.journal import Journal, read_entries
 from prc_cli.batch.local import LocalEngine, share_cores
@@ -111,7 +111,7 @@ def plan_batch(
     """
     config = BatchConfig(settings.config)
     folder = settings.out / OWN_FOLDER
-    check_folders(settings)
+    check(settings)
     known = {entry.name: entry for entry in read_entries(folder)} if folder.is_dir() else {}
     plan = _plan(settings, config, known)
     jobs, threads = share_cores(settings.jobs, settings.threads, len(plan.todo))
@@ -153,7 +153,7 @@ def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: L
     config = BatchConfig(settings.config)
     if settings.reference is not None:
         settings.reference.check()
-    check_folders(settings)
+    check(settings)
     folder = settings.out / OWN_FOLDER
     with Lock(folder, settings.shard) as lock, Journal(folder, settings.shard) as journal:
         known = {entry.name: entry for entry in journal.entries()}

@@ -140,7 +140,7 @@ def test_an_archive_in_its_outputs_is_refused(archive: Path, out: str) -> None:
     with pytest.raises(ConfigError, match="never modified"):
         names(archive, out=archive / out)
     with pytest.raises(ConfigError, match="never modified"):
-        discovery.check_folders(BatchSettings(archive, archive / out))
+        discovery.check(BatchSettings(archive, archive / out))
 
 
 def test_an_output_folder_that_is_a_link_to_the_archive_is_refused(archive: Path) -> None:
