@@ -245,6 +245,7 @@ def test_nothing_is_made_when_something_is_wrong(settings: BatchSettings, tmp_pa
         "out": {"out": settings.archive},
         "since": {"since": "soon"},
         "pattern": {"include": ("",)},
+        "to": {"to": "tif"},
         "reference": {"reference": ReferenceSettings(tmp_path / "nothing")},
     }
     with pytest.raises((ConfigError, InputError)):
