@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,7 +65,7 @@ class E57File:
         self._library = libe57
         check_frame(path)
         with self._errors():
-            self._image = libe57.ImageFile(str(path), "r")
+            self._image = libe57.ImageFile(os.fsencode(path), "r")  # a name need not be UTF-8
 
     def __enter__(self) -> E57File:
         return self

@@ -7,6 +7,7 @@ to the scanner as doubles, so that the range comes back bit for bit, and a state
 from __future__ import annotations
 
 import contextlib
+import os
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -72,7 +73,7 @@ class E57Stream(StagedStreamWriter):
 
     def _start(self) -> None:
         with self._errors():
-            image = self._library.ImageFile(str(self._temporary), "w")
+            image = self._library.ImageFile(os.fsencode(self._temporary), "w")  # a name need not be UTF-8
             self._image = image
             self._stack.callback(self._cancel)
             image.extensionsAdd("", self._library.E57_V1_0_URI)
@@ -95,7 +96,8 @@ class E57Stream(StagedStreamWriter):
 
     def _guid(self, what: str) -> Any:
         """Name the file and its scans; the same run gives the same names."""
-        name = uuid.uuid5(uuid.NAMESPACE_URL, f"prc-cli:{self.path.name}:{what}")
+        own = self.path.name.encode("utf-8", "backslashreplace").decode()
+        name = uuid.uuid5(uuid.NAMESPACE_URL, f"prc-cli:{own}:{what}")
         return self._library.StringNode(self._image, f"{{{str(name).upper()}}}")
 
     @contextlib.contextmanager
