@@ -350,7 +350,7 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
                 raise _foreign(task.output, adopt=settings.adopt)
             return found
         return Planned(task, "new" if entry is None else "failed before", item.size)
-    reason, found = _compare(item, task, entry, written, verify=settings.verify)
+    reason, found = _compare(item, task, entry, written, settings)
     if reason is None:
         return found
     before = entry.outcome
@@ -360,7 +360,7 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
 
 
 def _compare(
-    item: Found, task: Task, entry: Entry, written: os.stat_result | None, *, verify: bool
+    item: Found, task: Task, entry: Entry, written: os.stat_result | None, settings: BatchSettings
 ) -> tuple[Reason | None, Done | None]:
     """Compare a file with what the journal says of it: why it is to be done, or None and what to note."""
     before = entry.outcome
@@ -368,7 +368,7 @@ def _compare(
         return "unfinished", None
     if not isinstance(before, Done) or entry.state == "failed":
         return "failed before", None
-    if entry.version != __version__:
+    if entry.version not in (__version__, *settings.keep_versions):
         return "changed version", None
     if entry.config_sha256 != task.config_sha256:
         return "changed config", None
@@ -376,7 +376,7 @@ def _compare(
         return "changed input", None
     if written is None:
         return "output missing", None
-    if item.mtime_ns == before.input.mtime_ns and not verify:
+    if item.mtime_ns == before.input.mtime_ns and not settings.verify:
         return None, None
     if fingerprint(item.path).sha256 != before.input.sha256:
         return "changed input", None

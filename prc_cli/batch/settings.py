@@ -69,3 +69,5 @@ class BatchSettings:
     """What the outputs are compared with, if anything."""
     drift: bool = True
     """Whether a file whose classes are unlike those of earlier ones raises an alarm."""
+    keep_versions: tuple[str, ...] = ()
+    """Outputs of these older versions of the program count as those of this one."""

@@ -92,6 +92,8 @@ _OUTPUTS = [
     _option("--overwrite", is_flag=True, help="Replace outputs that no run of prc batch wrote."),
     _option("--adopt", is_flag=True, help="Take such outputs as done if their record says that they are the same."),
     _option("--verify", is_flag=True, help="Compare the content of inputs, not only size and time."),
+    _option("--keep-version", "keep_versions", multiple=True, metavar="VERSION",
+            help="Outputs that this older version of prc made are not made again."),
     _option("--dry-run", is_flag=True, help="Only say what would be done, and what it would take."),
 ]  # fmt: skip
 _CHECKS = [
@@ -262,7 +264,7 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
     layers = layers_from(options)
     same = (
         "archive", "out", "include", "exclude", "since", "limit", "only_failed", "jobs", "threads", "to",
-        "retry", "fail_fast", "overwrite", "adopt", "verify", "stall_s", "drift",
+        "retry", "fail_fast", "overwrite", "adopt", "verify", "stall_s", "drift", "keep_versions",
     )  # fmt: skip
     return BatchSettings(
         config=ConfigLayers(layers.path, layers.preset, layers.table, layers.files),

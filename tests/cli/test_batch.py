@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import prc_cli
 from prc_cli.batch import run as run_module
 from prc_cli.batch.plan import Estimate, Plan
 from prc_cli.batch.run import Again, Listener, Noted, Ready
@@ -125,7 +126,9 @@ def test_status_says_what_failed_and_summary_json_holds_it(office: tuple[Path, P
     assert summary["exit_code"] == 1
 
 
-def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(office: tuple[Path, Path], prc: Run) -> None:
+def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(
+    office: tuple[Path, Path], prc: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     archive, out = office
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
     found = prc(archive, out, "--preset", "urban", "--exclude", "bad.laz", "--set", "prc.surfaces.gamma=1", "--dry-run")
@@ -133,8 +136,14 @@ def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(office: tuple[P
     assert "2 files to do" in found.out
     assert "changed config  drive.npz -> drive.npz.labels.npy" in found.out
     assert "nothing was written" in found.out
-    table = json.loads(prc(archive, out, "--preset", "urban", "--exclude", "bad.laz", "--dry-run", "--json").out)
+    options = (archive, out, "--preset", "urban", "--exclude", "bad.laz", "--dry-run")
+    table = json.loads(prc(*options, "--json").out)
     assert (table["todo"], table["skipped"]) == ([], 2)
+    # after an upgrade all is due, unless outputs of the old version are to be kept
+    old = prc_cli.__version__
+    monkeypatch.setattr("prc_cli.batch.plan.__version__", "99")
+    assert "changed version drive.npz" in prc(*options).out
+    assert "0 files to do" in prc(*options, "--keep-version", "1", "--keep-version", old).out
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
 
 
@@ -343,9 +352,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     play()
     Path("ref").mkdir()
     options = "--include x --include y --exclude z --since 7d --limit 3 --shard 2/3 --jobs 4 --threads 5 --retry 2 "
-    options += (
-        "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed "
-    )
+    options += "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed --keep-version 0.0.9 "
     options += (
         "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time --fail-under recall.stem=.1"
     )
@@ -354,7 +361,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     expected = {
         "archive": Path("a"), "out": Path("o"), "include": ("x", "y"), "exclude": ("z",), "since": "7d", "limit": 3,
         "jobs": 4, "threads": 5, "retry": 2, "fail_fast": True, "overwrite": True, "adopt": True, "verify": True,
-        "stall_s": 9.0, "memory_limit_mib": 800, "to": "laz", "drift": False, "only_failed": True,
+        "stall_s": 9.0, "memory_limit_mib": 800, "to": "laz", "drift": False, "only_failed": True, "keep_versions": ("0.0.9",),
     }  # fmt: skip
     assert {key: getattr(found, key) for key in expected} == expected
     assert str(found.shard) == "2/3"
