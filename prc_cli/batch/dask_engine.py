@@ -616,9 +616,11 @@ class _Run:
             self._client.cancel([piece.future], force=True)
             yield from self._close(piece.file, Failed(name, None, now - (piece.file.begun or now), problem))
             try:
-                self._client.restart_workers([piece.worker], timeout=STOP_S, raise_for_error=False)
+                came = self._client.restart_workers([piece.worker], timeout=STOP_S, raise_for_error=False)
             except Exception as error:  # without a nanny nobody can
-                self._notice(f"worker {piece.worker} hangs and cannot be restarted from here ({_one_line(error)})")
+                came = {piece.worker: _one_line(error)}
+            if (what := came.get(piece.worker)) != "OK":
+                self._notice(f"worker {piece.worker} hangs and cannot be restarted from here ({what})")
 
 
 def _begin(file: _File, worker: str) -> Iterator[Event]:
