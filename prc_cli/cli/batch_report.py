@@ -312,7 +312,8 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool) -> None:
     idle = not (summary.done or summary.failed or summary.n_waiting or summary.alarms)
     if idle and summary.evaluation is None:
         if not quiet:
-            what = "are done" if summary.n_found else "were found"
+            verb = "is" if summary.n_found == 1 else "are"
+            what = f"{verb} done" if summary.n_found else "were found"
             say(f"nothing to do: {_n(summary.n_found, 'file')} {what} ({summary.out})")
         return
     if not quiet:

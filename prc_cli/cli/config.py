@@ -11,6 +11,7 @@ import click
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.config import json_schema, load_config, to_toml
+from prc_cli.core.config import read_toml
 
 
 @click.group()
@@ -44,11 +45,21 @@ def show(bare: bool, as_json: bool, **options: Any) -> None:
 def check(file: Path) -> None:
     """Check a configuration file; exit code 2 names the first wrong key.
 
+    A file for prc batch may hold [[override]] tables.
+
     \b
     Example: prc config check night_run.toml
     """
-    loaded = load_config(file)
-    click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set"))
+    overrides = read_toml(file).get("override")
+    if overrides is None:
+        loaded, more = load_config(file), ""
+    else:
+        from prc_cli.batch.plan import BatchConfig
+        from prc_cli.batch.settings import ConfigLayers
+
+        loaded = BatchConfig(ConfigLayers(file)).base
+        more = f" and {len(overrides)} override{'s' * (len(overrides) != 1)}"
+    click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set{more}"))
 
 
 @config.command()

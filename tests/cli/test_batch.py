@@ -352,7 +352,10 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     play()
     Path("ref").mkdir()
     options = "--include x --include y --exclude z --since 7d --limit 3 --shard 2/3 --jobs 4 --threads 5 --retry 2 "
-    options += "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed --keep-version 0.0.9 "
+    options += (
+        "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed "
+    )
+    options += "--keep-version 0.0.9 "
     options += (
         "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time --fail-under recall.stem=.1"
     )
@@ -361,7 +364,8 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     expected = {
         "archive": Path("a"), "out": Path("o"), "include": ("x", "y"), "exclude": ("z",), "since": "7d", "limit": 3,
         "jobs": 4, "threads": 5, "retry": 2, "fail_fast": True, "overwrite": True, "adopt": True, "verify": True,
-        "stall_s": 9.0, "memory_limit_mib": 800, "to": "laz", "drift": False, "only_failed": True, "keep_versions": ("0.0.9",),
+        "stall_s": 9.0, "memory_limit_mib": 800, "to": "laz", "drift": False, "only_failed": True,
+        "keep_versions": ("0.0.9",),
     }  # fmt: skip
     assert {key: getattr(found, key) for key in expected} == expected
     assert str(found.shard) == "2/3"
@@ -450,3 +454,23 @@ def test_bars_show_the_archive_and_every_file_in_work(monkeypatch: pytest.Monkey
     assert "failed r.laz: is cut short" in text
     assert "note: by the way" in text
     assert "alarm b.laz" in text
+
+
+def test_a_configuration_with_overrides_can_be_checked(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "archive.toml"
+    file.write_text('preset = "urban"\n[[override]]\nmatch = "a/*"\npreset = "forest"\n')
+    with pytest.raises(SystemExit) as stop:
+        main(["config", "check", str(file)])
+    assert stop.value.code == 0
+    assert "and 1 override" in capsys.readouterr().out
+    file.write_text('[[override]]\nmatch = "a/*"\n[override.prc.surfaces]\ngama = 1\n')
+    with pytest.raises(SystemExit) as stop:
+        main(["config", "check", str(file)])
+    assert stop.value.code == 2
+    assert "override 1: unknown key 'prc.surfaces.gama'" in capsys.readouterr().err
+
+
+def test_the_sample_of_an_archive_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["config", "check", str(Path(__file__).resolve().parents[2] / "sample_configs" / "archive.toml")])
+    assert stop.value.code == 0
