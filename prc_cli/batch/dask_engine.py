@@ -593,7 +593,7 @@ class _Run:
         seconds = time.monotonic() - (piece.file.begun or time.monotonic())
         if future.status != "error":
             hint = "start it and run again: what is done is kept"
-            raise PrcError("scheduler", f"it has forgotten {name} ({future.status})", hint)
+            raise PrcError("scheduler", f"went away or began anew while {name} was at work", hint)
         error = future.exception()
         if type(error).__name__ == "KilledWorker":
             problem = f"{error.allowed_failures + 1} workers died while they had it"
@@ -656,13 +656,16 @@ def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Keep Dask from printing: what matters becomes an event, a notice or an error."""
-    logger = logging.getLogger("distributed")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL + 1)
+    # each has a level and a handler of its own
+    names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
+    levels = {name: logging.getLogger(name).level for name in names}
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        logger.setLevel(level)
+        for name, level in levels.items():
+            logging.getLogger(name).setLevel(level)
 
 
 def _absolute(task: Task) -> Task:
