@@ -260,6 +260,8 @@ class DaskEngine:
             run = _Run(cluster, settings, jobs, self._split_shots, self._notice)
             try:
                 yield from run.events(chain([first], source))
+            except OSError as error:  # whatever it was asked, it does not answer any more
+                raise _lost() from error
             finally:
                 run.stop()
 
@@ -473,7 +475,7 @@ class _Run:
             return
         self._looked = now
         if self._client.status != "running":
-            raise PrcError("scheduler", "the connection to it is lost", "start it and run again: what is done is kept")
+            raise _lost()
         self._workers = dict(self._client.nthreads())
         if self._workers:
             self._workers_seen = now
@@ -592,8 +594,7 @@ class _Run:
             return report
         seconds = time.monotonic() - (piece.file.begun or time.monotonic())
         if future.status != "error":
-            hint = "start it and run again: what is done is kept"
-            raise PrcError("scheduler", f"went away or began anew while {name} was at work", hint)
+            raise _lost()
         error = future.exception()
         if type(error).__name__ == "KilledWorker":
             problem = f"{error.allowed_failures + 1} workers died while they had it"
@@ -621,6 +622,11 @@ class _Run:
                 came = {piece.worker: _one_line(error)}
             if (what := came.get(piece.worker)) != "OK":
                 self._notice(f"worker {piece.worker} hangs and cannot be restarted from here ({what})")
+
+
+def _lost() -> PrcError:
+    hint = "start it and run again: what is done is kept"
+    return PrcError("scheduler", "went away or began anew while files were at work", hint)
 
 
 def _begin(file: _File, worker: str) -> Iterator[Event]:

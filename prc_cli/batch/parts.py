@@ -124,7 +124,7 @@ def split(task: Task, shots: int = SPLIT_SHOTS) -> tuple[Part, ...] | str:
         return f"{suffix_of(task.source)} is read from its start"
     try:
         stream = open_stream(task.source, task.config)
-    except PrcError:
+    except (PrcError, OSError):
         return ""
     info = stream.info
     if not getattr(stream, "can_seek", False) or info.n_lines is None:

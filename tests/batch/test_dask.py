@@ -334,10 +334,7 @@ class Machines:
 
     address: str
     client: Any
-
-    def pid_of(self, worker: str) -> int:
-        pids: dict[str, int] = self.client.run(os.getpid)
-        return pids[worker]
+    scheduler: subprocess.Popen[bytes]
 
 
 @pytest.fixture
@@ -356,15 +353,17 @@ def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Ite
         *([*work, "--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path / f"w{i}")] for i in range(2)),
     ]
     with ExitStack() as stack:
+        started = []
         for command in commands:
             process = subprocess.Popen(
                 command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
             )
             stack.callback(end, process)
+            started.append(process)
         client = distributed.Client(scheduler_file=str(found), timeout=60, set_as_default=False)
         stack.callback(client.close)
         client.wait_for_workers(2, timeout=60)
-        yield Machines(client.scheduler.address, client)
+        yield Machines(client.scheduler.address, client, started[0])
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
@@ -404,6 +403,17 @@ def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
     check_bytes(tasks, tmp_path)
     # what the killed one was writing is not taken for an output
     assert len([name for name in left_in(tmp_path / "out") if not name.endswith(".part")]) == 2 * len(tasks)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_scheduler_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
+    tasks = tasks_in(tmp_path, {"a.npy": 60_000, "b.npy": 60_000}, m=100)
+    with pytest.raises(PrcError, match="scheduler: went away .*run again"):
+        for event in DaskEngine(machines.address).run(iter(tasks), EngineSettings()):
+            if isinstance(event, Progress):
+                with suppress(ProcessLookupError):
+                    os.killpg(machines.scheduler.pid, signal.SIGKILL)
 
 
 @pytest.mark.slow
