@@ -155,8 +155,8 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """What was aimed at, and what the best method of the stream reaches."""
     groups = contest.groups()
     print("## Against the goals\n")
-    say("""Of the method in the row: the mean over the scans of the lowest class, and of ground; stems with the reference
-    of what was hit and with that of the paper.""")
+    say("""Of the method in the row: the mean over the scans of the lowest class, and of ground; stems with the
+    reference of what was hit and with that of the paper.""")
     print("| method | goal | reached | |\n|---|---|---|---|")
     for name, own in runs.items():
         for title, items in (("streets", _streets(groups)), (OAKLAND, groups.get(OAKLAND, []))):

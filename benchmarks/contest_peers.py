@@ -189,9 +189,17 @@ FILTERS: dict[str, Callable[..., Mask]] = {
 NOISE_FILTERS = ("statistical", "radius")
 
 
-def run(points: Points, steps: list[dict[str, Any]]) -> tuple[NDArray[np.uint8], float]:
-    """Run filters one after the other; codes (n,) and the seconds of all cores together that it took."""
-    codes = np.full(len(points.xyz_m), OTHER, dtype=np.uint8)
+def run(
+    points: Points, steps: list[dict[str, Any]], before: NDArray[np.uint8] | None = None
+) -> tuple[NDArray[np.uint8], float]:
+    """Run filters one after the other, the first one on the codes that are there before.
+
+    Returns
+    -------
+    (n,) uint8 and float
+        Codes, and the seconds of all cores together that it took.
+    """
+    codes = np.full(len(points.xyz_m), OTHER, dtype=np.uint8) if before is None else before.copy()
     start = time.process_time()
     for step in steps:
         options = dict(step)
@@ -208,14 +216,18 @@ def main() -> None:
     parser.add_argument("points", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("steps", nargs="+", type=json.loads)
+    parser.add_argument("--after", type=Path, help="go on from this output")
     arguments = parser.parse_args()
     with np.load(arguments.points) as arrays:
         points = Points(arrays["xyz_m"], arrays["line"], arrays["scanner_m"], float(arrays["height_m"]))
     for step in arguments.steps:
         import_module({"csf": "CSF", "patchwork": "pypatchworkpp", "smrf": "scipy"}.get(step["filter"], "open3d"))
-    before = _peak_mib()
-    codes, cpu_s = run(points, arguments.steps)
-    np.savez(arguments.output, codes=codes, cpu_s=cpu_s, peak_mib=_peak_mib(), before_mib=before)
+    before, spent_s, peak_mib = None, 0.0, 0.0
+    if arguments.after is not None:
+        with np.load(arguments.after) as arrays:
+            before, spent_s, peak_mib = arrays["codes"], float(arrays["cpu_s"]), float(arrays["peak_mib"])
+    codes, cpu_s = run(points, arguments.steps, before)
+    np.savez(arguments.output, codes=codes, cpu_s=spent_s + cpu_s, peak_mib=max(peak_mib, _peak_mib()))
 
 
 def _peak_mib() -> float:

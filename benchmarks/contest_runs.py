@@ -7,7 +7,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -22,10 +22,11 @@ from benchmarks import contest_peers as peers
 from benchmarks.contest_data import ROOT, Scan, Simulated
 from benchmarks.contest_judge import FOLDER, MAPPINGS, Verdict, judge
 from benchmarks.contest_methods import Method, label_scan
+from prc_cli.pipeline import KERNELS_OF
 
 Progress = Callable[[str], None]
+POINTS = "points.npz"
 _MAKERS = ("simulation", "kernels/casting.py", "kernels/sensor.py", "kernels/shots.py")
-_CLASSIFIERS = ("classifiers", "kernels", "pipeline.py", "core")
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +118,9 @@ class Store:
         """Return what a method of the stream did, out of the store if nothing of it has changed."""
         content = self.content(item)
         scan = self.scan(item)
-        config = method.config(scan).config.to_table()
-        key = _digest([content, json.dumps(config, sort_keys=True), source_hash(_CLASSIFIERS), judge_hash()])
+        config = method.config(scan).config
+        table = json.dumps(config.to_table(), sort_keys=True)
+        key = _digest([content, table, source_hash(sources_of(config.method)), judge_hash()])
         path = self.folder / f"stream-{key}.json"
         if not path.exists():
             self.told(f"{item.name}: {method.name}")
@@ -139,22 +141,22 @@ class Store:
             code = _file_hash(FOLDER / "contest_peers.py")
             key = _digest([content, json.dumps([steps, versions]), code, judge_hash()])
             paths[name] = self.folder / f"peer-{key}.json"
-        missing = {name: path for name, path in paths.items() if not path.exists()}
+        missing = [name for name, path in paths.items() if not path.exists()]
         if missing:
             scan = self.scan(item)
             with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
-                points = Path(folder) / "points.npz"
-                write_points(scan, points)
+                write_points(scan, Path(folder) / POINTS)
+                # what several chains begin with is run once, before them
+                begin = {json.dumps(chains[name][:-1]): chains[name][:-1] for name in missing}
+                list(pool.map(partial(_run_chain, Path(folder)), [steps for steps in begin.values() if steps]))
 
                 def work(name: str) -> None:
                     self.told(f"{item.name}: {name}")
                     self.n_new += 1
-                    output = Path(folder) / f"{list(chains).index(name)}.npz"
-                    run_peer(points, output, chains[name])
-                    with np.load(output) as arrays:
+                    with np.load(_run_chain(Path(folder), chains[name])) as arrays:
                         codes, cpu_s, peak_mib = arrays["codes"], float(arrays["cpu_s"]), float(arrays["peak_mib"])
                     verdict = judge(scan, *_as_image(scan, codes))
-                    self._keep(missing[name], json.dumps(_table(verdict, scan, cpu_s, peak_mib)))
+                    self._keep(paths[name], json.dumps(_table(verdict, scan, cpu_s, peak_mib)))
 
                 list(pool.map(work, missing))
         return {name: _run(path) for name, path in paths.items()}
@@ -184,13 +186,22 @@ def _as_image(scan: Scan, codes: Any) -> tuple[Any, Any]:
     return image, codes[n:]
 
 
-def run_peer(points: Path, output: Path, steps: Iterable[dict[str, Any]]) -> None:
-    """Run a chain of filters in a process of its own, from the folder of the project."""
-    command = [sys.executable, "-m", "benchmarks.contest_peers", str(points), str(output), *map(json.dumps, steps)]
+def _run_chain(folder: Path, steps: list[dict[str, Any]]) -> Path:
+    """Run a chain of filters in a process of its own, unless that was done; go on from its beginning if that was."""
+    output, before = _output_of(folder, steps), _output_of(folder, steps[:-1])
+    if output.exists():
+        return output
+    command = [sys.executable, "-m", "benchmarks.contest_peers", str(folder / POINTS), str(output)]
+    command += [json.dumps(steps[-1]), "--after", str(before)] if before.exists() else [json.dumps(s) for s in steps]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
         problem = f"{' '.join(command)}\n{done.stderr}"
         raise RuntimeError(problem)
+    return output
+
+
+def _output_of(folder: Path, steps: list[dict[str, Any]]) -> Path:
+    return folder / f"{_digest([json.dumps(steps)])}.npz"
 
 
 def _table(verdict: Verdict, scan: Scan, cpu_s: float, peak_mib: float | None) -> dict[str, Any]:
@@ -203,6 +214,12 @@ def _table(verdict: Verdict, scan: Scan, cpu_s: float, peak_mib: float | None) -
 def _run(path: Path) -> Run:
     table = json.loads(path.read_text(encoding="utf-8"))
     return Run(**{**table, "verdict": Verdict.of(table["verdict"])})
+
+
+def sources_of(method: str) -> tuple[str, ...]:
+    """Return what a method's labels depend on, as far as it can be told by file."""
+    own = sorted(f"kernels/{name}.py" for name in KERNELS_OF[method])
+    return (f"classifiers/{method.replace('-', '_')}", "classifiers/returns.py", *own)
 
 
 @lru_cache(maxsize=8)
