@@ -159,7 +159,8 @@ class TextSource:
         data = self._plain(lines.data)
         # most blocks show with their first bytes that they are not blank
         blank_only = not self._text.stripped(data[:_HEAD_BYTES]) and not self._text.stripped(data)
-        if blank.watches and (blank.first is not None or blank_only):
+        # of blank lines the first one is of interest: a gigabyte of them must not be looked at line by line
+        if blank.watches and (blank.first is not None) != blank_only:
             return self._parse_exactly(lines, columns, blank)
         found = [np.empty(0)] * len(columns) if blank_only else self._parse_fast(data, columns)
         if blank.watches and found is not None and len(found[0]) != _n_lines(data):

@@ -16,6 +16,10 @@ BLOCK_BYTES = 2 << 20
 MAX_LINE_BYTES = 1 << 20
 """Longest line; a longer one is a file of something else."""
 
+MAX_RATIO, LEAST_BYTES = 500, 1 << 30
+"""A text of more bytes than the latter that is so many times its compressed size holds nothing but one line again and
+again; no drive is like this."""
+
 _CODECS = {".gz": "gzip", ".zst": "zstd"}
 _COMPRESSED = {b"\x1f\x8b": ("gzip", ".gz"), b"\x28\xb5\x2f\xfd": ("zstd", ".zst")}
 _UTF8_MARK = b"\xef\xbb\xbf"
@@ -48,15 +52,20 @@ def iter_lines(path: Path, block_bytes: int = BLOCK_BYTES) -> Iterator[Lines]:
     Raises
     ------
     InputError
-        When the file cannot be read, is no text, is cut short or damaged inside its compression, or has a line
-        longer than :data:`MAX_LINE_BYTES`.
+        When the file cannot be read, is no text, is cut short or damaged inside its compression, unpacks without end,
+        or has a line longer than :data:`MAX_LINE_BYTES`.
     """
-    line, rest, at_start = 1, b"", True
+    line, rest, at_start, n_bytes = 1, b"", True, 0
     with _open(path) as handle:
+        most = max(LEAST_BYTES, MAX_RATIO * path.stat().st_size) if path.suffix.lower() in _CODECS else None
         while True:
             found = _read(path, handle, block_bytes, line)
             if not found:
                 break
+            n_bytes += len(found)
+            if most is not None and n_bytes > most:
+                problem = f"unpacks to more than {n_bytes >> 20} MiB, over {MAX_RATIO} times its size"
+                raise InputError(str(path), problem, "unpack it first if it is what it should be")
             if at_start:
                 found, at_start = _without_mark(path, handle, found, block_bytes), False
             data = rest + found
