@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +26,12 @@ LIMIT_S = 120.0
 """A run that takes longer hangs [s]."""
 GONE_S = 10.0
 """Workers of a dead run must have ended by then [s]."""
+AS_PLAIN_USER = """
+import ctypes, os, sys
+for capability in (1, 2) if os.getuid() == 0 else ():
+    ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP: permissions count for root as well
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
 RAW = """
 [[override]]
 match = "**/*.bin"
@@ -88,20 +94,30 @@ def make_archive(folder: Path) -> Archive:
     return archive
 
 
+def part_of(archive: Archive, folder: Path, names: Sequence[str] = FAST) -> Archive:
+    """Copy some of the inputs into an archive of their own, to be harmed."""
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(archive.folder / name, path)
+    whole = {name: content for name, content in archive.whole.items() if name.startswith(tuple(names))}
+    return Archive(folder, archive.config, whole, archive.seconds)
+
+
 class Batch:
     """A run of ``prc batch`` as a process of its own session."""
 
     def __init__(
-        self, archive: Path, out: Path, config: Path | None, *options: str, jobs: int = 2, user: int = 0
+        self, archive: Path, out: Path, config: Path | None, *options: str, jobs: int = 2, plain_user: bool = False
     ) -> None:
         self.out = out
         self._mark = secrets.token_hex(8)
         words = [] if config is None else ["--config", str(config)]
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "prc_cli", "batch", str(archive), str(out), "--jobs", str(jobs), *words, *options],
+            [sys.executable, *(["-c", AS_PLAIN_USER] if plain_user else []), "-m", "prc_cli", "batch",
+             str(archive), str(out), "--jobs", str(jobs), *words, *options],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="surrogateescape",
-            start_new_session=True, env={**os.environ, MARK: self._mark}, user=user or None, group=user or None,
-            extra_groups=[] if user else None,
+            start_new_session=True, env={**os.environ, MARK: self._mark},
         )  # fmt: skip
 
     def members(self) -> list[int]:

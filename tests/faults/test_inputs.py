@@ -1,0 +1,203 @@
+"""Inputs that go away, change, are shut, are no files, or are damaged: each costs itself alone, in one line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.faults.harness import (
+    FAST,
+    Archive,
+    Batch,
+    check_nothing_half,
+    check_whole,
+    entries,
+    part_of,
+    parts,
+    tree,
+)
+from tests.faults.test_kills import run_until
+
+LONG = "2026/day 3/long.laz"
+FIRST, LAST = "2026/day 1/drive.npz", "rückweg.las"
+"""The files are begun in the order of their names."""
+
+
+def failures(said: str) -> list[str]:
+    return [line for line in said.splitlines() if line.startswith("[") and "] failed " in line]
+
+
+def resume(archive: Archive, out: Path) -> None:
+    code, said = Batch(archive.folder, out, archive.config).end()
+    assert code == 0, said
+    check_whole(archive, out)
+
+
+@pytest.mark.parametrize("fate", ["vanishes", pytest.param("becomes a pipe", marks=pytest.mark.slow)])
+def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path, fate: str) -> None:
+    out = tmp_path / "out"
+    path, aside = few.folder / LAST, tmp_path / "aside"
+    batch = run_until(few, out, "running", jobs=1)
+    path.rename(aside)
+    if fate == "becomes a pipe":
+        os.mkfifo(path)
+    code, said = batch.end(60)
+    assert code == 1, said
+    (line,) = failures(said)
+    assert LAST in line
+    check_nothing_half(few, out)
+    assert entries(out)[LAST].state == "failed"
+    path.unlink(missing_ok=True)
+    aside.rename(path)
+    resume(few, out)
+
+
+@contextlib.contextmanager
+def growing(path: Path) -> Iterator[None]:
+    """Append to a file all the time, as a copy that is not complete; the last bytes are taken away at the end."""
+    size, stop = path.stat().st_size, threading.Event()
+
+    def grow() -> None:
+        with path.open("ab") as stream:
+            while not stop.wait(0.02):
+                stream.write(b"\0" * 100)
+                stream.flush()
+
+    thread = threading.Thread(target=grow)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        with path.open("rb+") as stream:
+            stream.truncate(size)
+
+
+def test_an_input_that_grows_while_it_is_read_is_not_done(few: Archive, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with growing(few.folder / LAST):
+        code, said = Batch(few.folder, out, few.config, jobs=1).end()
+    assert code == 1, said
+    (line,) = failures(said)
+    assert "changed while it was read" in line
+    check_nothing_half(few, out)
+    assert LAST not in tree(out)
+    resume(few, out)
+
+
+@pytest.mark.slow
+def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_last(
+    few: Archive, tmp_path: Path
+) -> None:
+    """Each time by renaming, as a careful copy does; the output must fit one of them, and in the end the last."""
+    out, rng = tmp_path / "out", random.Random(5)
+    path = few.folder / "2026/day 2/drive.laz"
+    one, other = tmp_path / "one.laz", tmp_path / "other.laz"
+    shutil.copy(path, one)
+    other.write_bytes(one.read_bytes()[:-1])
+    for _ in range(4):
+        batch = Batch(few.folder, out, few.config, jobs=1)
+        while batch.process.poll() is None:
+            new = tmp_path / "new.laz"
+            shutil.copy(rng.choice([one, other]), new)
+            new.replace(path)
+            with contextlib.suppress(Exception):
+                batch.process.wait(rng.random() * 0.3)
+        code, said = batch.end()
+        assert code in (0, 1), said
+        check_nothing_half(few, out)
+    shutil.copy2(one, path)
+    resume(few, out)
+
+
+def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (few.folder / FIRST).chmod(0)
+    (few.folder / "2026/day 2").chmod(0)
+    try:
+        code, said = Batch(few.folder, out, few.config, plain_user=True).end()
+    finally:
+        (few.folder / FIRST).chmod(0o644)
+        (few.folder / "2026/day 2").chmod(0o755)
+    assert code == 1, said
+    assert any(FIRST in line and "ermission denied" in line for line in failures(said)), said
+    assert "day 2" in said, "a folder that cannot be listed must be named"
+    check_nothing_half(few, out)
+    assert LAST in tree(out)
+    resume(few, out)
+
+
+def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(few: Archive, tmp_path: Path) -> None:
+    out, rng = tmp_path / "out", random.Random(6)
+    bad = few.folder / "bad"
+    bad.mkdir()
+    good = {name: (few.folder / name).read_bytes() for name in FAST}
+    laz, las, npz = good["2026/day 2/drive.laz"], good[LAST], good[FIRST]
+    made = {
+        "cut.laz": laz[: len(laz) // 2],
+        "cut header.las": las[:100],
+        "cut.las": las[:-1001],
+        "empty.las": b"",
+        "empty.csv": b"",
+        "cut.npz": npz[: len(npz) // 2],
+        "wrong suffix.laz": b"x,y,z\n1,2,3\n",
+        "wrong suffix.csv": laz,
+        "wrong suffix.npz": las,
+        "zeros.laz": bytes(20_000),
+    }
+    for number in range(3):
+        flipped = bytearray(laz)
+        for _ in range(40):
+            flipped[rng.randrange(600, len(flipped))] ^= 1 << rng.randrange(8)
+        made[f"flipped\n{number}.laz"] = bytes(flipped)
+    for name, content in made.items():
+        (bad / name).write_bytes(content)
+    os.mkfifo(bad / "pipe.laz")
+    (bad / "away.laz").symlink_to("/etc/passwd")
+    (bad / "loop.laz").symlink_to("loop.laz")
+    (bad / "folder.laz").mkdir()
+    code, said = Batch(few.folder, out, few.config).end(120)
+    assert code == 1, said
+    assert "Traceback" not in said
+    assert "\x1b" not in said
+    lines = failures(said)
+    for name in made:
+        shown = name.replace("\n", "\\n")
+        assert sum(f"bad/{shown}" in line.split(": ")[0] for line in lines) == 1 or "flipped" in name, (name, said)
+    found = tree(out)
+    assert {name: content for name, content in found.items() if not name.startswith("bad/")} == few.whole
+    assert not [name for name in found if name.startswith("bad/") and "flipped" not in name]
+    assert parts(out) == []
+    shutil.rmtree(bad)
+    shutil.rmtree(out / "bad", ignore_errors=True)
+    code, said = Batch(few.folder, out, few.config).end()
+    assert code == 0, said
+    assert tree(out) == few.whole
+
+
+@pytest.mark.slow
+def test_too_little_memory_is_said_so_and_the_rest_goes_on(few: Archive, archive: Archive, tmp_path: Path) -> None:
+    both = part_of(archive, few.folder, [*FAST, "2026/day 1/drive.csv"])
+    out = tmp_path / "out"
+    code, said = Batch(both.folder, out, both.config, "--memory-limit", "60").end()
+    assert code == 1, said
+    assert "Traceback" not in said
+    assert any("memory" in line for line in failures(said)), said
+    check_nothing_half(both, out)
+    resume(both, out)
+
+
+@pytest.mark.slow
+def test_a_folder_that_cannot_be_entered_to_its_end_is_waited_for(few: Archive, tmp_path: Path) -> None:
+    """A chain of links that bites its tail ends, too."""
+    (few.folder / "2026" / "again").symlink_to(few.folder, target_is_directory=True)
+    (few.folder / "2026" / "out of it").symlink_to("/", target_is_directory=True)
+    resume(few, tmp_path / "out")

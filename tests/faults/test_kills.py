@@ -1,0 +1,154 @@
+"""Killed at any moment: nothing half under its final name, and the next run ends as if nothing had been."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from prc_cli.batch.journal import read_runs
+from prc_cli.batch.types import OWN_FOLDER, Entry
+from tests.faults.harness import FAST, Archive, Batch, check_nothing_half, check_whole, entries, part_of, parts
+from tests.faults.kills import kill_many
+
+
+def test_some_kills(few: Archive, tmp_path: Path) -> None:
+    tally = kill_many(few, tmp_path, 6, seed=3)
+    assert sum(tally.kills.values()) == 6
+
+
+@pytest.mark.slow
+def test_many_kills(archive: Archive, tmp_path: Path) -> None:
+    """``python -m tests.faults.kills --kills 200`` does this 200 times."""
+    tally = kill_many(archive, tmp_path, 40, seed=4)
+    assert tally.with_running > 5
+
+
+def run_until(archive: Archive, out: Path, state: str, *options: str, jobs: int = 2) -> Batch:
+    """Start a run and return when the journal knows of a file in such a state."""
+    batch = Batch(archive.folder, out, archive.config, *options, jobs=jobs)
+    end = time.monotonic() + 60
+    while time.monotonic() < end and not any(entry.state == state for entry in known(out)):
+        time.sleep(0.02)
+    return batch
+
+
+def known(out: Path) -> list[Entry]:
+    return list(entries(out).values()) if (out / OWN_FOLDER).exists() else []
+
+
+@pytest.mark.parametrize(
+    ("number", "n_times"),
+    [(signal.SIGTERM, 1), (signal.SIGINT, 1), pytest.param(signal.SIGINT, 3, marks=pytest.mark.slow)],
+)
+def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, number: int, n_times: int) -> None:
+    out = tmp_path / "out"
+    batch = run_until(few, out, "running")
+    begun = time.monotonic()
+    assert batch.strike(number)
+    for _ in range(n_times - 1):  # somebody who is impatient
+        time.sleep(0.1)
+        batch.strike(number)
+    code, said = batch.end(20)
+    assert time.monotonic() - begun < 10
+    assert code == 128 + number, said
+    assert "Traceback" not in said
+    assert batch.members() == []
+    assert parts(out) == []
+    check_nothing_half(few, out)
+    if n_times == 1:
+        assert [run.exit_code for run in read_runs(out / OWN_FOLDER)] == [code]
+        assert {entry.state for entry in known(out)} <= {"done", "failed"}
+    code, said = Batch(few.folder, out, few.config).end()
+    assert code == 0, said
+    check_whole(few, out)
+
+
+@pytest.mark.slow
+def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> None:
+    batch = run_until(few, tmp_path / "out", "running")
+    batch.strike(signal.SIGHUP)
+    batch.end(20)
+    batch.wait_until_gone()
+    check_nothing_half(few, tmp_path / "out")
+    code, said = Batch(few.folder, tmp_path / "out", few.config).end()
+    assert code == 0, said
+    check_whole(few, tmp_path / "out")
+
+
+def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive: Archive, tmp_path: Path) -> None:
+    """As the system does where memory is short: whoever works on the long file is killed."""
+    long = "2026/day 3/long.laz"
+    both = part_of(archive, few.folder, [*FAST, long])
+    out = tmp_path / "out"
+    batch = Batch(both.folder, out, both.config, jobs=1)
+    n_killed = 0
+    while batch.process.poll() is None:
+        if any(path.name.startswith(".long.laz") for path in parts(out)):
+            n_killed += batch.strike_worker(random.Random(1))
+        time.sleep(0.005)
+    code, said = batch.end()
+    assert code == 1, said
+    assert n_killed >= 2
+    (line,) = [line for line in said.splitlines() if "failed" in line and "long.laz" in line and "again" not in line]
+    assert "SIGKILL" in line
+    assert "memory" in line
+    check_nothing_half(both, out)
+    assert {name: entry.state for name, entry in entries(out).items() if entry.state != "done"} == {long: "failed"}
+    code, said = Batch(both.folder, out, both.config).end()
+    assert code == 0, said
+    assert parts(out) == []
+    assert entries(out)[long].state == "done"
+
+
+def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
+    """As on a network share that does not answer: the worker makes no step any more."""
+    out = tmp_path / "out"
+    batch = run_until(few, out, "done", "--stall", "4", jobs=1)
+    (worker,) = batch.workers()
+    os.kill(worker, signal.SIGSTOP)
+    code, said = batch.end(60)
+    assert code == 1, said
+    assert [line for line in said.splitlines() if "failed" in line and "no progress for 4 s, given up" in line], said
+    batch.wait_until_gone()
+    check_nothing_half(few, out)
+    assert sorted(entry.state for entry in known(out)) == ["done", "done", "failed"]
+    code, said = Batch(few.folder, out, few.config).end()
+    assert code == 0, said
+    check_whole(few, out)
+
+
+def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    runs = [Batch(few.folder, out, few.config, jobs=1) for _ in range(2)]
+    ended = sorted(run.end() for run in runs)
+    assert [code for code, _ in ended] == [0, 5] or [code for code, _ in ended] == [0, 0], ended
+    if ended[1][0] == 5:
+        (line,) = [line for line in ended[1][1].splitlines() if "another run is at work here" in line]
+        assert str(runs[0].process.pid) in line or str(runs[1].process.pid) in line
+    check_whole(few, out)
+    assert {entry.attempts for entry in known(out)} == {1}
+
+
+@pytest.mark.slow
+def test_shards_side_by_side_and_killed_end_with_the_same_bytes(archive: Archive, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for _ in range(2):
+        runs = [Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)]
+        time.sleep(archive.seconds / 2)
+        runs[1].strike_all()
+        for run in runs:
+            run.process.communicate()
+    runs = [Batch(archive.folder, out, archive.config, "--shard", f"{i}/3", jobs=1) for i in (1, 2, 3)]
+    assert [run.end()[0] for run in runs] == [0, 0, 0]
+    assert {entry.state for entry in known(out)} == {"done"}
+    # the whole archive knows what the shards did
+    code, said = Batch(archive.folder, out, archive.config).end()
+    assert code == 0, said
+    assert {entry.name for entry in known(out)} == archive.names
+    check_nothing_half(archive, out)
+    assert parts(out) == []
