@@ -1,0 +1,121 @@
+"""What a billion records take of one core, and what a split of one file gains: figures to plan many machines by.
+
+    python -m benchmarks.many_machines                   # about 5 million shots a job
+    python -m benchmarks.many_machines --lines 9286      # 20 million
+    python -m benchmarks.many_machines split             # parts of a raw dump instead
+
+Everything runs in one thread of this process, and processor time counts, the least of the runs, so that other work on
+the machine disturbs little. Inputs lie in the system's cache: disks and networks come on top, see the bytes a record.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.las import write_drive
+from benchmarks.memory import POINTS_PER_LINE, write_raw
+from prc_cli.batch.parts import join_parts, parts_folder, run_part, split
+from prc_cli.batch.types import Task
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.pipeline import classify, load_classifier
+
+BILLION = 1e9
+WORKERS = (2, 4, 8, 32)
+
+
+def least_cpu_s(job: Callable[[], object], runs: int) -> float:
+    """Least processor time of some runs [s]."""
+    took = []
+    for _ in range(runs):
+        begun = time.process_time()
+        job()
+        took.append(time.process_time() - begun)
+    return min(took)
+
+
+def configured(preset: str) -> LoadedConfig:
+    return load_config(preset=preset, options={"input": {"points_per_line": POINTS_PER_LINE}})
+
+
+def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
+    """Rows of the table of formats."""
+    raw, las, laz = (folder / f"drive.{suffix}" for suffix in ("bin", "las", "laz"))
+    write_raw(raw, n_lines)
+    for path in (las, laz):
+        write_drive(path, raw, 6)
+    n_shots, n_returns = n_lines * POINTS_PER_LINE, int(np.count_nonzero(np.fromfile(raw, "<f4") > 0))
+    urban = configured("urban")
+    jobs: dict[str, tuple[Path, str, LoadedConfig, int]] = {
+        "raw ranges to labels, urban": (raw, "labels.npy", urban, n_shots),
+        "raw ranges to labels, forest": (raw, "forest.npy", configured("forest"), n_shots),
+        "LAS to labels": (las, "las.npy", load_config(preset="urban"), n_returns),
+        "LAS to LAS": (las, "out.las", load_config(preset="urban"), n_returns),
+        "LAZ to labels": (laz, "laz.npy", load_config(preset="urban"), n_returns),
+        "LAZ to LAZ": (laz, "out.laz", load_config(preset="urban"), n_returns),
+    }
+    yield "| work | million records a second of one core | core hours for 10⁹ | bytes read a record | written |"
+    yield "|---|---:|---:|---:|---:|"
+    for name, (source, output, config, n) in jobs.items():
+        load_classifier(config)
+        target = folder / output
+
+        def job(source: Path = source, target: Path = target, config: LoadedConfig = config) -> None:
+            classify(source, target, config, overwrite=True, threads=1)
+
+        seconds = least_cpu_s(job, runs)
+        hours = BILLION / n * seconds / 3600
+        read, written = source.stat().st_size / n, target.stat().st_size / n
+        yield f"| {name} | {n / seconds / 1e6:.1f} | {hours:.3f} | {read:.1f} | {written:.1f} |"
+        target.unlink()
+
+
+def parts(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
+    """Rows of the table of a split, and what follows from it."""
+    source, output = folder / "drive.bin", folder / "out" / "drive.npy"
+    output.parent.mkdir()
+    write_raw(source, n_lines)
+    n = n_lines * POINTS_PER_LINE
+    task = Task("drive.bin", source, output, configured("urban"), "0" * 64, overwrite=True)
+    load_classifier(task.config)
+    found = split(task, n // 4)
+    assert isinstance(found, tuple)
+    whole = least_cpu_s(lambda: classify(source, folder / "whole.npy", task.config, overwrite=True, threads=1), runs)
+    apart, joined, stored = [], [], 0.0
+    for _ in range(runs):
+        apart.append(sum(least_cpu_s(lambda part=part: run_part(part), 1) for part in found))  # type: ignore[misc]
+        stored = sum(path.stat().st_size for path in parts_folder(task).iterdir()) / n
+        joined.append(least_cpu_s(lambda: join_parts(found), 1))
+    assert output.read_bytes() == (folder / "whole.npy").read_bytes()
+    yield "| step | million shots a second of one core |"
+    yield "|---|---:|"
+    for name, seconds in (("whole file", whole), ("parts", min(apart)), ("output from parts", min(joined))):
+        yield f"| {name} | {n / seconds / 1e6:.1f} |"
+    yield ""
+    yield f"Parts hold {stored:.2f} bytes a shot. Beside one worker with the whole file:"
+    yield ""
+    yield "| workers of one thread | " + " | ".join(map(str, WORKERS)) + " |"
+    yield "|---|" + "---:|" * len(WORKERS)
+    gains = [whole / (min(apart) / workers + min(joined)) for workers in WORKERS]
+    yield "| times as fast | " + " | ".join(f"{gain:.2f}" for gain in gains) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("what", nargs="?", choices=["formats", "split"], default="formats")
+    parser.add_argument("--lines", type=int, default=2400)
+    parser.add_argument("--runs", type=int, default=3)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        rows = (rates if options.what == "formats" else parts)(Path(folder), options.lines, options.runs)
+        for row in rows:
+            print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main()
