@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks import contest_data as data
 from benchmarks import contest_peers as peers
@@ -95,9 +96,10 @@ class Store:
     n_new: int = 0
 
     def scan(self, item: DataSet) -> Scan:
-        """Return a scan; the last one is kept, since methods come one after the other."""
+        """Return a scan; they are kept, coordinates only where filters of registered clouds are run on them."""
         if item.how not in self.scans:
-            self.scans = {item.how: item.make()}
+            scan = item.make()
+            self.scans[item.how] = scan if item.with_peers else replace(scan, world_m=None)
         return self.scans[item.how]
 
     def content(self, item: DataSet) -> str:
@@ -107,7 +109,7 @@ class Store:
         if not path.exists():
             scan = self.scan(item)
             parts = [scan.range_m, scan.codes, scan.angle_rad, scan.extra.range_m, scan.extra_codes]
-            parts += [] if scan.world_m is None else [scan.world_m]
+            parts += [] if scan.world_m is None else [scan.world_m]  # filters of registered clouds see nothing else
             digest = hashlib.blake2b(digest_size=16)
             for part in parts:
                 digest.update(np.ascontiguousarray(part).data)
@@ -145,7 +147,7 @@ class Store:
         if missing:
             scan = self.scan(item)
             with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
-                write_points(scan, Path(folder) / POINTS)
+                write_points(points_of(scan), Path(folder) / POINTS)
                 # what several chains begin with is run once, before them
                 begin = {json.dumps(chains[name][:-1]): chains[name][:-1] for name in missing}
                 list(pool.map(partial(_run_chain, Path(folder)), [steps for steps in begin.values() if steps]))
@@ -155,7 +157,7 @@ class Store:
                     self.n_new += 1
                     with np.load(_run_chain(Path(folder), chains[name])) as arrays:
                         codes, cpu_s, peak_mib = arrays["codes"], float(arrays["cpu_s"]), float(arrays["peak_mib"])
-                    verdict = judge(scan, *_as_image(scan, codes))
+                    verdict = judge(scan, *as_image(scan, codes))
                     self._keep(paths[name], json.dumps(_table(verdict, scan, cpu_s, peak_mib)))
 
                 list(pool.map(work, missing))
@@ -168,17 +170,25 @@ class Store:
         temporary.replace(path)
 
 
-def write_points(scan: Scan, path: Path) -> None:
-    """Write all returns of a scan with registered coordinates, further returns at the end."""
+def points_of(scan: Scan) -> peers.Points:
+    """Return all returns of a scan with registered coordinates, further returns at the end."""
     assert scan.world_m is not None
     assert scan.scanner_m is not None
     there = ~np.isnan(scan.range_m)
     xyz = np.concatenate([scan.world_m[there], scan.extra_world_m])
     line = np.concatenate([np.nonzero(there)[0], scan.extra.line]).astype(np.int32)
-    np.savez(path, xyz_m=xyz, line=line, scanner_m=scan.scanner_m, height_m=scan.height_m)
+    return peers.Points(xyz, line, scan.scanner_m, scan.height_m)
 
 
-def _as_image(scan: Scan, codes: Any) -> tuple[Any, Any]:
+def write_points(points: peers.Points, path: Path) -> None:
+    """Write points for a process of its own."""
+    np.savez(
+        path, xyz_m=points.xyz_m, line=points.line, scanner_m=points.scanner_m, height_m=points.height_m
+    )  # fmt: skip
+
+
+def as_image(scan: Scan, codes: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return codes of points as those of shots, (lines, M), and of further returns, (e,)."""
     there = ~np.isnan(scan.range_m)
     n = np.count_nonzero(there)
     image = np.zeros(scan.range_m.shape, np.uint8)
