@@ -15,12 +15,16 @@ import sqlite3
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from prc_cli import __version__
+from prc_cli.batch.journal import read_entries
+from prc_cli.batch.lock import holders
+from prc_cli.batch.types import OWN_FOLDER
 from prc_cli.comparison import evaluate
 from prc_cli.config import load_config
 from prc_cli.core.errors import PrcError
@@ -346,6 +350,29 @@ def _output(out: Path) -> Iterator[Check]:
         yield _names(trial)
     finally:
         shutil.rmtree(trial, ignore_errors=True)
+    if (out / OWN_FOLDER).is_dir():
+        yield _runs(out / OWN_FOLDER)
+
+
+def _runs(folder: Path) -> Check:
+    """Look at what earlier runs left: damage raises, and is told by who called."""
+    name = "earlier runs"
+    entries, owners = read_entries(folder), holders(folder)
+    states = Counter(entry.state for entry in entries)
+    versions = sorted({entry.version for entry in entries})
+    text = ", ".join(f"{count:,} {state}" for state, count in sorted(states.items())) or "no files"
+    details = {
+        "files": dict(states),
+        "versions": versions,
+        "at_work": [str(item.owner) for item in owners if item.alive],
+    }
+    for found in owners:
+        if found.alive:
+            return Check(name, "ok", f"{text}; at work: {found.owner}", "", details)
+    if set(versions) - {__version__}:
+        hint = "they are done again; --keep-version leaves them, see the page on operations"
+        return Check(name, "warn", f"{text}; some by version {', '.join(versions)}", hint, details)
+    return Check(name, "ok", text, "", details)
 
 
 def _space(out: Path, folder: Path) -> Check:

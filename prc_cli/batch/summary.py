@@ -115,7 +115,8 @@ EXIT_CODES: dict[int, str] = {
     GateError.exit_code: "an evaluation gate was not reached; nothing failed",
     DriftError.exit_code: "the classes of a file are unlike those of earlier ones; nothing failed",
     BusyError.exit_code: "another run is at work in the output folder; nothing was done",
-    130: "Ctrl-C; what was finished stays, the next run goes on",
+    129: "the terminal was closed; what was finished stays, the next run goes on",
+    130: "Ctrl-C; the same",
     143: "SIGTERM; the same",
 }
 """What ``prc batch`` ends with."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import io
 import os
 import signal
 import sys
@@ -99,6 +100,8 @@ def main(args: list[str] | None = None) -> None:
     _leave_on_signals()
     if args is None:  # the process is this command
         spare_linear_algebra()
+        if isinstance(sys.stdout, io.TextIOWrapper):  # names that the terminal cannot show are no reason to stop
+            sys.stdout.reconfigure(errors="backslashreplace")
     sys.exit(_run(arguments, debug="--debug" in arguments))
 
 

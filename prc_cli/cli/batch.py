@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +18,7 @@ from click.shell_completion import CompletionItem
 from prc_cli.cli.options import layers_from, output_options, stream_options
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import atomic_output
+from prc_cli.core.interrupts import raise_or_hold
 
 if TYPE_CHECKING:
     from prc_cli.batch.run import RunEvent
@@ -76,7 +79,8 @@ _WORK = [
     _option("--scheduler", metavar="ADDRESS",
             help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786; default: one of its own on this machine."),
     _option("--split", type=click.IntRange(min=0), metavar="SHOTS",
-            help="Dask: split an input of twice so many shots or more, if it can be; 0 = never.  [default: 200000000]"),
+            help="Dask: split an input of twice so many shots or more, if it can be; 0 = never.  [default: 200000000, "
+            "for the last files, when most workers would be idle]"),
     _option("--retry", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
             help="Try a file N times more in this run where the problem may pass."),
     _option("--fail-fast/--keep-going", default=False, help="Begin no file after the first failure, or go on.  "
@@ -284,11 +288,9 @@ def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | 
                 raise click.UsageError(message)
         return None
     from prc_cli.batch.dask_engine import DaskEngine
-    from prc_cli.batch.parts import SPLIT_SHOTS
 
-    split = SPLIT_SHOTS if options["split"] is None else options["split"]
     jobs, threads = options["jobs"], options["threads"] or 1
-    return DaskEngine(options["scheduler"], split_shots=split, notice=notice, jobs=jobs, threads=threads)
+    return DaskEngine(options["scheduler"], split_shots=options["split"], notice=notice, jobs=jobs, threads=threads)
 
 
 def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
@@ -317,6 +319,7 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSumm
         if isinstance(event, Ready):  # the lock is held
             _write_command(settings, options)
 
+    _end_with_terminal()
     summary: BatchSummary | None = None
     code, problem = 1, ""
     try:
@@ -344,6 +347,14 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSumm
             log.end(code, summary, problem)
     print_end(summary, quiet=quiet, listed=not shows_bars)
     return summary
+
+
+def _end_with_terminal() -> None:
+    """Let a terminal that is closed end a run as SIGTERM does, unless ``nohup`` said otherwise."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "SIGHUP"):
+        return
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, lambda number, frame: raise_or_hold(SystemExit(128 + number)))
 
 
 # -- the last run, for retry ------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -10,10 +11,12 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -25,7 +28,7 @@ from prc_cli.batch.run import Again, Noted, Ready, RunEvent
 from prc_cli.batch.summary import Alarm, BatchSummary, done_dict, failed_dict
 from prc_cli.batch.types import Done, Entry, Failed, Problem, Run, Started
 from prc_cli.batch.types import Progress as Lines
-from prc_cli.cli.report import console, results
+from prc_cli.cli.report import results
 from prc_cli.cli.safe import printable
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
@@ -40,9 +43,24 @@ LOG_SCHEMA = 1
 """Version of the form of the log; keys are added without a new number, never renamed or taken away."""
 
 
+class _Patient(Console):
+    """A console that falls silent when nobody reads it any more; rich would end the program."""
+
+    def on_broken_pipe(self) -> None:
+        """Go on without printing."""
+        self.quiet = True
+
+
+@cache
+def console() -> Console:
+    """Return the console on stderr."""
+    return _Patient(stderr=True, markup=False, highlight=False)
+
+
 def say(text: str) -> None:
-    """Print a line on stderr, whatever names are in it."""
-    console().print(printable(text), soft_wrap=True)
+    """Print a line on stderr, whatever names are in it, if anybody is there to read it."""
+    with contextlib.suppress(OSError):
+        console().print(printable(text), soft_wrap=True)
 
 
 class Final:
@@ -70,7 +88,8 @@ class Final:
 
     def _tell(self, event: RunEvent) -> None:
         for listener in self._listeners:
-            listener(event)
+            with contextlib.suppress(OSError):  # a terminal or pipe that is gone must not stop the work
+                listener(event)
 
 
 class PlainLines:
@@ -253,12 +272,13 @@ class JsonLog:
                 # one write at the end of the file: lines of shards that share a log do not mix
                 with self._path.open("ab", buffering=0) as handle:
                     handle.write(line.encode("ascii"))
-        except OSError as error:
-            if self._path is None:
-                raise
+        except (OSError, ValueError) as error:  # a pipe that nobody reads, a stream that was closed
             if not self._told:
-                say(f"warning: {self._path}: the log cannot be written ({error.strerror or error}); the run goes on")
+                name, why = self._path or "stdout", getattr(error, "strerror", None) or error
+                say(f"warning: {name}: the log cannot be written ({why}); the run goes on")
             self._told = True
+            if self._path is None:
+                sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python fails at exit
 
 
 def done_words(event: Done) -> str:

@@ -470,6 +470,17 @@ def test_a_configuration_with_overrides_can_be_checked(capsys: pytest.CaptureFix
     assert "override 1: unknown key 'prc.surfaces.gama'" in capsys.readouterr().err
 
 
+def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple[Path, Path], tmp_path: Path) -> None:
+    command = [*PRC, "batch", str(office[0]), "out", "--preset", "urban", "--exclude", "night", "--log-json", "-"]
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as pipe:
+        found = subprocess.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe, check=False, timeout=120)
+    assert found.returncode == 0
+    assert (tmp_path / "out" / "drive.npz.labels.npy").exists()
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["done"] == 1
+
+
 def test_the_sample_of_an_archive_is_valid(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["config", "check", str(Path(__file__).resolve().parents[2] / "sample_configs" / "archive.toml")])

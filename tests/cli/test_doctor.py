@@ -160,6 +160,23 @@ def test_sqlite_without_wal_is_a_warning(tmp_path: Path, monkeypatch: pytest.Mon
     assert (found.status, found.details["journal_mode"]) == ("warn", "delete")
 
 
+def test_earlier_runs_are_told_with_their_versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from prc_cli.batch.journal import Journal
+    from prc_cli.batch.types import Failed, Problem
+
+    with Journal(tmp_path / ".prc") as journal:
+        journal.begin_run("somebody")
+        journal.finish(Failed("a.laz", None, 0.0, Problem("InputError", "a.laz", "cut")))
+    assert checks(tmp_path)["earlier runs"].found == "1 failed"
+    monkeypatch.setattr(doctor, "__version__", "99")
+    found = checks(tmp_path)["earlier runs"]
+    assert (found.status, "--keep-version" in found.hint) == ("warn", True)
+    path = tmp_path / ".prc" / "journal.sqlite"
+    path.write_bytes(path.read_bytes()[:5000] + b"x" * 5000)
+    found = checks(tmp_path)["output folder"]
+    assert (found.status, "--adopt" in found.hint) == ("bad", True)
+
+
 def test_the_file_system_of_a_folder(tmp_path: Path) -> None:
     mounts = tmp_path / "mounts"
     inner = tmp_path / "with blank"
