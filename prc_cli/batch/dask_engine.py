@@ -58,6 +58,9 @@ STOP_S = 5.0
 SHARE_S = 5.0
 """How long a new file may take to be seen by other machines: network file systems keep listings a while [s]."""
 
+SPLIT_WORKERS = 4
+"""With fewer workers a split gains nothing."""
+
 BEGUN, LINES, ENDED = "begun", "lines", "ended"
 
 Notice: TypeAlias = Callable[[str], None]
@@ -198,8 +201,10 @@ class DaskEngine:
     scheduler : str, optional
         Its address, ``tcp://HOST:8786`` (or ``tls://``); default: a scheduler and workers of our own on this machine,
         as many as ``EngineSettings.jobs``.
-    split_shots : int
-        Inputs of at least twice as many shots are split where that is possible; 0 = never.
+    split_shots : int, optional
+        Inputs of at least twice as many shots are split where that is possible; 0 = never. A split takes more time of
+        all workers together than the whole file would (``benchmarks/many_machines.py``), so by default it is done with
+        :data:`prc_cli.batch.parts.SPLIT_SHOTS`, and only for the last files, when most of the workers would be idle.
     notice : callable, optional
         Called with a sentence for the user: where the dashboard is, which large file goes whole and why.
     jobs : int, optional
@@ -212,7 +217,7 @@ class DaskEngine:
         self,
         scheduler: str | None = None,
         *,
-        split_shots: int = SPLIT_SHOTS,
+        split_shots: int | None = None,
         notice: Notice | None = None,
         jobs: int | None = None,
         threads: int = 1,
@@ -409,7 +414,7 @@ class _Run:
     """The tasks of one run: what waits, what is on its way, what is heard."""
 
     def __init__(
-        self, cluster: _Cluster, settings: EngineSettings, jobs: int | None, split_shots: int, notice: Notice
+        self, cluster: _Cluster, settings: EngineSettings, jobs: int | None, split_shots: int | None, notice: Notice
     ) -> None:
         self._cluster = cluster
         self._client = cluster.client
@@ -441,7 +446,7 @@ class _Run:
                 else:
                     self._add(task)
             while self._waiting and len(self._pieces) < self._room():
-                self._submit(*self._waiting.popleft())
+                self._launch(*self._waiting.popleft(), more=more)
             if not (more or self._waiting or self._pieces):
                 return
             yield from self._hear()
@@ -487,16 +492,26 @@ class _Run:
 
     def _add(self, task: Task) -> None:
         task = _absolute(task)
-        file = _File(task)
-        found = split(task, self._split_shots) if self._split_shots else ""
+        self._waiting.append((self._order(task, (), join=False), _File(task)))
+
+    def _launch(self, order: Order, file: _File, *, more: bool) -> None:
+        """Send an order, or the first parts of a file that is worth a split."""
+        shots = SPLIT_SHOTS if self._split_shots is None else self._split_shots
+        found = split(file.task, shots) if not file.parts and self._is_split_worth(more=more) else ""
         if isinstance(found, str):
             if found:
-                self._notice(f"{task.name} goes whole: {found}")
-            self._waiting.append((self._order(task, (), join=False), file))
+                self._notice(f"{file.task.name} goes whole: {found}")
+            self._submit(order, file)
             return
         file.parts, file.n_left = found, len(found)
-        for part in found:
-            self._waiting.append((self._order(task, (part,), join=False), file))
+        self._waiting.extendleft((self._order(file.task, (part,), join=False), file) for part in reversed(found))
+
+    def _is_split_worth(self, *, more: bool) -> bool:
+        if self._split_shots is not None:
+            return self._split_shots > 0
+        slots = self._jobs or sum(self._workers.values())
+        n_files = 1 + len(self._pieces) + len(self._waiting)
+        return not more and slots >= SPLIT_WORKERS and 2 * n_files <= slots
 
     def _order(self, task: Task, parts: tuple[Part, ...], *, join: bool) -> Order:
         folder = str(Path.cwd())

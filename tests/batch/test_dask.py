@@ -14,6 +14,7 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -153,6 +154,31 @@ def test_large_file_in_parts(cluster: Any, tmp_path: Path) -> None:
     assert sum(event.n_lines for event in large if isinstance(event, Progress)) <= 403
     assert any("table.csv goes whole: .csv is read from its start" in text for text in notices)
     assert not (tmp_path / "out" / ".prc" / "parts").exists()
+
+
+def test_split_when_workers_would_be_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
+    """A split takes more of all workers together: while there are other files, files go whole."""
+    tasks = tasks_in(tmp_path, {**{f"{i}.npy": 402 + i for i in range(9)}, "last.npy": 400})
+    real, tried = dask_engine.split, []
+
+    def watched(task: Task, shots: int) -> Any:
+        tried.append(task.name)
+        return real(task, 1600)
+
+    monkeypatch.setattr(dask_engine, "split", watched)
+    where = {"processes": False, "dashboard_address": ":0", "memory_limit": 0}
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=4, **where) as own:
+        found = outcomes(run(DaskEngine(own.scheduler_address), tasks))
+        assert all(isinstance(outcome, Done) for outcome in found.values()), found
+        assert len(tried) <= 2
+        assert not {task.name for task in tasks[:7]} & set(tried)
+        tried.clear()
+        run(DaskEngine(own.scheduler_address), [replace(task, overwrite=True) for task in tasks[-1:]])
+        assert tried == ["last.npy"]
+        tried.clear()
+        run(DaskEngine(own.scheduler_address, split_shots=0), [replace(tasks[0], overwrite=True)])
+        assert tried == []
+    check_bytes(tasks, tmp_path)
 
 
 def test_part_that_fails_ends_its_file_alone(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -445,12 +471,15 @@ def test_cluster_of_its_own(tmp_path: Path, quiet: None) -> None:
     workers: set[str] = set()
     events = []
     for event in engine.run(iter(tasks), EngineSettings(jobs=2)):
+        if not events:  # the dashboard is there while the run is
+            with urlopen(notices[0].rpartition(" ")[2], timeout=30) as page:
+                assert page.status == 200
         events.append(event)
         if isinstance(event, Started):
             workers.add(event.worker)
     assert all(isinstance(outcome, Done) for outcome in outcomes(events).values())
     check_bytes(tasks, tmp_path)
-    assert any(text.startswith("Dask's dashboard: http://127.0.0.1:") for text in notices)
+    assert notices[0].startswith("Dask's dashboard: http://127.0.0.1:")
     assert 1 <= len(workers) <= 2
     for address in workers:
         assert not answers(address)
