@@ -184,11 +184,12 @@ class Batch:
 
 
 def tree(out: Path) -> dict[str, bytes]:
-    """Return every file under its final name, without our own folder and the summary."""
+    """Return every file under its final name, without our own folder and the summaries."""
     found = {}
     for path in out.rglob("*"):
         name = path.relative_to(out).as_posix()
-        if path.is_file() and not name.startswith(OWN_FOLDER) and name != "summary.json" and path.suffix != ".part":
+        ours = name.startswith((OWN_FOLDER, "summary."))
+        if path.is_file() and not ours and path.suffix != ".part":
             found[name] = path.read_bytes()
     return found
 
