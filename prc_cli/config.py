@@ -14,6 +14,7 @@ from typing import Any, Literal
 from pydantic import Field
 from pydantic.fields import FieldInfo
 
+from prc_cli.classifiers.fused.pipeline import FusedParams
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.core.classes import ClassCodes
@@ -23,13 +24,16 @@ from prc_cli.readers.options import InputConfig, Layout
 from prc_cli.writers.options import OutputConfig
 
 SEQUENTIAL_ANGLE: Literal["sequential-angle"] = "sequential-angle"
+FUSED: Literal["fused"] = "fused"
 
 
 class RunConfig(Params):
     """Everything a run depends on beside its input."""
 
-    method: Literal["prc", "sequential-angle"] = Field(
-        "prc", description="classifier: prc (Lehtola et al. 2019) or sequential-angle (Stamos et al. 2012)"
+    method: Literal["prc", "sequential-angle", "fused"] = Field(
+        "prc",
+        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), or fused, made out "
+        "of both",
     )
     input: InputConfig = Field(default_factory=InputConfig, description="how the stream is found in the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
@@ -37,13 +41,19 @@ class RunConfig(Params):
     sequential_angle: SequentialAngleParams = Field(
         default_factory=SequentialAngleParams, description="sequential-angle (Stamos et al. 2012)"
     )
+    fused: FusedParams = Field(default_factory=FusedParams, description="fused")
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes")
     output: OutputConfig = Field(default_factory=OutputConfig, description="what is written")
 
     @property
-    def classifier(self) -> PrcParams | SequentialAngleParams:
+    def classifier(self) -> PrcParams | SequentialAngleParams | FusedParams:
         """Parameters of the classifier that ``method`` names."""
-        return self.sequential_angle if self.method == SEQUENTIAL_ANGLE else self.prc
+        return {"prc": self.prc, SEQUENTIAL_ANGLE: self.sequential_angle, FUSED: self.fused}[self.method]
+
+    @property
+    def needs_beams(self) -> bool:
+        """Whether the classifier must know where down is."""
+        return self.method != "prc"
 
     def to_table(self) -> dict[str, Any]:
         """Return the effective configuration as a nested table, names as in TOML, unset values left out."""
@@ -69,6 +79,8 @@ PRESETS: dict[str, dict[str, Any]] = {
             "surfaces": {"area": "auto", "gamma": 2},
         }
     },
+    "fused": {"method": "fused"},
+    "fused-forest": {"method": "fused", "fused": {"environment": "forest"}},
     "street-scan": {"method": "sequential-angle"},
     "street-scan-published": {
         "method": "sequential-angle",
@@ -121,6 +133,9 @@ PRESETS: dict[str, dict[str, Any]] = {
 PRESET_SOURCES: dict[str, str] = {
     "urban": "the published urban parameters (Lehtola et al. 2019, II-A, II-E, IV-A)",
     "forest": "the published forest parameters (Lehtola et al. 2019, IV-C); the area is not printed there",
+    "fused": "streets in the scan plane: ground, building, vegetation, noise; metres that follow the sensor, chosen on "
+    "simulated streets and one real strip",
+    "fused-forest": "forests in the scan plane: ground, stems, other vegetation; chosen on simulated forests",
     "street-scan": "static street scans (Stamos et al. 2012): printed values, and chosen ones where none is printed",
     "street-scan-published": "static street scans (Stamos et al. 2012) to the letter: signed angles between successive "
     "shots, and the constants of the group's public script where the paper has none; for comparison, its labels are "

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from prc_cli import kernels
+from prc_cli.classifiers.fused import pipeline as fused
+from prc_cli.classifiers.fused.pipeline import FusedParams
 from prc_cli.classifiers.prc import pipeline as prc
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.classifiers.sequential_angle import pipeline as sequential_angle
 from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
-from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
+from prc_cli.config import FUSED, SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
@@ -62,6 +64,7 @@ KERNELS_OF = {
             "verticals",
         }
     ),
+    FUSED: frozenset({"fused_classes", "fused_ground", "fused_neighbours", "fused_strips", "stems"}),
 }
 """Modules of the compiled loops of every method."""
 
@@ -128,8 +131,8 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     Returns
     -------
     ScanStream
-        ``.info`` says what is known before reading, ``.blocks()`` reads from the start. For the sequential-angle
-        classifier the blocks know where down is.
+        ``.info`` says what is known before reading, ``.blocks()`` reads from the start. For all
+        classifiers but PRC the blocks know where down is.
 
     Raises
     ------
@@ -143,13 +146,16 @@ def _open(path: Path, config: RunConfig, *, geometry: bool) -> ScanStream:
     """Open an input; ``geometry``: angles are looked for though the classifier does not need them."""
     if config.method == SEQUENTIAL_ANGLE:
         return with_beams(open_input(path, config.input, config.layout), config.input)
+    if config.method == FUSED:
+        lines = config.fused.lines_per_block
+        return with_beams(open_input(path, config.input, config.layout, lines_at_once=lines), config.input)
     lines = config.prc.lines_per_block
     return open_input(path, config.input, config.layout, lines_at_once=lines, geometry=geometry)
 
 
 def label_blocks(
     blocks: Iterator[ScanBlock],
-    params: PrcParams | SequentialAngleParams,
+    params: PrcParams | SequentialAngleParams | FusedParams,
     *,
     threads: int = 1,
     segments: bool = False,
@@ -161,8 +167,8 @@ def label_blocks(
     Parameters
     ----------
     blocks : iterator of ScanBlock
-        Blocks of any number of lines; with ``beam_rad`` for the sequential-angle classifier.
-    params : PrcParams or SequentialAngleParams
+        Blocks of any number of lines; with ``beam_rad`` for all classifiers but PRC.
+    params : PrcParams, SequentialAngleParams or FusedParams
         Parameters of the classifier, which say which one it is.
     threads : int
         Threads that classify; results do not depend on it. At most twice as many blocks are held at a time.
@@ -176,10 +182,12 @@ def label_blocks(
     Yields
     ------
     LabelledBlock
-        In order for each scanner: PRC's blocks of k lines (fewer at the end), or the lines that became final.
+        In order for each scanner: blocks of k lines (fewer at the end), or the lines that became final.
     """
     if isinstance(params, PrcParams):
         yield from _prc(blocks, params, threads, segments=segments)
+    elif isinstance(params, FusedParams):
+        yield from _fused(blocks, params, threads)
     else:
         yield from _sequential_angle(blocks, params, threads, shots_at_once, stages=stages)
 
@@ -207,6 +215,38 @@ def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segmen
     yield from ordered(work, begin(), threads=threads, ahead=threads + 1)
 
 
+def _fused(blocks: Iterator[ScanBlock], params: FusedParams, threads: int) -> Iterator[LabelledBlock]:
+    scanners: dict[int, fused.ParallelBlocks] = {}
+    Item: TypeAlias = tuple[ScanBlock, fused.ParallelBlocks, fused.BlockJob]
+
+    def begin() -> Iterator[Item]:
+        for block in regroup(blocks, params.lines_per_block, look_ahead=fused.AROUND_LINES):
+            one = scanners.pop(block.scanner, None) or fused.ParallelBlocks(_beams_of(block), params)
+            if not block.is_last:
+                scanners[block.scanner] = one
+            yield block, one, one.begin(block.range_m, block.next_m)
+
+    def work(item: Item) -> LabelledBlock:
+        block, one, job = item
+        labels = one.classify(job)
+        further, limit = block.extra, params.extra_return_m
+        extra = label_extra_returns(
+            block.range_m, labels, further.line, further.column, further.range_m, limit, limit
+        )
+        return LabelledBlock(block, labels, extra)
+
+    keep_memory()
+    yield from ordered(work, begin(), threads=threads, ahead=threads + 1)
+
+
+def _beams_of(block: ScanBlock) -> F64:
+    """Return the beams of a block, which must have them."""
+    if block.beam_rad is None:
+        problem = "no beam angles, expected the angle of every column from straight down"
+        raise InputError("block of ranges", problem)
+    return block.beam_rad
+
+
 def _sequential_angle(
     blocks: Iterator[ScanBlock], params: SequentialAngleParams, threads: int, shots_at_once: int, *, stages: bool
 ) -> Iterator[LabelledBlock]:
@@ -216,12 +256,9 @@ def _sequential_angle(
 
     def begin() -> Iterator[Item]:
         for block in regroup(blocks, shots_per_block=shots_at_once):
-            if block.beam_rad is None:
-                problem = "no beam angles, expected the angle of every column from straight down"
-                raise InputError("block of ranges", problem)
-            one = scanners.pop(block.scanner, None)
+            beam_rad, one = _beams_of(block), scanners.pop(block.scanner, None)
             if one is None:
-                one = sequential_angle.ParallelBlocks(block.beam_rad, params, stages=stages)
+                one = sequential_angle.ParallelBlocks(beam_rad, params, stages=stages)
             if not block.is_last:
                 scanners[block.scanner] = one
             yield block, one, one.begin(block.range_m, block.xyz_m, last=block.is_last)
@@ -389,8 +426,8 @@ def classify_ranges(
     config : LoadedConfig or RunConfig, optional
         Default: the published urban parameters.
     beam_rad : (M,) float, radians, optional
-        Angle of every column's beam from straight down, its sign the side of the scan plane; needed by the
-        sequential-angle classifier.
+        Angle of every column's beam from straight down, its sign the side of the scan plane; needed by all
+        classifiers but PRC.
     xyz_m : (lines, M, 3) float, metres, optional
         Relative to the scanner, z up; without it the sequential-angle classifier takes range and beam angle.
     threads : int, optional
@@ -430,7 +467,7 @@ def classify_ranges(
         xyz_m=None if xyz_m is None else _coordinates(xyz_m, ranges),
         beam_rad=None if beam_rad is None else _beams(beam_rad, ranges.shape[1]),
     )
-    if config.method == SEQUENTIAL_ANGLE and beam_rad is None:
+    if config.needs_beams and beam_rad is None:
         raise InputError("beam_rad", "not given, expected the angle of every column's beam from straight down")
     threads = default_threads() if threads is None else threads
     return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier, threads=threads)])
@@ -489,6 +526,8 @@ def run_record(
 
 def _missed(counts: Counts, config: RunConfig) -> tuple[str, ...]:
     """Say what a run did without."""
+    if config.method == FUSED and config.output.segment_ids:
+        return ("the fused method has no segments: every segment id is 0",)
     if config.method != SEQUENTIAL_ANGLE:
         return ()
     said: list[str] = []

@@ -20,7 +20,7 @@ from prc_cli.core.config import merge, read_toml
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 _CLASSIFIER_OPTIONS = [
-    click.option("--method", type=click.Choice(["prc", "sequential-angle"]),
+    click.option("--method", type=click.Choice(["prc", "sequential-angle", "fused"]),
                  help="Classifier; default: what the preset or the configuration says, else prc."),
     click.option("--preset", type=click.Choice(list(PRESETS)), help="Parameters to start from."),
 ]  # fmt: skip

@@ -29,6 +29,17 @@ if TYPE_CHECKING:
     from prc_cli.kernels.dividers import car_intervals as car_intervals
     from prc_cli.kernels.dividers import cut_verticals as cut_verticals
     from prc_cli.kernels.fourier import stable_intervals as stable_intervals
+    from prc_cli.kernels.fused_classes import fused_labels as fused_labels
+    from prc_cli.kernels.fused_classes import mean_smoothness as mean_smoothness
+    from prc_cli.kernels.fused_ground import walk_ground as walk_ground
+    from prc_cli.kernels.fused_neighbours import directions as directions
+    from prc_cli.kernels.fused_neighbours import near_counts as near_counts
+    from prc_cli.kernels.fused_neighbours import plane_points as plane_points
+    from prc_cli.kernels.fused_neighbours import smooth_counts as smooth_counts
+    from prc_cli.kernels.fused_strips import fill_strips as fill_strips
+    from prc_cli.kernels.fused_strips import find_walls as find_walls
+    from prc_cli.kernels.fused_strips import widen_levels as widen_levels
+    from prc_cli.kernels.fused_strips import widen_slots as widen_slots
     from prc_cli.kernels.ground import find_modes as find_modes
     from prc_cli.kernels.ground import ground_rows as ground_rows
     from prc_cli.kernels.ground import main_height as main_height
@@ -74,12 +85,16 @@ KERNELS: dict[str, str] = {
     "count_covered": "prc_cli.kernels.surfaces",
     "cut_verticals": "prc_cli.kernels.dividers",
     "dilate": "prc_cli.kernels.surfaces",
+    "directions": "prc_cli.kernels.fused_neighbours",
     "draw_columns": "prc_cli.kernels.surfaces",
     "draw_components": "prc_cli.kernels.surfaces",
+    "fill_strips": "prc_cli.kernels.fused_strips",
     "find_modes": "prc_cli.kernels.ground",
+    "find_walls": "prc_cli.kernels.fused_strips",
     "first_high_verticals": "prc_cli.kernels.verticals",
     "first_triggers": "prc_cli.kernels.suspicious",
     "forest_labels": "prc_cli.kernels.stems",
+    "fused_labels": "prc_cli.kernels.fused_classes",
     "goes_behind": "prc_cli.kernels.sensor",
     "ground_heights": "prc_cli.kernels.stems",
     "ground_profiles": "prc_cli.kernels.stems",
@@ -91,17 +106,24 @@ KERNELS: dict[str, str] = {
     "main_height": "prc_cli.kernels.ground",
     "mark_beyond": "prc_cli.kernels.labels",
     "mark_cars": "prc_cli.kernels.labels",
+    "mean_smoothness": "prc_cli.kernels.fused_classes",
+    "near_counts": "prc_cli.kernels.fused_neighbours",
+    "plane_points": "prc_cli.kernels.fused_neighbours",
     "possible_curbs": "prc_cli.kernels.curb",
     "potential_heights": "prc_cli.kernels.ground",
     "select_components": "prc_cli.kernels.surfaces",
     "sense": "prc_cli.kernels.sensor",
     "signed_angles": "prc_cli.kernels.angles",
+    "smooth_counts": "prc_cli.kernels.fused_neighbours",
     "stable_intervals": "prc_cli.kernels.fourier",
     "stem_shots": "prc_cli.kernels.stems",
     "support_histogram": "prc_cli.kernels.calibration",
     "support_mask": "prc_cli.kernels.support",
     "surface_image": "prc_cli.kernels.coarse",
     "upright_runs": "prc_cli.kernels.stems",
+    "walk_ground": "prc_cli.kernels.fused_ground",
+    "widen_levels": "prc_cli.kernels.fused_strips",
+    "widen_slots": "prc_cli.kernels.fused_strips",
 }
 """Module of every kernel, by name."""
 

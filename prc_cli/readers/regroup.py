@@ -28,7 +28,11 @@ def look_ahead_lines(points_per_line: int) -> int:
 
 
 def regroup(
-    blocks: Iterator[ScanBlock], lines_per_block: int | None = None, *, shots_per_block: int = 1 << 18
+    blocks: Iterator[ScanBlock],
+    lines_per_block: int | None = None,
+    *,
+    shots_per_block: int = 1 << 18,
+    look_ahead: int | None = None,
 ) -> Iterator[ScanBlock]:
     """Cut a stream into blocks of ``lines_per_block`` lines, each with the lines that follow it.
 
@@ -40,6 +44,8 @@ def regroup(
         k; only the last block of a scanner may hold fewer lines.
     shots_per_block : int
         Without ``lines_per_block``: about as many shots, at least one line.
+    look_ahead : int, optional
+        Lines that are shown after a block; default: those of :func:`look_ahead_lines`.
 
     Yields
     ------
@@ -50,22 +56,23 @@ def regroup(
     for block in blocks:
         buffer = buffers.setdefault(block.scanner, LineBuffer())
         buffer.add(block)
-        ahead, k = look_ahead_lines(block.points_per_line), lines_per_block
+        ahead = look_ahead_lines(block.points_per_line) if look_ahead is None else look_ahead
+        k = lines_per_block
         k = k if k is not None else max(1, shots_per_block // block.points_per_line)
         while buffer.n_lines >= k + ahead:
             yield buffer.take(k, ahead)
         if block.is_last:
-            yield from _rest(buffers.pop(block.scanner), k)
+            yield from _rest(buffers.pop(block.scanner), k, ahead)
     for scanner in sorted(buffers):
         buffer = buffers[scanner]
-        n_lines = max(1, shots_per_block // buffer.parts[0].points_per_line)
-        yield from _rest(buffer, lines_per_block if lines_per_block is not None else n_lines)
+        width = buffer.parts[0].points_per_line
+        n_lines = lines_per_block if lines_per_block is not None else max(1, shots_per_block // width)
+        yield from _rest(buffer, n_lines, look_ahead_lines(width) if look_ahead is None else look_ahead)
 
 
-def _rest(buffer: LineBuffer, lines_per_block: int) -> Iterator[ScanBlock]:
+def _rest(buffer: LineBuffer, lines_per_block: int, ahead: int) -> Iterator[ScanBlock]:
     """Give out the last lines of a scanner; the last of them says so."""
     while buffer.n_lines:
-        ahead = look_ahead_lines(buffer.parts[0].points_per_line)
         block = buffer.take(min(lines_per_block, buffer.n_lines), ahead)
         yield replace(block, is_last=not buffer.n_lines)
 

@@ -1,0 +1,129 @@
+"""The decision: what every shot is, by a list of questions in a fixed order."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.ground import Ground, GroundParams
+from prc_cli.classifiers.fused.neighbours import Neighbours
+from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.classifiers.fused.strips import Standing, WallParams
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, U8
+
+NEVER = 1e9
+
+
+class NoiseParams(Params):
+    """What is noise beside what is alone (``[fused.noise]``)."""
+
+    spikes: bool = Field(True, description="whether a rough shot amid smooth ones is noise")
+    spike_share: float = Field(
+        0.7, ge=0, le=1, description="how smooth its surroundings are then, 0 = all rough, 1 = all smooth"
+    )
+    leaves: bool = Field(True, description="whether a lonely shot among rough ones is a leaf")
+    leaf_slots: int = Field(
+        5, ge=1, le=9, description="slots of 0.25 m around it, of 9, with rough shots in its strip and those beside"
+    )
+
+
+class LeavesParams(Params):
+    """What foliage is (``[fused.leaves]``)."""
+
+    half_width_m: float = Field(0.35, gt=0, le=100, description="half width of the place whose smoothness counts [m]")
+    share: float = Field(0.4, ge=0, le=1, description="places less smooth than this are foliage")
+    share_before_walls: float = Field(0.2, ge=0, le=1, description="the same close before a wall")
+
+
+class CarParams(Params):
+    """Low things with level surfaces, that have no class (``[fused.cars]``)."""
+
+    enabled: bool = Field(True, description="whether they are told from walls and hedges")
+    top_m: float = Field(3.4, ge=0, le=15, description="what reaches above this is no car, in the scan plane [m]")
+    level_bins: int = Field(3, ge=1, le=13, description="width of level surface within 1.5 m of it, of smooth things")
+    level_bins_rough: int = Field(6, ge=1, le=13, description="the same of rough ones, as behind panes")
+
+
+class PoleParams(Params):
+    """Thin upright things: trunks below crowns, and poles, that have no class (``[fused.poles]``)."""
+
+    enabled: bool = Field(True, description="whether they are told from walls")
+    height_m: float = Field(1.0, gt=0, le=100, description="their part of a line is less high than this [m]")
+    jump_m: float = Field(0.5, gt=0, le=100, description="range at which it ends [m]")
+    far_m: float = Field(1.0, ge=0, le=100, description="what is seen beside them is so much farther, or nothing [m]")
+    crown_slots: int = Field(5, ge=1, le=64, description="slots of 0.25 m with rough shots above them make them trunks")
+    foot_m: float = Field(0.3, ge=0, le=10, description="lower shots, and lonely leaves, are not looked at [m]")
+
+
+@stage("texture")
+def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
+    """Average the smoothness around every shot; see :func:`prc_cli.kernels.fused_classes.mean_smoothness`."""
+    texture: F32 = kernels.mean_smoothness(
+        range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m)
+    )
+    return texture
+
+
+@stage("classes")
+def decide(
+    window_m: F32,
+    points: tuple[F32, F32],
+    seen: Neighbours,
+    ground: Ground,
+    texture: F32,
+    standing: Standing,
+    plane: ScanPlane,
+    figures: F32,
+) -> U8:
+    """Label every shot of a block; see :func:`prc_cli.kernels.fused_classes.fused_labels`.
+
+    In this order: alone, unless a leaf: noise. A spike: noise. Rough and far below the ground: noise. On the ground:
+    ground. Low with level surfaces: no class. Thin and upright: vegetation below a crown, else no class. Rough place,
+    and neither in a wall nor behind its windows: vegetation. All else: building.
+    """
+    labels: U8 = kernels.fused_labels(
+        window_m, (*points, ground.above_m), seen.counts, ground.walked, texture, standing.slots, standing.walls,
+        standing.levels, plane.step_rad, figures,
+    )  # fmt: skip
+    return labels
+
+
+def decision_figures(
+    least_near: int,
+    ground: GroundParams,
+    walls: WallParams,
+    noise: NoiseParams,
+    leaves: LeavesParams,
+    cars: CarParams,
+    poles: PoleParams,
+) -> F32:
+    """Return the numbers of the decision in the order of the loop; steps that are off get numbers that never hold."""
+    return np.array(
+        [
+            least_near,
+            noise.spike_share if noise.spikes else NEVER,
+            ground.below_m,
+            noise.leaf_slots if noise.leaves else NEVER,
+            ground.walked_m,
+            ground.level_m,
+            ground.soil_m,
+            leaves.share,
+            leaves.share_before_walls,
+            walls.before_m,
+            walls.front_m,
+            walls.behind_m,
+            walls.over_m,
+            cars.top_m,
+            cars.level_bins if cars.enabled else NEVER,
+            cars.level_bins_rough if cars.enabled else NEVER,
+            poles.height_m if poles.enabled else 0.0,
+            poles.jump_m,
+            poles.far_m,
+            poles.crown_slots,
+            poles.foot_m,
+        ],
+        np.float32,
+    )

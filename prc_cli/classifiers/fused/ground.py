@@ -1,0 +1,131 @@
+"""The ground: a walk outwards along every line, from one level shot to the next, with a memory of the lines before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.neighbours import Neighbours
+from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, I32, Mask
+
+BINS = 320
+"""Places on either side at which the ground is remembered, 0.25 m wide."""
+NEVER = 1 << 20
+"""Age of what was never seen, in lines."""
+HEIGHT_STEP_M = 0.1
+"""Step of the heights among which the first one is chosen [m]."""
+
+
+class GroundParams(Params):
+    """How the ground is followed (``[fused.ground]``)."""
+
+    step_m: float = Field(
+        0.14, ge=0, le=10, description="the ground rises or falls by less than this from shot to shot, as at a curb [m]"
+    )
+    slope: float = Field(0.3, ge=0, le=10, description="and by so much more for every metre between the two ...")
+    slope_reach_m: float = Field(0.5, ge=0, le=100, description="... up to so many metres [m]")
+    gap_slope: float = Field(0.08, ge=0, le=10, description="and so much for every metre, where nothing lies between")
+    known_m: float = Field(0.15, ge=0, le=10, description="what is this near to the lines before is ground as well [m]")
+    memory_lines: int = Field(60, ge=0, le=100_000, description="lines that a place is remembered for; 0 = none")
+    follow: float = Field(0.4, gt=0, le=1, description="share of what is new in the memory of a place")
+    walked_m: float = Field(
+        0.3, ge=0, le=10, description="shots of the walk are ground if this near to the profile of the ground [m]"
+    )
+    level_m: float = Field(0.12, ge=0, le=10, description="so are others that are more level than upright, within [m]")
+    soil_m: float = Field(0.06, ge=0, le=10, description="and all that is not upright, within [m]")
+    below_m: float = Field(0.3, ge=0, le=1e9, description="what is rough and farther below than this is noise [m]")
+    start_reach_m: float = Field(
+        4.0, gt=0, le=100, description="where nothing is remembered, the ground this far to the side is the start [m]"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundMemory:
+    """What the lines before say of the ground."""
+
+    height_m: F32
+    """(2, BINS) float32, height of the ground at every place, left and right [m]."""
+    age: I32
+    """(2, BINS) int32, lines since it was seen."""
+
+    @classmethod
+    def none(cls) -> GroundMemory:
+        """Return the memory before the first line."""
+        return cls(np.zeros((2, BINS), np.float32), np.full((2, BINS), NEVER, np.int32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """The ground under the lines of a window."""
+
+    above_m: F32
+    """(lines, M) float32, height of every shot above it [m]; NaN = missing."""
+    walked: Mask
+    """(lines, M) bool, shots that the walk went over."""
+
+
+@stage("ground")
+def follow_ground(
+    points: tuple[F32, F32],
+    seen: Neighbours,
+    plane: ScanPlane,
+    memory: GroundMemory,
+    least_near: int,
+    keep: int,
+    params: GroundParams,
+) -> tuple[Ground, GroundMemory]:
+    """Find the ground of consecutive lines; see :func:`prc_cli.kernels.fused_ground.walk_ground`.
+
+    Parameters
+    ----------
+    points : tuple of (lines, M) float32, metres
+        Side and height in the scan plane.
+    seen : Neighbours
+    plane : ScanPlane
+    memory : GroundMemory
+        Before the first of these lines.
+    least_near : int
+        Shots with fewer near neighbours do not count.
+    keep : int
+        The memory before this line is given back.
+    params : GroundParams
+
+    Returns
+    -------
+    Ground, GroundMemory
+    """
+    figures = [
+        least_near, params.step_m, params.slope, params.slope_reach_m, params.gap_slope, params.known_m,
+        params.memory_lines, params.follow,
+    ]  # fmt: skip
+    start_m = 0.0
+    if memory.age.min() >= params.memory_lines:
+        start_m = start_height(*points, seen, params)
+    above, walked, height_m, age = kernels.walk_ground(
+        *points, seen.counts, plane.left, plane.right, memory.height_m, memory.age, np.float32(start_m), keep,
+        np.array(figures, np.float32),
+    )  # fmt: skip
+    return Ground(above, walked), GroundMemory(height_m, age)
+
+
+def start_height(side_m: F32, height_m: F32, seen: Neighbours, params: GroundParams) -> float:
+    """Return the height of the ground around the scanner: the lowest at which much is smooth and level.
+
+    Much is at least a quarter of the most at any height. Where nothing is smooth below the scanner near to it, all that
+    is lower than the scanner counts; 0 where there is nothing at all.
+    """
+    low = (seen.smooth > 0) & (seen.level > seen.upright) & (height_m < 0)
+    near = low & (np.abs(side_m) < params.start_reach_m)
+    heights = height_m[near] if near.any() else height_m[low]
+    if not len(heights):
+        return 0.0
+    counts = np.bincount((-heights / HEIGHT_STEP_M).astype(np.int64))
+    steps = np.flatnonzero(counts >= counts.max() / 4)
+    chosen = (-heights / HEIGHT_STEP_M).astype(np.int64) == steps[-1]
+    return float(np.median(heights[chosen]))

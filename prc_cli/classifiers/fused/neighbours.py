@@ -1,0 +1,105 @@
+"""What the neighbours of a shot say: whether it is alone, lies on something smooth, and which way that goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, U8
+
+
+class CompanyParams(Params):
+    """When a neighbour is near (``[fused.company]``)."""
+
+    near_m: float = Field(0.4, ge=0, le=100, description="near to the side and in height, each, is within this [m] ...")
+    near_steps: float = Field(3.0, ge=0, le=1000, description="... or so many distances of two columns")
+    thin_m: float = Field(
+        0.1, ge=0, le=100, description="on one level, or upright above each other, is within this [m] ..."
+    )
+    along_m: float = Field(1.0, ge=0, le=100, description="... and within this in the other direction [m] ...")
+    along_steps: float = Field(8.0, ge=0, le=1000, description="... or so many distances of two columns")
+    least: int = Field(
+        3, ge=0, le=28, description="shots with fewer near neighbours, of 28, are alone; 0 = none is alone"
+    )
+
+
+class SmoothnessParams(Params):
+    """When shots lie on a smooth surface (``[fused.smoothness]``)."""
+
+    noise_sigmas: float = Field(2.5, ge=0, le=100, description="tolerance, in standard deviations of the range noise")
+    least_m: float = Field(0.006, ge=0, le=10, description="least tolerance [m]")
+    per_metre: float = Field(0.0006, ge=0, le=1, description="what is added to it for every metre of range [m]")
+    per_step: float = Field(0.1, ge=0, le=10, description="and the share of the distance of two columns")
+    gap_m: float = Field(0.4, gt=0, le=100, description="pairs in a line are less apart than this [m] ...")
+    gap_steps: float = Field(16.0, gt=0, le=1000, description="... or so many distances of two columns")
+
+
+class DirectionParams(Params):
+    """Which way a surface goes (``[fused.directions]``)."""
+
+    chord_m: float = Field(0.15, gt=0, le=100, description="reach of a chord to either side [m]")
+    slope: float = Field(0.35, ge=0, le=1, description="an upright chord leans less than this, a level one rises less")
+    slack_m: float = Field(0.02, ge=0, le=10, description="and by no more than this beside [m]")
+    longest_m: float = Field(2.0, gt=0, le=1000, description="longer chords say nothing [m]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Neighbours:
+    """What neighbours say, of the inner lines of a window."""
+
+    near: U8
+    """(lines, M) uint8, neighbours close in space, of 28."""
+    smooth: U8
+    """(lines, M) uint8, pairs of neighbours on a smooth surface with the shot, of 10."""
+    upright: U8
+    """(lines, M) uint8, upright chords, of 3."""
+    level: U8
+    """(lines, M) uint8, level chords, of 3."""
+
+    @property
+    def counts(self) -> tuple[U8, U8, U8, U8]:
+        """All four."""
+        return self.near, self.smooth, self.upright, self.level
+
+
+@stage("company")
+def near_neighbours(window_m: F32, points: tuple[F32, F32], plane: ScanPlane, params: CompanyParams) -> U8:
+    """Count the near neighbours of every shot, in its own line and two lines before and after.
+
+    Near is meant in space, so that a surface at grazing incidence, whose ranges differ by metres from shot to shot,
+    keeps its shots together: they are on one level, or above each other.
+    """
+    figures = [params.near_m, params.near_steps, params.thin_m, params.along_m, params.along_steps]
+    counts: U8 = kernels.near_counts(window_m, *points, plane.step_rad, np.array(figures, np.float32))
+    return counts
+
+
+@stage("smoothness")
+def smooth_pairs(
+    window_m: F32, points: tuple[F32, F32], plane: ScanPlane, noise_m: float, params: SmoothnessParams
+) -> U8:
+    """Count the pairs of neighbours that every shot is on a smooth surface with, in its line and across lines."""
+    figures = [
+        max(params.least_m, params.noise_sigmas * noise_m),
+        params.per_metre + params.per_step * float(plane.step_rad),
+        params.gap_m,
+        params.gap_steps,
+    ]
+    counts: U8 = kernels.smooth_counts(window_m, *points, plane.step_rad, np.array(figures, np.float32))
+    return counts
+
+
+@stage("directions")
+def chords(
+    range_m: F32, points: tuple[F32, F32], smooth: U8, plane: ScanPlane, params: DirectionParams
+) -> tuple[U8, U8]:
+    """Count the upright and the level chords through every shot."""
+    figures = np.array([params.chord_m, params.slope, params.slack_m, params.longest_m], np.float32)
+    upright, level = kernels.directions(range_m, *points, smooth, plane.step_rad, figures)
+    return upright, level

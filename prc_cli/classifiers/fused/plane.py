@@ -1,0 +1,128 @@
+"""The scan plane: where the beams point, what a shot hits in it, and how precisely the scanner measures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.terrain import Plane
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, F64, I32
+
+AROUND_LINES = 4
+"""Lines before and after a block that its labels depend on."""
+INNER_LINES = 2
+"""Those of them of which the neighbours are known as well."""
+MARGIN = 4
+"""Columns of nothing on either side of the points of the scan plane."""
+NORMAL_QUARTILE = 0.6745
+"""Half of the values of a normal law are within so many standard deviations."""
+MIDDLE_OF_THREE = 1.5
+"""Variance of a point's distance from the middle of its neighbours, in variances of one range."""
+LEAST_TRIPLES = 100
+"""Fewer do not tell the noise."""
+
+
+class SensorParams(Params):
+    """How precisely the scanner measures (``[fused.sensor]``)."""
+
+    range_noise_m: float | Literal["auto"] = Field(
+        "auto", description='standard deviation of ranges on smooth surfaces [m]; "auto" = from the first block'
+    )
+    default_noise_m: float = Field(0.005, gt=0, le=1, description="the same where the first block is too short [m]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanPlane:
+    """Where the beams of a scanner point, as the loops need it."""
+
+    sine: F32
+    """(M,) float32, metres to the side for every metre of range; its sign is the side."""
+    cosine: F32
+    """(M,) float32, metres down for every metre of range."""
+    step_rad: np.float32
+    """Angle between neighbouring columns, in the middle [rad]."""
+    left: I32
+    """(n,) int32, columns of the side that counts as positive, from straight down to straight up."""
+    right: I32
+    """(n,) int32, those of the other side."""
+
+    @classmethod
+    def of(cls, beam_rad: F64) -> ScanPlane:
+        """Return the plane of beams, (M,) float64, given by their angles from straight down in (-pi, pi] [rad].
+
+        >>> ScanPlane.of(np.deg2rad([-10.0, 0.0, 10.0, 20.0])).left.tolist()
+        [1, 2, 3]
+        """
+        plane = Plane.of(beam_rad)
+        outwards = np.argsort(np.abs(beam_rad), kind="stable").astype(np.int32)
+        positive = beam_rad[outwards] >= 0
+        return cls(
+            plane.sine.astype(np.float32),
+            plane.cosine.astype(np.float32),
+            np.float32(max(plane.step_rad, 1e-6)),
+            np.ascontiguousarray(outwards[positive]),
+            np.ascontiguousarray(outwards[~positive]),
+        )
+
+
+@stage("scan plane")
+def points_of(window_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
+    """Return where the shots of a window are in the scan plane: to the side, and above the scanner.
+
+    Parameters
+    ----------
+    window_m : (lines, M) float32, metres
+        NaN = missing.
+    plane : ScanPlane
+
+    Returns
+    -------
+    side_m, height_m : (lines, M + 2 MARGIN) float32, metres
+        ``r sin(beam)`` and ``-r cos(beam)``, NaN in the margins.
+    """
+    side, height = kernels.plane_points(window_m, plane.sine, plane.cosine, MARGIN)
+    return side, height
+
+
+def inner(image: F32) -> F32:
+    """Cut the lines of which the neighbours are known out of a window with margins."""
+    return np.ascontiguousarray(image[INNER_LINES:-INNER_LINES, MARGIN:-MARGIN])
+
+
+@stage("range noise")
+def range_noise(side_m: F32, height_m: F32, params: SensorParams) -> float:
+    """Return the standard deviation of ranges on smooth surfaces [m].
+
+    From how far every shot lies off the straight line through its two neighbours. On a smooth surface that is noise
+    alone, of which the middle value tells; most of what a scanner on a road sees is smooth.
+
+    Parameters
+    ----------
+    side_m, height_m : (lines, M) float32, metres
+        Points of the scan plane.
+    params : SensorParams
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> side = np.tile(np.linspace(1, 9, 800, dtype=np.float32), (20, 1))
+    >>> height = rng.normal(-2, 0.01, side.shape).astype(np.float32)
+    >>> round(range_noise(side, height, SensorParams()), 3)
+    0.01
+    """
+    if params.range_noise_m != "auto":
+        return params.range_noise_m
+    dy, dz = side_m[:, 2:] - side_m[:, :-2], height_m[:, 2:] - height_m[:, :-2]
+    across = dy * (height_m[:, 1:-1] - height_m[:, :-2]) - dz * (side_m[:, 1:-1] - side_m[:, :-2])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        off = np.abs(across) / np.hypot(dy, dz)
+    off = off[np.isfinite(off)]
+    if len(off) < LEAST_TRIPLES:
+        return params.default_noise_m
+    return float(np.median(off)) / NORMAL_QUARTILE / MIDDLE_OF_THREE**0.5

@@ -1,0 +1,87 @@
+"""What stands above the ground, in narrow strips beside the scanner: how high it reaches, and which of it are walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.neighbours import Neighbours
+from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.types import F32, U8
+
+NEVER_M = 1e9
+
+
+class StripsParams(Params):
+    """What counts in a strip (``[fused.strips]``)."""
+
+    foot_m: float = Field(0.15, ge=0, le=10, description="what is lower above the ground is left out [m]")
+    rough: int = Field(2, ge=0, le=10, description="shots with so many smooth pairs, of 10, or fewer are rough")
+    smooth: int = Field(3, ge=0, le=11, description="shots with so many or more are smooth")
+    jump_m: float = Field(1.0, ge=0, le=100, description="a level surface goes on to a neighbour that is nearer [m]")
+
+
+class WallParams(Params):
+    """What a wall is, and what is seen through it (``[fused.walls]``)."""
+
+    enabled: bool = Field(True, description="whether rough shots in walls and behind their windows are building")
+    height_m: float = Field(
+        1.5, gt=0, le=1000, description="smooth upright surface that it shows at least, in the mean of five lines [m]"
+    )
+    share: float = Field(0.3, ge=0, le=1, description="its share of all that stands there")
+    front_m: float = Field(0.4, ge=0, le=10, description="what is this close before a wall belongs to it [m]")
+    behind_m: float = Field(2.5, ge=0, le=100, description="so does what is seen through it, up to so far behind [m]")
+    over_m: float = Field(0.3, ge=0, le=10, description="by lines of sight up to so much above its top [m]")
+    before_m: float = Field(
+        1.6, ge=0, le=100, description="before a wall, up to so far, leaves must be rougher: balconies are there [m]"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """What stands beside the lines of a block."""
+
+    slots: tuple[NDArray[np.uint64], NDArray[np.uint64]]
+    """(lines, strips) uint64, heights with shots and with rough ones, a bit for every 0.25 m."""
+    walls: tuple[F32, F32, F32]
+    """(lines, strips) float32, side and top of the wall in or before a strip, and side of the wall in or behind it."""
+    levels: U8
+    """(lines, 2 strips) uint8, 1 where a low level surface is."""
+
+
+@stage("strips")
+def stand(
+    points: tuple[F32, F32, F32, F32],
+    seen: Neighbours,
+    plane: ScanPlane,
+    least_near: int,
+    car_top_m: float,
+    strips: StripsParams,
+    walls: WallParams,
+) -> Standing:
+    """Sort what stands above the ground into strips, and put five lines together.
+
+    Parameters
+    ----------
+    points : tuple of (lines + 4, M) float32, metres
+        Range, side, height, height above the ground.
+    seen : Neighbours
+    plane : ScanPlane
+    least_near : int
+        Shots with fewer near neighbours do not count.
+    car_top_m : float
+        Level surfaces above this do not count [m].
+    strips : StripsParams
+    walls : WallParams
+    """
+    figures = [least_near, strips.foot_m, strips.rough, strips.smooth, car_top_m, strips.jump_m]
+    slots, sums, levels = kernels.fill_strips(points, seen.counts, plane.step_rad, np.array(figures, np.float32))
+    height_m = walls.height_m if walls.enabled else NEVER_M
+    found = kernels.find_walls(sums, np.array([height_m, walls.share, walls.behind_m, walls.before_m], np.float32))
+    return Standing((kernels.widen_slots(slots[0]), kernels.widen_slots(slots[1])), found, kernels.widen_levels(levels))

@@ -1,0 +1,188 @@
+"""The loop that walks along the ground of every line, away from the scanner on both sides, for the fused classifier."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.kernels.cache import helper, kernel
+
+BINS, BIN_M = 320, np.float32(0.25)
+"""Places beside the scanner at which the ground is remembered, on either side, and how wide they are [m]."""
+LEAST_NEAR, STEP_M, SLOPE, SLOPE_REACH_M, GAP_SLOPE, KNOWN_M, MEMORY_LINES, FOLLOW = range(8)
+"""Figures of the walk, in this order."""
+BACK_M = np.float32(0.05)
+"""Ground may go back so far on its way out, by the noise of ranges [m]."""
+WITHIN_BIN = np.float32(0.25)
+"""Share of a shot in the height of its place, beside those of the line before it."""
+
+
+@helper
+def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.float32:
+    """Return the height that a walk starts from: that of the nearest place that is remembered."""
+    for b in range(BINS):
+        if np.float32(age[b]) < lines:
+            return memory[b]
+    return start_m
+
+
+@helper
+def _walk(
+    columns: I32,
+    sign: np.float32,
+    points: tuple[F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    known: tuple[F32, I32],
+    start_m: np.float32,
+    figures: F32,
+    profile: F32,
+    seen: U8,
+    walked: Mask,
+) -> None:
+    """Follow the ground outwards along one side of a line: from level shot to level shot, in small steps of height."""
+    near, smooth, upright, level = counts
+    memory, age = known
+    last_y, last_z = np.float32(0.0), _start(memory, age, start_m, figures[MEMORY_LINES])
+    least = figures[LEAST_NEAR]
+    for k in range(len(columns)):
+        i = columns[k]
+        if np.float32(near[i]) < least or smooth[i] == 0 or level[i] <= upright[i]:
+            continue
+        y, z = points[0][i] * sign, points[1][i]
+        out = y - last_y
+        b = int(y / BIN_M)
+        if out < -BACK_M or y < np.float32(0.0) or b >= BINS:
+            continue
+        out = max(out, np.float32(0.0))
+        limit = figures[STEP_M] + figures[SLOPE] * min(out, figures[SLOPE_REACH_M]) + figures[GAP_SLOPE] * out
+        remembered = np.float32(age[b]) < figures[MEMORY_LINES] and abs(z - memory[b]) < figures[KNOWN_M]
+        if abs(z - last_z) <= limit or remembered:
+            walked[i] = True
+            if seen[b]:
+                profile[b] += (z - profile[b]) * WITHIN_BIN
+            else:
+                profile[b], seen[b] = z, 1
+            last_y, last_z = y, z
+
+
+@helper
+def _remember(profile: F32, seen: U8, memory: F32, age: I32, figures: F32) -> None:
+    """Let the memory follow what a line saw, and the profile show what is remembered where the line saw nothing."""
+    for b in range(BINS):
+        fresh = np.float32(age[b]) < figures[MEMORY_LINES]
+        if seen[b]:
+            memory[b] = memory[b] + (profile[b] - memory[b]) * figures[FOLLOW] if fresh else profile[b]
+            age[b] = 0
+            profile[b] = memory[b]
+        else:
+            if age[b] < np.iinfo(np.int32).max:
+                age[b] += 1
+            if np.float32(age[b]) < figures[MEMORY_LINES]:
+                profile[b], seen[b] = memory[b], 1
+
+
+@helper
+def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
+    """Draw straight lines between the places where the ground is known, and level ones beyond the outermost."""
+    last = -1
+    for b in range(BINS):
+        if not seen[b]:
+            continue
+        if last < 0:
+            profile[:b] = profile[b]
+        elif b - last > 1:
+            rise = (profile[b] - profile[last]) / np.float32(b - last)
+            for q in range(last + 1, b):
+                profile[q] = profile[last] + rise * np.float32(q - last)
+        last = b
+    profile[last + 1 :] = profile[last] if last >= 0 else start_m
+
+
+@helper
+def _heights(columns: I32, sign: np.float32, points: tuple[F32, F32], profile: F32, above: F32) -> None:
+    """Write the heights of the shots of a side above the profile."""
+    half = np.float32(0.5)
+    for k in range(len(columns)):
+        i = columns[k]
+        y = points[0][i] * sign
+        if y != y:
+            continue
+        place = max(y / BIN_M - half, np.float32(0.0))
+        b = min(int(place), BINS - 2)
+        share = min(place - np.float32(b), np.float32(1.0))
+        above[i] = points[1][i] - (profile[b] + (profile[b + 1] - profile[b]) * share)
+
+
+@kernel(
+    "Tuple((float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[:, ::1]))"
+    "(float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), int32[::1], int32[::1],"
+    " float32[:, ::1], int32[:, ::1], float32, int64, float32[::1])"
+)
+def walk_ground(
+    side_m: F32,
+    height_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    left: I32,
+    right: I32,
+    memory_m: F32,
+    age: I32,
+    start_m: np.float32,
+    keep: int,
+    figures: F32,
+) -> tuple[F32, Mask, F32, I32]:
+    """Find the ground of consecutive lines, and the height of every shot above it.
+
+    Parameters
+    ----------
+    side_m, height_m : (lines, M) float32, metres
+        Points of the scan plane; NaN = missing.
+    counts : tuple of (lines, M) uint8
+        Near neighbours, smooth pairs, upright and level chords of every shot.
+    left, right : (n,) int32
+        Columns of positive and negative side, from straight down to straight up.
+    memory_m : (2, BINS) float32, metres
+        Height of the ground at every place beside the scanner, left and right, as last seen.
+    age : (2, BINS) int32
+        Lines since then.
+    start_m : float32
+        Height of the ground where nothing is remembered [m].
+    keep : int
+        The memory that is given back is that before this line; 0 to lines.
+    figures : (8,) float32
+        Shots with LEAST_NEAR near neighbours count. Ground goes up or down by less than STEP_M from one shot to the
+        next, SLOPE more for every metre between them up to SLOPE_REACH_M, and GAP_SLOPE for every metre; or it lies
+        within KNOWN_M of the memory, which lasts MEMORY_LINES and goes FOLLOW of the way to what a line sees.
+
+    Returns
+    -------
+    above_m : (lines, M) float32, metres
+        NaN = missing.
+    walked : (lines, M) bool
+        Shots that the walk went over.
+    memory_m, age
+        As given, for the lines from ``keep`` on.
+    """
+    n_lines, m = side_m.shape
+    above = np.full((n_lines, m), np.float32(np.nan), np.float32)
+    walked = np.zeros((n_lines, m), np.bool_)
+    memory, ages = memory_m.copy(), age.copy()
+    kept_memory, kept_ages = memory_m.copy(), age.copy()
+    profile, seen = np.empty(BINS, np.float32), np.empty(BINS, np.uint8)
+    near, smooth, upright, level = counts
+    for line in range(n_lines):
+        if line == keep:
+            kept_memory[:], kept_ages[:] = memory, ages
+        points = (side_m[line], height_m[line])
+        own = (near[line], smooth[line], upright[line], level[line])
+        for s in range(2):
+            columns = left if s == 0 else right
+            sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
+            seen[:] = 0
+            profile[:] = np.float32(0.0)
+            _walk(columns, sign, points, own, (memory[s], ages[s]), start_m, figures, profile, seen, walked[line])
+            _remember(profile, seen, memory[s], ages[s], figures)
+            _fill(profile, seen, start_m)
+            _heights(columns, sign, points, profile, above[line])
+    if keep >= n_lines:
+        kept_memory[:], kept_ages[:] = memory, ages
+    return above, walked, kept_memory, kept_ages

@@ -1,0 +1,309 @@
+"""Loops over shots and their neighbours in the scan plane, for the fused classifier: company, smoothness, direction.
+
+Most read the *window* of a block: its lines with :data:`LINES` more before and after it, and :data:`COLUMNS` columns
+more on either side, NaN where there is nothing. So neighbours are plain shifts, and a comparison with what is not there
+is false.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import helper, inlined, kernel
+
+LINES, COLUMNS = 2, 4
+"""How far neighbours lie away at most."""
+NEAR_M, NEAR_STEPS, THIN_M, ALONG_M, ALONG_STEPS = range(5)
+"""Figures of company, in this order."""
+TOLERANCE_M, TOLERANCE_PER_M, GAP_M, GAP_STEPS = range(4)
+"""Figures of smoothness, in this order."""
+CHORD_M, SLOPE, SLACK_M, LONGEST_M = range(4)
+"""Figures of directions, in this order."""
+MOST_COLUMNS = 60
+"""Half a chord is never more columns long."""
+
+
+@kernel("UniTuple(float32[:, ::1], 2)(float32[:, ::1], float32[::1], float32[::1], int64)")
+def plane_points(range_m: F32, sine: F32, cosine: F32, margin: int) -> tuple[F32, F32]:
+    """Turn ranges into points of the scan plane.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        NaN = missing.
+    sine, cosine : (M,) float32
+        Of every column's beam from straight down.
+    margin : int
+        Columns of NaN to put on either side.
+
+    Returns
+    -------
+    side_m, height_m : (lines, M + 2 margin) float32, metres
+        Beside and above the scanner.
+    """
+    n_lines, m = range_m.shape
+    side = np.full((n_lines, m + 2 * margin), np.float32(np.nan), np.float32)
+    height = np.full((n_lines, m + 2 * margin), np.float32(np.nan), np.float32)
+    for line in range(n_lines):
+        own = range_m[line]
+        y, z = side[line, margin : margin + m], height[line, margin : margin + m]
+        for i in range(m):
+            y[i] = own[i] * sine[i]
+            z[i] = -(own[i] * cosine[i])
+    return side, height
+
+
+@inlined
+def _is_near(dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32) -> np.uint8:
+    """Tell whether two points are close, or on one level or upright surface, which may be met at grazing incidence."""
+    a, b = abs(dy), abs(dz)
+    low, high = min(a, b), max(a, b)
+    return np.uint8((high < near) | ((low < thin) & (high < along)))
+
+
+@kernel("uint8[:, ::1](float32[:, ::1], float32[:, ::1], float32[:, ::1], float32, float32[::1])")
+def near_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figures: F32) -> U8:
+    """Count the neighbours that a shot has in space: of 8 in its own line and 20 in the two lines before and after.
+
+    Parameters
+    ----------
+    range_m : (lines + 4, M) float32, metres
+        The window without its margins.
+    side_m, height_m : (lines + 4, M + 8) float32, metres
+        The window of :func:`plane_points`.
+    step : float32, radians
+        Angle from column to column.
+    figures : (5,) float32
+        Near is within NEAR_M metres, or NEAR_STEPS times the distance of two columns, in both directions; or within
+        THIN_M in one of them and ALONG_M, or ALONG_STEPS times that distance, in the other.
+
+    Returns
+    -------
+    (lines, M) uint8
+        0 to 28; 0 where there is no return.
+    """
+    m = range_m.shape[1]
+    n_lines = range_m.shape[0] - 2 * LINES
+    near_m, near_steps, thin = figures[NEAR_M], figures[NEAR_STEPS], figures[THIN_M]
+    along_m, along_steps = figures[ALONG_M], figures[ALONG_STEPS]
+    counts = np.empty((n_lines, m), np.uint8)
+    for line in range(n_lines):
+        own, row = range_m[line + LINES], counts[line]
+        y, z = side_m[line + LINES, COLUMNS : COLUMNS + m], height_m[line + LINES, COLUMNS : COLUMNS + m]
+        for i in range(m):
+            row[i] = np.uint8(0)
+        for away in range(-LINES, LINES + 1):
+            reach = COLUMNS if away == 0 else LINES
+            for shift in range(-reach, reach + 1):
+                if away == 0 and shift == 0:
+                    continue
+                first = COLUMNS + shift
+                other_y = side_m[line + LINES + away, first : first + m]
+                other_z = height_m[line + LINES + away, first : first + m]
+                for i in range(m):
+                    apart = own[i] * step
+                    near = max(near_m, near_steps * apart)
+                    along = max(along_m, along_steps * apart)
+                    row[i] += _is_near(other_y[i] - y[i], other_z[i] - z[i], near, thin, along)
+    return counts
+
+
+@inlined
+def _on_line(
+    ay: np.float32,
+    az: np.float32,
+    by: np.float32,
+    bz: np.float32,
+    y: np.float32,
+    z: np.float32,
+    tolerance: np.float32,
+    gap: np.float32,
+) -> np.uint8:
+    """Tell whether a point lies on the line through two others that are not far from each other; squares are given."""
+    dy, dz = by - ay, bz - az
+    long = dy * dy + dz * dz
+    off = dy * (z - az) - dz * (y - ay)
+    return np.uint8((long < gap) & (off * off < tolerance * long))
+
+
+@inlined
+def _between(
+    ay: np.float32, az: np.float32, by: np.float32, bz: np.float32, y: np.float32, z: np.float32, tolerance: np.float32
+) -> np.uint8:
+    """Tell whether a point lies in the middle between two others; the square of the tolerance is given."""
+    half = np.float32(0.5)
+    dy, dz = (ay + by) * half - y, (az + bz) * half - z
+    return np.uint8(dy * dy + dz * dz < np.float32(4.0) * tolerance)
+
+
+@kernel("uint8[:, ::1](float32[:, ::1], float32[:, ::1], float32[:, ::1], float32, float32[::1])")
+def smooth_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figures: F32) -> U8:
+    """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
+
+    In the line, a shot must lie on the straight line through the pair; across lines, whose distance is not known, in
+    the middle between the pair, within twice the tolerance.
+
+    Parameters
+    ----------
+    range_m : (lines + 4, M) float32, metres
+    side_m, height_m : (lines + 4, M + 8) float32, metres
+        As for :func:`near_counts`.
+    step : float32, radians
+    figures : (4,) float32
+        The tolerance is TOLERANCE_M + TOLERANCE_PER_M times the range; the pair of a line is less than GAP_M, or
+        GAP_STEPS times the distance of two columns, from end to end.
+
+    Returns
+    -------
+    (lines, M) uint8
+        0 to 10; 0 where there is no return.
+    """
+    m = range_m.shape[1]
+    n_lines = range_m.shape[0] - 2 * LINES
+    base, per_m, gap_m, gap_steps = figures[0], figures[1], figures[2], figures[3]
+    counts = np.empty((n_lines, m), np.uint8)
+    c = COLUMNS
+    for line in range(n_lines):
+        k = line + LINES
+        own, row = range_m[k], counts[line]
+        y, z = side_m[k, c : c + m], height_m[k, c : c + m]
+        y1, z1 = side_m[k, c - 2 : c - 2 + m], height_m[k, c - 2 : c - 2 + m]
+        y2, z2 = side_m[k, c - 1 : c - 1 + m], height_m[k, c - 1 : c - 1 + m]
+        y3, z3 = side_m[k, c + 1 : c + 1 + m], height_m[k, c + 1 : c + 1 + m]
+        y4, z4 = side_m[k, c + 2 : c + 2 + m], height_m[k, c + 2 : c + 2 + m]
+        for i in range(m):
+            tolerance = base + per_m * own[i]
+            tolerance = tolerance * tolerance
+            gap = max(gap_m, gap_steps * (own[i] * step))
+            gap = gap * gap
+            row[i] = (
+                _on_line(y2[i], z2[i], y3[i], z3[i], y[i], z[i], tolerance, gap)
+                + _on_line(y1[i], z1[i], y4[i], z4[i], y[i], z[i], tolerance, gap)
+                + _on_line(y1[i], z1[i], y2[i], z2[i], y[i], z[i], tolerance, gap)
+                + _on_line(y3[i], z3[i], y4[i], z4[i], y[i], z[i], tolerance, gap)
+                + _on_line(y2[i], z2[i], y4[i], z4[i], y[i], z[i], tolerance, gap)
+                + _on_line(y1[i], z1[i], y3[i], z3[i], y[i], z[i], tolerance, gap)
+            )
+        for pair in range(4):
+            away = 2 if pair == 3 else 1
+            shift = 0 if pair in (0, 3) else (1 if pair == 1 else -1)
+            ay, az = side_m[k - away, c + shift : c + shift + m], height_m[k - away, c + shift : c + shift + m]
+            by, bz = side_m[k + away, c - shift : c - shift + m], height_m[k + away, c - shift : c - shift + m]
+            for i in range(m):
+                tolerance = base + per_m * own[i]
+                row[i] += _between(ay[i], az[i], by[i], bz[i], y[i], z[i], tolerance * tolerance)
+    return counts
+
+
+@inlined
+def _is_upright(dy: np.float32, dz: np.float32, slope: np.float32, slack: np.float32, longest: np.float32) -> np.uint8:
+    """Tell whether a chord is upright, and not too long; exchange the two to ask whether it is level."""
+    return np.uint8((abs(dy) <= slope * abs(dz) + slack) & (dy * dy + dz * dz <= longest))
+
+
+@helper
+def _ends_before(reach: I32, smooth: U8, y: F32, z: F32, end_y: F32, end_z: F32) -> None:
+    """Write the points where the chords of a line begin: about so many columns back, on something smooth; or NaN."""
+    for i in range(len(reach)):
+        columns = reach[i]
+        found = -1
+        j = i - columns
+        if j >= 0 and smooth[j] > 0:
+            found = j
+        elif j >= 1 and smooth[j - 1] > 0:
+            found = j - 1
+        elif columns > 1 and j >= -1 and smooth[j + 1] > 0:
+            found = j + 1
+        end_y[i] = y[found] if found >= 0 else np.float32(np.nan)
+        end_z[i] = z[found] if found >= 0 else np.float32(np.nan)
+
+
+@helper
+def _ends_after(reach: I32, smooth: U8, y: F32, z: F32, end_y: F32, end_z: F32) -> None:
+    """Write the points where the chords of a line end; see :func:`_ends_before`."""
+    m = len(reach)
+    for i in range(m):
+        columns = reach[i]
+        found = -1
+        j = i + columns
+        if j < m and smooth[j] > 0:
+            found = j
+        elif j < m - 1 and smooth[j + 1] > 0:
+            found = j + 1
+        elif columns > 1 and j <= m and smooth[j - 1] > 0:
+            found = j - 1
+        end_y[i] = y[found] if found >= 0 else np.float32(np.nan)
+        end_z[i] = z[found] if found >= 0 else np.float32(np.nan)
+
+
+@helper
+def _count_chords(
+    points: tuple[F32, F32], before: tuple[F32, F32], after: tuple[F32, F32], figures: F32, upright: U8, level: U8
+) -> None:
+    """Count the chords of a line that are upright, and level: to one end, to the other, from end to end."""
+    slope, slack = figures[SLOPE], figures[SLACK_M]
+    longest = figures[LONGEST_M] * figures[LONGEST_M]
+    y, z = points
+    ay, az = before
+    by, bz = after
+    for i in range(len(y)):
+        # what is NaN is neither
+        dy1, dz1, dy2, dz2 = ay[i] - y[i], az[i] - z[i], by[i] - y[i], bz[i] - z[i]
+        # of a missing shot it is, too
+        dy3, dz3 = dy1 - dy2, dz1 - dz2
+        upright[i] = (
+            _is_upright(dy1, dz1, slope, slack, longest)
+            + _is_upright(dy2, dz2, slope, slack, longest)
+            + _is_upright(dy3, dz3, slope, slack, longest)
+        )
+        level[i] = (
+            _is_upright(dz1, dy1, slope, slack, longest)
+            + _is_upright(dz2, dy2, slope, slack, longest)
+            + _is_upright(dz3, dy3, slope, slack, longest)
+        )
+
+
+@kernel(
+    "UniTuple(uint8[:, ::1], 2)"
+    "(float32[:, ::1], float32[:, ::1], float32[:, ::1], uint8[:, ::1], float32, float32[::1])"
+)
+def directions(range_m: F32, side_m: F32, height_m: F32, smooth: U8, step: np.float32, figures: F32) -> tuple[U8, U8]:
+    """Count which chords through a shot are upright and which are level.
+
+    A chord reaches as far to both sides as CHORD_M is long at that range, to shots that lie on something smooth; it and
+    its two halves are looked at.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        NaN = missing.
+    side_m, height_m : (lines, M) float32, metres
+        Points of the scan plane.
+    smooth : (lines, M) uint8
+        Of :func:`smooth_counts`.
+    step : float32, radians
+    figures : (4,) float32
+        CHORD_M; a chord is upright where it goes less than SLOPE times its height, and SLACK_M, to the side, and level
+        the other way round; LONGEST_M, longer ones do not count.
+
+    Returns
+    -------
+    upright, level : (lines, M) uint8
+        0 to 3. A chord may be both where it is short.
+    """
+    n_lines, m = range_m.shape
+    upright = np.zeros((n_lines, m), np.uint8)
+    level = np.zeros((n_lines, m), np.uint8)
+    reach = np.empty(m, np.int32)
+    ay, az = np.empty(m, np.float32), np.empty(m, np.float32)
+    by, bz = np.empty(m, np.float32), np.empty(m, np.float32)
+    for line in range(n_lines):
+        own, y, z = range_m[line], side_m[line], height_m[line]
+        for i in range(m):
+            columns = np.float32(0.0) if own[i] != own[i] else figures[CHORD_M] / (own[i] * step)
+            reach[i] = np.int32(min(max(columns, np.float32(1.0)), np.float32(MOST_COLUMNS)))
+        _ends_before(reach, smooth[line], y, z, ay, az)
+        _ends_after(reach, smooth[line], y, z, by, bz)
+        _count_chords((y, z), (ay, az), (by, bz), figures, upright[line], level[line])
+    return upright, level
