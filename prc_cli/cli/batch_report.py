@@ -468,6 +468,8 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
     ]  # fmt: skip
     told = "".join(f", {count:,} {what}" for count, what in counts if count)
     results().print(f"{_n(len(plan.todo), 'file')} to do ({_size(plan.n_bytes)}){told}", soft_wrap=True)
+    if not plan.todo:
+        return
     for source in estimate.sources:
         results().print(printable(source), soft_wrap=True)
     seconds = "an unknown time" if estimate.seconds is None else f"about {_duration(estimate.seconds)}"

@@ -17,13 +17,14 @@ import pytest
 
 import prc_cli
 from prc_cli.batch import run as run_module
-from prc_cli.batch.plan import Estimate, Plan
+from prc_cli.batch.plan import Estimate, Plan, Planned
 from prc_cli.batch.run import Again, Listener, Noted, Ready
 from prc_cli.batch.settings import BatchSettings
 from prc_cli.batch.summary import Alarm, BatchSummary, LeftOut
-from prc_cli.batch.types import Done, Failed, InputPrint, Problem, Progress, Started
+from prc_cli.batch.types import Done, Failed, InputPrint, Problem, Progress, Started, Task
 from prc_cli.cli import main
 from prc_cli.cli.batch_report import failed_words
+from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from tests.street import street, write_csv, write_npz
@@ -406,11 +407,12 @@ def test_a_folder_may_have_the_name_of_a_part(prc: Run, play: Callable[..., None
 
 
 def test_an_estimate_that_is_not_known_is_said(prc: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = Estimate(None, None, ("bin: nothing known",), 2)
-    monkeypatch.setattr(run_module, "plan_batch", lambda *_: (Plan((), done=("x",)), nothing))
+    task = Task("a.bin", Path("a/a.bin"), Path("o/a.bin.labels.npy"), LoadedConfig(RunConfig()), "")
+    plan = Plan((Planned(task, "new", 3 << 20),), done=("x",))
+    monkeypatch.setattr(run_module, "plan_batch", lambda *_: (plan, Estimate(None, None, ("bin: nothing known",), 1)))
     found = prc("a", "o", "--dry-run")
-    assert "0 files to do (0.0 MiB), 1 done already" in found.out
-    assert "an unknown time, an unknown amount of memory, without 2 files" in found.out
+    assert "1 file to do (3.0 MiB), 1 done already" in found.out
+    assert "an unknown time, an unknown amount of memory, without 1 file" in found.out
     assert json.loads(prc("a", "o", "--dry-run", "--json").out)["estimate"]["seconds"] is None
 
 
