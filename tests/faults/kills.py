@@ -32,7 +32,7 @@ LONGEST_CHAIN = 10
 """Kills of one output folder in a row."""
 
 
-def kill_many(archive: Archive, folder: Path, n_kills: int, seed: int) -> Tally:
+def kill_many(archive: Archive, folder: Path, n_kills: int, seed: int, *, tell: bool = False) -> Tally:
     """Kill until there were so many kills; every chain of kills ends with a run that resumes."""
     rng = random.Random(seed)
     tally = Tally()
@@ -45,6 +45,8 @@ def kill_many(archive: Archive, folder: Path, n_kills: int, seed: int) -> Tally:
         assert code == 0, said
         check_whole(archive, out)
         tally.resumed_to_the_end += 1
+        if tell:
+            sys.stderr.write(f"{sum(tally.kills.values())} of {n_kills}: {tally}\n")
     return tally
 
 
@@ -85,7 +87,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="prc-faults-") as folder:
         archive = make_archive(Path(folder))
-        tally = kill_many(archive, Path(folder), options.kills, options.seed)
+        tally = kill_many(archive, Path(folder), options.kills, options.seed, tell=True)
     json.dump({**asdict(tally), "undisturbed_s": round(archive.seconds, 1)}, sys.stdout, indent=1)
     sys.stdout.write("\n")
 
