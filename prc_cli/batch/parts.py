@@ -33,7 +33,7 @@ from prc_cli.batch.work import may_pass, problem_of, run_task, stat_input
 from prc_cli.classifiers.prc.parts import WARM_UP_BLOCKS, BlockFacts, JoinedBlocks, JoinJob, PartBlocks
 from prc_cli.classifiers.prc.pipeline import BlockJob, PrcParams
 from prc_cli.classifiers.prc.support import window_reach
-from prc_cli.config import SEQUENTIAL_ANGLE
+from prc_cli.config import FUSED, SEQUENTIAL_ANGLE
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.stream import LabelledBlock, ScanBlock, SeekableStream
@@ -116,8 +116,10 @@ def split(task: Task, shots: int = SPLIT_SHOTS) -> tuple[Part, ...] | str:
     if before.size < 2 * shots:  # no format takes less than a byte a shot
         return ""
     config = task.config.config
-    if config.method == SEQUENTIAL_ANGLE:
-        return "the sequential-angle method hands its state from line to line"
+    if config.method != "prc":
+        return f"the method {config.method} hands its state from line to line"
+    if config.method == FUSED:
+        return "the fused method is not worked on in parts"
     if config.output.segment_ids:
         return "segment ids are numbered from the first block on"
     if suffix_of(task.source) not in SUFFIXES:
