@@ -33,7 +33,6 @@ from prc_cli.batch.work import may_pass, problem_of, run_task, stat_input
 from prc_cli.classifiers.prc.parts import WARM_UP_BLOCKS, BlockFacts, JoinedBlocks, JoinJob, PartBlocks
 from prc_cli.classifiers.prc.pipeline import BlockJob, PrcParams
 from prc_cli.classifiers.prc.support import window_reach
-from prc_cli.config import FUSED, SEQUENTIAL_ANGLE
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.stream import LabelledBlock, ScanBlock, SeekableStream
@@ -117,9 +116,7 @@ def split(task: Task, shots: int = SPLIT_SHOTS) -> tuple[Part, ...] | str:
         return ""
     config = task.config.config
     if config.method != "prc":
-        return f"the method {config.method} hands its state from line to line"
-    if config.method == FUSED:
-        return "the fused method is not worked on in parts"
+        return f"the method {config.method} is not worked on in parts"
     if config.output.segment_ids:
         return "segment ids are numbered from the first block on"
     if suffix_of(task.source) not in SUFFIXES:
