@@ -9,10 +9,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock, cut
 
 LOOK_AHEAD_SHOTS = 1
 """Shots needed beyond the next line: the flat index i + M + 1 of a line's last shot lies two lines on."""
+
+MOST_WAITING = 1 << 26
+"""Shots that may wait for their block: a scanner of 250,000 shots a line at 255 lines a block has fewer."""
 
 
 def look_ahead_lines(points_per_line: int) -> int:
@@ -51,6 +55,11 @@ def regroup(
     ------
     ScanBlock
         With ``next_m`` set. What the result holds does not depend on how the input was cut.
+
+    Raises
+    ------
+    InputError
+        When a block would hold more shots than memory can be asked for.
     """
     buffers: dict[int, LineBuffer] = {}
     for block in blocks:
@@ -59,6 +68,8 @@ def regroup(
         ahead = look_ahead_lines(block.points_per_line) if look_ahead is None else look_ahead
         k = lines_per_block
         k = k if k is not None else max(1, shots_per_block // block.points_per_line)
+        if buffer.n_lines < k + ahead and buffer.n_lines * block.points_per_line > MOST_WAITING:
+            raise _too_wide(block.points_per_line, k)
         while buffer.n_lines >= k + ahead:
             yield buffer.take(k, ahead)
         if block.is_last:
@@ -68,6 +79,15 @@ def regroup(
         width = buffer.parts[0].points_per_line
         n_lines = lines_per_block if lines_per_block is not None else max(1, shots_per_block // width)
         yield from _rest(buffer, n_lines, look_ahead_lines(width) if look_ahead is None else look_ahead)
+
+
+def _too_wide(points_per_line: int, lines_per_block: int) -> InputError:
+    problem = (
+        f"{lines_per_block} lines of {points_per_line} shots, expected at most {MOST_WAITING} shots in a block: "
+        "a few kilobytes can claim as many"
+    )
+    hint = "check the shots in a scan line (-M); if they are right, set fewer lines a block (prc.lines_per_block)"
+    return InputError("block of scan lines", problem, hint)
 
 
 def _rest(buffer: LineBuffer, lines_per_block: int, ahead: int) -> Iterator[ScanBlock]:
