@@ -70,4 +70,4 @@ class BatchSettings:
     drift: bool = True
     """Whether a file whose classes are unlike those of earlier ones raises an alarm."""
     keep_versions: tuple[str, ...] = ()
-    """Outputs of these older versions of the program count as those of this one."""
+    """Outputs of these older versions of the program stay, whatever the configuration was, until the input changes."""

@@ -145,6 +145,8 @@ def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(
     monkeypatch.setattr("prc_cli.batch.plan.__version__", "99")
     assert "changed version drive.npz" in prc(*options).out
     assert "0 files to do" in prc(*options, "--keep-version", "1", "--keep-version", old).out
+    # which may know keys that the old one did not
+    assert "0 files to do" in prc(*options, "--keep-version", old, "--set", "prc.surfaces.gamma=1").out
     assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
 
 
