@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from prc_cli.kernels.fourier import stable_intervals as stable_intervals
     from prc_cli.kernels.fused_classes import fused_labels as fused_labels
     from prc_cli.kernels.fused_classes import mean_smoothness as mean_smoothness
+    from prc_cli.kernels.fused_classes import vote_labels as vote_labels
     from prc_cli.kernels.fused_ground import walk_ground as walk_ground
     from prc_cli.kernels.fused_neighbours import directions as directions
     from prc_cli.kernels.fused_neighbours import near_counts as near_counts
@@ -121,6 +122,7 @@ KERNELS: dict[str, str] = {
     "support_mask": "prc_cli.kernels.support",
     "surface_image": "prc_cli.kernels.coarse",
     "upright_runs": "prc_cli.kernels.stems",
+    "vote_labels": "prc_cli.kernels.fused_classes",
     "walk_ground": "prc_cli.kernels.fused_ground",
     "widen_levels": "prc_cli.kernels.fused_strips",
     "widen_slots": "prc_cli.kernels.fused_strips",

@@ -55,6 +55,8 @@ BELOW_SMOOTH = 3
 """Smooth pairs below the ground that are no reflection."""
 ACROSS_LINES = 4
 """Lines before and after that tell whether a thing is thin."""
+VOTERS = 4
+"""Votes of a place in a line, on either side of a shot, where it has that many columns."""
 GAP_SHOTS = 3
 """Shots without support that part a run, beside as many as it is long."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
@@ -264,14 +266,14 @@ def fused_labels(
     step: np.float32,
     figures: F32,
 ) -> U8:
-    """Label every shot of a block.
+    """Label every shot of consecutive lines.
 
     Parameters
     ----------
     window_m : (lines + 8, M) float32, metres
-        Ranges of the block and of four lines before and after; NaN = missing.
+        Ranges of these lines and of four before and after; NaN = missing.
     points : tuple of (lines + 4, M) float32, metres
-        Side and height in the scan plane, and height above the ground, of the block and two lines before and after.
+        Side and height in the scan plane, and height above the ground, of these lines and two before and after.
     counts : tuple of (lines + 4, M) uint8
         Near neighbours, smooth pairs, upright and level chords.
     walked : (lines + 4, M) bool
@@ -358,3 +360,82 @@ def fused_labels(
                 label = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
             labels[line, i] = label
     return labels
+
+
+@inlined
+def _agree(labels: U8, line: int, i: int, columns: int) -> bool:
+    """Tell whether the shots half a place away, and those of the lines beside, have the label of a shot."""
+    m = labels.shape[1]
+    own, half = labels[line, i], columns // 2
+    return (
+        labels[line - 1, i] == own
+        and labels[line + 1, i] == own
+        and labels[line, max(i - half, 0)] == own
+        and labels[line, min(i + half, m - 1)] == own
+    )
+
+
+@helper
+def _vote(labels: U8, points: tuple[F32, F32], line: int, i: int, columns: int, near_m: np.float32) -> int:
+    """Return the label that most shots of a place have which are near in space; the own one where several do."""
+    m = labels.shape[1]
+    y, z = points[0][line, i], points[1][line, i]
+    other, building, vegetation = 0, 0, 0
+    stride = max(columns // VOTERS, 1)
+    for k in range(line - 1, line + 2):
+        for j in range(max(i - columns, 0), min(i + columns + 1, m), stride):
+            if abs(points[0][k, j] - y) < near_m and abs(points[1][k, j] - z) < near_m:
+                other += labels[k, j] == _OTHER
+                building += labels[k, j] == _BUILDING
+                vegetation += labels[k, j] == _VEGETATION
+    most = max(max(other, building), vegetation)
+    own = labels[line, i]
+    if (own == _OTHER and other == most) or (own == _BUILDING and building == most):
+        return own
+    if own == _VEGETATION and vegetation == most:
+        return own
+    if other == most:
+        return _OTHER
+    return _BUILDING if building == most else _VEGETATION
+
+
+@kernel(
+    "uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[:, ::1], 2), float32, float32, float32)"
+)
+def vote_labels(
+    labels: U8, range_m: F32, points: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
+) -> U8:
+    """Let every shot that is neither ground nor noise take the label of most of the shots around it.
+
+    Where the shots half a place to both sides and those of the lines before and after have its label, it keeps it.
+
+    Parameters
+    ----------
+    labels : (lines + 2, M) uint8
+        :class:`prc_cli.core.classes.Label` of the block and a line before and after.
+    range_m : (lines + 2, M) float32, metres
+    points : tuple of (lines + 2, M) float32, metres
+        Side and height in the scan plane.
+    step : float32, radians
+        Angle from column to column.
+    half_m : float32
+        Half width of the place [m]; 2 columns at least, 60 at most.
+    near_m : float32
+        Shots of the place count if they are this near to the side and in height, each [m].
+
+    Returns
+    -------
+    (lines, M) uint8
+    """
+    n_lines, m = labels.shape[0] - 2, labels.shape[1]
+    voted = labels[1 : n_lines + 1].copy()
+    for row in range(n_lines):
+        line = row + 1
+        for i in range(m):
+            own = labels[line, i]
+            if own == _MISSING or own == _NOISE or own == _GROUND:
+                continue
+            columns = min(max(int(half_m / (range_m[line, i] * step)), LEAST_COLUMNS), MOST_COLUMNS)
+            if not _agree(labels, line, i, columns):
+                voted[row, i] = _vote(labels, points, line, i, columns, near_m)
+    return voted

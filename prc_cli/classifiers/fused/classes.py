@@ -8,7 +8,7 @@ from pydantic import Field
 from prc_cli import kernels
 from prc_cli.classifiers.fused.ground import Ground, GroundParams
 from prc_cli.classifiers.fused.neighbours import Neighbours
-from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.classifiers.fused.plane import VOTE_LINES, ScanPlane
 from prc_cli.classifiers.fused.strips import Standing, WallParams
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
@@ -58,6 +58,14 @@ class PoleParams(Params):
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots, and lonely leaves, are not looked at [m]")
 
 
+class VoteParams(Params):
+    """The last word of the neighbours (``[fused.votes]``)."""
+
+    enabled: bool = Field(True, description="whether shots take the label of most shots around them")
+    half_width_m: float = Field(0.8, gt=0, le=100, description="half width of the place that votes [m]")
+    near_m: float = Field(2.0, gt=0, le=100, description="its shots vote if this near to the side and in height [m]")
+
+
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
     """Average the smoothness around every shot; see :func:`prc_cli.kernels.fused_classes.mean_smoothness`."""
@@ -78,7 +86,7 @@ def decide(
     plane: ScanPlane,
     figures: F32,
 ) -> U8:
-    """Label every shot of a block; see :func:`prc_cli.kernels.fused_classes.fused_labels`.
+    """Label every shot of the lines; see :func:`prc_cli.kernels.fused_classes.fused_labels`.
 
     In this order: alone, unless a leaf: noise. A spike: noise. Rough and far below the ground: noise. On the ground:
     ground. Low with level surfaces: no class. Thin and upright: vegetation below a crown, else no class. Rough place,
@@ -127,3 +135,14 @@ def decision_figures(
         ],
         np.float32,
     )
+
+
+@stage("votes")
+def vote(labels: U8, range_m: F32, points: tuple[F32, F32], plane: ScanPlane, params: VoteParams) -> U8:
+    """Let the shots around have the last word; see :func:`prc_cli.kernels.fused_classes.vote_labels`."""
+    if not params.enabled:
+        return labels[VOTE_LINES:-VOTE_LINES]
+    voted: U8 = kernels.vote_labels(
+        labels, range_m, points, plane.step_rad, np.float32(params.half_width_m), np.float32(params.near_m)
+    )
+    return voted

@@ -5,7 +5,7 @@ by its direction in the scan plane (Stamos et al. 2012, sec. 4), but over a chor
 docs/fused.md has the equations and the reasons.
 
 Of the stages only the walk along the ground depends on the blocks before; it is short, and taken in turns. All others
-need the block and four lines before and after it.
+need the block and five lines before and after it.
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ from prc_cli.classifiers.fused.classes import (
     LeavesParams,
     NoiseParams,
     PoleParams,
+    VoteParams,
     decide,
     decision_figures,
     texture_of,
+    vote,
 )
 from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
@@ -39,6 +41,7 @@ from prc_cli.classifiers.fused.neighbours import (
 from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
+    WIDE_LINES,
     ScanPlane,
     SensorParams,
     inner,
@@ -74,6 +77,7 @@ class FusedParams(Params):
     leaves: LeavesParams = LeavesParams()
     cars: CarParams = CarParams()
     poles: PoleParams = PoleParams()
+    votes: VoteParams = VoteParams()
     forest: ForestParams = ForestParams()
 
 
@@ -84,11 +88,11 @@ class FusedState:
     beam_rad: F64
     """(M,) float64, angle of every column's beam from straight down [rad]."""
     tail: F32
-    """(4, M) float32, the last lines [m]; NaN = missing, or before the stream."""
+    """(5, M) float32, the last lines [m]; NaN = missing, or before the stream."""
     noise_m: float | None
     """Range noise [m]; None before the first block."""
     memory: GroundMemory
-    """The ground before the last two lines of the tail."""
+    """The ground before the last three lines of the tail."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,14 +107,14 @@ class FusedResult:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What a block and two lines before and after it show by themselves."""
+    """What a block and three lines before and after it show by themselves."""
 
     window: F32
-    """(lines + 8, M) float32, ranges [m]."""
+    """(lines + 10, M) float32, ranges [m]."""
     range_m: F32
-    """(lines + 4, M) float32, those of the lines that are looked at."""
+    """(lines + 6, M) float32, those of the lines that are looked at."""
     points: tuple[F32, F32]
-    """(lines + 4, M) float32, side and height in the scan plane [m]."""
+    """(lines + 6, M) float32, side and height in the scan plane [m]."""
     neighbours: Neighbours
 
 
@@ -135,7 +139,7 @@ def classify_block(range_m: F32, next_m: F32 | None, state: FusedState, params: 
         The block, chronological; NaN = missing, all else finite and positive. ``params.lines_per_block`` lines, fewer
         only at the end of the stream.
     next_m : (lines, M) float32, metres
-        The lines that follow: four are enough, more do no harm; fewer or None only at the end of the stream.
+        The lines that follow: five are enough, more do no harm; fewer or None only at the end of the stream.
     state : FusedState
         From the block before, or :func:`initial_state`.
     params : FusedParams
@@ -181,7 +185,7 @@ def _see(window: F32, points: tuple[F32, F32], plane: ScanPlane, noise_m: float,
 
 
 def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
-    """Follow the ground; what is handed on is the memory before the last two lines of the block."""
+    """Follow the ground; what is handed on is the memory before the last three lines of the block."""
     n_lines = len(seen.window) - 2 * AROUND_LINES
     return follow_ground(seen.points, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
 
@@ -197,7 +201,9 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     figures = decision_figures(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    return decide(seen.window, seen.points, seen.neighbours, ground, texture, standing, plane, figures)
+    labels = decide(seen.window, seen.points, seen.neighbours, ground, texture, standing, plane, figures)
+    own = slice(WIDE_LINES, -WIDE_LINES)
+    return vote(labels, seen.range_m[own], (seen.points[0][own], seen.points[1][own]), plane, params.votes)
 
 
 class ParallelBlocks:
@@ -218,7 +224,7 @@ class ParallelBlocks:
     >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
     >>> lines = np.tile(2.0 / np.cos(beam), (40, 1)).astype(np.float32)
     >>> blocks = ParallelBlocks(beam, FusedParams(lines_per_block=10))
-    >>> jobs = (blocks.begin(lines[i : i + 10], lines[i + 10 : i + 14]) for i in range(0, 40, 10))
+    >>> jobs = (blocks.begin(lines[i : i + 10], lines[i + 10 : i + 15]) for i in range(0, 40, 10))
     >>> [labels.shape for labels in ordered(blocks.classify, jobs, threads=2)]
     [(10, 241), (10, 241), (10, 241), (10, 241)]
     """
@@ -277,7 +283,7 @@ def _once(known: float | None, points: tuple[F32, F32], params: SensorParams) ->
 
 
 def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
-    """Put the four lines before and after a block around it, NaN where there are none."""
+    """Put the five lines before and after a block around it, NaN where there are none."""
     width = range_m.shape[1]
     following = np.full((AROUND_LINES, width), np.nan, np.float32)
     if next_m is not None:

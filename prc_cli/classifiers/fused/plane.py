@@ -14,10 +14,14 @@ from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32
 
-AROUND_LINES = 4
+AROUND_LINES = 5
 """Lines before and after a block that its labels depend on."""
 INNER_LINES = 2
-"""Those of them of which the neighbours are known as well."""
+"""Outermost of them, of which the neighbours are not known."""
+WIDE_LINES = 2
+"""Lines before and after a line whose strips and texture are put together with it."""
+VOTE_LINES = 1
+"""Lines before and after a block whose labels have a vote."""
 MARGIN = 4
 """Columns of nothing on either side of the points of the scan plane."""
 NORMAL_QUARTILE = 0.6745
