@@ -55,7 +55,8 @@ def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, numb
         batch.strike(number)
     code, said = batch.end(20)
     assert time.monotonic() - begun < 10
-    assert code == 128 + number, said
+    # the last of several may come when Python has put back the system's own handling, which shells show as the same
+    assert code == 128 + number or (n_times > 1 and code == -number), said
     assert "Traceback" not in said
     if n_times == 1:
         assert batch.members() == []
