@@ -14,6 +14,7 @@ import logging
 import os
 import queue
 import secrets
+import signal
 import socket
 import threading
 import time
@@ -22,6 +23,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from multiprocessing import resource_tracker
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeAlias
@@ -657,21 +659,37 @@ def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
     distributed = _import()
     memory = 0 if settings.memory_limit_mib is None else settings.memory_limit_mib << 20
     try:
-        cluster = distributed.LocalCluster(
-            n_workers=settings.jobs,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            memory_limit=memory,
-            silence_logs=logging.CRITICAL,
-        )
+        with _without_interrupts():
+            cluster = distributed.LocalCluster(
+                n_workers=settings.jobs,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=memory,
+                silence_logs=logging.CRITICAL,
+            )
     except (OSError, RuntimeError, TimeoutError) as error:
         raise PrcError("--engine dask", f"no workers could be started ({_one_line(error)})", "fewer --jobs") from error
     try:
         yield cluster
     finally:
         cluster.close(timeout=STOP_S)
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let threads that begin here, and the processes that they begin, never hear Ctrl-C: it is for this process."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # who begins Python's tracker of shared resources hears interrupts again: it must be there before
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextlib.contextmanager
