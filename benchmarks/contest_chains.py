@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-NOISE_BEST: dict[str, Any] = {"filter": "radius", "least": 4, "radius_m": 0.5}
-
+_OUTLIERS: dict[str, Any] = {"filter": "statistical", "neighbours": 20, "sigmas": 2.0}
 _CSF: dict[str, Any] = {
     "filter": "csf", "resolution_m": 0.5, "threshold_m": 0.5, "rigidness": 3, "slope_smoothing": False,
 }  # fmt: skip
@@ -16,4 +15,20 @@ _PATCHWORK: dict[str, Any] = {
     "filter": "patchwork", "piece_m": 20.0, "distance_m": 0.125, "upright": 0.707, "reach_m": 80.0,
 }  # fmt: skip
 
-CHAINS: dict[str, list[dict[str, Any]]] = {}
+# chosen by ``python -m benchmarks.contest_tune``
+_BEST_OUTLIERS = {**_OUTLIERS, "sigmas": 0.5}
+_BEST_RADIUS: dict[str, Any] = {"filter": "radius", "least": 4, "radius_m": 0.6}
+_BEST_CSF = {**_CSF, "threshold_m": 0.3}
+
+CHAINS: dict[str, list[dict[str, Any]]] = {
+    "statistical outliers, recommended": [_OUTLIERS],
+    "statistical outliers, tuned": [_BEST_OUTLIERS],
+    "radius outliers, tuned": [_BEST_RADIUS],
+    "CSF, recommended": [_CSF],
+    "statistical, tuned + CSF, recommended": [_BEST_OUTLIERS, _CSF],
+    "statistical, tuned + CSF, tuned": [_BEST_OUTLIERS, _BEST_CSF],
+    "Patchwork++, recommended": [_PATCHWORK],
+    "statistical, tuned + Patchwork++, recommended": [_BEST_OUTLIERS, _PATCHWORK],
+    "statistical, tuned + SMRF, recommended": [_BEST_OUTLIERS, _SMRF],
+}
+"""Chains by the name that the table has; the first step of one is run once for all that begin with it."""

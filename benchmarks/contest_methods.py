@@ -101,32 +101,30 @@ def fused() -> tuple[Method, ...]:
 
 
 def ablations() -> tuple[Method, ...]:
-    """Return a fused method for each of its steps that can be switched off: the steps that have ``enabled``."""
+    """Return a fused method for each of its steps that can be switched off, found among its parameters."""
     found = []
     for method in fused():
         config = load_config(preset=method.preset).config
+        section = next(name for name in type(config).model_fields if getattr(config, name) is config.classifier)
         for path in _switches(config.classifier):
-            table: dict[str, Any] = {"enabled": False}
-            for key in reversed((_section(config), *path)):
+            if (path[0] == "forest") != (method.mappings == FORESTS):
+                continue
+            table: dict[str, Any] = {path[-1]: False}
+            for key in reversed((section, *path[:-1])):
                 table = {key: table}
-            name = f"{method.name} without {'.'.join(path)}"
-            found.append(Method(name, method.preset, table, mappings=method.mappings))
+            step = ".".join(key for key in path if key not in ("enabled", "forest"))
+            found.append(Method(f"{method.name} without {step}", method.preset, table, mappings=method.mappings))
     return tuple(found)
 
 
-def _section(config: BaseModel) -> str:
-    """Return the table that holds the parameters of the chosen classifier."""
-    classifier = config.classifier  # type: ignore[attr-defined]
-    return next(name for name in type(config).model_fields if getattr(config, name) is classifier)
-
-
 def _switches(params: BaseModel, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+    """Return the keys of everything that is on and can be off."""
     found = []
     for name in type(params).model_fields:
         value = getattr(params, name)
-        if isinstance(value, BaseModel):
-            if getattr(value, "enabled", None) is True:
-                found.append((*before, name))
+        if value is True:
+            found.append((*before, name))
+        elif isinstance(value, BaseModel):
             found += _switches(value, (*before, name))
     return found
 
