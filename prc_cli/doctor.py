@@ -106,8 +106,16 @@ def examine(out: Path | None = None, *, run: bool = True) -> Iterator[Check]:
         try:
             yield from check()
         except Exception as error:  # whatever is broken here: that is what is looked for
-            hint = error.hint if isinstance(error, PrcError) else "report it with the output of prc --debug doctor"
-            yield Check(name, "bad", f"{type(error).__name__}: {error}", hint)
+            yield _broken(name, error)
+
+
+def _broken(name: str, error: Exception) -> Check:
+    if isinstance(error, PrcError):
+        return Check(name, "bad", str(PrcError(error.where, error.problem)), error.hint)
+    if isinstance(error, OSError | sqlite3.Error):
+        return Check(name, "bad", str(error), "check the disk: its space, its permissions, its mount")
+    hint = "report it with the output of prc doctor --json"
+    return Check(name, "bad", f"{type(error).__name__}: {error}", hint)
 
 
 def _python() -> Iterator[Check]:
@@ -320,7 +328,11 @@ def _temporary() -> Iterator[Check]:
     with tempfile.TemporaryFile(dir=folder) as handle:
         handle.write(b"x")
     text = f"{_size(free)} free in {folder}"
-    if free < DISK_BYTES:
+    given = os.environ.get("TMPDIR")
+    if given and Path(given) != folder:
+        hint = f"make the folder, or let TMPDIR name another: mkdir -p {given}"
+        yield Check("temporary files", "warn", f"{text}, since TMPDIR={given} cannot be used", hint, details)
+    elif free < DISK_BYTES:
         hint = "set TMPDIR to a folder on a larger disk: --sort-by-time and --match sort there"
         yield Check("temporary files", "warn", text, hint, details)
     else:

@@ -18,6 +18,7 @@ import pytest
 import prc_cli
 from prc_cli.batch import run as run_module
 from prc_cli.batch.plan import Estimate, Plan, Planned
+from prc_cli.batch.reference import BatchEvaluation, Compared, ReferenceSettings
 from prc_cli.batch.run import Again, Listener, Noted, Ready
 from prc_cli.batch.settings import BatchSettings
 from prc_cli.batch.summary import Alarm, BatchSummary, LeftOut
@@ -27,6 +28,8 @@ from prc_cli.cli.batch_report import failed_words
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.gates import GateResult
 from tests.street import street, write_csv, write_npz
 
 PRC = [sys.executable, "-m", "prc_cli"]
@@ -429,6 +432,28 @@ def test_an_estimate_that_is_not_known_is_said(prc: Run, monkeypatch: pytest.Mon
 )
 def test_a_failed_file_is_named_once(where: str, expected: str) -> None:
     assert failed_words(Failed("night/a.laz", None, 0.0, Problem("InputError", where, "bad"))) == expected
+
+
+def test_long_lists_are_cut_and_the_worst_files_are_shown(prc: Run, play: Callable[..., None]) -> None:
+    names = ("ground", "noise")
+    matrices = [ConfusionMatrix(names, names, np.array([[k, 30 - k], [0, 9]])) for k in range(30)]
+    compared = [Compared(f"f{k:02}", "r", matrix) for k, matrix in enumerate(matrices)]
+    missing = [Compared(f"m{k:02}", None, None, Problem("NoReference", f"m{k:02}", "no reference")) for k in range(30)]
+    pooled = ConfusionMatrix(names, names, sum(matrix.counts for matrix in matrices))
+    gates = (GateResult("recall.noise", 0.5, float("nan")),)
+    evaluation = BatchEvaluation(ReferenceSettings(Path("ref")), (*compared, *missing), pooled, gates)
+    left = tuple(LeftOut(f"x{k:02}", "not a regular file") for k in range(30))
+    play(done("a.laz"), evaluation=evaluation, left_out=left)
+    found = prc("a", "o")
+    assert found.code == 3
+    assert "f00" in found.out
+    assert "f19" in found.out
+    assert "f20" not in found.out
+    assert "the 20 of 30 files with the lowest accuracy" in found.out
+    assert found.err.count("not compared m") == 20
+    assert found.err.count("left out x") == 20
+    assert found.err.count("and 10 more, see summary.json") == 2
+    assert "recall.noise: found undefined, demanded 0.5000: failed" in found.err
 
 
 def test_bars_show_the_archive_and_every_file_in_work(monkeypatch: pytest.MonkeyPatch) -> None:

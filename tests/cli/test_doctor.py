@@ -106,6 +106,22 @@ def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.Mo
     assert "temporary files" in found
 
 
+def test_a_temporary_folder_that_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", "/none/such")
+    found = checks()["temporary files"]
+    assert (found.status, "mkdir -p /none/such" in found.hint) == ("warn", True)
+
+
+def test_a_full_disk_is_no_fault_of_the_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def full(trial: Path) -> Check:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    monkeypatch.setattr(doctor, "_sqlite", full)
+    found = checks(tmp_path)["output folder"]
+    assert (found.status, found.found) == ("bad", "database or disk is full")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_no_folder_for_compiled_loops_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     from prc_cli.kernels import about
     from prc_cli.kernels.about import CacheState
