@@ -14,6 +14,7 @@ import contextlib
 import json
 import os
 import secrets
+import shlex
 import shutil
 import sqlite3
 import tempfile
@@ -412,7 +413,11 @@ def _check_schema(database: sqlite3.Connection, path: Path) -> None:
     application = database.execute("PRAGMA application_id").fetchone()[0]
     version = database.execute("PRAGMA user_version").fetchone()[0]
     if application not in (0, APPLICATION) or (application == 0 and _n_tables(database)):
-        raise OutputError(str(path), "is a database of another program", f"move it away: mv {path} {path}.other")
+        raise OutputError(
+            str(path),
+            "is a database of another program",
+            f"move it away: {shlex.join(['mv', str(path), f'{path}.other'])}",
+        )
     if version > SCHEMA:
         problem = f"was written by a newer prc-cli (tables of version {version}, this program knows {SCHEMA})"
         raise OutputError(str(path), problem, "upgrade: pip install --upgrade prc-cli, or choose another output folder")
@@ -454,7 +459,8 @@ def _errors(path: Path) -> Iterator[None]:
 
 
 def _damaged(path: Path, found: str) -> OutputError:
-    hint = f"move it away (mv {path} {path}.damaged) and run with --adopt: finished outputs are recognised"
+    move = shlex.join(["mv", str(path), f"{path}.damaged"])
+    hint = f"move it away ({move}) and run with --adopt: finished outputs are recognised"
     return OutputError(str(path), f"is no whole journal ({found.splitlines()[0]})", hint)
 
 

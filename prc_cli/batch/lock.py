@@ -160,22 +160,12 @@ class Lock:
         except OSError as error:
             problem = f"cannot be made ({error.strerror or error})"
             raise OutputError(str(self._folder), problem, "check the output folder and its permissions") from error
-        for attempt in range(CONFLICT_ATTEMPTS):
-            self._take()
-            try:
-                other = self._conflicting()
-            except BaseException:
-                self._release()
-                raise
-            if other is None:
-                break
+        try:
+            self._acquire()
+            self._thread.start()
+        except BaseException:  # a signal may come just when the lock was taken
             self._release()
-            if attempt == CONFLICT_ATTEMPTS - 1:
-                raise _busy(other)
-            # two that saw each other and stepped back: one of them is to come first next time
-            time.sleep(random.uniform(0, CONFLICT_PAUSE_S))
-            self.owner = Owner.myself(self._shard)
-        self._thread.start()
+            raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -196,6 +186,20 @@ class Lock:
             raise BusyError(str(self.path), f"the lock was lost: {self._lost}", hint)
 
     # taking
+
+    def _acquire(self) -> None:
+        """Take the lock, and step back where a run of another division of the archive is at work."""
+        for attempt in range(CONFLICT_ATTEMPTS):
+            self._take()
+            other = self._conflicting()
+            if other is None:
+                return
+            self._release()
+            if attempt == CONFLICT_ATTEMPTS - 1:
+                raise _busy(other)
+            # two that saw each other and stepped back: one of them is to come first next time
+            time.sleep(random.uniform(0, CONFLICT_PAUSE_S))
+            self.owner = Owner.myself(self._shard)
 
     def _take(self) -> None:
         with output_errors(self.path):
