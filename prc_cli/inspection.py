@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig
+from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
@@ -129,7 +129,7 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
         stream = open_input(path, inputs, loaded.config.layout)
     except (InputError, ConfigError) as refusal:
         return None, refusal
-    if loaded.config.method != SEQUENTIAL_ANGLE:
+    if not loaded.config.needs_beams:
         return stream, None
     try:
         directed = with_beams(stream, inputs)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, initial_state, trace_block
-from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig
+from prc_cli.config import LoadedConfig
 from prc_cli.core.classes import LABEL_OF_SURFACE, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
@@ -43,7 +43,7 @@ class Frame:
 def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
     """Open a stream; where the input tells where down is its blocks know it, whatever the classifier."""
     stream = open_stream(path, loaded)
-    if loaded.config.method == SEQUENTIAL_ANGLE:
+    if loaded.config.needs_beams:
         return stream
     # without a vertical direction pictures simply lie on their side; damage is met again when the stream is read
     with suppress(InputError, ConfigError):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from prc_cli.config import SEQUENTIAL_ANGLE
+from prc_cli.config import FUSED, SEQUENTIAL_ANGLE
 from prc_cli.core.errors import ConfigError
 
 View: TypeAlias = Literal["scan", "top", "perspective"]
@@ -138,6 +138,8 @@ def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
         steps: tuple[str, ...] = LABEL_FILE_STEPS
     elif method == SEQUENTIAL_ANGLE:
         steps = ("range", "intensity", *SEQUENTIAL_STEPS, "classes")
+    elif method == FUSED:
+        steps = ("range", "intensity", "classes")
     else:
         steps = ("range", "intensity", *PRC_STEPS, "classes")
     return (*steps, *REFERENCE_STEPS) if options.reference is not None else steps

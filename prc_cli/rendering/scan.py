@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig
+from prc_cli.config import LoadedConfig
 from prc_cli.core.classes import LABEL_COLOURS, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ReadTally, ScanBlock
@@ -181,14 +181,14 @@ def draw_scan(
 def _check_part(method: str, options: RenderOptions) -> None:
     if options.block is not None and options.lines is not None:
         raise ConfigError("--block", "given together with --only-lines, expected one of them")
-    if options.figure1 and method == SEQUENTIAL_ANGLE:
-        raise ConfigError("--figure1", "belongs to prc, found the method sequential-angle", _METHOD)
+    if options.figure1 and method != "prc":
+        raise ConfigError("--figure1", f"belongs to prc, found the method {method}", _METHOD)
     if options.figure1 and options.labels is not None:
         problem = "the figure shows the steps of prc, which a label file does not hold"
         raise ConfigError("--figure1", problem, "leave --labels out")
-    if options.block is not None and method == SEQUENTIAL_ANGLE:
+    if options.block is not None and method != "prc":
         hint = "give --only-lines A:B"
-        raise ConfigError("--block", "the sequential-angle method has no blocks", hint)
+        raise ConfigError("--block", f"the {method} method has no blocks", hint)
 
 
 _METHOD = "add --method prc"
@@ -490,7 +490,7 @@ def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, nam
     if options.labels is not None:
         words.append(f"labels of {options.labels.name}")
     elif set(drawing.steps) - {"range", "intensity", "reference"}:
-        kind = f"prc, {config.prc.environment}" if config.method != SEQUENTIAL_ANGLE else config.method
+        kind = f"prc, {config.prc.environment}" if config.method == "prc" else config.method
         words.append(kind)
     if part.is_whole:
         words.append(f"all {part.n_lines:,} lines")

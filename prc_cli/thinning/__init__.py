@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.config import SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.conversion import (
     Facts,
     OpenedItems,
@@ -258,7 +258,7 @@ class _Run:
             if not self.classify:
                 yield from stream.blocks()
                 return
-            if config.method == SEQUENTIAL_ANGLE:
+            if config.needs_beams:
                 stream = with_beams(stream, config.input)
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
