@@ -34,6 +34,8 @@ START_S = 120.0
 """A worker that is not ready after so long is given up [s]."""
 FAILED_STARTS = 3
 """So many workers in a row that never got ready end the run."""
+LONGEST_LOOK_S = 1.0
+"""Between two looks at the workers lies less than this, unless this process was stopped [s]."""
 LAST_WORDS = 400
 """Of what a worker printed before it died [bytes]."""
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
@@ -166,6 +168,7 @@ class _Pool:
         self._workers: list[_Worker] = []
         self._messages: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._failed_starts = 0
+        self._looked = time.monotonic()
 
     def run(self, tasks: Iterator[Task]) -> Iterator[Event]:
         """Give every worker a task when it is free, and tell what becomes of it."""
@@ -268,13 +271,19 @@ class _Pool:
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
-                problem = f"ended before it was ready, {FAILED_STARTS} times ({_how(code)}{_said(words)})"
-                raise PrcError("worker process", problem, "prc doctor checks the installation")
+                found = f"ended before it was ready, {FAILED_STARTS} times ({_how(code)}{_said(words)})"
+                raise PrcError("worker process", found, "prc doctor checks the installation")
 
     def _watch(self) -> None:
-        """Kill workers that give no sign of life; their end comes as a message."""
+        """Kill workers that give no sign of life; their end comes as a message.
+
+        Time in which nobody listened, as after Ctrl-Z, is not held against them.
+        """
         now, stall_s = time.monotonic(), self._settings.stall_s
+        deaf_s = max(0.0, now - self._looked - LONGEST_LOOK_S)
+        self._looked = now
         for worker in self._workers:
+            worker.seen = min(now, worker.seen + deaf_s)
             if worker.verdict is not None:
                 continue
             if worker.task is not None and now - worker.seen > stall_s:
@@ -282,7 +291,7 @@ class _Pool:
                 hint = "check that its disk or share answers; --stall allows more"
                 worker.verdict = Problem("timeout", worker.task.name, problem, hint)
                 worker.process.kill()
-            elif not worker.ready and now - worker.begun > START_S:
+            elif not worker.ready and now - worker.seen > START_S:
                 worker.verdict = Problem("timeout", "worker process", f"not ready after {START_S:g} s")
                 worker.process.kill()
 

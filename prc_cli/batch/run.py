@@ -43,6 +43,7 @@ from prc_cli.batch.types import (
     Task,
 )
 from prc_cli.batch.work import may_pass
+from prc_cli.core.errors import BusyError, PrcError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.threads import close_items
 
@@ -206,6 +207,13 @@ class _Run:
         except (KeyboardInterrupt, SystemExit) as raised:
             ended, stop = "interrupted", raised
             self._give_up_running()
+        except BusyError:  # the journal is somebody else's now
+            raise
+        except PrcError as error:
+            with contextlib.suppress(PrcError):  # it may be the journal itself that cannot be written
+                self._give_up_running()
+                self._journal.end_run(error.exit_code)
+            raise
         summary = self._summarise(plan, config, run, ended, evaluation)
         code = summary.exit_code if stop is None else _exit_code(stop)
         self._journal.end_run(code, {"done": len(summary.done), "failed": len(summary.failed)})
@@ -297,9 +305,9 @@ class _Run:
                 self._stopping = True
 
     def _give_up_running(self) -> None:
-        """Note that files were stopped by a signal, and leave no outcome of theirs."""
+        """Note that files were begun and not ended, and leave no outcome of theirs."""
         for name, begun in self._running.items():
-            problem = Problem("interrupted", name, "stopped by a signal before its end", "run again")
+            problem = Problem("interrupted", name, "the run was stopped before its end", "run again")
             self._journal.finish(Failed(name, None, time.monotonic() - begun, problem))
             self._outcomes.pop(name, None)
 

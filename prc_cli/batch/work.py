@@ -92,7 +92,7 @@ def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, c
 def problem_of(error: Exception, task: Task, before: InputPrint | None) -> Problem:
     """Return why a file failed; what it cannot help, which may pass, is told from what is wrong with it."""
     found = Problem.of(error)
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "start new thread" in str(error)):
         hint = "fewer --jobs or threads, or a higher --memory-limit"
         return Problem(MEMORY, task.name, f"out of memory ({found.problem})", hint)
     if isinstance(error, OSError):

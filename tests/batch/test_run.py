@@ -35,7 +35,7 @@ from prc_cli.batch.types import (
     Started,
     Task,
 )
-from prc_cli.core.errors import BusyError, ConfigError, InputError
+from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
 from prc_cli.pipeline import classify
 from tests.street import street, write_csv, write_npz, write_raw
 
@@ -465,3 +465,16 @@ def test_progress_is_passed_on(runs: tuple[Path, dict[int, tuple[Path, BatchSumm
     settings = BatchSettings(runs[0], tmp_path / "out", LAYERS, include=("day/1.npz",))
     run_batch(settings, listener=events.append)
     assert sum(event.n_lines for event in events if isinstance(event, Progress)) == 87
+
+
+def test_workers_that_cannot_be_started_leave_a_journal_that_says_so(settings: BatchSettings) -> None:
+    class Broken(Scripted):
+        def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
+            yield Started(next(iter(tasks)).name, "here")
+            raise PrcError("worker process", "cannot be started")
+
+    with pytest.raises(PrcError):
+        run_batch(settings, Broken())
+    assert states(settings) == {"a.npz": "failed"}
+    assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [1]
+    assert len(run_batch(settings, Scripted()).done) == 4
