@@ -3,9 +3,11 @@
     python -m benchmarks.many_machines                   # about 5 million shots a job
     python -m benchmarks.many_machines --lines 9286      # 20 million
     python -m benchmarks.many_machines split             # parts of a raw dump instead
+    python -m benchmarks.many_machines plan --rate 1.3 --read 5.9 --written 5.9 --records 1e13 --cores 512
 
-Everything runs in one thread of this process, and processor time counts, the least of the runs, so that other work on
-the machine disturbs little. Inputs lie in the system's cache: disks and networks come on top, see the bytes a record.
+The last one measures nothing: it computes hours and cost from a row of the first, with prices of one's own. The
+others run everything in one thread of this process, and processor time counts, the least of the runs, so that other
+work on the machine disturbs little. Inputs lie in the cache of the system: disks and networks come on top, see bytes.
 """
 
 from __future__ import annotations
@@ -105,12 +107,45 @@ def parts(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
     yield "| times as fast | " + " | ".join(f"{gain:.2f}" for gain in gains) + " |"
 
 
+def plan(rate: float, read: float, written: float, options: argparse.Namespace) -> Iterator[str]:
+    """Hours and cost of an archive.
+
+    Parameters
+    ----------
+    rate : float
+        Million records a second of one core.
+    read, written : float
+        Bytes a record.
+    """
+    core_hours = options.records / (rate * 1e6) / 3600
+    by_cores = core_hours / options.cores
+    moved = options.records * (read + written)
+    by_share = moved / (options.gigabytes * 1e9) / 3600
+    yield f"core hours          {core_hours:,.0f}"
+    yield f"cost of the cores   {core_hours * options.price:,.0f} at {options.price:g} a core hour"
+    yield f"read, written       {options.records * read / 1e12:,.0f} TB, {options.records * written / 1e12:,.0f} TB"
+    yield f"hours by the cores  {by_cores:,.1f} with {options.cores}"
+    yield f"hours by the share  {by_share:,.1f} at {options.gigabytes:g} GB a second"
+    busy = options.gigabytes * 1e9 / (rate * 1e6 * (read + written))
+    yield f"cores that the share feeds: {busy:,.0f}; a core moves {rate * (read + written):,.0f} MB a second"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", nargs="?", choices=["formats", "split"], default="formats")
+    parser.add_argument("what", nargs="?", choices=["formats", "split", "plan"], default="formats")
     parser.add_argument("--lines", type=int, default=2400)
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--rate", type=float, help="plan: million records a second of one core")
+    parser.add_argument("--read", type=float, help="plan: bytes a record")
+    parser.add_argument("--written", type=float, help="plan: bytes a record")
+    parser.add_argument("--records", type=float, default=1e13)
+    parser.add_argument("--cores", type=int, default=512)
+    parser.add_argument("--gigabytes", type=float, default=10.0, help="plan: throughput of the share a second")
+    parser.add_argument("--price", type=float, default=0.04, help="plan: of a core hour")
     options = parser.parse_args()
+    if options.what == "plan":
+        print(*plan(options.rate, options.read, options.written, options), sep="\n")
+        return
     with tempfile.TemporaryDirectory() as folder:
         rows = (rates if options.what == "formats" else parts)(Path(folder), options.lines, options.runs)
         for row in rows:

@@ -485,6 +485,62 @@ def test_cluster_of_its_own(tmp_path: Path, quiet: None) -> None:
         assert not answers(address)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
+    """The whole group of processes hears it; the run rolls back and says so, the workers say nothing."""
+    tasks_in(tmp_path, {f"{i}.npy": 60_000 for i in range(6)}, m=100)
+    command = [
+        sys.executable,
+        "-m",
+        "prc_cli",
+        "batch",
+        str(tmp_path / "in"),
+        str(tmp_path / "out"),
+        "--engine",
+        "dask",
+    ]
+    with (tmp_path / "said").open("wb") as said:
+        process = subprocess.Popen([*command, "--jobs", "2"], stdout=said, stderr=said, start_new_session=True)
+        give_up = time.monotonic() + 120
+        while not list((tmp_path / "out").glob("*.npy")) and time.monotonic() < give_up:
+            time.sleep(0.05)
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(60) == 130
+    text = (tmp_path / "said").read_text()
+    assert "interrupted" in text
+    assert "Traceback" not in text
+    assert not [name for name in left_in(tmp_path / "out") if name.endswith(".part")]
+
+
+def shards_of(tmp_path: Path, index: int, **more: str) -> subprocess.CompletedProcess[str]:
+    """A task of a job array as Slurm starts it."""
+    script = Path(__file__).parents[2] / "sample_configs" / "slurm" / "prc_batch.sbatch"
+    (tmp_path / "bin").mkdir(exist_ok=True)
+    program = tmp_path / "bin" / "prc"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m prc_cli "$@"\n')
+    program.chmod(0o755)
+    (tmp_path / "a.toml").write_text('preset = "urban"\n')
+    given = {"ARCHIVE": tmp_path / "in", "OUT": tmp_path / "out", "CONFIG": tmp_path / "a.toml"}
+    environment = {**os.environ, **{key: str(value) for key, value in given.items()}, "SLURM_ARRAY_TASK_ID": str(index)}
+    environment |= {"PATH": f"{program.parent}{os.pathsep}{os.environ['PATH']}", **more}
+    return subprocess.run(["bash", str(script)], env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a shell script")
+def test_slurm_job_array(tmp_path: Path) -> None:
+    """Its tasks share the archive; one that is repeated alone is still the same shard."""
+    tasks = tasks_in(tmp_path, {f"{i}.npy": 20 for i in range(8)})
+    tasks = [replace(task, config=load_config(preset="urban")) for task in tasks]
+    for index in (1, 2):
+        done = shards_of(tmp_path, index, SLURM_ARRAY_TASK_COUNT="2", SLURM_CPUS_PER_TASK="1")
+        assert done.returncode == 0, done.stderr
+    check_bytes(tasks, tmp_path)
+    again = shards_of(tmp_path, 2, SLURM_ARRAY_TASK_COUNT="1", SHARDS="2")
+    assert "nothing to do" in again.stdout + again.stderr
+
+
 def answers(address: str) -> bool:
     import socket
 

@@ -15,6 +15,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, U8
+from tests.simulated import drive_scan
 
 NEAR, FAR = np.float32(5), np.float32(20)
 
@@ -132,6 +133,15 @@ def test_every_border_of_a_long_segment() -> None:
     for border in range(12):
         np.testing.assert_array_equal(label_in_parts(image, params, [border])[0], whole)
     np.testing.assert_array_equal(label_in_parts(image, params, list(range(12)), warm_up=0)[0], whole)
+
+
+def test_simulated_street() -> None:
+    """Real segments cross every border, and a block of warm-up is enough for them."""
+    range_m = np.concatenate([block.range_m for block in drive_scan(600, 400, seed=7).blocks()])
+    params = PrcParams(lines_per_block=50)
+    labels, n_redrawn = label_in_parts(range_m, params, list(range(1, 12)))
+    np.testing.assert_array_equal(labels, label_whole(range_m, params))
+    assert n_redrawn == 0
 
 
 def test_last_part_is_one_short_block() -> None:
