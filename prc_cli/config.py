@@ -192,6 +192,9 @@ def load_config(
     """
     file_path = None if path is None else Path(path)
     table = {} if file_path is None else read_toml(file_path)
+    if "override" in table:
+        problem = "[[override]] tables choose among the files of an archive, here there is one"
+        raise ConfigError(str(path), problem, "they are for prc batch; make a file without them")
     named = table.pop("preset", None)
     chosen = preset if preset is not None else named
     layers: list[tuple[str, Mapping[str, Any]]] = []

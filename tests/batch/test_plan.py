@@ -24,7 +24,7 @@ from prc_cli.batch.plan import (
 from prc_cli.batch.settings import BatchSettings, ConfigLayers
 from prc_cli.batch.types import Done, Entry, Failed, InputPrint, Problem, State, Task
 from prc_cli.batch.work import run_task
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, load_config
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.writers.record import fingerprint
 from tests.street import street, write_npz
@@ -255,6 +255,11 @@ def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path: Path) -> N
     loaded, _ = config.of("night/a.npz", tmp_path / "a.npz")
     assert loaded.sources["prc.support.zeta_p"].endswith("archive.toml: override 1")
     assert loaded.files == (tmp_path / "archive.toml",)
+
+
+def test_overrides_are_not_for_a_single_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="for prc batch"):
+        load_config(config_file(tmp_path, OVERRIDES).path)
 
 
 def test_the_command_line_wins(tmp_path: Path) -> None:
