@@ -1,6 +1,6 @@
 """Processes that fight for one lock and drop dead in the middle of it; a script of its own, because it forks.
 
-``python rivals.py FOLDER SEED SECONDS KINDS`` prints what happened as JSON. Every step of a rival in the file system
+``python rivals.py FOLDER SEED LIVES KINDS`` prints what happened as JSON. Every step of a rival in the file system
 may be slow, and may be its last: it leaves with ``os._exit``, as a kill would make it.
 """
 
@@ -20,6 +20,8 @@ from prc_cli.batch.types import Shard
 from prc_cli.core.errors import BusyError
 
 N_RIVALS = 6
+N_FIGHTS = 20
+"""A rival that does not die gives up after so many."""
 DEATH = 0.01
 """Chance that a step is the last."""
 DEATH_INSIDE = 0.4
@@ -27,19 +29,18 @@ DEATH_INSIDE = 0.4
 
 
 def main() -> None:
-    folder, seed, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    folder, seed, all_lives = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
     kinds = [None if kind == "whole" else Shard.parse(kind) for kind in sys.argv[4].split(",")]
     subject.ATTEMPT_PAUSE_S, subject.CONFLICT_PAUSE_S = 0.002, 0.01
     (folder / "inside").mkdir()
-    end = time.monotonic() + seconds
     running: set[int] = set()
     n_lives = 0
-    while time.monotonic() < end or running:
-        while len(running) < N_RIVALS and time.monotonic() < end:
+    while n_lives < all_lives or running:
+        while len(running) < N_RIVALS and n_lives < all_lives:
             n_lives += 1
             pid = os.fork()
             if pid == 0:
-                _live(folder, random.Random(seed * 100_003 + n_lives), kinds, end)
+                _live(folder, random.Random(seed * 100_003 + n_lives), kinds)
                 os._exit(0)
             running.add(pid)
         pid, _ = os.wait()
@@ -50,7 +51,7 @@ def main() -> None:
     sys.stdout.write(json.dumps({**counts, "lives": n_lives, "heirs left": len(left)}))
 
 
-def _live(folder: Path, rng: random.Random, kinds: list[Shard | None], end: float) -> None:
+def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
     (folder / "log").mkdir(exist_ok=True)
     log = (folder / "log" / str(os.getpid())).open("a", buffering=1)
     kind = rng.choice(kinds)
@@ -70,7 +71,7 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None], end: floa
     os.fsync = lambda handle: None  # no power is cut here; more rounds a second
     Path.replace = _with_steps(Path.replace, step)  # type: ignore[method-assign]
     Path.unlink = _with_steps(Path.unlink, step)  # type: ignore[method-assign]
-    while time.monotonic() < end:
+    for _ in range(N_FIGHTS):
         try:
             with Lock(folder / ".prc", kind) as lock:
                 log.write("inherited\n" if lock.inherited_from else "entered\n")
