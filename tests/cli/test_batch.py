@@ -17,6 +17,7 @@ import pytest
 
 import prc_cli
 from prc_cli.batch import run as run_module
+from prc_cli.batch.parts import PARTS_FOLDER
 from prc_cli.batch.plan import Estimate, Plan, Planned
 from prc_cli.batch.reference import BatchEvaluation, Compared, ReferenceSettings
 from prc_cli.batch.run import Again, Listener, Noted, Ready
@@ -205,7 +206,7 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     mine = temporary_name(out / "night" / "a.laz")
     dead = mine.with_name(mine.name.replace(f"-{os.getpid()}-", f"-{int(child.stdout)}-"))
     other = mine.with_name(".a.laz.00000000-1-01234567.part")
-    parts = out / ".prc" / "parts"
+    parts = out / ".prc" / PARTS_FOLDER
     parts.mkdir(exist_ok=True)
     (parts / "piece").write_bytes(b"abc")
     kept = out / "night" / ".mine.part"
