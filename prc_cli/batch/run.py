@@ -233,7 +233,10 @@ class _Run:
             n = len(plan.adopted)
             self._note(f"{n} output{'' if n == 1 else 's'} taken as done: made of the same input in the same way")
         for failed in plan.refused:
-            self._journal.finish(failed)
+            entry = self._journal.entry(failed.name)
+            # a done file stays done: it may only lack its trajectory tonight
+            if entry is None or entry.state != "done":
+                self._journal.finish(failed)
 
     def _classify(self, plan: Plan) -> None:
         """Run the files, and those again whose problem may pass."""

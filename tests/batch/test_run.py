@@ -282,6 +282,31 @@ def test_a_foreign_output_fails_its_file_alone(settings: BatchSettings) -> None:
     assert foreign.read_bytes() == b"a"
 
 
+def test_a_trajectory_that_is_away_for_a_night_costs_no_second_time(settings: BatchSettings, tmp_path: Path) -> None:
+    track = tmp_path / "track.csv"
+    track.write_text("time,x,y,z\n")
+    settings = replace(settings, config=ConfigLayers(options={"input": {"range": f"trajectory:{track}"}}))
+    assert len(run_batch(settings, Scripted()).done) == 4
+    track.rename(tmp_path / "away.csv")
+    assert len(run_batch(settings, Scripted()).failed) == 4
+    (tmp_path / "away.csv").rename(track)
+    summary = run_batch(settings, Scripted())
+    assert (summary.exit_code, summary.n_skipped) == (0, 4)
+
+
+def test_work_on_an_output_is_not_lost(settings: BatchSettings) -> None:
+    run_batch(settings, Scripted())
+    worked_on = settings.out / "a.npz.labels.npy"
+    worked_on.write_bytes(b"corrected by hand")
+    (settings.archive / "a.npz").write_bytes(b"changed input")
+    for _ in range(2):
+        (failed,) = run_batch(settings, Scripted()).failed
+        assert "was changed after it was written" in failed.problem.problem
+        assert worked_on.read_bytes() == b"corrected by hand"
+    worked_on.rename(settings.out / "kept.npy")
+    assert [item.name for item in run_batch(settings, Scripted()).done] == ["a.npz"]
+
+
 def test_what_a_killed_run_left_is_done_again(settings: BatchSettings) -> None:
     class Killed(BaseException):
         """Nothing is written after it, as after SIGKILL."""
