@@ -16,7 +16,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -28,7 +27,7 @@ from prc_cli.batch.run import Again, Noted, Ready, RunEvent
 from prc_cli.batch.summary import Alarm, BatchSummary, done_dict, failed_dict
 from prc_cli.batch.types import Done, Entry, Failed, Problem, Run, Started
 from prc_cli.batch.types import Progress as Lines
-from prc_cli.cli.report import results
+from prc_cli.cli.report import SafeConsole, results
 from prc_cli.cli.safe import printable
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
@@ -43,7 +42,7 @@ LOG_SCHEMA = 1
 """Version of the form of the log; keys are added without a new number, never renamed or taken away."""
 
 
-class _Patient(Console):
+class _Patient(SafeConsole):
     """A console that falls silent when nobody reads it any more; rich would end the program."""
 
     def on_broken_pipe(self) -> None:
@@ -54,7 +53,7 @@ class _Patient(Console):
 @cache
 def console() -> Console:
     """Return the console on stderr."""
-    return _Patient(stderr=True, markup=False, highlight=False)
+    return _Patient(stderr=True, markup=False, highlight=False, emoji=False)
 
 
 def say(text: str) -> None:

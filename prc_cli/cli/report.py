@@ -40,7 +40,7 @@ MAX_PARTS = 40
 """Parts of a split that are shown on a terminal."""
 
 
-class _SafeConsole(Console):
+class SafeConsole(Console):
     """A console whose terminal obeys nobody else: names in files, and of files, may hold control characters."""
 
     def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
@@ -51,14 +51,14 @@ class _SafeConsole(Console):
 @cache
 def console() -> Console:
     """Return the console on stderr; stdout is kept for results."""
-    return _SafeConsole(stderr=True, markup=False, highlight=False, emoji=False)
+    return SafeConsole(stderr=True, markup=False, highlight=False, emoji=False)
 
 
 @cache
 def results() -> Console:
     """Return the console on stdout, for the tables that are the result of a command."""
     # a pipe or a file gets the whole table, not one cut to 80 columns
-    return _SafeConsole(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False, emoji=False)
+    return SafeConsole(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False, emoji=False)
 
 
 COMPILING_S = 2.0

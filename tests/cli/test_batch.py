@@ -322,6 +322,13 @@ def test_the_last_failure_is_told_although_nothing_follows_it(prc: Run, play: Ca
     assert "failed z.laz" in prc("a", "o").err
 
 
+def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]) -> None:
+    play(done(":warning:[bold]{x}%s.laz"), failed(":smile:[/].laz"))
+    found = prc("a", "o")
+    assert "done :warning:[bold]{x}%s.laz: " in found.err
+    assert "failed :smile:[/].laz: is cut short" in found.err
+
+
 def test_time_stamps_come_only_when_asked_for(prc: Run, play: Callable[..., None]) -> None:
     play(done("a.laz"))
     assert prc("a", "o").err.startswith("[-] done a.laz")
