@@ -51,7 +51,7 @@ class _Patient(SafeConsole):
 
 
 @cache
-def console() -> Console:
+def console() -> SafeConsole:
     """Return the console on stderr."""
     return _Patient(stderr=True, markup=False, highlight=False, emoji=False)
 
