@@ -79,6 +79,10 @@ class Contest:
         return found
 
 
+def title_of(item: DataSet) -> str:
+    return f"{item.name}, cylinders" if item.group == FOREST_CYLINDERS else item.name
+
+
 def of_group(runs: dict[str, Run], items: list[DataSet]) -> list[Verdict]:
     """Return the verdicts of the scans of a group that there are."""
     return [runs[item.how].verdict for item in items if item.how in runs]
@@ -172,6 +176,38 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             reached = min(recall, precision) >= STEM_GOAL
             print(f"| {name} | {title}: stems, recall and precision ≥ {STEM_GOAL} | {told} | {_yes(reached)} |")
     print()
+    print_wins(contest, runs)
+
+
+def print_wins(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
+    """On how many scans a fused method is the best of the stream, as a whole and class by class."""
+    for method in fused():
+        own = runs.get(method.name, {})
+        there = [item for item in contest.items if item.how in own]
+        lost: list[str] = []
+        n_classes = 0
+        for item in there:
+            mine = {"macro": own[item.how].verdict.macro, **own[item.how].verdict.f1()}
+            n_classes += len(mine) - 1
+            for score, value in mine.items():
+                others = {
+                    name: _score(each[item.how].verdict, score)
+                    for name, each in runs.items()
+                    if name != method.name and item.how in each
+                }
+                rival = max(others, key=lambda name: others[name], default="")
+                if rival and others[rival] > value:
+                    lost.append(f"{title_of(item)}, {score}: {value:.3f}, {rival} {others[rival]:.3f}")
+        if not there:
+            continue
+        n_macro = sum(", macro: " in each for each in lost)
+        say(f"""{method.name} has the highest macro F1 of all methods of the stream on {len(there) - n_macro} of
+        {len(there)} scans, and the highest F1 of a class in {n_classes - len(lost) + n_macro} of {n_classes} cases.
+        {"Not best: " + "; ".join(lost) + "." if lost else ""}""")
+
+
+def _score(verdict: Verdict, name: str) -> float:
+    return verdict.macro if name == "macro" else float(np.nan_to_num(verdict.f1().get(name, 0.0)))
 
 
 def _yes(reached: bool) -> str:
@@ -197,8 +233,7 @@ def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
                 "" if run is None else f"{run.verdict.macro:.3f} ({run.verdict.worst} {_low(run.verdict):.2f})"
                 for run in found.values()
             ]
-            label_of = item.name + (", cylinders" if item.group == FOREST_CYLINDERS else "")
-            print(f"| {label_of} | {own[0].returns if own else 0:,} | {' | '.join(cells)} |")
+            print(f"| {title_of(item)} | {own[0].returns if own else 0:,} | {' | '.join(cells)} |")
         print()
     print("## Every class\n")
     say("""All returns of a group together. In brackets the 95 % interval of the block jackknife over 20 blocks of lines
@@ -467,8 +502,7 @@ def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         shares = ", ".join(
             f"{name} {n / sums.sum():.1%}" for name, n in zip(own.verdict.rows, sums, strict=True) if n
         )  # fmt: skip
-        suffix = ", cylinders" if item.group == FOREST_CYLINDERS else ""
-        print(f"| {item.name}{suffix} | {own.shots:,} | {own.returns:,} | {shares} |")
+        print(f"| {title_of(item)} | {own.shots:,} | {own.returns:,} | {shares} |")
     print("\n## Methods\n\n| | as | run (UTC) |\n|---|---|---|")
     for method in contest.methods:
         whens = sorted(run.when for run in runs.get(method.name, {}).values())

@@ -8,8 +8,9 @@ import pytest
 from benchmarks.contest_chains import CHAINS
 from benchmarks.contest_data import TEST_FORESTS, TEST_STREETS, TRAIN, TRAIN_FOREST, Scan, Simulated, save, simulated
 from benchmarks.contest_judge import MAPPINGS, judge, mapping_of, pooled
-from benchmarks.contest_methods import PAPERS, label_scan
+from benchmarks.contest_methods import PAPERS, ablations, label_scan
 from benchmarks.contest_peers import FILTERS, Points, run
+from benchmarks.contest_runs import DataSet, Store, as_image, points_of
 
 
 def scan_of(codes: list[list[int]], mapping: str = "street") -> Scan:
@@ -84,10 +85,48 @@ def test_smrf_leaves_a_box_on_a_plane() -> None:
     box = (np.abs(x - 20.0) < 3.0) & (np.abs(y - 20.0) < 3.0)
     xyz = np.stack([x, y, 0.05 * x + np.where(box, 2.5, 0.0)], axis=1)
     points = Points(xyz, np.zeros(len(xyz), np.int32), np.zeros((1, 3)), 2.0)
-    step = {"filter": "smrf", "cell_m": 1.0, "slope": 0.15, "window_m": 18.0, "threshold_m": 0.5, "scaler": 1.25}
+    step = {"filter": "smrf", "cell_m": 1.0, "slope": 0.15, "window_m": 5.0, "threshold_m": 0.5, "scaler": 1.25}
     codes, _ = run(points, [step])
     np.testing.assert_array_equal(codes == 2, ~box)
 
 
 def test_chains_name_filters_that_there_are() -> None:
     assert {step["filter"] for chain in CHAINS.values() for step in chain} <= set(FILTERS)
+
+
+def test_results_are_kept_until_something_changes(tmp_path) -> None:
+    told: list[str] = []
+    made: list[str] = []
+
+    def make() -> Scan:
+        made.append("made")
+        return scan_of([[2, 2, 6, 6]] * 8)
+
+    item = DataSet("toy", "toys", make, "toy")
+    first = Store(tmp_path, told.append).stream_run(item, PAPERS[0])
+    again = Store(tmp_path, told.append).stream_run(item, PAPERS[0])
+    assert told == ["toy: PRC, published"]
+    assert first.when == again.when
+    np.testing.assert_array_equal(first.verdict.counts, again.verdict.counts)
+    Store(tmp_path, told.append).stream_run(item, PAPERS[1])
+    assert len(told) == 2
+
+
+def test_points_and_their_codes_go_and_come_back() -> None:
+    spec = Simulated("toy", 9051, 1.0, "residential", "profiler-1mhz", noise=0.05)
+    scan = simulated(spec)
+    points = points_of(scan)
+    codes = np.arange(len(points.xyz_m)) % 200 + 1
+    image, extra = as_image(scan, codes.astype(np.uint8))
+    there = ~np.isnan(scan.range_m)
+    np.testing.assert_array_equal(np.concatenate([image[there], extra]), codes)
+    assert not image[~there].any()
+    np.testing.assert_array_equal(points.line[: np.count_nonzero(there)], np.nonzero(there)[0])
+
+
+def test_steps_that_are_switched_off_are_off() -> None:
+    found = ablations()
+    assert len({method.name for method in found}) == len(found)
+    for method in found:
+        assert method.command().endswith("=false")
+        method.config(scan_of([[2, 2]]))
