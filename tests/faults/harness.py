@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,8 +108,9 @@ class Batch:
     """A run of ``prc batch`` as a process of its own session."""
 
     def __init__(
-        self, archive: Path, out: Path, config: Path | None, *options: str, jobs: int = 2, plain_user: bool = False
-    ) -> None:
+        self, archive: Path, out: Path, config: Path | None, *options: str, jobs: int = 2,
+        plain_user: bool = False, environment: Mapping[str, str] | None = None,
+    ) -> None:  # fmt: skip
         self.out = out
         self._mark = secrets.token_hex(8)
         words = [] if config is None else ["--config", str(config)]
@@ -117,7 +118,7 @@ class Batch:
             [sys.executable, *(["-c", AS_PLAIN_USER] if plain_user else []), "-m", "prc_cli", "batch",
              str(archive), str(out), "--jobs", str(jobs), *words, *options],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="surrogateescape",
-            start_new_session=True, env={**os.environ, MARK: self._mark},
+            start_new_session=True, env={**os.environ, MARK: self._mark, **(environment or {})},
         )  # fmt: skip
 
     def members(self) -> list[int]:

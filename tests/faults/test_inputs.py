@@ -40,7 +40,8 @@ def resume(archive: Archive, out: Path) -> None:
     check_whole(archive, out)
 
 
-@pytest.mark.parametrize("fate", ["vanishes", pytest.param("becomes a pipe", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("fate", ["vanishes", "becomes a pipe"])
 def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path, fate: str) -> None:
     out = tmp_path / "out"
     path, aside = few.folder / LAST, tmp_path / "aside"
@@ -118,6 +119,7 @@ def test_an_input_that_is_replaced_again_and_again_ends_with_the_output_of_the_l
     resume(few, out)
 
 
+@pytest.mark.slow
 def test_a_shut_input_costs_itself_alone(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     (few.folder / FIRST).chmod(0)

@@ -12,13 +12,15 @@ import pytest
 
 from prc_cli.batch.journal import read_runs
 from prc_cli.batch.types import OWN_FOLDER, Entry
+from tests.faults import step_kills
 from tests.faults.harness import FAST, Archive, Batch, check_nothing_half, check_whole, entries, part_of, parts
 from tests.faults.kills import kill_many
+from tests.faults.step_kills import strike_step
 
 
 def test_some_kills(few: Archive, tmp_path: Path) -> None:
-    tally = kill_many(few, tmp_path, 6, seed=3)
-    assert sum(tally.kills.values()) == 6
+    tally = kill_many(few, tmp_path, 4, seed=3)
+    assert sum(tally.kills.values()) == 4
 
 
 @pytest.mark.slow
@@ -26,6 +28,14 @@ def test_many_kills(archive: Archive, tmp_path: Path) -> None:
     """``python -m tests.faults.kills --kills 200`` does this 200 times."""
     tally = kill_many(archive, tmp_path, 40, seed=4)
     assert tally.with_running > 5
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))])
+def test_a_kill_just_before_a_step_in_the_output_folder(archive: Archive, tmp_path: Path, seed: int) -> None:
+    """``python -m tests.faults.step_kills`` takes every step."""
+    rng = random.Random(seed)
+    two = part_of(archive, tmp_path / "archive", step_kills.NAMES)
+    strike_step(two, tmp_path / "out", rng.randint(8, 44), rng.choice(["all", "self"]))
 
 
 def run_until(archive: Archive, out: Path, state: str, *options: str, jobs: int = 2) -> Batch:
@@ -43,7 +53,11 @@ def known(out: Path) -> list[Entry]:
 
 @pytest.mark.parametrize(
     ("number", "n_times"),
-    [(signal.SIGTERM, 1), (signal.SIGINT, 1), pytest.param(signal.SIGINT, 3, marks=pytest.mark.slow)],
+    [
+        (signal.SIGTERM, 1),
+        pytest.param(signal.SIGINT, 1, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, 3, marks=pytest.mark.slow),
+    ],
 )
 def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, number: int, n_times: int) -> None:
     out = tmp_path / "out"
@@ -83,6 +97,7 @@ def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> Non
     check_whole(few, tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive: Archive, tmp_path: Path) -> None:
     """As the system does where memory is short: whoever works on the long file is killed."""
     long = "2026/day 3/long.laz"
@@ -125,6 +140,7 @@ def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
     check_whole(few, out)
 
 
+@pytest.mark.slow
 def test_two_runs_at_once_do_no_harm(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     runs = [Batch(few.folder, out, few.config, jobs=1) for _ in range(2)]

@@ -53,6 +53,7 @@ def test_a_full_disk_is_said_so_and_after_room_was_made_the_run_goes_on(
         resume(few, out)
 
 
+@pytest.mark.slow
 def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path: Path) -> None:
     """The state an ext4 gets into after an error."""
     with small_disk(tmp_path / "disk", 50_000) as disk:
@@ -74,7 +75,8 @@ def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path:
         resume(few, out)
 
 
-@pytest.mark.parametrize("what", ["all of it", pytest.param("a folder in it", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["all of it", "a folder in it"])
 def test_a_shut_output_folder_is_said_so(few: Archive, tmp_path: Path, what: str) -> None:
     out = tmp_path / "out"
     shut = out if what == "all of it" else out / "2026"
@@ -110,6 +112,7 @@ def test_outputs_of_somebody_else_stay(few: Archive, tmp_path: Path) -> None:
     resume(few, out)
 
 
+@pytest.mark.slow
 def test_a_lost_or_damaged_journal_costs_no_output_and_no_work(few: Archive, tmp_path: Path) -> None:
     out = tmp_path / "out"
     resume(few, out)

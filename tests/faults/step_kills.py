@@ -1,0 +1,66 @@
+"""Kills a run of ``prc batch`` just before each of its steps in the output folder, one step after the other.
+
+A step is whatever Python asks of the file system there: making, linking, renaming, touching or removing a file, or
+opening it to write. ``python -m tests.faults.step_kills`` takes all of them, ``--every 7`` each seventh; exit code 1 at
+the first thing that is not as it should be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from tests.faults.harness import Archive, Batch, check_nothing_half, check_whole, fresh, make_archive, part_of
+
+NAMES = ("2026/day 1/drive.npz", "2026/day 2/drive.laz")
+
+
+def run_to(archive: Archive, out: Path, strike_at: int, victims: str) -> tuple[Batch, int]:
+    """Run until a step, 0 for none; return the run, ended, and how many steps there were."""
+    counter = out.with_name("steps")
+    counter.unlink(missing_ok=True)
+    environment = {
+        "PRC_FAULTS_STEPS": f"{out}|{counter}|{strike_at}|{victims}",
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent / "steps"), os.environ.get("PYTHONPATH", "")]),
+    }
+    batch = Batch(archive.folder, out, archive.config, jobs=1, environment=environment)
+    batch.end()
+    batch.wait_until_gone()
+    return batch, counter.stat().st_size
+
+
+def strike_step(archive: Archive, out: Path, strike_at: int, victims: str) -> str:
+    """Kill before a step, check, resume, check; return what became of the run that was struck."""
+    batch, _ = run_to(archive, fresh(out), strike_at, victims)
+    check_nothing_half(archive, out)
+    code = batch.process.returncode
+    assert code in (-9, 0), f"step {strike_at}: exit code {code}"
+    resumed, said = Batch(archive.folder, out, archive.config, jobs=1).end()
+    assert resumed == 0, f"step {strike_at}: {said}"
+    check_whole(archive, out)
+    return "killed" if code == -9 else "worker killed"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--first", type=int, default=1)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="prc-faults-") as name:
+        folder = Path(name)
+        archive = part_of(make_archive(folder), folder / "few", NAMES)
+        _, n_steps = run_to(archive, folder / "out", 0, "all")
+        counts: dict[str, int] = {}
+        for victims in ("all", "self"):
+            for step in range(options.first, n_steps + 1, options.every):
+                ended = strike_step(archive, folder / "out", step, victims)
+                counts[ended] = counts.get(ended, 0) + 1
+                sys.stderr.write(f"step {step} of {n_steps}, {victims}: {ended}; {counts}\n")
+        sys.stdout.write(f"{n_steps} steps, {counts}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""Kills a process of a run just before its n-th step in the output folder; Python imports this module by its name.
+
+The steps of all processes of a run are counted in one file, a byte each.
+"""
+
+import os
+import signal
+import sys
+
+_EVENTS = {"os.rename", "os.remove", "os.link", "os.mkdir", "os.utime", "os.truncate", "open", "sqlite3.connect"}
+
+
+def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
+    handle = os.open(counter, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+    def step(event: str, arguments: tuple[object, ...]) -> None:
+        if event not in _EVENTS or not any(_is_below(out, argument) for argument in arguments[:2]):
+            return
+        if event == "open" and not (isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+            return  # to read is no step
+        os.write(handle, b".")
+        if os.lseek(handle, 0, os.SEEK_CUR) == strike_at:
+            if victims == "all" and "prc_cli.batch.worker" in " ".join(sys.orig_argv):
+                os.kill(os.getppid(), signal.SIGKILL)
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(step)
+
+
+def _is_below(out: str, argument: object) -> bool:
+    if isinstance(argument, bytes):
+        argument = os.fsdecode(argument)
+    if hasattr(argument, "__fspath__"):
+        argument = os.fspath(argument)
+    return isinstance(argument, str) and argument.startswith(out)
+
+
+if "PRC_FAULTS_STEPS" in os.environ:
+    _out, _counter, _strike_at, _victims = os.environ["PRC_FAULTS_STEPS"].split("|")
+    _install(_out, _counter, int(_strike_at), _victims)
