@@ -428,8 +428,8 @@ class _Run:
         self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
         self._waiting: deque[tuple[Order, _File]] = deque()
         self._pieces: dict[str, _Piece] = {}
-        self._running: set[str] = set()
-        """Keys that a worker has begun with and not ended, given up ones too."""
+        self._running: dict[str, str] = {}
+        """Worker by key, of orders that it has begun with and not ended, given up ones too."""
         self._n = 0
         self._workers: dict[str, int] = {}
         self._looked = 0.0
@@ -464,7 +464,7 @@ class _Run:
                 with contextlib.suppress(queue.Empty):
                     kind, message = self._messages.get(timeout=TICK_S)
                     if kind == "event" and message[0] == ENDED:
-                        self._running.discard(message[1])
+                        self._running.pop(message[1], None)
             self._client.unsubscribe_topic(self._topic)
         self._pieces.clear()
 
@@ -491,6 +491,7 @@ class _Run:
         for piece in self._pieces.values():
             if piece.worker is not None and piece.worker not in self._workers:
                 piece.worker = None  # its worker died: the scheduler gives it to another one
+        self._running = {key: worker for key, worker in self._running.items() if worker in self._workers}
 
     def _add(self, task: Task) -> None:
         task = _absolute(task)
@@ -554,9 +555,9 @@ class _Run:
     def _see(self, kind: str, key: str, worker: str, n_lines: int) -> Iterator[Event]:
         """Turn what a worker says into events."""
         if kind == ENDED:
-            self._running.discard(key)
+            self._running.pop(key, None)
         elif kind == BEGUN:
-            self._running.add(key)
+            self._running[key] = worker
         piece = self._pieces.get(key)
         if piece is None:
             return
@@ -614,11 +615,14 @@ class _Run:
             raise _lost()
         error = future.exception()
         if type(error).__name__ == "KilledWorker":
-            problem = f"{error.allowed_failures + 1} workers died while they had it"
+            died = f"{error.allowed_failures + 1} workers died while they had it"
             hint = "look at their logs; often memory is short: fewer threads a worker"
-            return Report(worker, Failed(name, None, seconds, Problem("killed", name, problem, hint)))
+            return Report(worker, Failed(name, None, seconds, Problem("killed", name, died, hint)))
         if isinstance(error, PrcError):  # no outcome of a file: the worker itself is wrong
             raise error
+        if isinstance(error, StoppedError):
+            problem = Problem("interrupted", name, f"its worker {worker} was told to let go of it", "run again")
+            return Report(worker, Failed(name, None, seconds, problem))
         return Report(worker, Failed(name, None, seconds, Problem.of(error)))
 
     def _watch(self) -> Iterator[Event]:
