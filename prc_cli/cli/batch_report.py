@@ -49,6 +49,13 @@ class _Patient(SafeConsole):
         """Go on without printing."""
         self.quiet = True
 
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print; older versions of rich pass on that nobody reads."""
+        try:
+            super().print(*objects, **options)
+        except BrokenPipeError:
+            self.quiet = True
+
 
 @cache
 def console() -> SafeConsole:
