@@ -43,7 +43,7 @@ from prc_cli.batch.types import (
     Task,
 )
 from prc_cli.batch.work import may_pass, run_task
-from prc_cli.batch.worker import BEAT_S, MOVED, PROGRESS_S, bytes_moved
+from prc_cli.batch.worker import BEAT_S, MOVED, bytes_moved
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.threads import TICK_S
 from prc_cli.pipeline import load_classifier
@@ -53,6 +53,8 @@ CONNECT_S = 20.0
 """How long the scheduler may take to answer [s]."""
 WORKERS_S = 60.0
 """How long there may be no worker at all [s]."""
+PROGRESS_S = 1.0
+"""Finished lines are reported at most so often [s]: all workers' words go through one scheduler to one client."""
 LOOK_S = 2.0
 """How often the engine asks who is there [s]."""
 STOP_S = 5.0
