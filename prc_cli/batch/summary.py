@@ -110,7 +110,7 @@ class BatchSummary:
 
 EXIT_CODES: dict[int, str] = {
     0: "done: every file that was due has its output",
-    FAILED: "at least one file failed; the others are finished",
+    FAILED: "at least one file failed, the others are finished; or archive, output folder or journal cannot be used",
     ConfigError.exit_code: "wrong usage or configuration; nothing was done",
     GateError.exit_code: "an evaluation gate was not reached; nothing failed",
     DriftError.exit_code: "the classes of a file are unlike those of earlier ones; nothing failed",
@@ -140,7 +140,8 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "finished": summary.finished,
         "seconds": round(summary.seconds, 3),
         "ended": summary.ended,
-        "exit_code": summary.exit_code,
+        # after a signal the program ends with the signal's own
+        "exit_code": None if summary.ended == "interrupted" else summary.exit_code,
         "counts": {
             "found": summary.n_found,
             "skipped": summary.n_skipped,

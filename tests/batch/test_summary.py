@@ -66,6 +66,11 @@ def test_the_worst_decides_the_exit_code(changes: dict[str, object], code: int) 
     assert code in EXIT_CODES
 
 
+def test_the_exit_code_after_a_signal_is_that_of_the_signal() -> None:
+    assert as_dict(summary(ended="interrupted", failed=(FAILED,)))["exit_code"] is None
+    assert as_dict(summary(ended="stopped", failed=(FAILED,)))["exit_code"] == 1
+
+
 def test_classes_are_pooled_over_files_in_the_order_of_labels() -> None:
     found = summary(done=(done("a", vegetation=2, ground=5), done("b", ground=1, missing=4)))
     assert found.labels == (("missing", 4), ("ground", 6), ("vegetation", 2))
