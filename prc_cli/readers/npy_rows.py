@@ -7,6 +7,7 @@ read like any other stream, so that memory does not grow with the file. Pickled 
 from __future__ import annotations
 
 import math
+import struct
 import warnings
 import zipfile
 import zlib
@@ -28,7 +29,10 @@ MAX_MEMBERS = 1000
 
 _VERSIONS = {(1, 0): npy_format.read_array_header_1_0, (2, 0): npy_format.read_array_header_2_0}
 _COPY = "copy it from the archive again"
-_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError)
+_DAMAGED = (
+    zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, NotImplementedError, RuntimeError, ValueError,
+)  # fmt: skip
+"""What zipfile raises at damaged archives; a name that is not the UTF-8 it says is a ValueError."""
 
 
 @dataclass(frozen=True, slots=True)

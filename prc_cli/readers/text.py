@@ -159,8 +159,10 @@ class TextSource:
         data = self._plain(lines.data)
         # most blocks show with their first bytes that they are not blank
         blank_only = not self._text.stripped(data[:_HEAD_BYTES]) and not self._text.stripped(data)
-        # of blank lines the first one is of interest: a gigabyte of them must not be looked at line by line
-        if blank.watches and (blank.first is not None) != blank_only:
+        if blank_only and blank.first is not None:
+            # the first blank line is known: a gigabyte of them must not be looked at line by line
+            return [np.empty(0)] * len(columns)
+        if blank.watches and (blank.first is not None or blank_only):
             return self._parse_exactly(lines, columns, blank)
         found = [np.empty(0)] * len(columns) if blank_only else self._parse_fast(data, columns)
         if blank.watches and found is not None and len(found[0]) != _n_lines(data):

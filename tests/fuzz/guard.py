@@ -10,7 +10,18 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-FORBIDDEN = ("os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.fork", "os.startfile", "subprocess.Popen", "socket.", "ctypes.dlopen", "pty.spawn")
+FORBIDDEN = (
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+    "os.spawn",
+    "os.fork",
+    "os.startfile",
+    "subprocess.Popen",
+    "socket.",
+    "ctypes.dlopen",
+    "pty.spawn",
+)
 CHANGES = {"os.remove": 1, "os.rename": 2, "os.mkdir": 1, "os.rmdir": 1, "os.link": 2, "os.symlink": 2, "os.truncate": 1,
            "os.chmod": 1, "os.chown": 1, "shutil.rmtree": 1, "shutil.move": 2}  # fmt: skip
 """Events whose first arguments are names of files that are changed."""

@@ -65,7 +65,11 @@ def fill(data: bytearray, rng: random.Random) -> bytearray:
 
 def insert_run(data: bytearray, rng: random.Random) -> bytearray:
     at = rng.randrange(len(data) + 1)
-    return data[:at] + bytes([rng.choice((0, 0xFF, 0x0A, 0x20, 0x39))]) * rng.choice((10, 1000, 100_000, 1_200_000)) + data[at:]
+    return (
+        data[:at]
+        + bytes([rng.choice((0, 0xFF, 0x0A, 0x20, 0x39))]) * rng.choice((10, 1000, 100_000, 1_200_000))
+        + data[at:]
+    )
 
 
 def set_number(data: bytearray, rng: random.Random) -> bytearray:
@@ -179,7 +183,9 @@ def las_grow_vlr(data: bytearray, rng: random.Random) -> bytearray:
     if len(data) < 375:
         return data
     size, start, count = (struct.unpack_from(code, data, at)[0] for code, at in (("<H", 94), ("<I", 96), ("<I", 100)))
-    content = rng.choice((b"\xff" * 65535, b"\x1b[2J" * 100, b"A" * 192 * 300, b"\0" * 192 * 3, bytes(rng.randbytes(400))))
+    content = rng.choice(
+        (b"\xff" * 65535, b"\x1b[2J" * 100, b"A" * 192 * 300, b"\0" * 192 * 3, bytes(rng.randbytes(400)))
+    )
     user, number = rng.choice(((b"LASF_Spec", 4), (b"LASF_Projection", 2112), (b"LASF_Projection", 34735), (b"prc-cli", 1),
                                (b"laszip encoded", 22204), (b"\x1b[31mred", 1)))  # fmt: skip
     vlr = struct.pack("<H16sHH32s", 0, user, number, len(content), b"\x1b]0;title\x07") + content
@@ -236,7 +242,20 @@ def zip_member(data: bytearray, rng: random.Random) -> bytearray:
         mutation = rng.choice((npy_header, flip_bits, set_number, cut, fill))
         members[at] = name, bytes(mutation(bytearray(content), rng))
     elif how == 3:
-        members[at] = rng.choice(("../../evil.npy", "/tmp/evil.npy", "\x1b[31m.npy", "a\nb.npy", "x" * 3000 + ".npy", ".npy", "range_m.npy")), content
+        members[at] = (
+            rng.choice(
+                (
+                    "../../evil.npy",
+                    "/tmp/evil.npy",
+                    "\x1b[31m.npy",
+                    "a\nb.npy",
+                    "x" * 3000 + ".npy",
+                    ".npy",
+                    "range_m.npy",
+                )
+            ),
+            content,
+        )
     elif how == 4:
         n = rng.choice((10**6, 4 * 10**6))
         head = "{'descr': '<f4', 'fortran_order': False, 'shape': (%d, 24), }\n" % (n // 96)
@@ -256,7 +275,11 @@ def zip_member(data: bytearray, rng: random.Random) -> bytearray:
 def inside_gzip(data: bytearray, rng: random.Random) -> bytearray:
     """The text inside damaged, or much text in little space."""
     if rng.random() < 0.1:
-        return bytearray(gzip.compress(rng.choice((b"0" * 8_000_000, b"1\n" * 2_000_000, b"\n" * 4_000_000, b"," * 4_000_000)), mtime=0))
+        return bytearray(
+            gzip.compress(
+                rng.choice((b"0" * 8_000_000, b"1\n" * 2_000_000, b"\n" * 4_000_000, b"," * 4_000_000)), mtime=0
+            )
+        )
     try:
         text = gzip.decompress(bytes(data))
     except (OSError, EOFError, zlib.error):
@@ -302,7 +325,9 @@ def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
                 return data
             found = rng.choice(numbers)
             ends = found.group()[:1], found.group()[-1:]
-            word = rng.choice((b"%d" % rng.choice(NUMBERS), b"-%d" % rng.choice(NUMBERS), b"nan", b"inf", b"1e999", b"x", b""))
+            word = rng.choice(
+                (b"%d" % rng.choice(NUMBERS), b"-%d" % rng.choice(NUMBERS), b"nan", b"inf", b"1e999", b"x", b"")
+            )
             new = xml[: found.start()] + ends[0] + word + ends[1] + xml[found.end() :]
         else:
             new = bytes(set_word(bytearray(xml), rng))

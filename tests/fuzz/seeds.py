@@ -115,17 +115,21 @@ def _flat() -> dict[str, np.ndarray]:
     points["x"] = points["line"] * 0.1
     points["y"] = points["range"] * np.sin(turn)
     points["z"] = 2 - points["range"] * np.cos(turn)
-    points["class"] = np.where(points["z"] < 0.1, 2, np.where(points["z"] > 3, 6, 3))
+    points["class"] = np.where(points["z"] < 0.1, 2, np.where(points["z"] > 3, 6, 5))
     return points
 
 
-def _las(version: str, point_format: int, *, compressed: bool, with_range: bool = True, minor: int | None = None) -> bytes:
+def _las(
+    version: str, point_format: int, *, compressed: bool, with_range: bool = True, minor: int | None = None
+) -> bytes:
     points = _flat()
     header = laspy.LasHeader(version=version, point_format=point_format)
     header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
     if with_range:
         header.add_extra_dim(laspy.ExtraBytesParams("range", np.float32))
-        header.add_extra_dim(laspy.ExtraBytesParams("scan_line", np.uint16, scales=np.array([1.0]), offsets=np.zeros(1)))
+        header.add_extra_dim(
+            laspy.ExtraBytesParams("scan_line", np.uint16, scales=np.array([1.0]), offsets=np.zeros(1))
+        )
         header.add_extra_dim(laspy.ExtraBytesParams("column", np.uint16))
     header.vlrs.append(laspy.VLR("hello", 7, "a description", b"some text"))
     header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "wkt", b'PROJCS["made up"]\0'))
@@ -154,7 +158,10 @@ def _las(version: str, point_format: int, *, compressed: bool, with_range: bool 
 def _csv() -> bytes:
     rows = ["scan_line,column,angle_deg,range,x,y,z,time,class"]
     points = _flat()
-    columns = zip(*(points[name].tolist() for name in ("line", "column", "angle", "range", "x", "y", "z", "time", "class")), strict=True)
+    columns = zip(
+        *(points[name].tolist() for name in ("line", "column", "angle", "range", "x", "y", "z", "time", "class")),
+        strict=True,
+    )
     rows += [",".join(map(repr, row)) for row in columns]
     return ("\n".join(rows) + "\n").encode()
 
@@ -223,7 +230,9 @@ def _sbet() -> bytes:
 
 def _uos() -> bytes:
     points = _flat()
-    return "".join(f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in zip(points["x"], points["y"], points["z"], strict=True)).encode()
+    return "".join(
+        f"{x:.3f} {y:.3f} {z:.3f}\n" for x, y, z in zip(points["x"], points["y"], points["z"], strict=True)
+    ).encode()
 
 
 def _raw() -> bytes:
@@ -239,7 +248,10 @@ def _labels_csv() -> bytes:
 
 
 SEEDS: dict[str, Callable[[], bytes]] = {
-    **{f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False) for n in range(11)},
+    **{
+        f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False)
+        for n in range(11)
+    },
     **{f"pf{n}.laz": lambda n=n: _las("1.2" if n < 4 else "1.4", n, compressed=True) for n in (0, 1, 2, 3, 6, 7, 8)},
     "v10.las": lambda: _las("1.2", 1, compressed=False, minor=0),
     "v11.las": lambda: _las("1.1", 1, compressed=False),
@@ -267,7 +279,7 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "text_layout.toml": lambda: TEXT_LAYOUT.encode(),
     "config.toml": lambda: CONFIG.encode(),
     "mapping.toml": lambda: MAPPING.encode(),
-    "simulate.toml": lambda: b'seed = 3\nlength_m = 5.0\n[scanner]\npoints_per_line = 24\n',
+    "simulate.toml": lambda: b"seed = 3\nlength_m = 5.0\n[scanner]\npoints_per_line = 24\n",
 }
 """Content of a valid file by its name."""
 

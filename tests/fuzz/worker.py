@@ -72,7 +72,11 @@ class Worker:
                     faults.append(f"exit code {code}")
             except BaseException as error:
                 code = None
-                faults.append(f"{type(error).__name__}: {error}"[:300] + "\n" + "".join(traceback.format_exc().splitlines(True)[-14:]))
+                faults.append(
+                    f"{type(error).__name__}: {error}"[:300]
+                    + "\n"
+                    + "".join(traceback.format_exc().splitlines(True)[-14:])
+                )
         seconds = time.process_time() - start
         faults += [f"guard: {event}" for event in seen[:3]]
         grown = _peak() - before

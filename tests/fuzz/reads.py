@@ -1,0 +1,79 @@
+"""All of a file read by the functions of the library, as ``coverage.py`` has them instrumented."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import prc_cli.readers.arrays
+import prc_cli.readers.e57
+import prc_cli.readers.grid
+import prc_cli.readers.las
+import prc_cli.readers.ptx
+import prc_cli.readers.rings
+import prc_cli.readers.text  # noqa: F401 - readers load each other late, and only what is loaded now is instrumented
+from prc_cli.config import load_config
+from prc_cli.core.config import build, read_toml
+from prc_cli.core.errors import PrcError
+from prc_cli.evaluation.mapping import load_mapping
+from prc_cli.readers import open_input, open_source
+from prc_cli.readers.labels import open_codes
+from prc_cli.readers.options import InputConfig, Layout
+from prc_cli.readers.tables import open_table
+from prc_cli.readers.trajectory import load_trajectory
+from tests.fuzz.seeds import LAYOUT, seed
+
+
+def blocks(path: Path, layout: Layout | None = None) -> None:
+    """Read records, blocks and class codes of an archive file."""
+    source = open_source(path, layout)
+    if source is not None:
+        for chunk in source.chunks(source.dimensions):
+            del chunk
+    for rules in ({}, {"lines": "fixed", "points_per_line": 24}):
+        try:
+            for block in open_input(path, InputConfig(order="trust", **rules), layout).blocks():
+                del block
+        except PrcError:
+            continue
+
+
+def _codes(path: Path) -> None:
+    """Read a file as labels and as a table."""
+    for codes in open_codes(path).chunks():
+        del codes
+    if (table := open_table(path)) is not None:
+        for chunk in table.chunks(table.dimensions):
+            del chunk
+
+
+def _raw(path: Path) -> None:
+    blocks(path, Layout.model_validate(tomllib.loads(LAYOUT)["layout"]))
+
+
+def _layout(path: Path) -> None:
+    content = read_toml(path)
+    layout = build(Layout, content.get("layout", content), str(path))
+    data = Path(path.parent) / "data.bin"
+    data.write_bytes(seed("a.bin"))
+    blocks(data, layout)
+
+
+def _trajectory(path: Path) -> None:
+    load_trajectory(path, crs="EPSG:32635", source_crs_wkt=None, time_offset=0.0)
+
+
+READS: dict[str, Callable[[Path], None]] = {
+    "raw": _raw,
+    "labels": _codes,
+    "trajectory": _trajectory,
+    "layout": _layout,
+    "config": lambda path: void(load_config(path)),
+    "mapping": lambda path: void(load_mapping(path)),
+}
+"""What is done with a file of a target; others are read by :func:`blocks`."""
+
+
+def void(_: object) -> None:
+    """Forget a value."""

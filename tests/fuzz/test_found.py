@@ -1,0 +1,226 @@
+"""What the campaigns and the attacks by hand found, each as the smallest file that shows it."""
+
+from __future__ import annotations
+
+import os
+import struct
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.cli import _run
+from prc_cli.config import load_config, to_toml
+from prc_cli.core.config import MAX_TOML_BYTES, read_toml
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.readers import regroup, text_lines
+from prc_cli.readers.npy_rows import ArrayFile
+from prc_cli.readers.options import InputConfig
+from prc_cli.readers.ptx import PtxStream
+from prc_cli.readers.text import TextSource
+from prc_cli.readers.text_format import to_number
+from tests.fuzz.guard import unprintable
+from tests.fuzz.seeds import las_vlrs, seed
+
+URBAN = ("--preset", "urban", "--trust-order")
+
+
+def put(path: Path, content: bytes | str) -> Path:
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def run(capfd: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str]:
+    """Exit code, and what was printed on both streams."""
+    try:
+        code = _run([str(argument) for argument in arguments], debug=False)
+    except SystemExit as left:  # as ``main`` would hand it on
+        code = int(left.code or 0)
+    sys.stdout.flush()
+    printed = capfd.readouterr()
+    return code, printed.out + printed.err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a = " + "[" * 100_000, "too deep"),
+        ("a = " + "{b = " * 5_000, "too deep"),
+        ("a." * 100_000 + "b = 1", "line 1: a key of more than 64 parts"),
+        ("x = 1\n['a'.\"b\" . " + "c." * 80 + "d]", "line 2: a key of more than 64 parts"),
+        ("x = {" + "a." * 70 + "a = 1}", "a key of more than 64 parts"),
+        ("seed = " + "9" * 5_000, "not valid TOML: Exceeds the limit"),
+        ("#" * (MAX_TOML_BYTES + 1), "more than 1048576 bytes"),
+    ],
+)
+def test_toml_that_its_parser_cannot_take(tmp_path: Path, text: str, message: str) -> None:
+    path = put(tmp_path / "a.toml", text)
+    start = time.process_time()
+    with pytest.raises(ConfigError, match=message):
+        read_toml(path)
+    assert time.process_time() - start < 5
+
+
+def test_long_words_do_not_look_like_deep_keys(tmp_path: Path) -> None:
+    numbers = ", ".join(f"{i}.5" for i in range(300))
+    text = f'a = [{numbers}]\nb = "{"c. " * 50}"\n{"d" * 100_000} = 1\n# {"e" * 100_000}{"." * 1000}\n'
+    assert len(read_toml(put(tmp_path / "a.toml", text))["a"]) == 300
+
+
+@pytest.mark.parametrize("value", ["['urban']", "{ x = 1 }", "1979-05-27T07:32:00Z", "1", "''"])
+def test_a_preset_that_is_no_name(tmp_path: Path, value: str) -> None:
+    with pytest.raises(ConfigError, match="preset: found "):
+        load_config(put(tmp_path / "a.toml", f"preset = {value}"))
+
+
+@pytest.mark.parametrize("name", ["a\\u0000b", "~no-such-user-here/track.csv"])
+def test_a_trajectory_that_no_file_can_be(tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
+    source = put(tmp_path / "a.las", seed("pf6.las"))
+    config = put(tmp_path / "a.toml", f'[input]\nrange = "trajectory:{name}"\n')
+    code, printed = run(capfd, "info", source, "--config", config)
+    assert code == 2
+    assert printed.startswith("error: ")
+
+
+NAMES = [
+    "e\x1b[31mvil\x1b]0;x\x07",
+    "two\nlines",
+    "[bold]x[link=y]",
+    "\u202eturned",
+    ":car:",
+    "c1\x9b2J",
+    os.fsdecode(b"\xff\xfe"),
+]
+
+
+@pytest.mark.parametrize("name", NAMES, ids=ascii)
+def test_names_of_files_command_no_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
+    source = put(tmp_path / f"{name}.npz", seed("a.npz"))
+    labels = tmp_path / f"{name}.npy"
+    config = put(tmp_path / f"{name}.toml", "preset = 'urban'\n")
+    for command in (
+        ("info", "-v", source, "--trust-order"),
+        ("classify", "-v", source, labels, *URBAN),
+        ("convert", "-v", source, tmp_path / f"{name}.e57", "--trust-order"),
+        ("info", tmp_path / f"{name}.e57", "--trust-order"),
+        ("evaluate", labels, labels),
+        ("evaluate", labels, labels, "--format", "markdown"),
+        ("evaluate", labels, labels, "--format", "csv", "-o", tmp_path / f"{name}.html"),
+        ("config", "check", config),
+        ("config", "show", "--config", config),
+        ("info", tmp_path / f"{name} is not there.las"),
+    ):
+        code, printed = run(capfd, *command)
+        assert code == ("not there" in str(command[-1])), printed
+        assert not unprintable(printed)
+
+
+def test_names_in_files_command_no_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    source = put(tmp_path / "a.csv", seed("a.csv").replace(b",class\n", b",\x1b]0;x\x07\xc2\x9b\n", 1))
+    code, printed = run(capfd, "info", source, "-v", "--trust-order")
+    assert code == 0
+    assert "\\x1b]0;x\\x07\\x9b" in printed
+    assert not unprintable(printed)
+
+
+def test_the_name_of_a_configuration_does_not_end_its_comment(tmp_path: Path) -> None:
+    path = put(tmp_path / "a\nmethod = 1\n.toml", '[input]\nlines = "dimension:a\\u007f\U0001f600\\u009b"\n')
+    loaded = load_config(path)
+    again = load_config(put(tmp_path / "again.toml", to_toml(loaded)))
+    assert again.config == loaded.config
+
+
+def test_too_little_memory_is_said_in_a_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("prc_cli.cli.info.inspect", fail)
+    code, printed = run(capfd, "info", put(tmp_path / "a.npz", seed("a.npz")))
+    assert (code, printed.count("\n")) == (1, 1)
+    assert printed.startswith("error: not enough memory")
+
+
+@pytest.mark.parametrize("name", ["pf3.laz", "pf6.laz"])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_laz_that_is_copied_is_checked_first(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, suffix: str
+) -> None:
+    sound = seed(name)
+    start = struct.unpack_from("<I", sound, 96)[0]
+    table = struct.unpack_from("<q", sound, start)[0]
+    laszip = next(at for at in las_vlrs(sound) if sound[at + 2 : at + 16] == b"laszip encoded")
+    many, run_of_ff, no_items, no_records = (bytearray(sound) for _ in range(4))
+    struct.pack_into("<I", many, table + 4, 168_430_090)  # the library made room for all of them: 2.7 GB
+    run_of_ff[start + 100 : start + 1500] = b"\xff" * 1400
+    struct.pack_into("<H", no_items, laszip + 54 + 32, 999)
+    struct.pack_into("<I", no_records, laszip + 54 + 12, 0)
+    for damaged, message in (
+        (many, "a table of 168430090 chunks, expected at most"),
+        (run_of_ff, "bytes of 0xFF in a row"),
+        (no_items, "999 items of a record"),
+        (no_records, "chunks of 0 records"),
+    ):
+        source = put(tmp_path / "a.laz", bytes(damaged))
+        code, printed = run(capfd, "convert", source, tmp_path / f"o{suffix}")
+        assert code == 1
+        assert message in printed
+        assert list(tmp_path.iterdir()) == [source]
+
+
+def test_a_cell_of_a_million_digits_is_judged_in_one_pass(tmp_path: Path) -> None:
+    start = time.process_time()
+    assert to_number("1" * 1_000_000 + "x") is None
+    assert to_number("1" * 1_000_000) == float("inf")
+    assert to_number("." + "1" * 500_000 + "e5.") is None
+    text = seed("a.ptx").replace(b"\n0.0000 0.0000 0.0000 0.5000\n", b"\n" + b"1" * 900_000 + b"x 0 0 0\n", 1)
+    with pytest.raises(InputError, match="expected a number"):
+        list(PtxStream(put(tmp_path / "a.ptx", text), InputConfig(order="trust")).blocks())
+    assert time.process_time() - start < 5
+
+
+def test_blank_lines_behind_one_column_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+    exactly = TextSource._parse_exactly
+    monkeypatch.setattr(TextSource, "_parse_exactly", lambda *args: calls.append(1) or exactly(*args))
+    path = put(tmp_path / "a.csv", b"range\n1\n2\n" + b"\n" * 100_000)
+    assert sum(chunk.n for chunk in TextSource(path, block_bytes=1000).chunks(("range",))) == 2
+    assert len(calls) == 1  # a gigabyte of them took minutes
+    with pytest.raises(InputError, match=r"line 4: a blank line between the rows"):
+        list(TextSource(put(path, path.read_bytes() + b"3\n"), block_bytes=1000).chunks(("range",)))
+
+
+def test_text_that_unpacks_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import gzip
+
+    path = put(tmp_path / "a.csv.gz", gzip.compress(b"range\n" + b"1.0\n" * 1_000_000, mtime=0))
+    assert sum(chunk.n for chunk in TextSource(path).chunks(("range",))) == 1_000_000
+    monkeypatch.setattr(text_lines, "LEAST_BYTES", 1 << 20)
+    with pytest.raises(InputError, match="unpacks to more than"):
+        list(TextSource(path).chunks(("range",)))
+
+
+def test_a_block_that_gathers_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(regroup, "MOST_WAITING", 1000)
+    block = ScanBlock(first_line=0, range_m=np.ones((1, 100), np.float32), record=np.zeros((1, 100), np.int64))
+    with pytest.raises(InputError, match="20 lines of 100 shots"):
+        list(regroup.regroup(iter([block] * 20), 20))
+    assert len(list(regroup.regroup(iter([block] * 20), 8))) == 3
+
+
+def test_an_archive_whose_names_are_not_what_they_say(tmp_path: Path) -> None:
+    raw = bytearray(seed("a.npz"))
+    name = raw.index(b"range_m.npy")
+    struct.pack_into("<H", raw, name - 24, 0x800)  # the name is UTF-8
+    raw[name] = 0xFF
+    with pytest.raises(InputError, match="cannot be read"):
+        ArrayFile(put(tmp_path / "a.npz", bytes(raw)))
+    at = raw.rindex(b"range_m.npy")
+    struct.pack_into("<H", raw, at - 46 + 8, 0x800)
+    raw[at] = 0xFF
+    with pytest.raises(InputError, match="not a whole npz archive"):
+        ArrayFile(put(tmp_path / "a.npz", bytes(raw)))

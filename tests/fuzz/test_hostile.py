@@ -1,0 +1,199 @@
+"""Damaged files of every format through every command, in a watched worker; longer runs: ``tests.fuzz.campaign``."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import struct
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from prc_cli.core.errors import PrcError
+from prc_cli.readers import check_input, open_source
+from prc_cli.readers.labels import OPENERS, open_codes
+from prc_cli.readers.npy_rows import ArrayFile
+from tests.fuzz.campaign import LIMIT_S, WatchedWorker
+from tests.fuzz.guard import unprintable
+from tests.fuzz.mutations import MUTATIONS, mutate
+from tests.fuzz.seeds import SEEDS, seed, write_seeds
+from tests.fuzz.targets import TARGETS, suffix_of_seed
+
+
+@pytest.fixture(scope="module")
+def worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[WatchedWorker, Path]]:
+    pytest.importorskip("resource", reason="workers are limited by what only POSIX has")
+    folder = tmp_path_factory.mktemp("fuzz")
+    (folder / "seeds").mkdir()
+    write_seeds(folder / "seeds")
+    watched = WatchedWorker(folder)
+    yield watched, folder
+    watched.close()
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@settings(max_examples=6, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
+@given(number=st.integers(0, 2**32))
+def test_damaged_files_are_refused_or_read(worker: tuple[WatchedWorker, Path], name: str, number: int) -> None:
+    watched, folder = worker
+    target = TARGETS[name]
+    chosen = target.seeds[number % len(target.seeds)]
+    case = folder / f"case{suffix_of_seed(chosen)}"
+    case.write_bytes(mutate(seed(chosen), suffix_of_seed(chosen), number))
+    command = target.commands[number // 7 % len(target.commands)]
+    answer = watched.run(command, case)
+    assert not answer["faults"], (command, chosen, number, answer["faults"])
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], name: str) -> None:
+    """Else every case would be refused for a reason that is not its damage."""
+    watched, folder = worker
+    chosen = TARGETS[name].seeds[0]
+    case = folder / f"sound{suffix_of_seed(chosen)}"
+    case.write_bytes(seed(chosen))
+    codes = {watched.run(command, case)["code"] for command in TARGETS[name].commands[:5]}
+    assert 0 in codes
+
+
+ATTACKS = (
+    "import os; os.system('true')",
+    "exec('1')",
+    "eval('1+1')",
+    "import socket; socket.socket()",
+    "import subprocess; subprocess.run(['true'])",
+    "import pickle; pickle.loads(EVIL)",
+    "open('/tmp/prc-fuzz-outside', 'w')",
+    "import os; os.remove('/tmp/prc-fuzz-not-there')",
+)
+
+
+@pytest.mark.parametrize("text", ATTACKS)
+def test_the_guard_sees(tmp_path: Path, text: str) -> None:
+    """In a process of its own: a hook can never be removed."""
+    import subprocess
+    import sys
+
+    program = (
+        "import sys, pathlib\nfrom tests.fuzz.guard import Guard\n"
+        f"import os, socket, subprocess, pickle, collections\nEVIL = {pickle.dumps(Evil)!r}\n"
+        f"guard = Guard((pathlib.Path({str(tmp_path)!r}),))\n"
+        "def attack():\n    try:\n        " + text + "\n    except OSError:\n        pass\n"
+        "with guard.armed() as seen:\n    open(guard._folders[0] + 'inside', 'w').close()\n"
+        "    quiet = list(seen)\n    attack()\n"
+        "pathlib.Path('/tmp/prc-fuzz-outside').unlink(missing_ok=True)\nsys.exit(0 if seen and not quiet else 1)\n"
+    )
+    script = tmp_path / "attack.py"
+    script.write_text(program)
+    root = Path(__file__).resolve().parents[2]
+    assert subprocess.run([sys.executable, str(script)], check=False, env={"PYTHONPATH": str(root)}).returncode == 0
+
+
+class Evil:
+    """Writes a file when it is loaded from a pickle."""
+
+    def __init__(self, target: str) -> None:
+        self.target = target
+
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return Path.touch, (Path(self.target),)  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_a_pickle_is_never_loaded(tmp_path: Path, suffix: str) -> None:
+    victim = tmp_path / "victim"
+    array = np.array([[Evil(str(victim))] * 24] * 14, dtype=object)
+    path = tmp_path / f"a{suffix}"
+    np.save(path, array) if suffix == ".npy" else np.savez(path, range_m=array)
+    for read in (lambda: open_codes(path), lambda: next(iter(ArrayFile(path).headers.values())).check_numbers()):
+        with pytest.raises(PrcError, match="Python objects"):
+            read()
+    assert not victim.exists()
+    np.load(path, allow_pickle=True)[...] if suffix == ".npy" else np.load(path, allow_pickle=True)["range_m"]
+    assert victim.exists(), "the attack itself is not one"
+
+
+def test_names_inside_an_archive_are_no_paths(tmp_path: Path) -> None:
+    out = io.BytesIO()
+    array = io.BytesIO()
+    np.save(array, np.ones((14, 24), np.float32))
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("../../range_m.npy", array.getvalue())
+    inside = tmp_path / "a" / "b"
+    inside.mkdir(parents=True)
+    (inside / "a.npz").write_bytes(out.getvalue())
+    with ArrayFile(inside / "a.npz").open("../../range_m") as (rows,):
+        assert rows.read(14).shape == (14, 24)
+    assert [path.name for path in tmp_path.rglob("*.npy")] == []
+
+
+@pytest.mark.parametrize("name", [name for name in SEEDS if f".{name.split('.', 1)[1]}" in OPENERS])
+def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
+    """At every power of two, around every structure of a LAS file, and one byte early."""
+    data = seed(name)
+    edges = {
+        len(data) - 1,
+        *(1 << k for k in range(16)),
+        227,
+        235,
+        375,
+        *(struct.unpack_from("<HI", data, 94) if name[-4:] in (".las", ".laz") else ()),
+    }
+    path, refused = tmp_path / f"a{suffix_of_seed(name)}", []
+    for edge in sorted(edge for edge in edges if 0 < edge < len(data)):
+        path.write_bytes(data[:edge])
+        try:
+            source = open_source(path) if path.suffix != ".label" and path.suffix != ".parquet" else None
+            for chunk in source.chunks(source.dimensions) if source is not None else ():
+                assert chunk.n
+            for codes in open_codes(path).chunks():
+                assert codes.dtype == np.int64
+        except PrcError as error:
+            refused.append(error.where)
+    assert all(where.startswith(str(path)) for where in refused), refused
+
+
+@settings(max_examples=60)
+@given(number=st.integers(0, 2**64), suffix=st.sampled_from([*MUTATIONS, ".bin"]), data=st.binary(max_size=80))
+def test_the_same_damage_can_be_made_again(number: int, suffix: str, data: bytes) -> None:
+    assert mutate(data, suffix, number) == mutate(data, suffix, number) != b""
+
+
+@given(st.text())
+def test_what_is_unprintable(text: str) -> None:
+    from prc_cli.cli.safe import printable, printable_lines
+
+    assert not unprintable(printable(text))
+    assert not unprintable(printable_lines(text))
+    assert "\n" not in printable(text)
+
+
+@pytest.mark.data
+def test_real_scans_damaged(worker: tuple[WatchedWorker, Path], real_data: Path) -> None:
+    watched, folder = worker
+    for number, name in enumerate(
+        ("profiler/jakarto_0.02s.las", "las/plane.laz", "las/fullwave_pf10.laz", "las/mls_not_in_time_order.las")
+    ):
+        data = (real_data / name).read_bytes()
+        suffix = Path(name).suffix
+        case = folder / f"real{suffix}"
+        for trial in range(5):
+            case.write_bytes(mutate(data, suffix, 100 * number + trial))
+            commands = TARGETS[suffix[1:]].commands
+            answer = watched.run(commands[(7 * trial + number) % len(commands)], case)
+            assert not answer["faults"], (name, trial, answer["faults"])
+            assert answer["seconds"] < LIMIT_S
+
+
+def test_other_things_than_files_are_refused(tmp_path: Path) -> None:
+    for name in ("/dev/zero", str(tmp_path)):
+        link = tmp_path / "a.las"
+        link.unlink(missing_ok=True)
+        link.symlink_to(name)
+        with pytest.raises(PrcError, match="not a regular file|is a folder"):
+            check_input(link)
