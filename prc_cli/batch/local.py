@@ -34,8 +34,12 @@ START_S = 120.0
 """A worker that is not ready after so long is given up [s]."""
 FAILED_STARTS = 3
 """So many workers in a row that never got ready end the run."""
+KILL_S = 5.0
+"""How long the system may take to end a process that was killed [s]."""
 LONGEST_LOOK_S = 1.0
 """Between two looks at the workers lies less than this, unless this process was stopped [s]."""
+ABANDON_S = 10.0
+"""A worker that is still there so long after it was killed hangs in the system [s]."""
 LAST_WORDS = 400
 """Of what a worker printed before it died [bytes]."""
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
@@ -80,6 +84,8 @@ class _Worker:
     """When it last gave a sign of life [s]."""
     verdict: Problem | None = None
     """Why this process killed it."""
+    killed: float = 0.0
+    """When [s]."""
 
     def give(self, task: Task) -> None:
         """Send a task; if the worker is dead by now, its end tells."""
@@ -95,6 +101,11 @@ class _Worker:
         with contextlib.suppress(OSError):
             assert self.process.stdin is not None
             self.process.stdin.close()
+
+    def kill(self, verdict: Problem) -> None:
+        """End it at once; its end comes as a message."""
+        self.verdict, self.killed = verdict, time.monotonic()
+        self.process.kill()
 
     def clean_up(self) -> None:
         """After its end: close its files, and remove what it left."""
@@ -186,7 +197,7 @@ class _Pool:
             if not more and all(worker.task is None for worker in self._workers):
                 return
             yield from self._hear()
-            self._watch()
+            yield from self._watch()
 
     def stop(self) -> None:
         """End all workers within seconds, and remove what those left that had to be killed."""
@@ -201,7 +212,7 @@ class _Pool:
                 worker.process.kill()
         for worker in self._workers:
             with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in the system: the kill waits for it
-                worker.process.wait(1.0)
+                worker.process.wait(KILL_S)
             worker.clean_up()
         self._workers.clear()
 
@@ -261,6 +272,8 @@ class _Pool:
 
     def _bury(self, worker: _Worker) -> Iterator[Event]:
         """Say what became of the task of a worker that has ended."""
+        if worker not in self._workers:  # it was given up before
+            return
         code = worker.process.wait()
         self._workers.remove(worker)
         words = worker.last_words()
@@ -274,7 +287,7 @@ class _Pool:
                 found = f"ended before it was ready, {FAILED_STARTS} times ({_how(code)}{_said(words)})"
                 raise PrcError("worker process", found, "prc doctor checks the installation")
 
-    def _watch(self) -> None:
+    def _watch(self) -> Iterator[Event]:
         """Kill workers that give no sign of life; their end comes as a message.
 
         Time in which nobody listened, as after Ctrl-Z, is not held against them.
@@ -282,18 +295,25 @@ class _Pool:
         now, stall_s = time.monotonic(), self._settings.stall_s
         deaf_s = max(0.0, now - self._looked - LONGEST_LOOK_S)
         self._looked = now
-        for worker in self._workers:
+        for worker in tuple(self._workers):
             worker.seen = min(now, worker.seen + deaf_s)
             if worker.verdict is not None:
-                continue
-            if worker.task is not None and now - worker.seen > stall_s:
+                if now - worker.killed > ABANDON_S:
+                    yield from self._abandon(worker, worker.verdict)
+            elif worker.task is not None and now - worker.seen > stall_s:
                 problem = f"no progress for {stall_s:g} s, given up"
                 hint = "check that its disk or share answers; --stall allows more"
-                worker.verdict = Problem("timeout", worker.task.name, problem, hint)
-                worker.process.kill()
+                worker.kill(Problem("timeout", worker.task.name, problem, hint))
             elif not worker.ready and now - worker.seen > START_S:
-                worker.verdict = Problem("timeout", "worker process", f"not ready after {START_S:g} s")
-                worker.process.kill()
+                worker.kill(Problem("timeout", "worker process", f"not ready after {START_S:g} s"))
+
+    def _abandon(self, worker: _Worker, verdict: Problem) -> Iterator[Event]:
+        """Go on without a worker that cannot even be killed, because it hangs in the system."""
+        self._workers.remove(worker)
+        task, worker.task = worker.task, None  # its temporary files stay, as long as it is there
+        worker.clean_up()
+        if task is not None:
+            yield Failed(task.name, None, time.monotonic() - worker.begun, verdict)
 
 
 _NEW_GROUP = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
@@ -310,6 +330,7 @@ def _read(worker: _Worker, messages: queue.SimpleQueue[tuple[_Worker, Any]]) -> 
             except Exception:  # the end, or a message that was cut by it
                 break
             messages.put((worker, message))
+    worker.process.wait()
     messages.put((worker, None))
 
 

@@ -31,7 +31,7 @@ PROGRESS_S = 0.2
 """Finished lines are reported at most so often [s]."""
 MOVED = 1 << 14
 """So many bytes read or written are a sign of life [bytes]; looking itself moves a few hundred."""
-PATIENCE_S = 3.0
+PATIENCE_S = 5.0
 """How long a worker that must end may take to remove its temporary files [s]."""
 AGAIN_S = 0.05
 """An interrupt that Python dropped is raised again so much later [s]."""
