@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
+
+Slots = NDArray[np.uint64]
 
 LINES = 2
 """Lines before and after that the texture looks at."""
@@ -60,6 +63,9 @@ VOTERS = 4
 GAP_SHOTS = 3
 """Shots without support that part a run, beside as many as it is long."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
+_QUIET = 1 << _MISSING | 1 << _NOISE
+_DECIDED = _QUIET | 1 << _GROUND
+"""Labels that have no vote, and that no vote changes, as bits."""
 _BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
 
 
@@ -240,6 +246,23 @@ def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, figu
     return through <= top + figures[OVER_M]
 
 
+@helper
+def _is_leaf(
+    y: np.float32,
+    z: np.float32,
+    above: np.float32,
+    line: int,
+    rough: Slots,
+    walls: tuple[F32, F32, F32],
+    figures: F32,
+) -> bool:
+    """Tell whether a lonely shot is among rough ones, and not in a wall."""
+    b = _strip(y)
+    if b < 0 or above <= figures[OBJECT_M] or _in_wall(y, z, walls[0][line, b], walls[1][line, b], figures):
+        return False
+    return np.float32(_slots_around(rough[line, b], _slot(above))) >= figures[LEAF_SLOTS]
+
+
 @inlined
 def _level_bins(levels: U8, y: np.float32) -> int:
     """Count the bins with a level surface around a shot."""
@@ -260,7 +283,7 @@ def fused_labels(
     counts: tuple[U8, U8, U8, U8],
     walked: Mask,
     texture: F32,
-    slots: tuple[np.ndarray, np.ndarray],
+    slots: tuple[Slots, Slots],
     walls: tuple[F32, F32, F32],
     levels: U8,
     step: np.float32,
@@ -308,19 +331,14 @@ def fused_labels(
             r = window_m[line + MARGIN, i]
             if r != r:
                 continue
-            y, z, h = side[k, i], height[k, i], above[k, i]
-            b = _strip(y)
-            wall = b >= 0 and _in_wall(y, z, walls[0][line, b], walls[1][line, b], figures)
-            company = np.float32(near[k, i])
+            h, pairs = above[k, i], smooth[k, i]
             leaf = False
-            if company < least:
+            if np.float32(near[k, i]) < least:
                 # alone, unless it is a leaf among rough shots
-                if company >= 1 and not wall and h > figures[OBJECT_M] and b >= 0:
-                    leaf = _slots_around(slots[1][line, b], _slot(h)) >= figures[LEAF_SLOTS]
+                leaf = near[k, i] > 0 and _is_leaf(side[k, i], height[k, i], h, line, slots[1], walls, figures)
                 if not leaf:
                     labels[line, i] = _NOISE
                     continue
-            pairs = smooth[k, i]
             if pairs == 0 and _is_spike(near, smooth, k, i, r, step, least, figures[SPIKE_SHARE]):
                 labels[line, i] = _NOISE
                 continue
@@ -331,6 +349,9 @@ def fused_labels(
             if _is_ground(h, walked[k, i], up, flat, figures):
                 labels[line, i] = _GROUND
                 continue
+            y, z = side[k, i], height[k, i]
+            b = _strip(y)
+            wall = b >= 0 and _in_wall(y, z, walls[0][line, b], walls[1][line, b], figures)
             share = figures[LEAF_SHARE]
             if b >= 0 and walls[2][line, b] != np.float32(0.0):
                 before = abs(walls[2][line, b]) - abs(y)
@@ -347,7 +368,8 @@ def fused_labels(
                     labels[line, i] = _OTHER
                     continue
             if (
-                not wall
+                figures[POLE_M] > 0
+                and not wall
                 and flat == 0
                 and h > figures[OBJECT_M]
                 and texture[line, i] >= figures[LEAF_SHARE]
@@ -363,15 +385,21 @@ def fused_labels(
 
 
 @inlined
-def _agree(labels: U8, line: int, i: int, columns: int) -> bool:
-    """Tell whether the shots half a place away, and those of the lines beside, have the label of a shot."""
+def _may_differ(label: int, own: int) -> bool:
+    """Tell whether a label is another one; nothing and noise have none."""
+    return label != own and not (_QUIET >> label) & 1
+
+
+@inlined
+def _is_settled(labels: U8, line: int, i: int) -> bool:
+    """Tell whether no shot a few columns away, and none of the lines beside, has another label."""
     m = labels.shape[1]
-    own, half = labels[line, i], columns // 2
-    return (
-        labels[line - 1, i] == own
-        and labels[line + 1, i] == own
-        and labels[line, max(i - half, 0)] == own
-        and labels[line, min(i + half, m - 1)] == own
+    own = labels[line, i]
+    return not (
+        _may_differ(labels[line - 1, i], own)
+        or _may_differ(labels[line + 1, i], own)
+        or _may_differ(labels[line, max(i - VOTERS, 0)], own)
+        or _may_differ(labels[line, min(i + VOTERS, m - 1)], own)
     )
 
 
@@ -399,15 +427,14 @@ def _vote(labels: U8, points: tuple[F32, F32], line: int, i: int, columns: int, 
     return _BUILDING if building == most else _VEGETATION
 
 
-@kernel(
-    "uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[:, ::1], 2), float32, float32, float32)"
-)
+@kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[:, ::1], 2), float32, float32, float32)")
 def vote_labels(
     labels: U8, range_m: F32, points: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
 ) -> U8:
     """Let every shot that is neither ground nor noise take the label of most of the shots around it.
 
-    Where the shots half a place to both sides and those of the lines before and after have its label, it keeps it.
+    Where neither the shots four columns to both sides nor those of the lines before and after have another one, it
+    keeps its own; noise has no say.
 
     Parameters
     ----------
@@ -433,9 +460,9 @@ def vote_labels(
         line = row + 1
         for i in range(m):
             own = labels[line, i]
-            if own == _MISSING or own == _NOISE or own == _GROUND:
+            if (_DECIDED >> own) & 1:
                 continue
-            columns = min(max(int(half_m / (range_m[line, i] * step)), LEAST_COLUMNS), MOST_COLUMNS)
-            if not _agree(labels, line, i, columns):
+            if not _is_settled(labels, line, i):
+                columns = min(max(int(half_m / (range_m[line, i] * step)), LEAST_COLUMNS), MOST_COLUMNS)
                 voted[row, i] = _vote(labels, points, line, i, columns, near_m)
     return voted

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 BINS, BIN_M = 320, np.float32(0.25)
 """Places beside the scanner at which the ground is remembered, on either side, and how wide they are [m]."""
@@ -13,8 +13,6 @@ LEAST_NEAR, STEP_M, SLOPE, SLOPE_REACH_M, GAP_SLOPE, KNOWN_M, MEMORY_LINES, FOLL
 """Figures of the walk, in this order."""
 BACK_M = np.float32(0.05)
 """Ground may go back so far on its way out, by the noise of ranges [m]."""
-WITHIN_BIN = np.float32(0.25)
-"""Share of a shot in the height of its place, beside those of the line before it."""
 
 
 @helper
@@ -24,6 +22,15 @@ def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.
         if np.float32(age[b]) < lines:
             return memory[b]
     return start_m
+
+
+@inlined
+def _note(place: int, total: np.float32, n: np.float32, profile: F32, seen: U8) -> None:
+    """Write the mean height of a place that the walk leaves; of two visits the mean."""
+    if place >= 0:
+        mean = total / n
+        profile[place] = (profile[place] + mean) * np.float32(0.5) if seen[place] else mean
+        seen[place] = 1
 
 
 @helper
@@ -43,7 +50,9 @@ def _walk(
     near, smooth, upright, level = counts
     memory, age = known
     last_y, last_z = np.float32(0.0), _start(memory, age, start_m, figures[MEMORY_LINES])
-    least = figures[LEAST_NEAR]
+    least, lines, near_m = figures[LEAST_NEAR], figures[MEMORY_LINES], figures[KNOWN_M]
+    step, slope, reach, gap = figures[STEP_M], figures[SLOPE], figures[SLOPE_REACH_M], figures[GAP_SLOPE]
+    place, total, n = -1, np.float32(0.0), np.float32(0.0)
     for k in range(len(columns)):
         i = columns[k]
         if np.float32(near[i]) < least or smooth[i] == 0 or level[i] <= upright[i]:
@@ -54,15 +63,16 @@ def _walk(
         if out < -BACK_M or y < np.float32(0.0) or b >= BINS:
             continue
         out = max(out, np.float32(0.0))
-        limit = figures[STEP_M] + figures[SLOPE] * min(out, figures[SLOPE_REACH_M]) + figures[GAP_SLOPE] * out
-        remembered = np.float32(age[b]) < figures[MEMORY_LINES] and abs(z - memory[b]) < figures[KNOWN_M]
-        if abs(z - last_z) <= limit or remembered:
+        limit = step + slope * min(out, reach) + gap * out
+        if abs(z - last_z) <= limit or (np.float32(age[b]) < lines and abs(z - memory[b]) < near_m):
             walked[i] = True
-            if seen[b]:
-                profile[b] += (z - profile[b]) * WITHIN_BIN
-            else:
-                profile[b], seen[b] = z, 1
+            if b != place:
+                _note(place, total, n, profile, seen)
+                place, total, n = b, np.float32(0.0), np.float32(0.0)
+            total += z
+            n += np.float32(1.0)
             last_y, last_z = y, z
+    _note(place, total, n, profile, seen)
 
 
 @helper
@@ -99,18 +109,18 @@ def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
 
 
 @helper
-def _heights(columns: I32, sign: np.float32, points: tuple[F32, F32], profile: F32, above: F32) -> None:
-    """Write the heights of the shots of a side above the profile."""
+def _heights(side: F32, height: F32, left: F32, right: F32, above: F32) -> None:
+    """Write the heights of the shots of a line above the profiles of its two sides."""
     half = np.float32(0.5)
-    for k in range(len(columns)):
-        i = columns[k]
-        y = points[0][i] * sign
+    for i in range(len(side)):
+        y = side[i]
         if y != y:
             continue
-        place = max(y / BIN_M - half, np.float32(0.0))
+        place = max(abs(y) / BIN_M - half, np.float32(0.0))
         b = min(int(place), BINS - 2)
         share = min(place - np.float32(b), np.float32(1.0))
-        above[i] = points[1][i] - (profile[b] + (profile[b + 1] - profile[b]) * share)
+        inner, outer = (left[b], left[b + 1]) if y >= np.float32(0.0) else (right[b], right[b + 1])
+        above[i] = height[i] - (inner + (outer - inner) * share)
 
 
 @kernel(
@@ -167,7 +177,7 @@ def walk_ground(
     walked = np.zeros((n_lines, m), np.bool_)
     memory, ages = memory_m.copy(), age.copy()
     kept_memory, kept_ages = memory_m.copy(), age.copy()
-    profile, seen = np.empty(BINS, np.float32), np.empty(BINS, np.uint8)
+    profiles, seen = np.empty((2, BINS), np.float32), np.empty(BINS, np.uint8)
     near, smooth, upright, level = counts
     for line in range(n_lines):
         if line == keep:
@@ -177,12 +187,13 @@ def walk_ground(
         for s in range(2):
             columns = left if s == 0 else right
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
+            profile, known = profiles[s], (memory[s], ages[s])
             seen[:] = 0
             profile[:] = np.float32(0.0)
-            _walk(columns, sign, points, own, (memory[s], ages[s]), start_m, figures, profile, seen, walked[line])
+            _walk(columns, sign, points, own, known, start_m, figures, profile, seen, walked[line])
             _remember(profile, seen, memory[s], ages[s], figures)
             _fill(profile, seen, start_m)
-            _heights(columns, sign, points, profile, above[line])
+        _heights(side_m[line], height_m[line], profiles[0], profiles[1], above[line])
     if keep >= n_lines:
         kept_memory[:], kept_ages[:] = memory, ages
     return above, walked, kept_memory, kept_ages

@@ -8,9 +8,12 @@ and what stands upright stays in its strip from line to line.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, U8
 from prc_cli.kernels.cache import helper, kernel
+
+Slots = NDArray[np.uint64]
 
 STRIPS, STRIP_M, SLOT_M = 320, np.float32(0.5), np.float32(0.25)
 """Number of strips, half of them on either side, their width and the height of a slot [m]."""
@@ -36,7 +39,7 @@ def _fill_line(
     counts: tuple[U8, U8, U8, U8],
     step: np.float32,
     figures: F32,
-    slots: tuple[np.ndarray, np.ndarray],
+    slots: tuple[Slots, Slots],
     sums: tuple[F32, F32, F32, F32],
     levels: U8,
 ) -> None:
@@ -79,12 +82,13 @@ def _fill_line(
 
 
 @kernel(
-    "Tuple((UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 4), uint8[:, ::1]))"
+    "Tuple((uint64[:, ::1], uint64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1],"
+    " uint8[:, ::1]))"
     "(UniTuple(float32[:, ::1], 4), UniTuple(uint8[:, ::1], 4), float32, float32[::1])"
 )
 def fill_strips(
     points: tuple[F32, F32, F32, F32], counts: tuple[U8, U8, U8, U8], step: np.float32, figures: F32
-) -> tuple[tuple[np.ndarray, np.ndarray], tuple[F32, F32, F32, F32], U8]:
+) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
     """Sort what stands above the ground into strips, line by line.
 
     Parameters
@@ -125,11 +129,11 @@ def fill_strips(
             (length[k], wall[k], place[k], top[k]),
             levels[k],
         )
-    return (every, rough), (length, wall, place, top), levels
+    return every, rough, length, wall, place, top, levels
 
 
 @kernel("uint64[:, ::1](uint64[:, ::1])")
-def widen_slots(slots: np.ndarray) -> np.ndarray:
+def widen_slots(slots: Slots) -> Slots:
     """Put the slots of a line together with those of the lines and strips around.
 
     Parameters

@@ -28,6 +28,8 @@ NORMAL_QUARTILE = 0.6745
 """Half of the values of a normal law are within so many standard deviations."""
 MIDDLE_OF_THREE = 1.5
 """Variance of a point's distance from the middle of its neighbours, in variances of one range."""
+EVERY_LINE = 4
+"""The noise is measured on every so many lines."""
 LEAST_TRIPLES = 100
 """Fewer do not tell the noise."""
 
@@ -122,8 +124,9 @@ def range_noise(side_m: F32, height_m: F32, params: SensorParams) -> float:
     """
     if params.range_noise_m != "auto":
         return params.range_noise_m
-    dy, dz = side_m[:, 2:] - side_m[:, :-2], height_m[:, 2:] - height_m[:, :-2]
-    across = dy * (height_m[:, 1:-1] - height_m[:, :-2]) - dz * (side_m[:, 1:-1] - side_m[:, :-2])
+    y, z = side_m[::EVERY_LINE], height_m[::EVERY_LINE]
+    dy, dz = y[:, 2:] - y[:, :-2], z[:, 2:] - z[:, :-2]
+    across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
     with np.errstate(invalid="ignore", divide="ignore"):
         off = np.abs(across) / np.hypot(dy, dz)
     off = off[np.isfinite(off)]

@@ -1,0 +1,218 @@
+"""Random arguments for the kernels of the fused classifier: small streets of ground, walls, leaves and strays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.kernels import fused_classes, fused_ground, fused_neighbours, fused_strips
+
+AROUND, INNER, MARGIN = 4, 2, 4
+
+
+@dataclass
+class Street:
+    """A window of ranges and what there is to know of its beams."""
+
+    window: F32
+    sine: F32
+    cosine: F32
+    step: np.float32
+    left: I32
+    right: I32
+
+    @property
+    def range_m(self) -> F32:
+        return np.ascontiguousarray(self.window[INNER:-INNER])
+
+    def margins(self) -> tuple[F32, F32]:
+        side, height = fused_neighbours.plane_points(self.window, self.sine, self.cosine, MARGIN)
+        return side, height
+
+    def points(self) -> tuple[F32, F32]:
+        side, height = (np.ascontiguousarray(one[INNER:-INNER, MARGIN:-MARGIN]) for one in self.margins())
+        return side, height
+
+
+def street(rng: Generator) -> Street:
+    """Ground, walls to the sides, a thing in between, leaves that stray, missing shots; on a grid that makes ties."""
+    n_lines, m = int(rng.integers(1, 4)) + 2 * AROUND, int(rng.integers(1, 28))
+    first, last = ((-2.2, 2.2), (3.0, 0.05), (0.1, 1.9))[rng.integers(3)]
+    angle = np.linspace(first, last, m) if m > 1 else np.array([first])
+    sine, cosine = np.sin(angle), np.cos(angle)
+    with np.errstate(divide="ignore"):
+        ranges = np.where(cosine > 0, 2.0 / cosine, np.inf)
+        for place in rng.choice([-9.0, -6.0, -2.5, 2.0, 5.0, 85.0], int(rng.integers(0, 4))):
+            ranges = np.minimum(ranges, np.where(sine * place > 0, place / sine, np.inf))
+    ranges = np.tile(np.where(ranges < 90, ranges, np.nan), (n_lines, 1))
+    ranges += rng.normal(0, rng.choice([0.0, 0.003, 0.3]), ranges.shape) * (rng.random(ranges.shape) < 0.7)
+    if rng.random() < 0.3:
+        ranges = np.round(ranges * 8) / 8
+    strays = rng.random(ranges.shape) < rng.choice([0.0, 0.05, 0.4])
+    ranges = np.where(strays, rng.choice([1.5, 4.0, 4.25, 30.0], ranges.shape), ranges)
+    ranges[rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6, 1.0], p=[0.4, 0.3, 0.2, 0.1])] = np.nan
+    window = np.maximum(ranges, 0.3).astype(np.float32)
+    outwards = np.argsort(np.abs(angle), kind="stable").astype(np.int32)
+    positive = angle[outwards] >= 0
+    step = np.float32(abs(last - first) / max(m - 1, 1))
+    return Street(
+        window, sine.astype(np.float32), cosine.astype(np.float32), step, outwards[positive].copy(),
+        outwards[~positive].copy(),
+    )  # fmt: skip
+
+
+def figures(*values: float) -> F32:
+    return np.array(values, np.float32)
+
+
+def points_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    return one.window, one.sine, one.cosine, int(rng.integers(0, 5))
+
+
+def near_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    chosen = figures(rng.choice([0.4, 0.125, 2.0]), rng.choice([0.0, 3.0]), 0.1, 1.0, rng.choice([0.0, 8.0]))
+    return one.window, *one.margins(), one.step, chosen
+
+
+def smooth_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    chosen = figures(rng.choice([0.0, 0.006, 0.2]), rng.choice([0.0, 0.01]), rng.choice([0.4, 5.0]), 16.0)
+    return one.window, *one.margins(), one.step, chosen
+
+
+def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
+    """Counts as neighbours have them, or any."""
+    shape = one.range_m.shape
+    if rng.random() < 0.5:
+        near, smooth, upright, level = (rng.integers(0, n, shape).astype(np.uint8) for n in (29, 11, 4, 4))
+        for counts in (near, smooth, upright, level):
+            counts[np.isnan(one.range_m)] = 0
+        return near, smooth, upright, level
+    near = fused_neighbours.near_counts(one.window, *one.margins(), one.step, figures(0.4, 3, 0.1, 1, 8))
+    smooth = fused_neighbours.smooth_counts(one.window, *one.margins(), one.step, figures(0.006, 0.01, 0.4, 16))
+    chords = fused_neighbours.directions(one.range_m, *one.points(), smooth, one.step, figures(0.15, 0.35, 0.02, 2))
+    return near, smooth, *chords
+
+
+def directions_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    chosen = figures(rng.choice([0.15, 2.0, 20.0]), rng.choice([0.35, 0.0]), rng.choice([0.02, 0.0]), 5.0)
+    return one.range_m, *one.points(), random_counts(rng, one)[1], one.step, chosen
+
+
+def walk_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    memory = rng.normal(-2, 0.2, (2, fused_ground.BINS)).astype(np.float32)
+    age = rng.choice([0, 3, 60, 1000], (2, fused_ground.BINS)).astype(np.int32)
+    if rng.random() < 0.5:
+        age[:] = 1000
+    chosen = figures(3, rng.choice([0.14, 1.0]), 0.3, 0.5, rng.choice([0.0, 0.08]), 0.15, rng.choice([0, 5, 60]), 0.4)
+    keep = int(rng.integers(0, len(one.range_m) + 1))
+    start = np.float32(rng.choice([-2.0, 0.0]))
+    return *one.points(), random_counts(rng, one), one.left, one.right, memory, age, start, keep, chosen
+
+
+def heights(rng: Generator, one: Street) -> F32:
+    """Heights above ground that is level, or where it may be."""
+    return (one.points()[1] + rng.choice([2.0, 1.5, 5.0])).astype(np.float32)
+
+
+def strips_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    points = (one.range_m, *one.points(), heights(rng, one))
+    chosen = figures(3, rng.choice([0.15, 0.0]), 2, rng.choice([3, 0]), rng.choice([3.4, 0.5]), rng.choice([1.0, 9.0]))
+    return points, random_counts(rng, one), one.step, chosen
+
+
+def slots_case(rng: Generator) -> tuple[Any, ...]:
+    slots = rng.integers(0, 2**63, (int(rng.integers(5, 8)), fused_strips.STRIPS), np.uint64)
+    slots[rng.random(slots.shape) < rng.choice([0.3, 0.9, 1.0])] = 0
+    return (slots,)
+
+
+def levels_case(rng: Generator) -> tuple[Any, ...]:
+    shape = int(rng.integers(5, 8)), 2 * fused_strips.STRIPS
+    return ((rng.random(shape) < rng.choice([0.0, 0.1, 0.5])).astype(np.uint8),)
+
+
+def walls_case(rng: Generator) -> tuple[Any, ...]:
+    if rng.random() < 0.5:
+        sums = fused_strips.fill_strips(*strips_case(rng))[2:6]
+    else:
+        shape = int(rng.integers(5, 8)), fused_strips.STRIPS
+        there = rng.random(shape) < rng.choice([0.0, 0.01, 0.1])
+        length = np.where(there, rng.random(shape) * 4, 0).astype(np.float32)
+        wall = np.where(rng.random(shape) < 0.7, length, 0).astype(np.float32)
+        middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
+        top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
+        sums = length, wall, (wall * middle).astype(np.float32), top
+    chosen = figures(rng.choice([0.01, 0.5, 1.5]), rng.choice([0.0, 0.3, 1.0]), rng.choice([0.0, 2.5]), 1.6)
+    return sums, chosen
+
+
+def texture_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    near, smooth = random_counts(rng, one)[:2]
+    half = np.float32(rng.choice([0.35, 5.0, 0.0]))
+    return one.range_m, near, smooth, one.step, np.float32(rng.choice([0, 3])), half
+
+
+def decision(rng: Generator) -> F32:
+    """Numbers of the decision, near to those that are used, some of them off."""
+    usual = [3, 0.7, 0.3, 5, 0.3, 0.12, 0.06, 0.4, 0.2, 1.6, 0.4, 2.5, 0.3, 3.75, 3, 6, 1.0, 0.5, 1.0, 5, 0.3]
+    chosen = np.array(usual) * rng.choice([1.0, 1.0, 0.3, 2.0], len(usual))
+    chosen[rng.random(len(usual)) < 0.05] = rng.choice([0.0, 1e9])
+    chosen[fused_classes.CAR_TOP_M] = min(chosen[fused_classes.CAR_TOP_M], 15.0)
+    return chosen.astype(np.float32)
+
+
+def labels_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    counts, above = random_counts(rng, one), heights(rng, one)
+    m = one.range_m.shape[1]
+    n_lines = len(one.range_m) - 2 * INNER
+    walked: Mask = (rng.random(above.shape) < 0.2) & ~np.isnan(above)
+    every, rough, *sums, levels = fused_strips.fill_strips(
+        (one.range_m, *one.points(), above), counts, one.step, figures(3, 0.15, 2, 3, 3.4, 1)
+    )
+    wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
+    walls = fused_strips.find_walls(tuple(sums), figures(rng.choice([0.1, 1.5]), 0.3, 2.5, 1.6))
+    texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
+    return (
+        one.window, (*one.points(), above), counts, walked, texture, wide, walls, fused_strips.widen_levels(levels),
+        one.step, decision(rng),
+    )  # fmt: skip
+
+
+def vote_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    range_m = one.range_m
+    labels = rng.choice([1, 2, 3, 4, 5], range_m.shape, p=[0.2, 0.1, 0.1, 0.3, 0.3]).astype(np.uint8)
+    if rng.random() < 0.5:
+        labels[:, : labels.shape[1] // 2] = 4
+    labels[np.isnan(range_m)] = 0
+    half, near = np.float32(rng.choice([0.0, 0.8, 8.0])), np.float32(rng.choice([0.1, 2.0]))
+    return labels, range_m, one.points(), one.step, half, near
+
+
+CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "directions": directions_case,
+    "fill_strips": strips_case,
+    "find_walls": walls_case,
+    "fused_labels": labels_case,
+    "mean_smoothness": texture_case,
+    "near_counts": near_case,
+    "plane_points": points_case,
+    "smooth_counts": smooth_case,
+    "vote_labels": vote_case,
+    "walk_ground": walk_case,
+    "widen_levels": levels_case,
+    "widen_slots": slots_case,
+}
