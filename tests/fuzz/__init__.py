@@ -1,5 +1,6 @@
 """Hostile input: small files of every format, ways to damage them, and a watch over the program that reads them.
 
 ``python -m tests.fuzz.campaign`` tries many damaged files in watched worker processes,
-``python -m tests.fuzz.coverage`` lets atheris look for new paths through one reader. What they found is kept in ``test_found.py``.
+``python -m tests.fuzz.coverage`` lets atheris look for new paths through one reader. What they found is kept in
+``test_found.py``.
 """

@@ -2,8 +2,8 @@
 
 Every case runs in a watched worker process with an address space of 3 GiB. A fault is: an exception that is no
 refusal, another exit code than 0, 1 or 2, a dead worker, more than ten seconds of processor time, memory beyond what
-the file explains, a forbidden event (guard.py), an unprintable character in what is printed, a file left behind. A faulty case is kept
-with the command beside it, once for every kind of fault.
+the file explains, a forbidden event (guard.py), an unprintable character in what is printed, a file left behind. A
+faulty case is kept with the command beside it, once for every kind of fault.
 """
 
 from __future__ import annotations
@@ -86,8 +86,10 @@ class WatchedWorker:
         }
         self._process = subprocess.Popen(
             [sys.executable, "-m", "tests.fuzz.worker", str(self._folder)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+        )
         self._n_jobs = 0
 
     def close(self) -> None:
@@ -195,8 +197,10 @@ def main() -> None:
     tallies = campaign(given.targets, given.runs, given.seconds, given.seed, given.keep)
     for name, tally in tallies.items():
         codes = ", ".join(f"{code}: {n}" for code, n in sorted(tally.codes.items(), key=str))
-        print(f"{name}: {tally.n} cases, {tally.seconds:.0f} s, exit codes {codes}; slowest {tally.slowest:.1f} s, "
-              f"memory at most {tally.grown >> 20} MiB, faults {sum(tally.faults.values())}")  # fmt: skip
+        print(
+            f"{name}: {tally.n} cases, {tally.seconds:.0f} s, exit codes {codes}; slowest {tally.slowest:.1f} s, "
+            f"memory at most {tally.grown >> 20} MiB, faults {sum(tally.faults.values())}"
+        )
         for kind, n in tally.faults.items():
             print(f"    {n} x {kind}")
 

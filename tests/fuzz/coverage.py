@@ -65,10 +65,18 @@ def main() -> None:
         return data[:1] + mutate(data[1:], suffixes[data[0] % len(suffixes)], number)[: max_size - 1]
 
     options = [
-        sys.argv[0], f"-runs={given.runs}", f"-max_total_time={given.seconds}", f"-max_len={MAX_BYTES}",
-        f"-seed={given.seed}", "-timeout=10", "-rss_limit_mb=3072", "-print_final_stats=1", "-len_control=0",
-        f"-artifact_prefix={given.keep}/{given.target}-", str(corpus),
-    ]  # fmt: skip
+        sys.argv[0],
+        f"-runs={given.runs}",
+        f"-max_total_time={given.seconds}",
+        f"-max_len={MAX_BYTES}",
+        f"-seed={given.seed}",
+        "-timeout=10",
+        "-rss_limit_mb=3072",
+        "-print_final_stats=1",
+        "-len_control=0",
+        f"-artifact_prefix={given.keep}/{given.target}-",
+        str(corpus),
+    ]
     atheris.Setup(options, one, custom_mutator=damage)
     atheris.Fuzz()
 

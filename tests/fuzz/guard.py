@@ -1,4 +1,4 @@
-"""What a reader must never do, watched from inside its process: execute, load pickles, reach the net, write elsewhere."""
+"""What a reader must never do, watched from inside: execute, load pickles, reach the net, write elsewhere."""
 
 from __future__ import annotations
 
@@ -22,8 +22,19 @@ FORBIDDEN = (
     "ctypes.dlopen",
     "pty.spawn",
 )
-CHANGES = {"os.remove": 1, "os.rename": 2, "os.mkdir": 1, "os.rmdir": 1, "os.link": 2, "os.symlink": 2, "os.truncate": 1,
-           "os.chmod": 1, "os.chown": 1, "shutil.rmtree": 1, "shutil.move": 2}  # fmt: skip
+CHANGES = {
+    "os.remove": 1,
+    "os.rename": 2,
+    "os.mkdir": 1,
+    "os.rmdir": 1,
+    "os.link": 2,
+    "os.symlink": 2,
+    "os.truncate": 1,
+    "os.chmod": 1,
+    "os.chown": 1,
+    "shutil.rmtree": 1,
+    "shutil.move": 2,
+}
 """Events whose first arguments are names of files that are changed."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_TRUNC
 

@@ -15,16 +15,83 @@ import pyarrow as pa
 
 Mutation = Callable[[bytearray, random.Random], bytearray]
 
-NUMBERS = (0, 1, 2, 3, 7, 8, 54, 127, 128, 255, 256, 1000, 32767, 32768, 65535, 65536, 10**7, 2**31 - 1, 2**31, 2**32 - 1,
-           2**33, 2**53, 2**62, 2**63 - 1, 2**63, 2**64 - 1)  # fmt: skip
+NUMBERS = (
+    0,
+    1,
+    2,
+    3,
+    7,
+    8,
+    54,
+    127,
+    128,
+    255,
+    256,
+    1000,
+    32767,
+    32768,
+    65535,
+    65536,
+    10**7,
+    2**31 - 1,
+    2**31,
+    2**32 - 1,
+    2**33,
+    2**53,
+    2**62,
+    2**63 - 1,
+    2**63,
+    2**64 - 1,
+)
 FLOATS = (0.0, -0.0, 1e-300, 5e-324, 1e300, -1e300, float("nan"), float("inf"), float("-inf"), 1e19, -1e19, 2.0**53)
 WORDS = (
-    b"nan", b"inf", b"-inf", b"1e999999", b"-1e999999", b"1e-999999", b"9" * 400, b"9" * 5000, b"-1", b"0", b"", b"0x10",
-    b"1_000", b"\0", b"\xff\xfe", b"\xed\xa0\x80", b"\x1b[31m", b"\x1b]0;x\x07", b"\r", b"\n", b"\"", b"'", b"#", b",", b";", b"\t",
-    b"true", b"1979-05-27T07:32:00Z", b"[", b"]", b"{", b"}", b"=", b".", b"[" * 3000, b"a." * 3000, b"\xe2\x80\xae",
-    b"\xc2\x9b", b"1" * 70000, b"," * 70000, b"18446744073709551616", b"-9223372036854775809", b"2147483648", b"1.5",
-    b"10000000", b"9999999999",
-)  # fmt: skip
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e999999",
+    b"-1e999999",
+    b"1e-999999",
+    b"9" * 400,
+    b"9" * 5000,
+    b"-1",
+    b"0",
+    b"",
+    b"0x10",
+    b"1_000",
+    b"\0",
+    b"\xff\xfe",
+    b"\xed\xa0\x80",
+    b"\x1b[31m",
+    b"\x1b]0;x\x07",
+    b"\r",
+    b"\n",
+    b'"',
+    b"'",
+    b"#",
+    b",",
+    b";",
+    b"\t",
+    b"true",
+    b"1979-05-27T07:32:00Z",
+    b"[",
+    b"]",
+    b"{",
+    b"}",
+    b"=",
+    b".",
+    b"[" * 3000,
+    b"a." * 3000,
+    b"\xe2\x80\xae",
+    b"\xc2\x9b",
+    b"1" * 70000,
+    b"," * 70000,
+    b"18446744073709551616",
+    b"-9223372036854775809",
+    b"2147483648",
+    b"1.5",
+    b"10000000",
+    b"9999999999",
+)
 
 
 def flip_bits(data: bytearray, rng: random.Random) -> bytearray:
@@ -128,32 +195,85 @@ def move_line(data: bytearray, rng: random.Random) -> bytearray:
 
 
 PLAIN: tuple[Mutation, ...] = (
-    flip_bits, set_bytes, cut, cut_middle, repeat, fill, insert_run, set_number, set_number, nudge_number, set_float,
-)  # fmt: skip
+    flip_bits,
+    set_bytes,
+    cut,
+    cut_middle,
+    repeat,
+    fill,
+    insert_run,
+    set_number,
+    set_number,
+    nudge_number,
+    set_float,
+)
 TEXT: tuple[Mutation, ...] = (
-    flip_bits, set_bytes, cut, cut_middle, repeat, insert_run, set_word, set_word, set_word, insert_word, move_line,
-)  # fmt: skip
+    flip_bits,
+    set_bytes,
+    cut,
+    cut_middle,
+    repeat,
+    insert_run,
+    set_word,
+    set_word,
+    set_word,
+    insert_word,
+    move_line,
+)
 
 
 def las_field(data: bytearray, rng: random.Random) -> bytearray:
     """Lie in a field of the header, of a VLR, of the laszip VLR or of the table of chunks."""
     if len(data) < 375:
         return data
-    at, code = rng.choice((
-        (24, "B"), (25, "B"), (94, "H"), (96, "I"), (100, "I"), (104, "B"), (105, "H"), (107, "I"), (111, "I"), (131, "d"),
-        (139, "d"), (155, "d"), (179, "d"), (187, "d"), (227, "Q"), (235, "Q"), (243, "I"), (247, "Q"), (255, "Q"),
-    ))  # fmt: skip
+    at, code = rng.choice(
+        (
+            (24, "B"),
+            (25, "B"),
+            (94, "H"),
+            (96, "I"),
+            (100, "I"),
+            (104, "B"),
+            (105, "H"),
+            (107, "I"),
+            (111, "I"),
+            (131, "d"),
+            (139, "d"),
+            (155, "d"),
+            (179, "d"),
+            (187, "d"),
+            (227, "Q"),
+            (235, "Q"),
+            (243, "I"),
+            (247, "Q"),
+            (255, "Q"),
+        )
+    )
     if rng.random() < 0.5:
         vlrs = _las_vlrs(data)
         if vlrs:
             start = rng.choice(vlrs)
-            at, code = rng.choice(((start + 18, "H"), (start + 20, "H"), (start + 54 + 2 * rng.randrange(20), "H"),
-                                   (start + 54 + 4 * rng.randrange(8), "I")))  # fmt: skip
+            at, code = rng.choice(
+                (
+                    (start + 18, "H"),
+                    (start + 20, "H"),
+                    (start + 54 + 2 * rng.randrange(20), "H"),
+                    (start + 54 + 4 * rng.randrange(8), "I"),
+                )
+            )
     elif rng.random() < 0.3:
         where = struct.unpack_from("<I", data, 96)[0]
         table = struct.unpack_from("<q", data, where)[0] if where + 8 < len(data) else 0
-        at, code = rng.choice(((where, "q"), (max(table, 0), "I"), (max(table, 0) + 4, "I"), (len(data) - 8, "q"),
-                               (where + 8 + rng.randrange(80), "I"), (max(table, 0) + 8, "I")))  # fmt: skip
+        at, code = rng.choice(
+            (
+                (where, "q"),
+                (max(table, 0), "I"),
+                (max(table, 0) + 4, "I"),
+                (len(data) - 8, "q"),
+                (where + 8 + rng.randrange(80), "I"),
+                (max(table, 0) + 8, "I"),
+            )
+        )
     size = struct.calcsize(code)
     if at + size > len(data):
         return data
@@ -186,8 +306,16 @@ def las_grow_vlr(data: bytearray, rng: random.Random) -> bytearray:
     content = rng.choice(
         (b"\xff" * 65535, b"\x1b[2J" * 100, b"A" * 192 * 300, b"\0" * 192 * 3, bytes(rng.randbytes(400)))
     )
-    user, number = rng.choice(((b"LASF_Spec", 4), (b"LASF_Projection", 2112), (b"LASF_Projection", 34735), (b"prc-cli", 1),
-                               (b"laszip encoded", 22204), (b"\x1b[31mred", 1)))  # fmt: skip
+    user, number = rng.choice(
+        (
+            (b"LASF_Spec", 4),
+            (b"LASF_Projection", 2112),
+            (b"LASF_Projection", 34735),
+            (b"prc-cli", 1),
+            (b"laszip encoded", 22204),
+            (b"\x1b[31mred", 1),
+        )
+    )
     vlr = struct.pack("<H16sHH32s", 0, user, number, len(content), b"\x1b]0;title\x07") + content
     times = rng.choice((1, 1, 3))
     struct.pack_into("<I", data, 96, (start + times * len(vlr)) % 2**32)
@@ -195,29 +323,43 @@ def las_grow_vlr(data: bytearray, rng: random.Random) -> bytearray:
     return data[:size] + vlr * times + data[size:]
 
 
+def _header(descr: str = "'<f4'", shape: str = "(14, 24)", order: str = "False") -> str:
+    return f"{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}, }}"
+
+
 def npy_header(data: bytearray, rng: random.Random) -> bytearray:
     """Another shape, type or order in the header of an array."""
-    text = rng.choice((
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (%d, %d), }" % (rng.choice(NUMBERS), rng.choice(NUMBERS)),
-        "{'descr': '<f4', 'fortran_order': True, 'shape': (-1, 24), }",
-        "{'descr': '|O', 'fortran_order': False, 'shape': (14, 24), }",
-        "{'descr': [('a', '<f4'), ('\\x1b[31m', '<f4')], 'fortran_order': False, 'shape': (14,), }",
-        "{'descr': '<V0', 'fortran_order': False, 'shape': (9999999999, 9999999999), }",
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (), }",
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (True, 24), }",
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (0, 24), }",
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (24, 0), }",
-        "{'descr': '<f4', 'fortran_order': 1, 'shape': (14.0, 24), }",
-        "{'descr': ('<f4', (1000000, 1000)), 'fortran_order': False, 'shape': (14, 24), }",
-        "__import__('os').system('id')", "(" * 500, "{'descr': '" + "<f4," * 2000 + "', 'fortran_order': False, 'shape': (1,)}",
-        "{'descr': '<U1000000000', 'fortran_order': False, 'shape': (1,), }", "9" * 9000, "-" * 9000,
-        "{'descr': '<f8', 'fortran_order': False, 'shape': (7, 24), }", "{'descr': '<i1', 'fortran_order': False, 'shape': (56, 24), }",
-        "{'descr': '<f2', 'fortran_order': False, 'shape': (28, 24), }", "{'descr': '>f4', 'fortran_order': False, 'shape': (14, 24), }",
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "1," * 400 + "14, 24), }",
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (1, 336), }", "{'descr': '<f4', 'fortran_order': False, 'shape': (336, 1), }",
-        "{'descr': '<f4', 'fortran_order': False, 'shape': (14, 24, 1), }", "{'descr': '<M8[s]', 'fortran_order': False, 'shape': (7, 24), }",
-        "{'descr': '<c8', 'fortran_order': False, 'shape': (7, 24), }",
-    ))  # fmt: skip
+    text = rng.choice(
+        (
+            _header(shape=f"({rng.choice(NUMBERS)}, {rng.choice(NUMBERS)})"),
+            _header(shape="(-1, 24)", order="True"),
+            _header("'|O'"),
+            _header("[('a', '<f4'), ('\\x1b[31m', '<f4')]", "(14,)"),
+            _header("'<V0'", "(9999999999, 9999999999)"),
+            _header(shape="()"),
+            _header(shape="(True, 24)"),
+            _header(shape="(0, 24)"),
+            _header(shape="(24, 0)"),
+            _header(shape="(14.0, 24)", order="1"),
+            _header("('<f4', (1000000, 1000))"),
+            "__import__('os').system('id')",
+            "(" * 500,
+            _header("'" + "<f4," * 2000 + "'", "(1,)"),
+            _header("'<U1000000000'", "(1,)"),
+            "9" * 9000,
+            "-" * 9000,
+            _header("'<f8'", "(7, 24)"),
+            _header("'<i1'", "(56, 24)"),
+            _header("'<f2'", "(28, 24)"),
+            _header("'>f4'"),
+            _header(shape="(" + "1," * 400 + "14, 24)"),
+            _header(shape="(1, 336)"),
+            _header(shape="(336, 1)"),
+            _header(shape="(14, 24, 1)"),
+            _header("'<M8[s]'", "(7, 24)"),
+            _header("'<c8'", "(7, 24)"),
+        )
+    )
     version = rng.choice(((1, 0), (1, 0), (2, 0), (3, 0), (9, 9)))
     raw = text.encode() + b"\n"
     code = "<H" if version[0] == 1 else "<I"
@@ -258,7 +400,7 @@ def zip_member(data: bytearray, rng: random.Random) -> bytearray:
         )
     elif how == 4:
         n = rng.choice((10**6, 4 * 10**6))
-        head = "{'descr': '<f4', 'fortran_order': False, 'shape': (%d, 24), }\n" % (n // 96)
+        head = _header(shape=f"({n // 96}, 24)") + "\n"
         members[at] = name, b"\x93NUMPY\x01\0" + struct.pack("<H", len(head)) + head.encode() + bytes(n // 96 * 96)
     else:
         members.pop(at)
@@ -349,12 +491,16 @@ MUTATIONS: dict[str, tuple[Mutation, ...]] = {
     ".laz": (*PLAIN, *(las_field,) * 8, las_grow_vlr),
     ".npy": (*PLAIN, npy_header, npy_header, npy_header),
     ".npz": (*PLAIN, *(zip_member,) * 6),
-    ".csv": TEXT, ".txt": TEXT, ".3d": TEXT, ".ptx": TEXT, ".toml": TEXT,
+    ".csv": TEXT,
+    ".txt": TEXT,
+    ".3d": TEXT,
+    ".ptx": TEXT,
+    ".toml": TEXT,
     ".csv.gz": (flip_bits, cut, set_number, *(inside_gzip,) * 5),
     ".csv.zst": (flip_bits, cut, set_number, *(inside_zstd,) * 5),
     ".e57": (*PLAIN, *(e57_pages,) * 6, *(e57_xml,) * 8),
     ".sbet": (*PLAIN, sbet_value, sbet_value),
-}  # fmt: skip
+}
 """What is done to a file of a suffix; others get :data:`PLAIN`."""
 
 MAX_BYTES = 16 << 20

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 INPUTS = {
-    "las": tuple(f"pf{n}.las" for n in range(11)) + ("v10.las", "v11.las", "plain.las"),
+    "las": (*(f"pf{n}.las" for n in range(11)), "v10.las", "v11.las", "plain.las"),
     "laz": tuple(f"pf{n}.laz" for n in (0, 1, 2, 3, 6, 7, 8)),
     "npy": ("a.npy", "fortran.npy"),
     "npz": ("a.npz", "stored.npz"),
@@ -50,7 +50,7 @@ READ: tuple[tuple[str, ...], ...] = (
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL, "--view", "top", "--range", "sensor-xyz"),
     ("calibrate", "{case}", "-o", "{out}/o.toml", "--trust-order", "--preset", "urban"),
-)  # fmt: skip
+)
 
 LAS = (
     ("classify", "{case}", "{out}/o.laz", *_P),
@@ -93,34 +93,57 @@ class Target:
 
 TARGETS: dict[str, Target] = {
     **{name: Target(seeds, (*READ, *LAS) if name in ("las", "laz") else READ) for name, seeds in INPUTS.items()},
-    "raw": Target(("a.bin", "f4.bin"), tuple((*command, "--layout", "{seeds}/layout.toml") for command in READ if command[0] != "evaluate")),
+    "raw": Target(
+        ("a.bin", "f4.bin"),
+        tuple((*command, "--layout", "{seeds}/layout.toml") for command in READ if command[0] != "evaluate"),
+    ),
     "labels": Target(("labels.npy", "a.npz", "labels.csv", "a.csv", "a.parquet", "a.label", "pf6.laz"), LABELS),
-    "trajectory": Target(("track.csv", "track.sbet"), (
-        ("info", "{seeds}/pf1.las", "--range", "trajectory:{case}"),
-        ("convert", "{seeds}/pf6.laz", "{out}/o.npz", "--range", "trajectory:{case}"),
-        ("convert", "{seeds}/a.csv", "{out}/o.npz", "--range", "trajectory:{case}", "--set", "input.trajectory_crs=EPSG:32635"),
-    )),
+    "trajectory": Target(
+        ("track.csv", "track.sbet"),
+        (
+            ("info", "{seeds}/pf1.las", "--range", "trajectory:{case}"),
+            ("convert", "{seeds}/pf6.laz", "{out}/o.npz", "--range", "trajectory:{case}"),
+            (
+                "convert",
+                "{seeds}/a.csv",
+                "{out}/o.npz",
+                "--range",
+                "trajectory:{case}",
+                "--set",
+                "input.trajectory_crs=EPSG:32635",
+            ),
+        ),
+    ),
     "layout": Target(("layout.toml", "text_layout.toml"), LAYOUT),
-    "config": Target(("config.toml",), (
-        ("config", "check", "{case}"),
-        ("config", "show", "--config", "{case}"),
-        ("classify", "{seeds}/a.npz", "{out}/o.npy", "--config", "{case}"),
-        ("info", "{seeds}/a.csv", "--config", "{case}"),
-    )),
-    "mapping": Target(("mapping.toml",), tuple(
-        ("evaluate", "{seeds}/labels.npy", "{seeds}/labels.npy", "--mapping", "{case}", "--format", form)
-        for form in ("table", "csv", "markdown", "latex", "html", "json")
-    )),
-    "simulate": Target(("simulate.toml",), (
-        ("simulate", "street", "-o", "{out}/o.npz", "--config", "{case}", "--lines", "3", "-q"),
-    )),
-    "stream": Target(("a.bin", "f4.bin", "a.npz"), (
-        ("stream", "-M", "24", "--preset", "urban", "-v"),
-        ("stream", "--layout", "{seeds}/layout.toml", "--hop", "1", "--json"),
-        ("stream", "-M", "24", "--method", "sequential-angle", "--hop", "1"),
-        ("stream", "-M", "24", "--method", "sequential-angle"),
-    )),
-}  # fmt: skip
+    "config": Target(
+        ("config.toml",),
+        (
+            ("config", "check", "{case}"),
+            ("config", "show", "--config", "{case}"),
+            ("classify", "{seeds}/a.npz", "{out}/o.npy", "--config", "{case}"),
+            ("info", "{seeds}/a.csv", "--config", "{case}"),
+        ),
+    ),
+    "mapping": Target(
+        ("mapping.toml",),
+        tuple(
+            ("evaluate", "{seeds}/labels.npy", "{seeds}/labels.npy", "--mapping", "{case}", "--format", form)
+            for form in ("table", "csv", "markdown", "latex", "html", "json")
+        ),
+    ),
+    "simulate": Target(
+        ("simulate.toml",), (("simulate", "street", "-o", "{out}/o.npz", "--config", "{case}", "--lines", "3", "-q"),)
+    ),
+    "stream": Target(
+        ("a.bin", "f4.bin", "a.npz"),
+        (
+            ("stream", "-M", "24", "--preset", "urban", "-v"),
+            ("stream", "--layout", "{seeds}/layout.toml", "--hop", "1", "--json"),
+            ("stream", "-M", "24", "--method", "sequential-angle", "--hop", "1"),
+            ("stream", "-M", "24", "--method", "sequential-angle"),
+        ),
+    ),
+}
 """Everything that is attacked, by name."""
 
 
