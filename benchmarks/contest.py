@@ -313,6 +313,11 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         print(f"Not installed when this was run: {', '.join(missing)}.\n")
     items = [item for item in contest.items if item.with_peers]
     found = {item.how: contest.store.peer_runs(item, CHAINS) for item in items}
+    if left_out := [title_of(item) for item in items if not found[item.how]]:
+        print(f"Not run yet, and left out here: {'; '.join(left_out)}.\n")
+    items = [item for item in items if found[item.how]]
+    if not items:
+        return
     rows: dict[str, dict[str, Run]] = {
         name: own for name, own in runs.items() if any(item.how in own for item in items)
     }  # fmt: skip
@@ -536,6 +541,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
     parser.add_argument("--quick", action="store_true", help="three scans, streams only")
+    parser.add_argument(
+        "--kept", action="store_true", help="filters of registered clouds: show only what was run before"
+    )
     parser.add_argument("--only", metavar="TEXT", help="only scans whose name or group holds this text")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "prc_contest", metavar="FOLDER")
     arguments = parser.parse_args()
@@ -548,6 +556,7 @@ def main() -> None:
     if arguments.quick:
         items = tuple(each for each in items if each.name in _quick_names())
     contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused()), arguments.quick)
+    contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
     print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest\n")
     say("""Both papers' methods, the fused one and filters of registered clouds on the same points. Parameters are those

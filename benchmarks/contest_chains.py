@@ -19,6 +19,7 @@ _PATCHWORK: dict[str, Any] = {
 _BEST_OUTLIERS = {**_OUTLIERS, "sigmas": 0.5}
 _BEST_RADIUS: dict[str, Any] = {"filter": "radius", "least": 4, "radius_m": 0.6}
 _BEST_CSF = {**_CSF, "threshold_m": 0.3}
+_BEST_PATCHWORK = {**_PATCHWORK, "piece_m": 5.0, "distance_m": 0.2}
 
 CHAINS: dict[str, list[dict[str, Any]]] = {
     "statistical outliers, recommended": [_OUTLIERS],
@@ -29,6 +30,7 @@ CHAINS: dict[str, list[dict[str, Any]]] = {
     "statistical, tuned + CSF, tuned": [_BEST_OUTLIERS, _BEST_CSF],
     "Patchwork++, recommended": [_PATCHWORK],
     "statistical, tuned + Patchwork++, recommended": [_BEST_OUTLIERS, _PATCHWORK],
+    "statistical, tuned + Patchwork++, tuned": [_BEST_OUTLIERS, _BEST_PATCHWORK],
     "statistical, tuned + SMRF, recommended": [_BEST_OUTLIERS, _SMRF],
 }
 """Chains by the name that the table has; the first step of one is run once for all that begin with it."""

@@ -98,6 +98,8 @@ class Store:
     told: Progress
     scans: dict[str, Scan] = field(default_factory=dict)
     n_new: int = 0
+    only_kept: bool = False
+    """Whether scans are left out that not all filters of registered clouds were run on."""
 
     def scan(self, item: DataSet) -> Scan:
         """Return a scan; they are kept, coordinates only where filters of registered clouds are run on them."""
@@ -148,6 +150,8 @@ class Store:
             key = _digest([content, json.dumps([steps, versions]), code, judge_hash()])
             paths[name] = self.folder / f"peer-{key}.json"
         missing = [name for name, path in paths.items() if not path.exists()]
+        if missing and self.only_kept:
+            return {}
         if missing:
             scan = self.scan(item)
             with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
