@@ -1,0 +1,63 @@
+"""What a batch run leaves on the disk beside its outputs, for every file: ``python -m benchmarks.batch_disk``.
+
+The journal, the summary and the log of a run of made-up files, with the real code that writes them.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+from prc_cli.batch.journal import Journal
+from prc_cli.batch.plan import Plan
+from prc_cli.batch.run import Ready
+from prc_cli.batch.summary import BatchSummary, write_summary
+from prc_cli.batch.types import OWN_FOLDER, Done, InputPrint, Started, Task
+from prc_cli.cli.batch_report import JsonLog
+from prc_cli.config import load_config
+from prc_cli.core.classes import Label
+
+N_FILES = 10_000
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        out = Path(name)
+        log = JsonLog(str(out / "log.jsonl"))
+        log.start(Path("archive"), out, None)
+        log(Ready(Plan(()), 2, 1))
+        done = []
+        config = load_config()
+        with Journal(out / OWN_FOLDER) as journal:
+            journal.begin_run("process 1 of prc on host")
+            for k in range(N_FILES):
+                found = made_up(f"2026-11-{k % 30:02d}/car1/drive_{k:06d}.laz")
+                task = Task(found.name, Path(found.name), out / found.name, config, "a" * 64)
+                journal.start(task, "process 1 of prc on host")
+                journal.finish(found)
+                log(Started(found.name, "process 12345"))
+                log(found)
+                done.append(found)
+        summary = BatchSummary("run", Path("archive"), out, "", "", 1.0, N_FILES, 0, tuple(done))
+        sizes = {
+            "journal": sum(path.stat().st_size for path in (out / OWN_FOLDER).iterdir()),
+            "summary.json": write_summary(summary).stat().st_size,
+            "log": (out / "log.jsonl").stat().st_size,
+        }
+    print("| | bytes a file |\n|---|---|")
+    for what, size in sizes.items():
+        print(f"| {what} | {size / N_FILES:.0f} |")
+
+
+def made_up(name: str) -> Done:
+    """A file of 200 million shots with every class."""
+    labels = tuple((label.name.lower(), 12_345_678) for label in Label)
+    print_ = InputPrint(10**9, 1_795_283_242_109_404_171, "b" * 64)
+    return Done(
+        name, print_, 10**9, 1_795_283_242_109_404_171, 100.123, 90.123, 512.3, 100_000, 215_400_000, 160_000_000,
+        labels, ("columns taken under another name: range_m as range",),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
