@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 import sys
@@ -15,6 +16,7 @@ from prc_cli.cli import _run
 from prc_cli.config import load_config, to_toml
 from prc_cli.core.config import MAX_TOML_BYTES, read_toml
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.laz_chunks import find_run
 from prc_cli.core.stream import ScanBlock
 from prc_cli.readers import regroup, text_lines
 from prc_cli.readers.npy_rows import ArrayFile
@@ -224,3 +226,14 @@ def test_an_archive_whose_names_are_not_what_they_say(tmp_path: Path) -> None:
     raw[at] = 0xFF
     with pytest.raises(InputError, match="not a whole npz archive"):
         ArrayFile(put(tmp_path / "a.npz", bytes(raw)))
+
+
+def test_runs_of_ff_with_other_bytes_in_them_are_found() -> None:
+    """The decoder of LAZ ended the process in 20,000 of them with one other byte in 300."""
+    noise = np.random.default_rng(1).integers(0, 256, 1 << 20, dtype=np.uint8)
+    assert find_run(io.BytesIO(noise.tobytes()), 0, len(noise)) is None
+    noise[50_000:70_000] = 0xFF
+    noise[50_000:70_000:300] = 0xFE
+    found = find_run(io.BytesIO(noise.tobytes()), 0, len(noise))
+    assert found is not None
+    assert 49_700 <= found <= 50_600
