@@ -57,7 +57,7 @@ def find_run(handle: _Readable, start: int, stop: int) -> int | None:
     --------
     >>> import io
     >>> find_run(io.BytesIO(bytes(600) + b"\xff" * 1400), 0, 2000), find_run(io.BytesIO(bytes(2000)), 0, 2000)
-    (1024, None)
+    (512, None)
     """
     handle.seek(start)
     position = start
