@@ -43,7 +43,7 @@ MAX_PARTS = 40
 class SafeConsole(Console):
     """A console whose terminal obeys nobody else: names in files, and of files, may hold control characters."""
 
-    def render_str(self, text: str, **options: Any) -> Text:  # type: ignore[override]
+    def render_str(self, text: str, **options: Any) -> Text:
         """Take what is to be printed; cells, headings and titles of tables come this way too."""
         return super().render_str(printable_lines(text), **options)
 
