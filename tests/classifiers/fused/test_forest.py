@@ -11,8 +11,10 @@ import pytest
 from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.stems import StemsParams, find_stems
 from prc_cli.classifiers.fused.terrain import Plane, TerrainParams, heights_over_ground
+from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, F64, U8
+from prc_cli.pipeline import classify_ranges
 from prc_cli.readers.regroup import join
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
@@ -215,6 +217,16 @@ def test_stems_and_ground_of_a_simulated_walk() -> None:
         assert both > recall * np.count_nonzero(reference == label), label.name
         assert both > precision * np.count_nonzero(labels == label), label.name
     np.testing.assert_array_equal(labels == Label.MISSING, np.isnan(ranges))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_preset_labels_a_stream_block_by_block(threads: int) -> None:
+    ranges, angle, _ = walk()
+    config = load_config(preset="fused-forest", options={"fused": {"lines_per_block": 40}})
+    found = classify_ranges(ranges, config, beam_rad=angle, threads=threads)
+    parts = [np.ascontiguousarray(ranges[i : i + 40]) for i in range(0, len(ranges), 40)]
+    plane = Plane.of(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
+    np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, ForestParams()) for part in parts]))
 
 
 def test_sides_may_be_exchanged() -> None:
