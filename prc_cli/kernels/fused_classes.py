@@ -158,7 +158,7 @@ def _is_tall(word: np.uint64, slot: int, top: int) -> bool:
         return True
     filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
     wanted = (~np.uint64(0) >> np.uint64(SLOTS - (top - slot))) << np.uint64(slot)
-    return (filled & wanted) == wanted
+    return bool((filled & wanted) == wanted)
 
 
 @helper
@@ -174,7 +174,7 @@ def _is_spike(
             if np.float32(near[k, j]) >= least:
                 shots += 1
                 pairs += min(int(smooth[k, j]), MOST_SMOOTH)
-    return np.float32(pairs) > share * np.float32(MOST_SMOOTH * shots)
+    return bool(np.float32(pairs) > share * np.float32(MOST_SMOOTH * shots))
 
 
 @helper
@@ -243,7 +243,7 @@ def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, figu
     if behind < -figures[FRONT_M] or behind > figures[BEHIND_M]:
         return False
     through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
-    return through <= top + figures[OVER_M]
+    return bool(through <= top + figures[OVER_M])
 
 
 @helper
@@ -260,7 +260,7 @@ def _is_leaf(
     b = _strip(y)
     if b < 0 or above <= figures[OBJECT_M] or _in_wall(y, z, walls[0][line, b], walls[1][line, b], figures):
         return False
-    return np.float32(_slots_around(rough[line, b], _slot(above))) >= figures[LEAF_SLOTS]
+    return bool(np.float32(_slots_around(rough[line, b], _slot(above))) >= figures[LEAF_SLOTS])
 
 
 @inlined
@@ -417,7 +417,7 @@ def _vote(labels: U8, points: tuple[F32, F32], line: int, i: int, columns: int, 
                 building += labels[k, j] == _BUILDING
                 vegetation += labels[k, j] == _VEGETATION
     most = max(max(other, building), vegetation)
-    own = labels[line, i]
+    own = int(labels[line, i])
     if (own == _OTHER and other == most) or (own == _BUILDING and building == most):
         return own
     if own == _VEGETATION and vegetation == most:

@@ -20,7 +20,8 @@ def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.
     """Return the height that a walk starts from: that of the nearest place that is remembered."""
     for b in range(BINS):
         if np.float32(age[b]) < lines:
-            return memory[b]
+            start_m = memory[b]
+            break
     return start_m
 
 

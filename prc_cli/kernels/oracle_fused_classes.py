@@ -113,7 +113,7 @@ class _Shot:
         if self.near == 0 or self.strip is None or self.above <= self.figures["foot"] or self.is_in_wall():
             return False
         around = self.filled(1)[max(self.slot - 4, 0) : self.slot + 5]
-        return sum(around) >= self.figures["leaf_slots"]
+        return bool(sum(around) >= self.figures["leaf_slots"])
 
     def is_spike(self) -> bool:
         if self.smooth > 0:

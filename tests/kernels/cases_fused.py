@@ -121,7 +121,8 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
 
 def heights(rng: Generator, one: Street) -> F32:
     """Heights above ground that is level, or where it may be."""
-    return (one.points()[1] + rng.choice([2.0, 1.5, 5.0])).astype(np.float32)
+    above: F32 = (one.points()[1] + rng.choice([2.0, 1.5, 5.0])).astype(np.float32)
+    return above
 
 
 def strips_case(rng: Generator) -> tuple[Any, ...]:
@@ -170,7 +171,7 @@ def decision(rng: Generator) -> F32:
     chosen = np.array(usual) * rng.choice([1.0, 1.0, 0.3, 2.0], len(usual))
     chosen[rng.random(len(usual)) < 0.05] = rng.choice([0.0, 1e9])
     chosen[fused_classes.CAR_TOP_M] = min(chosen[fused_classes.CAR_TOP_M], 15.0)
-    return chosen.astype(np.float32)
+    return figures(*chosen)
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
@@ -179,11 +180,11 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     m = one.range_m.shape[1]
     n_lines = len(one.range_m) - 2 * INNER
     walked: Mask = (rng.random(above.shape) < 0.2) & ~np.isnan(above)
-    every, rough, *sums, levels = fused_strips.fill_strips(
+    every, rough, length, wall, place, top, levels = fused_strips.fill_strips(
         (one.range_m, *one.points(), above), counts, one.step, figures(3, 0.15, 2, 3, 3.4, 1)
     )
     wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
-    walls = fused_strips.find_walls(tuple(sums), figures(rng.choice([0.1, 1.5]), 0.3, 2.5, 1.6))
+    walls = fused_strips.find_walls((length, wall, place, top), figures(rng.choice([0.1, 1.5]), 0.3, 2.5, 1.6))
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     return (
         one.window, (*one.points(), above), counts, walked, texture, wide, walls, fused_strips.widen_levels(levels),

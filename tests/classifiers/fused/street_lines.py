@@ -1,0 +1,50 @@
+"""A street made of planes, without the simulator: a road, kerbs, facades, a hedge, a parked car, strays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, U8
+
+GROUND, BUILDING, VEGETATION, STRAY, CAR, SKY = range(1, 7)
+BEAM: F64 = np.deg2rad(np.linspace(-150, 150, 1501))
+HEIGHT_M = 2.4
+
+
+def street_lines(n_lines: int, seed: int = 1, *, noise_m: float = 0.002) -> tuple[F32, U8]:
+    """Return ranges and what they are of: a facade on the left, a hedge on the right, a car in the middle lines.
+
+    Returns
+    -------
+    range_m : (n_lines, 1501) float32
+    kind : (n_lines, 1501) uint8
+    """
+    rng = np.random.default_rng(seed)
+    side, down = np.sin(BEAM), np.cos(BEAM)
+    with np.errstate(divide="ignore"):
+        road = np.where(down > 0, HEIGHT_M / down, np.inf)
+        sidewalk = np.where(down > 0, (HEIGHT_M - 0.12) / down, np.inf)
+        road = np.where(np.abs(road * side) > 4.0, np.maximum(sidewalk, 4.0 / np.abs(side)), road)
+        facade = np.where(side > 0, 7.0 / side, np.inf)
+        hedge = np.where(side < 0, -6.0 / side, np.inf)
+        roof = np.where(down > 0, (HEIGHT_M - 1.5) / down, np.inf)
+        flank = np.where(side > 0, 2.0 / side, np.inf)
+    facade[facade * -down > 6.0] = np.inf
+    car = np.where((flank * down > HEIGHT_M - 1.5) & (flank * down < HEIGHT_M - 0.25), flank, np.inf)
+    car = np.minimum(car, np.where((roof * side > 2.0) & (roof * side < 3.7), roof, np.inf))
+    ranges, kind = np.empty((n_lines, len(BEAM))), np.empty((n_lines, len(BEAM)), np.uint8)
+    for line in range(n_lines):
+        leaves = hedge + rng.exponential(0.25, len(BEAM))
+        leaves[leaves * down < HEIGHT_M - 1.9] = np.inf
+        things = [road, facade, leaves]
+        if n_lines // 3 <= line < 2 * n_lines // 3:
+            things.append(car)
+        every = np.stack(things)
+        kind[line] = np.array([GROUND, BUILDING, VEGETATION, CAR], np.uint8)[np.argmin(every, axis=0)]
+        ranges[line] = np.min(every, axis=0)
+    ranges += rng.normal(0, noise_m, ranges.shape)
+    strays = rng.random(ranges.shape) < 0.01
+    ranges[strays], kind[strays] = rng.uniform(1, 60, int(strays.sum())), STRAY
+    sky = ~np.isfinite(ranges) | (ranges > 60)
+    ranges[sky], kind[sky] = np.nan, SKY
+    return ranges.astype(np.float32), kind

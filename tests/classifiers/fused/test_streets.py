@@ -1,0 +1,172 @@
+"""The fused classifier on a street of planes: classes, steps that are off, blocks, threads."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.classifiers.fused.pipeline import FusedParams, ParallelBlocks, classify_block, initial_state
+from prc_cli.classifiers.fused.plane import ScanPlane, SensorParams, points_of, range_noise
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import InputError
+from prc_cli.core.threads import ordered
+from prc_cli.core.types import F32, U8
+from tests.classifiers.fused.street_lines import (
+    BEAM,
+    BUILDING,
+    CAR,
+    GROUND,
+    HEIGHT_M,
+    STRAY,
+    VEGETATION,
+    street_lines,
+)
+
+EXPECTED = {
+    GROUND: Label.GROUND,
+    BUILDING: Label.BUILDING,
+    VEGETATION: Label.VEGETATION,
+    STRAY: Label.NOISE,
+    CAR: Label.UNCLASSIFIED,
+}
+
+
+def classified(ranges: F32, params: FusedParams | None = None) -> U8:
+    params = params or FusedParams()
+    state, parts, k = initial_state(BEAM), [], params.lines_per_block
+    for first in range(0, len(ranges), k):
+        result = classify_block(ranges[first : first + k], ranges[first + k : first + k + 5], state, params)
+        state = result.state
+        parts.append(result.labels)
+    return np.concatenate(parts)
+
+
+def recalls(labels: U8, kind: U8) -> dict[int, float]:
+    return {one: float((labels[kind == one] == label).mean()) for one, label in EXPECTED.items()}
+
+
+@pytest.fixture(scope="module")
+def street() -> tuple[F32, U8]:
+    return street_lines(60)
+
+
+def test_every_class_of_a_street_is_found(street: tuple[F32, U8]) -> None:
+    labels, kind = classified(street[0]), street[1]
+    found = recalls(labels, kind)
+    assert found[GROUND] > 0.99
+    assert found[BUILDING] > 0.97
+    assert found[VEGETATION] > 0.93
+    assert found[STRAY] > 0.85
+    assert found[CAR] > 0.85
+    assert (kind[labels == Label.GROUND] == GROUND).mean() > 0.98
+    assert ((labels == Label.MISSING) == np.isnan(street[0])).all()
+
+
+def test_a_scanner_of_a_centimetre_of_noise_sees_the_same_street() -> None:
+    ranges, kind = street_lines(60, noise_m=0.01)
+    found = recalls(classified(ranges), kind)
+    assert min(found[GROUND], found[BUILDING]) > 0.96
+    assert found[VEGETATION] > 0.75
+
+
+def test_the_noise_of_ranges_is_measured() -> None:
+    for noise_m in (0.002, 0.005, 0.01):
+        ranges, _ = street_lines(40, noise_m=noise_m)
+        measured = range_noise(*points_of(ranges, ScanPlane.of(BEAM)), SensorParams())
+        assert measured == pytest.approx(noise_m, rel=0.25)
+    given = SensorParams(range_noise_m=0.004)
+    assert range_noise(*points_of(ranges, ScanPlane.of(BEAM)), given) == 0.004
+    nothing = np.full((8, len(BEAM)), np.nan, np.float32)
+    assert range_noise(*points_of(nothing, ScanPlane.of(BEAM)), SensorParams()) == SensorParams().default_noise_m
+
+
+@pytest.mark.parametrize(
+    ("off", "kind"),
+    [
+        ({"company": {"least": 0}, "noise": {"spikes": False}}, STRAY),
+        ({"cars": {"enabled": False}}, CAR),
+        ({"leaves": {"share": 0.0, "share_before_walls": 0.0}}, VEGETATION),
+        ({"ground": {"step_m": 0.0, "slope": 0.0, "gap_slope": 0.0, "level_m": 0.0, "soil_m": 0.0}}, GROUND),
+    ],
+)
+def test_a_step_that_is_off_is_missed(street: tuple[F32, U8], off: dict[str, Any], kind: int) -> None:
+    usual = recalls(classified(street[0]), street[1])[kind]
+    assert recalls(classified(street[0], FusedParams(**off)), street[1])[kind] < usual - 0.2
+
+
+def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]) -> None:
+    ranges, kind = street[0].copy(), street[1]
+    rng = np.random.default_rng(5)
+    height = -ranges * np.cos(BEAM) + HEIGHT_M
+    window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.6)
+    ranges[window] *= rng.uniform(1.05, 1.25, int(window.sum())).astype(np.float32)
+    with_walls, without = (
+        classified(ranges, FusedParams(walls={"enabled": on}, votes={"enabled": False})) for on in (True, False)
+    )
+    assert (with_walls[window] == Label.BUILDING).mean() > 0.8
+    assert (without[window] == Label.BUILDING).mean() < 0.5
+
+
+def test_votes_settle_single_shots(street: tuple[F32, U8]) -> None:
+    ranges, kind = street
+    voted, alone = (classified(ranges, FusedParams(votes={"enabled": on})) for on in (True, False))
+    assert recalls(voted, kind)[VEGETATION] > recalls(alone, kind)[VEGETATION]
+
+
+def test_labels_do_not_depend_on_threads(street: tuple[F32, U8]) -> None:
+    ranges, params = street[0], FusedParams(lines_per_block=16)
+    for threads in (1, 3):
+        blocks = ParallelBlocks(BEAM, params)
+        jobs = (blocks.begin(ranges[i : i + 16], ranges[i + 16 : i + 21]) for i in range(0, len(ranges), 16))
+        labels = np.concatenate(list(ordered(blocks.classify, jobs, threads=threads)))
+        np.testing.assert_array_equal(labels, classified(ranges, params))
+
+
+def test_what_a_block_leaves_does_not_grow(street: tuple[F32, U8]) -> None:
+    state, params = initial_state(BEAM), FusedParams(lines_per_block=20)
+    for first in range(0, 60, 20):
+        state = classify_block(street[0][first : first + 20], None, state, params).state
+        assert state.tail.shape == (5, len(BEAM))
+        assert state.memory.height_m.shape == (2, 320)
+
+
+def test_the_ground_is_found_again_behind_a_long_car() -> None:
+    """The road beside the car is not seen for a while: it is where it was."""
+    ranges, kind = street_lines(60)
+    hidden = ranges.copy()
+    hidden[20:40, 760:1060] = np.nan
+    labels = classified(hidden)
+    road = (kind == GROUND) & ~np.isnan(hidden)
+    assert (labels[road] == Label.GROUND).mean() > 0.98
+
+
+def test_any_lines_are_labelled() -> None:
+    rng = np.random.default_rng(3)
+    for shape in ((1, 1), (1, 7), (3, 2), (5, 40)):
+        beam = np.deg2rad(np.linspace(-80, 80, shape[1]))
+        for share in (0.0, 0.5, 1.0):
+            ranges = rng.uniform(0.5, 80, shape).astype(np.float32)
+            ranges[rng.random(shape) < share] = np.nan
+            labels = classify_block(ranges, None, initial_state(beam), FusedParams()).labels
+            assert labels.shape == shape
+            assert ((labels == Label.MISSING) == np.isnan(ranges)).all()
+
+
+def test_blocks_that_cannot_be_are_refused() -> None:
+    state, params = initial_state(BEAM), FusedParams(lines_per_block=4)
+    for shape in ((0, len(BEAM)), (5, len(BEAM)), (2, 7)):
+        with pytest.raises(InputError, match="block of ranges"):
+            classify_block(np.ones(shape, np.float32), None, state, params)
+    with pytest.raises(InputError, match="block of ranges"):
+        classify_block(np.ones((2, len(BEAM)), np.float32), np.ones((1, 3), np.float32), state, params)
+
+
+def test_a_job_that_fails_lets_the_others_end() -> None:
+    """Beams of no length raise in every job, and nobody waits for a turn that never comes."""
+    blocks = ParallelBlocks(BEAM, FusedParams(lines_per_block=4))
+    jobs = [blocks.begin(np.ones((4, len(BEAM)), np.float32), None) for _ in range(3)]
+    broken = [type(job)(job.turn, job.window[:, :3], job.range_m) for job in jobs]
+    with pytest.raises(Exception, match=r"."):
+        list(ordered(blocks.classify, iter(broken), threads=2))
