@@ -49,7 +49,8 @@ def height_case(rng: Generator) -> tuple[Any, ...]:
 
 
 def heights_of(rng: Generator, ranges: F32, cosine: F64) -> F32:
-    return (-ranges * cosine + rng.choice([1.8, 2.5, 1e9])).astype(np.float32)
+    heights: F32 = (-ranges * cosine + rng.choice([1.8, 2.5, 1e9])).astype(np.float32)
+    return heights
 
 
 def runs_case(rng: Generator) -> tuple[Any, ...]:
