@@ -14,7 +14,7 @@ from prc_cli.batch.reference import BatchEvaluation, problem_dict
 from prc_cli.batch.types import Done, Failed, Shard
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError
-from prc_cli.core.files import atomic_output
+from prc_cli.core.files import atomic_output, remove_stale
 
 SUMMARY_NAME = "summary.json"
 """File in the output folder."""
@@ -209,6 +209,7 @@ def write_summary(summary: BatchSummary) -> Path:
         When it cannot be written.
     """
     path = summary_path(summary.out, summary.shard)
+    remove_stale(path)  # of a run that was killed just here
     with atomic_output(path) as temporary:
         temporary.write_text(to_json(summary), encoding="ascii", newline="\n")
     return path

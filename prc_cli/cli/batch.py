@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 
 from prc_cli.cli.options import layers_from, output_options, stream_options
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.files import atomic_output
+from prc_cli.core.files import atomic_output, remove_stale
 from prc_cli.core.interrupts import raise_or_hold
 
 if TYPE_CHECKING:
@@ -373,6 +373,7 @@ def _write_command(settings: BatchSettings, options: dict[str, Any]) -> None:
         "folder": str(Path.cwd()),
         "options": {key: None if value is None else _plain(value) for key, value in options.items()},
     }
+    remove_stale(_command_path(settings.out / OWN_FOLDER, settings.shard))  # of a run that was killed just here
     with contextlib.suppress(PrcError), atomic_output(_command_path(settings.out / OWN_FOLDER, settings.shard)) as file:
         file.write_text(json.dumps(table, indent=1) + "\n", encoding="ascii", newline="\n")
 
