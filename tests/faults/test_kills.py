@@ -89,7 +89,8 @@ def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, numb
 def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> None:
     batch = run_until(few, tmp_path / "out", "running")
     batch.strike(signal.SIGHUP)
-    batch.end(20)
+    code, said = batch.end(20)
+    assert code == 128 + signal.SIGHUP, said
     batch.wait_until_gone()
     check_nothing_half(few, tmp_path / "out")
     code, said = Batch(few.folder, tmp_path / "out", few.config).end()
