@@ -24,7 +24,7 @@ MARK = "PRC_FAULTS_MARK"
 """Environment variable by which a run and all its workers are found again."""
 LIMIT_S = 120.0
 """A run that takes longer hangs [s]."""
-GONE_S = 10.0
+GONE_S = 20.0
 """Workers of a dead run must have ended by then [s]."""
 AS_PLAIN_USER = """
 import ctypes, os, sys
