@@ -55,6 +55,11 @@ class RunConfig(Params):
         """Whether the classifier must know where down is."""
         return self.method != "prc"
 
+    @property
+    def nadir_from_ground(self) -> bool:
+        """Whether it is enough for the classifier to know where down is within a degree or two."""
+        return self.method == FUSED
+
     def to_table(self) -> dict[str, Any]:
         """Return the effective configuration as a nested table, names as in TOML, unset values left out."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)

@@ -132,7 +132,7 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
     if not loaded.config.needs_beams:
         return stream, None
     try:
-        directed = with_beams(stream, inputs)
+        directed = with_beams(stream, inputs, from_ground=loaded.config.nadir_from_ground)
         if stream.info.format in ORGANISED or inputs.scanner != "none":
             # a scan met late is refused late
             for _ in directed.blocks():

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from prc_cli import kernels
 from prc_cli.classifiers.fused import pipeline as fused
 from prc_cli.classifiers.fused.pipeline import FusedParams
+from prc_cli.classifiers.fused.plane import AROUND_LINES
 from prc_cli.classifiers.prc import pipeline as prc
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.returns import label_extra_returns
@@ -148,7 +149,8 @@ def _open(path: Path, config: RunConfig, *, geometry: bool) -> ScanStream:
         return with_beams(open_input(path, config.input, config.layout), config.input)
     if config.method == FUSED:
         lines = config.fused.lines_per_block
-        return with_beams(open_input(path, config.input, config.layout, lines_at_once=lines), config.input)
+        stream = open_input(path, config.input, config.layout, lines_at_once=lines)
+        return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
     lines = config.prc.lines_per_block
     return open_input(path, config.input, config.layout, lines_at_once=lines, geometry=geometry)
 
@@ -220,7 +222,7 @@ def _fused(blocks: Iterator[ScanBlock], params: FusedParams, threads: int) -> It
     Item: TypeAlias = tuple[ScanBlock, fused.ParallelBlocks, fused.BlockJob]
 
     def begin() -> Iterator[Item]:
-        for block in regroup(blocks, params.lines_per_block, look_ahead=fused.AROUND_LINES):
+        for block in regroup(blocks, params.lines_per_block, look_ahead=AROUND_LINES):
             one = scanners.pop(block.scanner, None) or fused.ParallelBlocks(_beams_of(block), params)
             if not block.is_last:
                 scanners[block.scanner] = one

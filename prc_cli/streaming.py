@@ -121,7 +121,7 @@ def stream(
     pipe, opened = open_pipe(source, chosen.input.model_copy(update={"partial_line": "pad"}), chosen.layout)
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
     if not isinstance(chosen.classifier, PrcParams):
-        opened = with_beams(opened, chosen.input)
+        opened = with_beams(opened, chosen.input, from_ground=chosen.nadir_from_ground)
     elif hop is not None and not 1 <= hop <= chosen.classifier.lines_per_block:
         problem = f"found {hop}, expected 1 to prc.lines_per_block = {chosen.classifier.lines_per_block} lines"
         raise ConfigError("hop", problem)

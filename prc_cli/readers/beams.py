@@ -2,8 +2,8 @@
 
 Three ways, in this order: the scan angle that points straight down is given (``input.nadir``), the input tells it
 (zenith angles, registered heights beside range and scan angle), or coordinates relative to the scanner are
-directions themselves. What none of them tells is refused, unless there is nothing to classify either: where no line has
-two returns, any directions do.
+directions themselves. Where a degree or two are good enough, level ground tells as well. What none of them tells is
+refused, unless there is nothing to classify either: where no line has two returns, any directions do.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from prc_cli.readers.nadir import (
     turn_evenly,
     wrap,
 )
+from prc_cli.readers.nadir_ground import nadir_of_ground
 from prc_cli.readers.options import InputConfig
 from prc_cli.readers.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
 
@@ -48,7 +49,7 @@ ORGANISED = ("PTX", "E57")
 _ARRAY = "array"
 
 
-def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
+def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = False) -> ScanStream:
     """Add the direction of every column's beam to a stream.
 
     Reads the first lines of the stream where only coordinates tell.
@@ -59,6 +60,8 @@ def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
         Any stream.
     config : InputConfig
         ``nadir``, and how the stream was opened.
+    from_ground : bool
+        Where nothing tells and there are scan angles, look where the lines see level ground; within a degree or two.
 
     Returns
     -------
@@ -75,7 +78,7 @@ def with_beams(stream: ScanStream, config: InputConfig) -> ScanStream:
         When ``nadir`` is given and the stream has no scan angles.
     """
     source = getattr(stream, "source", None)
-    finder = _Finder(stream.info, config, frozenset(getattr(source, "dimensions", ())))
+    finder = _Finder(stream.info, config, frozenset(getattr(source, "dimensions", ())), from_ground)
     known: dict[int, _Found] = {}
     waiting: dict[int, _Sample] = {}
     for block in stream.blocks():
@@ -196,6 +199,8 @@ class _Finder:
     config: InputConfig
     dimensions: frozenset[str]
     """Of the records; empty for other inputs."""
+    from_ground: bool = False
+    """Whether the ranges may tell, where nothing else does."""
 
     def put(self, found: _Found, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions.
@@ -240,6 +245,11 @@ class _Finder:
             return self._turned(angle, self.info.nadir_rad, off_m, shown, why, self.info.fall)
         if not (np.isfinite(range_m).sum(axis=1) > 1).any():
             return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
+        if xyz is None and self.from_ground and angle is not None:
+            nadir_rad = nadir_of_ground(angle, range_m)
+            if nadir_rad is not None:
+                why = f"{n} lines see level ground around it; give input.nadir to be exact"
+                return self._turned(angle, nadir_rad, None, f"{math.degrees(nadir_rad):.1f} deg", why)
         if xyz is None:
             raise self._refusal(scanner, self._lacks(angle), None)
         if off_m is not None:

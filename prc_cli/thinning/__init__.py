@@ -259,7 +259,7 @@ class _Run:
                 yield from stream.blocks()
                 return
             if config.needs_beams:
-                stream = with_beams(stream, config.input)
+                stream = with_beams(stream, config.input, from_ground=config.nadir_from_ground)
             lookup = config.classes.lookup().astype(np.int32)
             lookup[Label.MISSING] = NO_CODE
             for item in label_blocks(stream.blocks(), config.classifier):

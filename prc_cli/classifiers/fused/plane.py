@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -123,7 +124,7 @@ def range_noise(side_m: F32, height_m: F32, params: SensorParams) -> float:
     0.01
     """
     if params.range_noise_m != "auto":
-        return params.range_noise_m
+        return float(params.range_noise_m)
     y, z = side_m[::EVERY_LINE], height_m[::EVERY_LINE]
     dy, dz = y[:, 2:] - y[:, :-2], z[:, 2:] - z[:, :-2]
     across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
@@ -132,4 +133,4 @@ def range_noise(side_m: F32, height_m: F32, params: SensorParams) -> float:
     off = off[np.isfinite(off)]
     if len(off) < LEAST_TRIPLES:
         return params.default_noise_m
-    return float(np.median(off)) / NORMAL_QUARTILE / MIDDLE_OF_THREE**0.5
+    return float(np.median(off)) / (NORMAL_QUARTILE * math.sqrt(MIDDLE_OF_THREE))

@@ -81,11 +81,11 @@ def stand(
     walls : WallParams
     """
     figures = [least_near, strips.foot_m, strips.rough, strips.smooth, car_top_m, strips.jump_m]
-    every, rough, *sums, levels = kernels.fill_strips(
+    every, rough, length, wall, place, top, levels = kernels.fill_strips(
         points, seen.counts, plane.step_rad, np.array(figures, np.float32)
     )
     height_m = walls.height_m if walls.enabled else NEVER_M
     found = kernels.find_walls(
-        tuple(sums), np.array([height_m, walls.share, walls.behind_m, walls.before_m], np.float32)
+        (length, wall, place, top), np.array([height_m, walls.share, walls.behind_m, walls.before_m], np.float32)
     )
     return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, kernels.widen_levels(levels))
