@@ -331,6 +331,7 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         OAKLAND_NOISY: [item for item in items if item.group == OAKLAND_NOISY],
         KITTI: [item for item in items if item.group == KITTI],
     }
+    names = {name: own for name, own in names.items() if own}
     print("| | " + " | ".join(f"{name}: ground | noise" for name in names) + " | s / million | MiB |")
     print("|---|" + "---:|---:|" * len(names) + "---:|---:|")
     for name, own in rows.items():
