@@ -2,8 +2,8 @@
 
 The Python code of the readers is instrumented, so that a case that takes a new path is kept and damaged further, with
 the ways of ``mutations.py`` and with those of libFuzzer. Everything of a file is read by the library's functions, no
-command line, no classifier. The corpus in ``--corpus`` is kept for the next
-run. An exception that is no refusal, a minute (by the clock on the wall) or 3 GiB end the run, and the case is written to ``--keep``.
+command line, no classifier. The corpus in ``--corpus`` is kept for the next run. An exception that is no refusal, a
+minute (by the clock on the wall) or 3 GiB end the run, and the case is written to ``--keep``.
 """
 
 from __future__ import annotations
