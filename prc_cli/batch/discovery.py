@@ -201,7 +201,7 @@ def _look(entry: os.DirEntry[str], name: str, archive: Path) -> _Item | str | No
         is_link = entry.is_symlink()
         if entry.is_dir(follow_symlinks=False):
             return f"{name}/"
-        readable = suffix_of(PurePosixPath(entry.name)) in _READABLE
+        readable = suffix_of(Path(entry.name)) in _READABLE
         if is_link:
             reason = _why_not_followed(entry, archive, readable=readable)
             if reason is not None:
@@ -318,7 +318,8 @@ def _regex(pattern: str) -> str:
 
 
 def _segment(text: str) -> str:
-    found, i = [], 0
+    found: list[str] = []
+    i = 0
     while i < len(text):
         character = text[i]
         i += 1
