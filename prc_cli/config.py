@@ -48,7 +48,9 @@ class RunConfig(Params):
     @property
     def classifier(self) -> PrcParams | SequentialAngleParams | FusedParams:
         """Parameters of the classifier that ``method`` names."""
-        return {"prc": self.prc, SEQUENTIAL_ANGLE: self.sequential_angle, FUSED: self.fused}[self.method]
+        if self.method == FUSED:
+            return self.fused
+        return self.sequential_angle if self.method == SEQUENTIAL_ANGLE else self.prc
 
     @property
     def needs_beams(self) -> bool:

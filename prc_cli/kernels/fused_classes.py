@@ -63,9 +63,8 @@ VOTERS = 4
 GAP_SHOTS = 3
 """Shots without support that part a run, beside as many as it is long."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
-_QUIET = 1 << _MISSING | 1 << _NOISE
-_DECIDED = _QUIET | 1 << _GROUND
-"""Labels that have no vote, and that no vote changes, as bits."""
+_OPEN = 255
+"""Mark of shots that are not decided yet."""
 _BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
 
 
@@ -234,6 +233,32 @@ def _is_ground(h: np.float32, is_walked: bool, upright: int, level: int, figures
     )
 
 
+@helper
+def _label_plain(
+    ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, figures: F32, labels: U8
+) -> None:
+    """Label what needs no second look: nothing, what is all alone, and ground; mark the rest as open.
+
+    No branches, so that many shots are looked at at a time.
+    """
+    near, smooth, upright, level = counts
+    least, below = figures[LEAST_NEAR], figures[BELOW_M]
+    walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
+    for i in range(len(ranges)):
+        h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
+        off = abs(h)
+        is_ground = (
+            ((off < walked_m) & walked[i])
+            | ((off < level_m) & (flat > up))
+            | ((off < soil_m) & (up <= flat + np.uint8(1)))
+        )
+        company = np.float32(near[i])
+        is_held = (company >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
+        code = np.uint8(_GROUND) if is_ground & is_held else np.uint8(_OPEN)
+        code = np.uint8(_NOISE) if (near[i] == 0) & (company < least) else code
+        labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
+
+
 @inlined
 def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, figures: F32) -> bool:
     """Tell whether a shot is in a wall or, seen through it, behind."""
@@ -246,23 +271,6 @@ def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, figu
     return bool(through <= top + figures[OVER_M])
 
 
-@helper
-def _is_leaf(
-    y: np.float32,
-    z: np.float32,
-    above: np.float32,
-    line: int,
-    rough: Slots,
-    walls: tuple[F32, F32, F32],
-    figures: F32,
-) -> bool:
-    """Tell whether a lonely shot is among rough ones, and not in a wall."""
-    b = _strip(y)
-    if b < 0 or above <= figures[OBJECT_M] or _in_wall(y, z, walls[0][line, b], walls[1][line, b], figures):
-        return False
-    return bool(np.float32(_slots_around(rough[line, b], _slot(above))) >= figures[LEAF_SLOTS])
-
-
 @inlined
 def _level_bins(levels: U8, y: np.float32) -> int:
     """Count the bins with a level surface around a shot."""
@@ -271,6 +279,94 @@ def _level_bins(levels: U8, y: np.float32) -> int:
     for q in range(max(b - CAR_REACH, 0), min(b + CAR_REACH + 1, 2 * STRIPS)):
         n += levels[q]
     return n
+
+
+@helper
+def _is_noise(
+    places: tuple[U8, U8],
+    line: int,
+    i: int,
+    shot: tuple[np.float32, np.float32, np.float32, np.float32],
+    rows: tuple[Slots, F32, F32],
+    step: np.float32,
+    figures: F32,
+) -> tuple[bool, bool]:
+    """Tell whether a shot is noise, and whether it is a lonely leaf instead."""
+    near, smooth = places
+    r, y, z, h = shot
+    rough, at, top = rows
+    is_leaf = False
+    if np.float32(near[line, i]) < figures[LEAST_NEAR]:
+        b = _strip(y)
+        if near[line, i] > 0 and b >= 0 and h > figures[OBJECT_M] and not _in_wall(y, z, at[b], top[b], figures):
+            is_leaf = np.float32(_slots_around(rough[b], _slot(h))) >= figures[LEAF_SLOTS]
+        if not is_leaf:
+            return True, False
+    if smooth[line, i] == 0 and _is_spike(near, smooth, line, i, r, step, figures[LEAST_NEAR], figures[SPIKE_SHARE]):
+        return True, False
+    return h < -figures[BELOW_M] and smooth[line, i] < BELOW_SMOOTH, is_leaf
+
+
+@helper
+def _label_open(
+    window_m: F32,
+    line: int,
+    points: tuple[F32, F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    texture: F32,
+    slots: tuple[Slots, Slots],
+    walls: tuple[F32, F32, F32],
+    levels: U8,
+    step: np.float32,
+    figures: F32,
+    labels: U8,
+) -> None:
+    """Ask the shots of a line that are open one question after the other."""
+    k = line + LINES
+    ranges, side, height, above = window_m[line + MARGIN], points[0][k], points[1][k], points[2][k]
+    near, smooth, upright, level = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
+    is_walked, soft, least, below = walked[k], texture[line], figures[LEAST_NEAR], figures[BELOW_M]
+    every, rough_slots, bins = slots[0][line], slots[1][line], levels[line]
+    at, top, ahead = walls[0][line], walls[1][line], walls[2][line]
+    car_slot, leaf_share = int(figures[CAR_TOP_M] / SLOT_M), figures[LEAF_SHARE]
+    for i in range(len(labels)):
+        if labels[i] != _OPEN:
+            continue
+        y, z, h = side[i], height[i], above[i]
+        is_leaf = False
+        if np.float32(near[i]) < least or smooth[i] == 0 or h < -below:
+            is_noise, is_leaf = _is_noise(
+                (counts[0], counts[1]), k, i, (ranges[i], y, z, h), (rough_slots, at, top), step, figures
+            )
+            if is_noise:
+                labels[i] = _NOISE
+                continue
+        if _is_ground(h, is_walked[i], int(upright[i]), int(level[i]), figures):
+            labels[i] = _GROUND
+            continue
+        b = _strip(y)
+        if b < 0:
+            labels[i] = _VEGETATION if soft[i] < leaf_share or is_leaf else _BUILDING
+            continue
+        is_wall = _in_wall(y, z, at[b], top[b], figures)
+        before = abs(ahead[b]) - abs(y)
+        is_before = ahead[b] != np.float32(0.0) and -STRIP_M <= before <= figures[BEFORE_M]
+        is_rough = soft[i] < (figures[LEAF_SHARE_BEFORE_WALL] if is_before else leaf_share) and not is_wall
+        labels[i] = _VEGETATION if is_rough or is_leaf else _BUILDING
+        if h >= np.float32(0.0) and not _is_tall(every[b], _slot(h), car_slot):
+            enough = figures[CAR_BINS_ROUGH] if is_rough else figures[CAR_BINS]
+            if np.float32(_level_bins(bins, y)) >= enough:
+                labels[i] = _OTHER
+                continue
+        may_be_pole = not is_wall and level[i] == 0 and h > figures[OBJECT_M] and soft[i] >= leaf_share
+        if figures[POLE_M] > 0 and may_be_pole:
+            is_thin = _is_short(ranges, near, height, i, figures) or _is_thin(
+                window_m, line + MARGIN, i, figures[FAR_M]
+            )
+            if is_thin:
+                crown = np.float32(_bits(rough_slots[b] >> np.uint64(_slot(h))))
+                labels[i] = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
 
 
 @kernel(
@@ -320,87 +416,52 @@ def fused_labels(
         :class:`prc_cli.core.classes.Label`.
     """
     n_lines, m = texture.shape
-    side, height, above = points
     near, smooth, upright, level = counts
-    least = figures[LEAST_NEAR]
-    car_slot = int(figures[CAR_TOP_M] / SLOT_M)
-    labels = np.zeros((n_lines, m), np.uint8)
+    labels = np.empty((n_lines, m), np.uint8)
     for line in range(n_lines):
         k = line + LINES
-        for i in range(m):
-            r = window_m[line + MARGIN, i]
-            if r != r:
-                continue
-            h, pairs = above[k, i], smooth[k, i]
-            leaf = False
-            if np.float32(near[k, i]) < least:
-                # alone, unless it is a leaf among rough shots
-                leaf = near[k, i] > 0 and _is_leaf(side[k, i], height[k, i], h, line, slots[1], walls, figures)
-                if not leaf:
-                    labels[line, i] = _NOISE
-                    continue
-            if pairs == 0 and _is_spike(near, smooth, k, i, r, step, least, figures[SPIKE_SHARE]):
-                labels[line, i] = _NOISE
-                continue
-            if h < -figures[BELOW_M] and pairs < BELOW_SMOOTH:
-                labels[line, i] = _NOISE
-                continue
-            up, flat = int(upright[k, i]), int(level[k, i])
-            if _is_ground(h, walked[k, i], up, flat, figures):
-                labels[line, i] = _GROUND
-                continue
-            y, z = side[k, i], height[k, i]
-            b = _strip(y)
-            wall = b >= 0 and _in_wall(y, z, walls[0][line, b], walls[1][line, b], figures)
-            share = figures[LEAF_SHARE]
-            if b >= 0 and walls[2][line, b] != np.float32(0.0):
-                before = abs(walls[2][line, b]) - abs(y)
-                if before <= figures[BEFORE_M] and before >= -STRIP_M:
-                    share = figures[LEAF_SHARE_BEFORE_WALL]
-            rough = texture[line, i] < share and not wall
-            label = _VEGETATION if rough or leaf else _BUILDING
-            if b < 0:
-                labels[line, i] = label
-                continue
-            if h >= np.float32(0.0) and not _is_tall(slots[0][line, b], _slot(h), car_slot):
-                bins = np.float32(_level_bins(levels[line], y))
-                if bins >= (figures[CAR_BINS_ROUGH] if rough else figures[CAR_BINS]):
-                    labels[line, i] = _OTHER
-                    continue
-            if (
-                figures[POLE_M] > 0
-                and not wall
-                and flat == 0
-                and h > figures[OBJECT_M]
-                and texture[line, i] >= figures[LEAF_SHARE]
-                and (
-                    _is_short(window_m[line + MARGIN], near[k], height[k], i, figures)
-                    or _is_thin(window_m, line + MARGIN, i, figures[FAR_M])
-                )
-            ):
-                crown = _bits(slots[1][line, b] >> np.uint64(_slot(h)))
-                label = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
-            labels[line, i] = label
+        own = (near[k], smooth[k], upright[k], level[k])
+        _label_plain(window_m[line + MARGIN], points[2][k], own, walked[k], figures, labels[line])
+        _label_open(window_m, line, points, counts, walked, texture, slots, walls, levels, step, figures, labels[line])
     return labels
 
 
 @inlined
-def _may_differ(label: int, own: int) -> bool:
-    """Tell whether a label is another one; nothing and noise have none."""
-    return label != own and not (_QUIET >> label) & 1
+def _differs(label: np.uint8, own: np.uint8) -> bool:
+    """Tell whether a label is another one; nothing and noise are none."""
+    return (label != own) & (label != _MISSING) & (label != _NOISE)
 
 
-@inlined
-def _is_settled(labels: U8, line: int, i: int) -> bool:
-    """Tell whether no shot a few columns away, and none of the lines beside, has another label."""
-    m = labels.shape[1]
-    own = labels[line, i]
-    return not (
-        _may_differ(labels[line - 1, i], own)
-        or _may_differ(labels[line + 1, i], own)
-        or _may_differ(labels[line, max(i - VOTERS, 0)], own)
-        or _may_differ(labels[line, min(i + VOTERS, m - 1)], own)
-    )
+@helper
+def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
+    """Mark the shots that some shot a few columns away, or one of the lines beside, has another label than."""
+    m = len(own)
+    for i in range(m):
+        label = own[i]
+        votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+        unsettled[i] = votes & (_differs(before[i], label) | _differs(after[i], label))
+    if m <= VOTERS:
+        first, last = own[0], own[m - 1]
+        for i in range(m):
+            label = own[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            unsettled[i] |= votes & (_differs(first, label) | _differs(last, label))
+        return
+    for way in range(2):
+        # a shot and that VOTERS columns on, asked from both ends; beyond the ends the outermost one is asked
+        asker = own[: m - VOTERS] if way == 0 else own[VOTERS:]
+        asked = own[VOTERS:] if way == 0 else own[: m - VOTERS]
+        marks = unsettled[: m - VOTERS] if way == 0 else unsettled[VOTERS:]
+        for i in range(m - VOTERS):
+            label = asker[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            marks[i] |= votes & _differs(asked[i], label)
+        end = own[m - 1] if way == 0 else own[0]
+        for k in range(VOTERS):
+            i = m - VOTERS + k if way == 0 else k
+            label = own[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            unsettled[i] |= votes & _differs(end, label)
 
 
 @helper
@@ -456,13 +517,12 @@ def vote_labels(
     """
     n_lines, m = labels.shape[0] - 2, labels.shape[1]
     voted = labels[1 : n_lines + 1].copy()
+    unsettled = np.empty(m, np.uint8)
     for row in range(n_lines):
         line = row + 1
+        _mark_unsettled(labels[line - 1], labels[line], labels[line + 1], unsettled)
         for i in range(m):
-            own = labels[line, i]
-            if (_DECIDED >> own) & 1:
-                continue
-            if not _is_settled(labels, line, i):
+            if unsettled[i]:
                 columns = min(max(int(half_m / (range_m[line, i] * step)), LEAST_COLUMNS), MOST_COLUMNS)
                 voted[row, i] = _vote(labels, points, line, i, columns, near_m)
     return voted

@@ -35,11 +35,18 @@ def _note(place: int, total: np.float32, n: np.float32, profile: F32, seen: U8) 
 
 
 @helper
+def _mark_level(near: U8, smooth: U8, upright: U8, level: U8, least: np.float32, is_level: U8) -> None:
+    """Mark the shots of a line that a walk may go over."""
+    for i in range(len(near)):
+        is_level[i] = (np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i])
+
+
+@helper
 def _walk(
     columns: I32,
     sign: np.float32,
     points: tuple[F32, F32],
-    counts: tuple[U8, U8, U8, U8],
+    is_level: U8,
     known: tuple[F32, I32],
     start_m: np.float32,
     figures: F32,
@@ -48,15 +55,14 @@ def _walk(
     walked: Mask,
 ) -> None:
     """Follow the ground outwards along one side of a line: from level shot to level shot, in small steps of height."""
-    near, smooth, upright, level = counts
     memory, age = known
     last_y, last_z = np.float32(0.0), _start(memory, age, start_m, figures[MEMORY_LINES])
-    least, lines, near_m = figures[LEAST_NEAR], figures[MEMORY_LINES], figures[KNOWN_M]
+    lines, near_m = figures[MEMORY_LINES], figures[KNOWN_M]
     step, slope, reach, gap = figures[STEP_M], figures[SLOPE], figures[SLOPE_REACH_M], figures[GAP_SLOPE]
     place, total, n = -1, np.float32(0.0), np.float32(0.0)
     for k in range(len(columns)):
         i = columns[k]
-        if np.float32(near[i]) < least or smooth[i] == 0 or level[i] <= upright[i]:
+        if not is_level[i]:
             continue
         y, z = points[0][i] * sign, points[1][i]
         out = y - last_y
@@ -180,18 +186,19 @@ def walk_ground(
     kept_memory, kept_ages = memory_m.copy(), age.copy()
     profiles, seen = np.empty((2, BINS), np.float32), np.empty(BINS, np.uint8)
     near, smooth, upright, level = counts
+    is_level = np.empty(m, np.uint8)
     for line in range(n_lines):
         if line == keep:
             kept_memory[:], kept_ages[:] = memory, ages
         points = (side_m[line], height_m[line])
-        own = (near[line], smooth[line], upright[line], level[line])
+        _mark_level(near[line], smooth[line], upright[line], level[line], figures[LEAST_NEAR], is_level)
         for s in range(2):
             columns = left if s == 0 else right
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
             profile, known = profiles[s], (memory[s], ages[s])
             seen[:] = 0
             profile[:] = np.float32(0.0)
-            _walk(columns, sign, points, own, known, start_m, figures, profile, seen, walked[line])
+            _walk(columns, sign, points, is_level, known, start_m, figures, profile, seen, walked[line])
             _remember(profile, seen, memory[s], ages[s], figures)
             _fill(profile, seen, start_m)
         _heights(side_m[line], height_m[line], profiles[0], profiles[1], above[line])
