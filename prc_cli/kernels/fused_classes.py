@@ -429,7 +429,7 @@ def fused_labels(
 @inlined
 def _differs(label: np.uint8, own: np.uint8) -> bool:
     """Tell whether a label is another one; nothing and noise are none."""
-    return (label != own) & (label != _MISSING) & (label != _NOISE)
+    return bool((label != own) & (label != _MISSING) & (label != _NOISE))
 
 
 @helper

@@ -45,7 +45,7 @@ def nadir_of_ground(angle_rad: F64, range_m: F32) -> float | None:
     >>> angle = np.deg2rad(np.linspace(0, 180, 361))
     >>> down = np.cos(angle - np.deg2rad(100))
     >>> lines = np.tile(np.where(down > 0.2, 2.0 / np.maximum(down, 0.2), np.nan), (10, 1)).astype(np.float32)
-    >>> round(np.rad2deg(nadir_of_ground(angle, lines)), 1)
+    >>> round(math.degrees(nadir_of_ground(angle, lines)), 1)
     100.0
     """
     middle = _middle_of_lines(range_m)

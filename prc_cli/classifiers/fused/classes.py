@@ -22,7 +22,7 @@ class NoiseParams(Params):
 
     spikes: bool = Field(True, description="whether a rough shot amid smooth ones is noise")
     spike_share: float = Field(
-        0.7, ge=0, le=1, description="how smooth its surroundings are then, 0 = all rough, 1 = all smooth"
+        0.65, ge=0, le=1, description="how smooth its surroundings are then, 0 = all rough, 1 = all smooth"
     )
     leaves: bool = Field(True, description="whether a lonely shot among rough ones is a leaf")
     leaf_slots: int = Field(
@@ -42,7 +42,7 @@ class CarParams(Params):
     """Low things with level surfaces, that have no class (``[fused.cars]``)."""
 
     enabled: bool = Field(True, description="whether they are told from walls and hedges")
-    top_m: float = Field(3.4, ge=0, le=15, description="what reaches above this is no car, in the scan plane [m]")
+    top_m: float = Field(3.75, ge=0, le=15, description="what reaches above this is no car, in the scan plane [m]")
     level_bins: int = Field(3, ge=1, le=13, description="width of level surface within 1.5 m of it, of smooth things")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same of rough ones, as behind panes")
 
@@ -62,7 +62,7 @@ class VoteParams(Params):
     """The last word of the neighbours (``[fused.votes]``)."""
 
     enabled: bool = Field(True, description="whether shots take the label of most shots around them")
-    half_width_m: float = Field(0.8, gt=0, le=100, description="half width of the place that votes [m]")
+    half_width_m: float = Field(1.0, gt=0, le=100, description="half width of the place that votes [m]")
     near_m: float = Field(2.0, gt=0, le=100, description="its shots vote if this near to the side and in height [m]")
 
 

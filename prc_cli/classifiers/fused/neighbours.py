@@ -44,7 +44,7 @@ class DirectionParams(Params):
     """Which way a surface goes (``[fused.directions]``)."""
 
     chord_m: float = Field(0.15, gt=0, le=100, description="reach of a chord to either side [m]")
-    slope: float = Field(0.35, ge=0, le=1, description="an upright chord leans less than this, a level one rises less")
+    slope: float = Field(0.4, ge=0, le=1, description="an upright chord leans less than this, a level one rises less")
     slack_m: float = Field(0.02, ge=0, le=10, description="and by no more than this beside [m]")
     longest_m: float = Field(2.0, gt=0, le=1000, description="longer chords say nothing [m]")
 

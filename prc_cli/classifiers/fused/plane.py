@@ -118,7 +118,7 @@ def range_noise(side_m: F32, height_m: F32, params: SensorParams) -> float:
     Examples
     --------
     >>> rng = np.random.default_rng(1)
-    >>> side = np.tile(np.linspace(1, 9, 800, dtype=np.float32), (20, 1))
+    >>> side = np.tile(np.linspace(1, 9, 80, dtype=np.float32), (200, 1))
     >>> height = rng.normal(-2, 0.01, side.shape).astype(np.float32)
     >>> round(range_noise(side, height, SensorParams()), 3)
     0.01
