@@ -12,12 +12,10 @@ from pathlib import Path
 
 from prc_cli.batch.journal import Journal, journal_paths, read_entries
 from prc_cli.batch.lock import Lock
-from prc_cli.batch.types import OWN_FOLDER
+from prc_cli.batch.types import OWN_FOLDER, PARTS_FOLDER
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import is_left_behind
 
-PARTS = "parts"
-"""Folder of parts of large files, in our own folder."""
 OTHER_MACHINE_S = 86_400.0
 """A temporary file of another machine that was not written to for so long is taken for left behind [s]."""
 
@@ -82,7 +80,7 @@ def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> C
             elif left is None:
                 kept.append(part)
         n_bytes = sum(_size(part) for part in stale)
-        parts = folder / PARTS
+        parts = folder / PARTS_FOLDER
         if parts.is_dir():
             n_bytes += sum(_size(path) for path in parts.rglob("*"))
             stale.append(parts)

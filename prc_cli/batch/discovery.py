@@ -440,5 +440,4 @@ def collisions(names: Iterable[str]) -> frozenset[str]:
     """
     names = list(names)
     counts = Counter(name.casefold() for name in names)
-    exact = Counter(names)
-    return frozenset(name for name in names if counts[name.casefold()] > 1 or exact[name] > 1)
+    return frozenset(name for name in names if counts[name.casefold()] > 1)

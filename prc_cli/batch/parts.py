@@ -28,7 +28,7 @@ import numpy as np
 
 from prc_cli import __version__
 from prc_cli.batch.part_files import PartHeader, is_part, read_part, write_part
-from prc_cli.batch.types import OWN_FOLDER, Failed, InputPrint, Outcome, Task
+from prc_cli.batch.types import OWN_FOLDER, PARTS_FOLDER, Failed, InputPrint, Outcome, Task
 from prc_cli.batch.work import may_pass, problem_of, run_task, stat_input
 from prc_cli.classifiers.prc.parts import WARM_UP_BLOCKS, BlockFacts, JoinedBlocks, JoinJob, PartBlocks
 from prc_cli.classifiers.prc.pipeline import BlockJob, PrcParams
@@ -42,7 +42,6 @@ from prc_cli.pipeline import Labeller, Progress, load_classifier, open_stream
 from prc_cli.readers import suffix_of
 from prc_cli.readers.regroup import look_ahead_lines, regroup
 
-PARTS_FOLDER = "parts"
 SPLIT_SHOTS = 200_000_000
 """A part has about so many shots, some twenty seconds of one core."""
 SUFFIXES = (".bin", ".raw", ".dat", ".npy", ".npz")

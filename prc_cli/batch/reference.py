@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -112,7 +112,7 @@ class BatchEvaluation:
                     "name": found.name,
                     "reference": found.reference,
                     "scores": None if found.matrix is None else scores_as_dict(found.matrix),
-                    "problem": None if found.problem is None else problem_dict(found.problem),
+                    "problem": None if found.problem is None else asdict(found.problem),
                 }
                 for found in self.files
             ],
@@ -240,11 +240,6 @@ def _by_stem(folder: Path) -> Iterator[tuple[str, list[Path]]]:
         if code_suffix_of(path) and path.is_file():
             found.setdefault(stem_of(path), []).append(path)
     yield from found.items()
-
-
-def problem_dict(problem: Problem) -> dict[str, str]:
-    """Return a problem as plain values."""
-    return {"kind": problem.kind, "where": problem.where, "problem": problem.problem, "hint": problem.hint}
 
 
 def _number(value: float) -> float | None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from prc_cli import __version__
-from prc_cli.batch.reference import BatchEvaluation, problem_dict
+from prc_cli.batch.reference import BatchEvaluation
 from prc_cli.batch.types import Done, Failed, Shard
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError
@@ -63,7 +63,7 @@ class BatchSummary:
     n_skipped: int
     """Of these, done by an earlier run and not changed since."""
     done: tuple[Done, ...] = ()
-    """In the order in which they were finished."""
+    """In the order of their names."""
     failed: tuple[Failed, ...] = ()
     """Files that have no output of this run."""
     n_waiting: int = 0
@@ -183,7 +183,7 @@ def done_dict(found: Done) -> dict[str, Any]:
 
 def failed_dict(found: Failed) -> dict[str, Any]:
     """Return a failed file as plain values."""
-    return {"name": found.name, "seconds": round(found.seconds, 3), **problem_dict(found.problem)}
+    return {"name": found.name, "seconds": round(found.seconds, 3), **asdict(found.problem)}
 
 
 def to_json(summary: BatchSummary) -> str:

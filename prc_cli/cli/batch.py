@@ -345,7 +345,7 @@ def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSumm
     finally:
         if log is not None:
             log.end(code, summary, problem)
-    print_end(summary, quiet=quiet, listed=not shows_bars)
+    print_end(summary, quiet=quiet, listed=not shows_bars, only_failed=settings.only_failed)
     return summary
 
 

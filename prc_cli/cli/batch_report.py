@@ -322,7 +322,7 @@ def rare_words(event: RunEvent, *, quiet: bool) -> str:
     return f"note: {event.text}" if isinstance(event, Noted) else ""
 
 
-def print_end(summary: BatchSummary, *, quiet: bool, listed: bool) -> None:
+def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: bool = False) -> None:
     """Print what a run did: tables on stderr; quiet: a line, and only if something is wrong.
 
     Parameters
@@ -333,14 +333,14 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool) -> None:
         As ``--quiet``.
     listed : bool
         The failures stand just above already.
+    only_failed : bool
+        Only what failed or was cut off was asked for.
     """
     is_wrong = summary.exit_code or summary.ended != "finished"
     idle = not (summary.done or summary.failed or summary.n_waiting or summary.alarms)
     if idle and summary.evaluation is None:
         if not quiet:
-            verb = "is" if summary.n_found == 1 else "are"
-            what = f"{verb} done" if summary.n_found else "were found"
-            say(f"nothing to do: {_n(summary.n_found, 'file')} {what} ({summary.out})")
+            say(f"nothing to do: {_idle_words(summary, only_failed=only_failed)} ({summary.out})")
         return
     if not quiet:
         _print_classes(summary)
@@ -350,6 +350,13 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool) -> None:
         _print_gates(summary)
     if is_wrong or not quiet:
         say(end_words(summary))
+
+
+def _idle_words(summary: BatchSummary, *, only_failed: bool) -> str:
+    """Say why a run had nothing to do."""
+    if summary.n_found:
+        return f"{_n(summary.n_found, 'file')} {'is' if summary.n_found == 1 else 'are'} done"
+    return "no file failed or was cut off" if only_failed else "no files were found"
 
 
 def end_words(summary: BatchSummary) -> str:
@@ -559,9 +566,13 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
 
     counts = Counter(entry.state for entry in entries)
     living = [found for found in owners if found.alive]
-    # without a living owner nothing is running: it was cut off
-    running = "running" if living else "cut off"
-    told = [(counts["done"], "done"), (counts["failed"], "failed"), (counts["running"], running)]
+    at_work = {str(found.owner) for found in living}
+    # what a dead owner left running was cut off
+    n_running = sum(entry.state == "running" and entry.owner in at_work for entry in entries)
+    told = [
+        (counts["done"], "done"), (counts["failed"], "failed"), (n_running, "running"),
+        (counts["running"] - n_running, "cut off"),
+    ]  # fmt: skip
     tell(f"{out}: {_n(len(entries), 'file')}: " + ", ".join(f"{count:,} {what}" for count, what in told if count))
     for found in living:
         tell(f"at work: {found.owner}, last heard of {max(0.0, found.silent_s):.0f} s ago")
@@ -571,7 +582,7 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
     for heading in ("begun (UTC)", "shard", "version", "exit code", "counts"):
         table.add_column(heading)
     for run in runs[-5:]:
-        ended = "at work" if living else "cut off"
+        ended = "at work" if run.owner in at_work else "cut off"
         code = ended if run.exit_code is None else str(run.exit_code)
         totals = ", ".join(f"{count} {name}" for name, count in run.totals if count)
         table.add_row(_minute(run.started), run.shard or "-", run.version, code, printable(totals))
@@ -583,7 +594,8 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
         if isinstance(entry.outcome, Failed) and entry.state == "failed":
             tell(f"failed {failed_words(entry.outcome)} ({entry.outcome.problem.kind}{tries})")
         else:
-            tell(f"{running} {entry.name} (since {_minute(entry.started)}{tries})")
+            how = "running" if entry.owner in at_work else "cut off"
+            tell(f"{how} {entry.name} (since {_minute(entry.started)}{tries})")
     if len(wrong) > SHOWN:
         tell(f"and {len(wrong) - SHOWN:,} more; --json has all of them")
 

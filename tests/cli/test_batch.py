@@ -17,15 +17,16 @@ import pytest
 
 import prc_cli
 from prc_cli.batch import run as run_module
-from prc_cli.batch.parts import PARTS_FOLDER
+from prc_cli.batch.lock import Holder, Owner
 from prc_cli.batch.plan import Estimate, Plan, Planned
 from prc_cli.batch.reference import BatchEvaluation, Compared, ReferenceSettings
 from prc_cli.batch.run import Again, Listener, Noted, Ready
 from prc_cli.batch.settings import BatchSettings
 from prc_cli.batch.summary import Alarm, BatchSummary, LeftOut
-from prc_cli.batch.types import Done, Failed, InputPrint, Problem, Progress, Started, Task
+from prc_cli.batch.types import PARTS_FOLDER, Done, Entry, Failed, InputPrint, Problem, Progress, Started, Task
+from prc_cli.batch.types import Run as JournalRun
 from prc_cli.cli import main
-from prc_cli.cli.batch_report import failed_words
+from prc_cli.cli.batch_report import failed_words, print_status
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
@@ -129,6 +130,27 @@ def test_status_says_what_failed_and_summary_json_holds_it(office: tuple[Path, P
     summary = json.loads((office[1] / "summary.json").read_text())
     assert summary["counts"]["done"] == 2
     assert summary["exit_code"] == 1
+
+
+def test_what_a_dead_run_left_is_not_called_at_work_while_another_run_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alive = replace(Owner.myself(), pid=11)
+    dead = replace(alive, pid=22)
+    runs = [JournalRun(str(n), "", "0", str(who), f"2026-01-0{n}", None, None) for n, who in ((1, dead), (2, alive))]
+    entries = [
+        Entry(name, "running", "", "0", "r", 1, "2026-01-01", None, str(who), None)
+        for name, who in (("old.laz", dead), ("new.laz", alive))
+    ]
+    print_status(tmp_path, entries, runs, [Holder(tmp_path, alive, 1.0, alive=True)])
+    text = capsys.readouterr().out
+    assert "2 files: 1 running, 1 cut off" in text
+    assert "cut off old.laz" in text
+    assert "running new.laz" in text
+    assert [("cut off" in line, "at work" in line) for line in text.splitlines() if "│ 2026" in line] == [
+        (True, False),
+        (False, True),
+    ]
 
 
 def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(
@@ -320,6 +342,12 @@ def test_quiet_says_what_is_wrong_and_nothing_else(prc: Run, play: Callable[...,
 def test_the_last_failure_is_told_although_nothing_follows_it(prc: Run, play: Callable[..., None]) -> None:
     play(failed("z.laz"), BusyError("lock", "was lost"))
     assert "failed z.laz" in prc("a", "o").err
+
+
+def test_why_there_is_nothing_to_do(prc: Run, play: Callable[..., None]) -> None:
+    play()
+    assert prc("a", "o").err == "nothing to do: no files were found (o)\n"
+    assert prc("a", "o", "--only-failed").err == "nothing to do: no file failed or was cut off (o)\n"
 
 
 def test_names_are_not_read_as_anything_else(prc: Run, play: Callable[..., None]) -> None:
