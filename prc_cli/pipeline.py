@@ -143,16 +143,22 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     return _open(Path(path), _loaded(config).config, geometry=True)
 
 
-def _open(path: Path, config: RunConfig, *, geometry: bool) -> ScanStream:
-    """Open an input; ``geometry``: angles are looked for though the classifier does not need them."""
+def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False) -> ScanStream:
+    """Open an input.
+
+    ``geometry``: angles are looked for though the classifier does not need them; ``only_ranges``: times and
+    intensities may be left out.
+    """
     if config.method == SEQUENTIAL_ANGLE:
-        return with_beams(open_input(path, config.input, config.layout), config.input)
+        return with_beams(open_input(path, config.input, config.layout, only_ranges=only_ranges), config.input)
     if config.method == FUSED:
         lines = config.fused.lines_per_block
-        stream = open_input(path, config.input, config.layout, lines_at_once=lines)
+        stream = open_input(path, config.input, config.layout, lines_at_once=lines, only_ranges=only_ranges)
         return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
     lines = config.prc.lines_per_block
-    return open_input(path, config.input, config.layout, lines_at_once=lines, geometry=geometry)
+    return open_input(
+        path, config.input, config.layout, lines_at_once=lines, geometry=geometry, only_ranges=only_ranges
+    )
 
 
 def label_blocks(
@@ -232,9 +238,10 @@ def _fused(blocks: Iterator[ScanBlock], params: FusedParams, threads: int) -> It
         block, one, job = item
         labels = one.classify(job)
         further, limit = block.extra, params.extra_return_m
-        extra = label_extra_returns(
-            block.range_m, labels, further.line, further.column, further.range_m, limit, limit
-        )
+        extra = label_extra_returns(block.range_m, labels, further.line, further.column, further.range_m, limit, limit)
+        # light that passes by a leaf meets the next leaf, which may be on its own
+        of_leaf = labels[further.line, further.column] == Label.VEGETATION
+        extra[of_leaf & (extra == Label.NOISE)] = Label.VEGETATION
         return LabelledBlock(block, labels, extra)
 
     keep_memory()
@@ -346,7 +353,9 @@ def classify(
     check_input(source)
     before = source.stat()
     with timed("opening"):
-        stream = _open(source, loaded.config, geometry=False)
+        # times and intensities are asked for only by who makes a point cloud of something else
+        only_ranges = suffix_of(output) not in LAS_SUFFIXES or suffix_of(source) in LAS_SUFFIXES
+        stream = _open(source, loaded.config, geometry=False, only_ranges=only_ranges)
     with (
         FingerprintBeside(source, threads=threads) as beside,
         open_writer(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
+from operator import add, attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -81,7 +82,14 @@ class ReadTally:
     """Records read from the input, placed or not."""
 
     def __add__(self, other: ReadTally) -> ReadTally:
-        return ReadTally(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+        # most are empty, and tallies are added up a dozen times for every chunk
+        if other == _NO_TALLY:
+            return self
+        return other if self == _NO_TALLY else ReadTally(*map(add, _counts_of(self), _counts_of(other)))
+
+
+_NO_TALLY = ReadTally()
+_counts_of = attrgetter(*(one.name for one in fields(ReadTally)))
 
 
 @dataclass(frozen=True, slots=True)

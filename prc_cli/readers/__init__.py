@@ -118,7 +118,13 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
 
 
 def open_input(
-    path: Path, config: InputConfig, layout: Layout | None = None, *, lines_at_once: int = 1, geometry: bool = True
+    path: Path,
+    config: InputConfig,
+    layout: Layout | None = None,
+    *,
+    lines_at_once: int = 1,
+    geometry: bool = True,
+    only_ranges: bool = False,
 ) -> ScanStream:
     """Open an input file as a stream of blocks.
 
@@ -135,6 +141,8 @@ def open_input(
     geometry : bool
         Find the angles of the columns and where down is; who needs nothing but ranges saves reading the first records
         for them.
+    only_ranges : bool
+        Times and intensities of the shots may be left out of the blocks; coordinates stay.
 
     Raises
     ------
@@ -165,7 +173,7 @@ def open_input(
     if by_elevation:
         source, config = with_elevation(source, config)
     line_hz = None if layout is None else layout.line_frequency
-    stream = open_grid(source, config, line_hz=line_hz, geometry=geometry)
+    stream = open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
     if by_elevation:
         stream = tell_elevation(stream, line_rule)
     return replace(stream, info=replace(stream.info, notes=tuple(getattr(source, "notes", ()))))

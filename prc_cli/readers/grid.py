@@ -39,7 +39,12 @@ from prc_cli.readers.weeks import WeekSource, times_of_trajectory, week_steps
 
 
 def open_grid(
-    source: RecordSource, config: InputConfig, *, line_hz: float | None = None, geometry: bool = True
+    source: RecordSource,
+    config: InputConfig,
+    *,
+    line_hz: float | None = None,
+    geometry: bool = True,
+    only_ranges: bool = False,
 ) -> GridStream:
     """Turn a list of records into the stream.
 
@@ -53,6 +58,8 @@ def open_grid(
         Scan lines a second, where a layout says so [Hz].
     geometry : bool
         Find the angles of the columns, and where down is, where the lines do not need them.
+    only_ranges : bool
+        Leave times and intensities out of the blocks: what decides nothing then is not decoded.
 
     Returns
     -------
@@ -102,7 +109,12 @@ def open_grid(
         laz_contexts=getattr(source, "laz_contexts", None),
     )
     default = None if m is None else ScannerSetup(m, None, None, given_angles(config, m), beat=given_beat(rules, m))
-    return GridStream(info, records, rules, ranges, setups, default)
+    stream = GridStream(info, records, rules, ranges, setups, default, only_ranges)
+    if only_ranges and "intensity" not in (*rules.names, *ranges.names):
+        spare_intensity = getattr(source, "spare_intensity", None)
+        if spare_intensity is not None:
+            spare_intensity()
+    return stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +129,8 @@ class GridStream:
     """By scanner."""
     default: ScannerSetup | None
     """For scanners that were not met beforehand; None where that cannot be."""
+    only_ranges: bool = False
+    """Whether blocks hold neither times nor intensities."""
 
     @property
     def n_known(self) -> int:
@@ -169,11 +183,16 @@ class GridStream:
     def _sparse_blocks(self) -> Iterator[ScanBlock]:
         """Bring every record to its cell, whatever is missing between them."""
         for whole in whole_lines(self.source, self.rules, self._line_rules, self._carried(), self._prepare):
-            yield from blocks_of(whole, self.rules, self._setup(whole.scanner))
+            yield from blocks_of(whole, self.rules, self._setup(whole.scanner), only_ranges=self.only_ranges)
 
     def _carried(self) -> tuple[str, ...]:
         """Return the dimensions that are needed beside those that decide the cells."""
-        return (*self.ranges.names, *(("intensity",) if self.rules.has_intensity else ()))
+        return (*self.ranges.names, *(("intensity",) if self._needs_intensity else ()))
+
+    @property
+    def _needs_intensity(self) -> bool:
+        decides = self.rules.has_returns and self.rules.config.return_ == "strongest"
+        return self.rules.has_intensity and (decides or not self.only_ranges)
 
     def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
         """Add ranges and what goes along with them to the table of a chunk."""
@@ -186,7 +205,7 @@ class GridStream:
         tally += ReadTally(n_time_steps_back=week_steps(chunk))
         if xyz is not None:
             table[XYZ] = xyz
-        if self.rules.has_intensity:
+        if self._needs_intensity:
             table[INTENSITY] = chunk.values["intensity"]
         return table, tally
 
@@ -231,7 +250,9 @@ class GridStream:
         self, table: Table, part: slice, first_line: int, setup: ScannerSetup, tally: ReadTally
     ) -> ScanBlock:
         shape = (-1, setup.points_per_line)
-        time_s: F64 | None = np.asarray(table["time"][part], np.float64).reshape(shape) if "time" in table else None
+        time_s: F64 | None = None
+        if "time" in table and not self.only_ranges:
+            time_s = np.asarray(table["time"][part], np.float64).reshape(shape)
         intensity: F32 | None = None
         if INTENSITY in table:
             intensity = table[INTENSITY][part].astype(np.float32).reshape(shape)

@@ -31,7 +31,9 @@ class _Cells:
     """(n,) bool, the record that stands for its shot."""
 
 
-def blocks_of(whole: WholeLines, rules: GridRules, setup: ScannerSetup) -> Iterator[ScanBlock]:
+def blocks_of(
+    whole: WholeLines, rules: GridRules, setup: ScannerSetup, *, only_ranges: bool = False
+) -> Iterator[ScanBlock]:
     """Yield whole lines as blocks of bounded size; the first takes the tally along.
 
     Parameters
@@ -40,8 +42,13 @@ def blocks_of(whole: WholeLines, rules: GridRules, setup: ScannerSetup) -> Itera
         Its records carry ``slant range`` (cleaned), and ``time``, ``intensity`` and ``sensor xyz`` where known.
     rules : GridRules
     setup : ScannerSetup
+    only_ranges : bool
+        Leave times and intensities out.
     """
     m = setup.points_per_line
+    if only_ranges:
+        # they have done their work once the returns are chosen
+        rules = replace(rules, has_time=False, has_intensity=False)
     cells, n_unplaced = _place(whole, rules, setup)
     tally = whole.tally + ReadTally(n_unplaced=n_unplaced)
     n_lines = max(MAX_BLOCK_CELLS // m, 1)

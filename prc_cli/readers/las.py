@@ -52,6 +52,7 @@ class LasSource:
         self._layout = read_layout(str(path), self.header)
         self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
         """Kept from the records that :meth:`chunks` decodes, for who writes the file again."""
+        self._spares_intensity = False
         self._n_unread_chunks = 0
         if self.header.compressed:
             with path.open("rb") as handle:
@@ -134,6 +135,13 @@ class LasSource:
         notes.extend(self._layout.notes)
         return tuple(notes)
 
+    def spare_intensity(self) -> None:
+        """Decode ``intensity`` only where it may decide between returns of a shot; elsewhere it may be anything.
+
+        Noisy as it is, its layer takes a fifth of the whole decompression.
+        """
+        self._spares_intensity = True
+
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the file.
 
@@ -174,8 +182,12 @@ class LasSource:
         header = self.header
         with self._path.open("rb") as handle:
             if header.compressed:
-                layers = layers_of([self._layout.fields[name] for name in names])
-                yield from LazRecords(self.path, handle, header).batches(self._chunk_records, layers)
+                asked = [self._layout.fields[name] for name in names]
+                layers, several = layers_of(asked), None
+                if self._spares_intensity and "intensity" in names:
+                    several = layers
+                    layers = layers_of([field for field in asked if field.layer != "intensity"])
+                yield from LazRecords(self.path, handle, header).batches(self._chunk_records, layers, several)
                 return
             handle.seek(header.data_offset)
             # one buffer for all batches: every dimension is copied out before the next one is read

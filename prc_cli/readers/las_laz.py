@@ -24,6 +24,8 @@ from prc_cli.readers.las_header import DAMAGED, LasHeader, damaged
 
 _TOGETHER_BYTES = 16 << 20
 """Most bytes of records that are decoded together because there are many cores."""
+_ONE_RETURN = 0x1F
+"""Highest byte of a record that tells of at most one return: their number is in the upper half."""
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
 
@@ -145,7 +147,7 @@ class LazRecords:
         first_byte = start + np.concatenate(([0], np.cumsum(table[:n_used, 1]))).astype(np.int64)
         return ChunkTable(first_record, first_byte, len(table) - n_used)
 
-    def batches(self, n_max: int, selection: int) -> Iterator[tuple[int, memoryview]]:
+    def batches(self, n_max: int, selection: int, several: int | None = None) -> Iterator[tuple[int, memoryview]]:
         """Decode from the start.
 
         Parameters
@@ -154,6 +156,9 @@ class LazRecords:
             Most records of a batch. As many chunks are decoded together as there are cores, and given out in batches.
         selection : int
             Layers to decode (``lazrs.SELECTIVE_DECOMPRESS_*``), point formats 6-10 only.
+        several : int, optional
+            Layers to decode of records among which a shot has several returns, and of all after them; contains
+            ``selection``. The others then hold anything in the layers between the two.
 
         Yields
         ------
@@ -173,6 +178,8 @@ class LazRecords:
         declared = lazrs.LazVlr(self._vlr_data).chunk_size()
         whole = largest * size <= _SERIAL_BYTES and (declared * size <= _SERIAL_BYTES or self._variable())
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
+        if several is not None and not (whole and self._header.point_format >= 6):
+            selection, several = several, None
         with lazrs_errors(self._where, "the compressed records cannot be opened"):
             decoder = self._open(kind, selection)
         n_chunks = len(self.table.first_record) - 1
@@ -193,6 +200,13 @@ class LazRecords:
                 raw = np.empty(min(step, stop - begin) * size, np.uint8).data
                 if not self._decode(decoder, raw):
                     raise self._damage(chunk, end, begin, kind)
+                if several is not None and _has_several(raw, size):
+                    with lazrs_errors(self._where, "the compressed records cannot be opened"):
+                        decoder = self._open(kind, several)
+                        decoder.seek(begin)
+                    several = None
+                    if not self._decode(decoder, raw):
+                        raise self._damage(chunk, end, begin, kind)
                 for start in range(0, len(raw), n_max * size):
                     yield begin + start // size, raw[start : start + n_max * size]
             chunk = end
@@ -272,6 +286,12 @@ class LazRecords:
             f"{RUN_BYTES} bytes of 0xFF in a row, expected compressed records"
         )
         raise damaged(self._where, byte, problem)
+
+
+def _has_several(raw: memoryview, record_bytes: int) -> bool:
+    """Tell whether a shot among records of point formats 6-10 has several returns."""
+    returns = np.frombuffer(raw, np.uint8)[14::record_bytes]
+    return bool(returns.max(initial=0) > _ONE_RETURN)
 
 
 @contextlib.contextmanager

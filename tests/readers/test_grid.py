@@ -142,6 +142,46 @@ def test_what_goes_along_stands_in_the_right_cells() -> None:
         np.testing.assert_allclose(block.angle_rad, 2 * np.pi * np.arange(M) / M, atol=1e-9)
 
 
+class _SparingSource(MemorySource):
+    """Intensities of shots with one return are made up once they may be."""
+
+    def spare_intensity(self) -> None:
+        single = self.values["number_of_returns"] <= 1
+        self.values = {**self.values, "intensity": np.where(single, -7.0, self.values["intensity"])}
+
+
+@pytest.mark.parametrize("rule", ["strongest", "first"])
+@pytest.mark.parametrize("chunk_records", [7, 1000])
+def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
+    _, records = scene()
+    rng = np.random.default_rng(4)
+    number = rng.integers(1, 4, len(records["range"]))
+    twice = {name: np.repeat(values, number) for name, values in records.items()}
+    twice["number_of_returns"] = np.repeat(number, number)
+    twice["return_number"] = np.concatenate([np.arange(1, n + 1) for n in number])
+    twice["range"] = twice["range"] + twice["return_number"]
+    twice["intensity"] = rng.random(len(twice["range"]))
+    options: dict[str, Any] = {"return": rule, "columns": "dimension:column"}
+    config = InputConfig.model_validate(options)
+    whole = read(open_grid(MemorySource(twice, chunk_records), config))
+    found = read(open_grid(_SparingSource(twice, chunk_records), config, only_ranges=True))
+    assert np.array_equal(found.range_m, whole.range_m, equal_nan=True)
+    assert np.array_equal(found.record, whole.record)
+    assert found.extras == whole.extras
+    assert len(found.extras) == int(np.sum(number - 1))
+    assert found.tally == whole.tally
+    assert all(block.time_s is None and block.intensity is None for block in found.blocks)
+
+
+def test_intensities_that_are_ranges_or_lines_are_never_spared() -> None:
+    _, records = scene()
+    records["number_of_returns"] = np.ones(len(records["range"]))
+    records["intensity"] = records["range"]
+    config = InputConfig(range="dimension:intensity")
+    whole = read(open_grid(_SparingSource(records), config, only_ranges=True))
+    assert np.array_equal(whole.range_m, read(open_grid(MemorySource(records), config)).range_m, equal_nan=True)
+
+
 def test_assumptions_say_what_was_taken() -> None:
     _, records = scene()
     stream = open_records(only(records, "range", "scan_line", "column"))

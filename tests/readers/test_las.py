@@ -107,6 +107,31 @@ def test_chunk_size_changes_nothing(tmp_path: Path, suffix: str, point_format: i
         assert max(chunk.n for chunk in source.chunks(("x",))) <= chunk_records
 
 
+@pytest.mark.parametrize("first_pair", [0, 3, 60_000, 120_000, None])
+def test_spared_intensity_is_there_wherever_it_may_decide(tmp_path: Path, first_pair: int | None) -> None:
+    n = 120_001
+    number = np.ones(n, np.uint8)
+    if first_pair is not None:
+        number[first_pair : first_pair + 1] = 2
+        number[first_pair + 700 :: 31] = 15
+    las = make(tmp_path / "drive.laz", 6, n=n, return_number=np.minimum(number, 1), number_of_returns=number)
+    source, plain = LasSource(tmp_path / "drive.laz", 33_333), LasSource(tmp_path / "drive.laz", 33_333)
+    source.spare_intensity()
+    names = ("time", "number_of_returns", "intensity")
+    chunks = list(source.chunks(names))
+    found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
+    np.testing.assert_array_equal(found["time"], las.gps_time)
+    np.testing.assert_array_equal(found["number_of_returns"], number)
+    np.testing.assert_array_equal(found["intensity"][number > 1], np.asarray(las.intensity)[number > 1])
+    if first_pair is None:
+        assert np.any(found["intensity"] != np.asarray(las.intensity))  # it was not decoded
+    assert source.laz_contexts is not None
+    assert plain.laz_contexts is not None
+    np.testing.assert_array_equal(read(plain, "intensity"), las.intensity)
+    kept = (np.concatenate(list(one.laz_contexts.take(n))) for one in (source, plain) if one.laz_contexts is not None)
+    np.testing.assert_array_equal(next(kept), next(kept))
+
+
 def test_a_source_can_be_read_twice_at_once(tmp_path: Path) -> None:
     make(tmp_path / "a.laz", 6, n=1000)
     source = LasSource(tmp_path / "a.laz", 300)
