@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,10 @@ from prc_cli.classifiers.fused.pipeline import FusedParams, ParallelBlocks, clas
 from prc_cli.classifiers.fused.plane import ScanPlane, SensorParams, points_of, range_noise
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
+from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, U8
+from prc_cli.pipeline import label_blocks
 from tests.classifiers.fused.street_lines import (
     BEAM,
     BUILDING,
@@ -170,3 +173,24 @@ def test_a_job_that_fails_lets_the_others_end() -> None:
     broken = [type(job)(job.turn, job.window[:, :3], job.range_m) for job in jobs]
     with pytest.raises(Exception, match=r"."):
         list(ordered(blocks.classify, iter(broken), threads=2))
+
+
+def test_a_further_return_of_a_leaf_that_is_on_its_own_is_a_leaf(street: tuple[F32, U8]) -> None:
+    ranges = street[0]
+    cells = [np.argwhere(classified(ranges) == label)[::50] for label in (Label.VEGETATION, Label.GROUND)]
+    line, column = np.concatenate(cells).astype(np.int32).T
+    far = np.full(len(line), 500.0, np.float32)
+    extra = ExtraReturns(line, column, far, np.arange(len(line), dtype=np.int64))
+    block = ScanBlock(0, ranges, beam_rad=BEAM, extra=extra, is_last=True)
+    found = [item.extra_labels for item in label_blocks(iter([block]), FusedParams(lines_per_block=60))]
+    leaves = len(cells[0])
+    assert (found[0][:leaves] == Label.VEGETATION).all()
+    assert (found[0][leaves:] == Label.NOISE).all()
+
+
+def test_labels_do_not_depend_on_how_the_stream_is_cut(street: tuple[F32, U8]) -> None:
+    ranges, params = street[0], FusedParams(lines_per_block=16)
+    cuts = [0, 1, 7, 30, 31, 60]
+    blocks = (ScanBlock(a, ranges[a:b], beam_rad=BEAM, is_last=b == 60) for a, b in pairwise(cuts))
+    labels = np.concatenate([item.labels for item in label_blocks(blocks, params, threads=2)])
+    np.testing.assert_array_equal(labels, classified(ranges, params))
