@@ -1,11 +1,13 @@
 """Checks of an installation and of a folder for outputs: ``prc doctor``.
 
 Nothing is changed: what is written for a check is removed again. A check that finds something wrong says what to do.
+What a check needs of this program is loaded by the check itself, so that a broken package ends that check alone.
 """
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import importlib.metadata as metadata
 import os
 import platform
@@ -16,27 +18,15 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 from prc_cli import __version__
-from prc_cli.batch.journal import read_entries
-from prc_cli.batch.lock import holders
-from prc_cli.batch.types import OWN_FOLDER
-from prc_cli.comparison import evaluate
-from prc_cli.config import load_config
 from prc_cli.core.errors import PrcError
 from prc_cli.core.profile import peak_memory
 from prc_cli.core.threads import default_threads
-from prc_cli.evaluation.scores import gate_value, scores
-from prc_cli.kernels.about import about, cache_state
-from prc_cli.pipeline import classify, load_classifier
-from prc_cli.simulated_files import simulate
-from prc_cli.simulation.drive import load_simulator
-from prc_cli.simulation.settings import load_settings
-from prc_cli.writers.las_check import POINT_FORMATS, check_laz
 
 Status: TypeAlias = Literal["ok", "warn", "bad"]
 
@@ -114,6 +104,9 @@ def _broken(name: str, error: Exception) -> Check:
         return Check(name, "bad", str(PrcError(error.where, error.problem)), error.hint)
     if isinstance(error, OSError | sqlite3.Error):
         return Check(name, "bad", str(error), "check the disk: its space, its permissions, its mount")
+    if isinstance(error, ImportError):
+        hint = "install what it names anew: pip install --force-reinstall PACKAGE"
+        return Check(name, "bad", f"cannot be loaded ({error})", hint)
     hint = "report it with the output of prc doctor --json"
     return Check(name, "bad", f"{type(error).__name__}: {error}", hint)
 
@@ -148,8 +141,34 @@ def _packages() -> Iterator[Check]:
         wanted = " ".join(f"'{item.name}>={item.at_least}'" for item in old)
         yield Check("packages", "bad", told, f"pip install {wanted}", details)
         return
+    broken = _broken_packages([item.name for item in required])
+    if broken:
+        told = ", ".join(f"{name} cannot be loaded ({why})" for name, why in broken.items())
+        yield Check("packages", "bad", told, f"pip install --force-reinstall {' '.join(broken)}", details)
+        return
     told = ", ".join(f"{item.name} {item.found}" for item in required)
     yield Check("packages", "ok", told, "", details)
+
+
+def _broken_packages(names: Iterable[str]) -> dict[str, str]:
+    """Load packages; return those that are there and do not load, and why."""
+    modules: dict[str, set[str]] = {}
+    for module, distributions in metadata.packages_distributions().items():
+        for distribution in distributions:
+            if not module.startswith("_"):
+                modules.setdefault(distribution.lower(), set()).add(module)
+    broken = {}
+    for name in names:
+        found = modules.get(name.lower(), set())
+        # tests and examples may lie beside a package's own module
+        module = name if name in found or len(found) != 1 else next(iter(found))
+        if module not in found:
+            continue
+        try:
+            importlib.import_module(module)
+        except Exception as error:  # whatever is wrong with it
+            broken[name] = f"{type(error).__name__}: {error}"
+    return broken
 
 
 def _extras() -> Iterator[Check]:
@@ -226,6 +245,8 @@ def _release(version: str) -> tuple[int, ...]:
 
 
 def _laz() -> Iterator[Check]:
+    from prc_cli.writers.las_check import POINT_FORMATS, check_laz
+
     for point_format in POINT_FORMATS:
         check_laz(point_format)
     version = metadata.version("lazrs")
@@ -234,6 +255,8 @@ def _laz() -> Iterator[Check]:
 
 
 def _processor() -> Iterator[Check]:
+    from prc_cli.kernels.about import about
+
     found, usable, all_cores = about(), default_threads(), os.cpu_count() or 1
     features = ", ".join(found.features) or "no vector instructions"
     cores = f"{usable} of {all_cores} cores" if usable < all_cores else f"{usable} cores"
@@ -259,6 +282,8 @@ def _load() -> float | None:
 
 
 def _cache() -> Iterator[Check]:
+    from prc_cli.kernels.about import cache_state
+
     found = cache_state()
     details = {
         "folder": None if found.folder is None else str(found.folder),
@@ -341,6 +366,8 @@ def _temporary() -> Iterator[Check]:
 
 def _output(out: Path) -> Iterator[Check]:
     """Ask a folder for what a batch run needs of it."""
+    from prc_cli.batch.types import OWN_FOLDER
+
     folder = out
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
@@ -368,6 +395,9 @@ def _output(out: Path) -> Iterator[Check]:
 
 def _runs(folder: Path) -> Check:
     """Look at what earlier runs left: damage raises, and is told by who called."""
+    from prc_cli.batch.journal import read_entries
+    from prc_cli.batch.lock import holders
+
     name = "earlier runs"
     entries, owners = read_entries(folder), holders(folder)
     states = Counter(entry.state for entry in entries)
@@ -502,6 +532,14 @@ def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
 
 def _end_to_end() -> Iterator[Check]:
     """Simulate a street, classify it from LAZ to LAZ, evaluate it."""
+    from prc_cli.comparison import evaluate
+    from prc_cli.config import load_config
+    from prc_cli.evaluation.scores import gate_value, scores
+    from prc_cli.pipeline import classify, load_classifier
+    from prc_cli.simulated_files import simulate
+    from prc_cli.simulation.drive import load_simulator
+    from prc_cli.simulation.settings import load_settings
+
     start = time.perf_counter()
     config = load_config(preset="urban", options={"input": {"order": "trust"}})
     load_simulator()

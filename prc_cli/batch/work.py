@@ -100,6 +100,8 @@ def problem_of(error: Exception, task: Task, before: InputPrint | None) -> Probl
         found = Problem(found.kind, where, error.strerror or str(error), "check the disk, the name and its permissions")
     elif isinstance(error, PrcError) and isinstance(error.__cause__, OSError):
         found = Problem(type(error.__cause__).__name__, found.where, found.problem, found.hint)
+    elif isinstance(error, ImportError):
+        found = Problem(found.kind, task.name, f"a package cannot be loaded ({error})", "prc doctor says which")
     elif not isinstance(error, PrcError):
         found = Problem(found.kind, task.name, f"{found.kind}: {found.problem}", "a fault of prc; please report it")
     if before is None:

@@ -123,6 +123,8 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         message, code = one_line(f"{error.format_message()}{hint}"), error.exit_code
     except MemoryError:
         message, code = "not enough memory for this input and these parameters; no output was left behind", 1
+    except ImportError as error:
+        message, code = one_line(f"a package cannot be loaded ({error}); prc doctor checks the installation"), 1
     except (click.Abort, KeyboardInterrupt):
         message, code = "interrupted; no output was left behind", INTERRUPTED
     except OSError as error:

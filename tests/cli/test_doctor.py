@@ -6,6 +6,8 @@ import importlib.metadata as metadata
 import json
 import os
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -95,6 +97,21 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
     assert "differ" in found.found
 
 
+@pytest.mark.parametrize("package", ["lazrs", "numba"])
+def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_path: Path, package: str) -> None:
+    (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")
+    command = [sys.executable, "-m", "prc_cli", "doctor", "--json", "--out", str(tmp_path / "out")]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+    assert (ended.returncode, ended.stderr) == (1, "")
+    found = {check["name"]: check for check in json.loads(ended.stdout)["checks"]}
+    assert found["packages"]["status"] == "bad"
+    assert f"{package} cannot be loaded" in found["packages"]["found"]
+    assert package in found["packages"]["hint"]
+    assert found["LAZ" if package == "lazrs" else "compiled loops"]["status"] == "bad"
+    assert found["journal in it"]["status"] == "ok"
+
+
 def test_a_check_that_breaks_down_does_not_end_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken() -> Iterator[Check]:
         raise ZeroDivisionError
@@ -127,7 +144,6 @@ def test_no_folder_for_compiled_loops_is_a_warning(monkeypatch: pytest.MonkeyPat
     from prc_cli.kernels.about import CacheState
 
     monkeypatch.setattr(about, "cache_state", lambda: CacheState(None, 0, 0, 18))
-    monkeypatch.setattr(doctor, "cache_state", about.cache_state)
     found = checks()["compiled loops"]
     assert (found.status, "NUMBA_CACHE_DIR" in found.hint) == ("warn", True)
 
