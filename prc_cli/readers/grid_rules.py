@@ -163,7 +163,7 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
     if "time" in source.dimensions:
         ways.append("--lines time:HZ (scan lines a second)")
     if source.format == "text" and not {"range", *XYZ} & set(source.dimensions):
-        ways.insert(0, "name the columns in a layout (--layout FILE)")
+        ways.insert(0, "a layout that names the columns (--layout FILE)")
     problem = "no scan lines: the file has no dimension scan_line and points_per_line is not given"
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
