@@ -139,7 +139,7 @@ def _strip(y: np.float32) -> int:
 
 @inlined
 def _slot(above: np.float32) -> int:
-    return min(max(int(above / SLOT_M), 0), SLOTS - 1)
+    return int(min(max(above / SLOT_M, np.float32(0.0)), np.float32(SLOTS - 1)))
 
 
 @inlined

@@ -66,9 +66,9 @@ def _walk(
             continue
         y, z = points[0][i] * sign, points[1][i]
         out = y - last_y
-        b = int(y / BIN_M)
-        if out < -BACK_M or y < np.float32(0.0) or b >= BINS:
+        if out < -BACK_M or y < np.float32(0.0) or y >= BINS * BIN_M:
             continue
+        b = int(y / BIN_M)
         out = max(out, np.float32(0.0))
         limit = step + slope * min(out, reach) + gap * out
         if abs(z - last_z) <= limit or (np.float32(age[b]) < lines and abs(z - memory[b]) < near_m):
@@ -123,7 +123,8 @@ def _heights(side: F32, height: F32, left: F32, right: F32, above: F32) -> None:
         y = side[i]
         if y != y:
             continue
-        place = max(abs(y) / BIN_M - half, np.float32(0.0))
+        # within the bins before it becomes an integer: a range may be anything
+        place = min(max(abs(y) / BIN_M - half, np.float32(0.0)), np.float32(BINS - 1))
         b = min(int(place), BINS - 2)
         share = min(place - np.float32(b), np.float32(1.0))
         inner, outer = (left[b], left[b + 1]) if y >= np.float32(0.0) else (right[b], right[b + 1])

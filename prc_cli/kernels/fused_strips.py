@@ -57,7 +57,7 @@ def _fill_line(
         b = int(np.floor(y / STRIP_M)) + STRIPS // 2
         if b < 0 or b >= STRIPS:
             continue
-        bit = np.uint64(1) << np.uint64(min(int(h / SLOT_M), SLOTS - 1))
+        bit = np.uint64(1) << np.uint64(int(min(h / SLOT_M, np.float32(SLOTS - 1))))
         every[b] |= bit
         if np.float32(smooth[i]) <= figures[ROUGH]:
             rough[b] |= bit

@@ -18,6 +18,8 @@ BINS = 320
 """Places on either side at which the ground is remembered, 0.25 m wide."""
 NEVER = 1 << 20
 """Age of what was never seen, in lines."""
+DEEPEST_M = 100.0
+"""Nobody carries a scanner so high above the ground [m]."""
 HEIGHT_STEP_M = 0.1
 """Step of the heights among which the first one is chosen [m]."""
 
@@ -120,7 +122,7 @@ def start_height(side_m: F32, height_m: F32, seen: Neighbours, params: GroundPar
     Much is at least a quarter of the most at any height. Where nothing is smooth below the scanner near to it, all that
     is lower than the scanner counts; 0 where there is nothing at all.
     """
-    low = (seen.smooth > 0) & (seen.level > seen.upright) & (height_m < 0)
+    low = (seen.smooth > 0) & (seen.level > seen.upright) & (height_m < 0) & (height_m > -DEEPEST_M)
     near = low & (np.abs(side_m) < params.start_reach_m)
     heights = height_m[near] if near.any() else height_m[low]
     if not len(heights):

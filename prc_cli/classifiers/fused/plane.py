@@ -126,9 +126,9 @@ def range_noise(side_m: F32, height_m: F32, params: SensorParams) -> float:
     if params.range_noise_m != "auto":
         return float(params.range_noise_m)
     y, z = side_m[::EVERY_LINE], height_m[::EVERY_LINE]
-    dy, dz = y[:, 2:] - y[:, :-2], z[:, 2:] - z[:, :-2]
-    across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(all="ignore"):  # ranges may be anything
+        dy, dz = y[:, 2:] - y[:, :-2], z[:, 2:] - z[:, :-2]
+        across = dy * (z[:, 1:-1] - z[:, :-2]) - dz * (y[:, 1:-1] - y[:, :-2])
         off = np.abs(across) / np.hypot(dy, dz)
     off = off[np.isfinite(off)]
     if len(off) < LEAST_TRIPLES:

@@ -194,3 +194,13 @@ def test_labels_do_not_depend_on_how_the_stream_is_cut(street: tuple[F32, U8]) -
     blocks = (ScanBlock(a, ranges[a:b], beam_rad=BEAM, is_last=b == 60) for a, b in pairwise(cuts))
     labels = np.concatenate([item.labels for item in label_blocks(blocks, params, threads=2)])
     np.testing.assert_array_equal(labels, classified(ranges, params))
+
+
+@pytest.mark.parametrize("absurd", [1e-38, 1e-6, 1e5, 1e19, 3e38])
+def test_absurd_ranges_are_labelled(street: tuple[F32, U8], absurd: float) -> None:
+    ranges = street[0][:12].copy()
+    ranges[:, ::3] = absurd
+    assert (classified(ranges) != Label.MISSING).sum() == np.isfinite(ranges).sum()
+    ranges[:] = absurd
+    labels = classified(ranges)
+    assert (labels != Label.MISSING).all()
