@@ -342,9 +342,10 @@ def _label_open(
             if is_noise:
                 labels[i] = _NOISE
                 continue
-        if _is_ground(h, is_walked[i], int(upright[i]), int(level[i]), figures):
-            labels[i] = _GROUND
-            continue
+            # of all others it is known that they are not
+            if _is_ground(h, is_walked[i], int(upright[i]), int(level[i]), figures):
+                labels[i] = _GROUND
+                continue
         b = _strip(y)
         if b < 0:
             labels[i] = _VEGETATION if soft[i] < leaf_share or is_leaf else _BUILDING
