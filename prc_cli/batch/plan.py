@@ -29,6 +29,8 @@ Reason: TypeAlias = Literal[
 
 TRAJECTORY = "trajectory:"
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
+BEGIN_S = 2.0
+"""What workers take to begin and to load the compiled loops; all of the time that a small archive takes [s]."""
 _MAX_RECORD = 1 << 24
 """A run record is smaller [bytes]."""
 
@@ -493,7 +495,8 @@ def estimate(todo: Sequence[Planned], rates: Mapping[str, Rate], jobs: int) -> E
     Returns
     -------
     Estimate
-        Wall time as workers that always take the next file need it; memory of the ``jobs`` largest together.
+        Wall time as workers that always take the next file need it, with their beginning; memory of the ``jobs``
+        largest together.
     """
     free = [0.0] * max(1, jobs)
     peaks: list[float] = []
@@ -513,7 +516,7 @@ def estimate(todo: Sequence[Planned], rates: Mapping[str, Rate], jobs: int) -> E
         sources.append(f"{suffix.removeprefix('.')}: {source}")
     known = len(todo) - n_unknown
     return Estimate(
-        seconds=max(free) if known or not todo else None,
+        seconds=BEGIN_S * bool(known) + max(free) if known or not todo else None,
         peak_mib=sum(sorted(peaks)[-max(1, jobs) :]) if peaks else None,
         sources=tuple(sources),
         n_unknown=n_unknown,

@@ -11,6 +11,7 @@ import pytest
 from prc_cli import __version__
 from prc_cli.batch.discovery import discover
 from prc_cli.batch.plan import (
+    BEGIN_S,
     BatchConfig,
     Plan,
     Planned,
@@ -364,9 +365,9 @@ def planned(name: str, size: int) -> Planned:
 def test_time_is_that_of_workers_that_take_the_next_file() -> None:
     todo = [planned(f"{i}.laz", size) for i, size in enumerate((40, 10, 10, 30))]
     rates = {".laz": Rate(0.5, 300.0, "from a guess")}
-    assert estimate(todo, rates, 1).seconds == 45
+    assert estimate(todo, rates, 1).seconds == BEGIN_S + 45
     found = estimate(todo, rates, 2)
-    assert found.seconds == 25
+    assert found.seconds == BEGIN_S + 25
     assert found.peak_mib == 600
     assert estimate(todo, rates, 9).peak_mib == 1200
     assert found.sources == ("laz: from a guess",)
@@ -374,7 +375,7 @@ def test_time_is_that_of_workers_that_take_the_next_file() -> None:
 
 def test_formats_that_nothing_is_known_of_are_counted() -> None:
     found = estimate([planned("a.laz", 10), planned("b.e57", 10)], {".laz": Rate(1.0, None, "from somewhere")}, 1)
-    assert (found.seconds, found.peak_mib, found.n_unknown) == (10, None, 1)
+    assert (found.seconds, found.peak_mib, found.n_unknown) == (BEGIN_S + 10, None, 1)
     assert found.sources == ("e57: nothing known", "laz: from somewhere")
     assert estimate([planned("b.e57", 10)], {}, 1).seconds is None
     assert estimate([], {}, 1).seconds == 0
