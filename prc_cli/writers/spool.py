@@ -17,6 +17,9 @@ from prc_cli.core.types import I64
 
 PAGE_BYTES = 1 << 20
 BUFFER_ITEMS = 1 << 20
+WRITE_BYTES = 1 << 16
+"""Bytes handed to the system at a time: for more at once Linux looks for large pieces of free memory, which takes up to
+ten times as long as the copy itself."""
 
 
 class Spool:
@@ -190,4 +193,4 @@ def write_all(handle: BinaryIO, data: memoryview) -> None:
     """Write to an unbuffered file until nothing is left (a single write may be short)."""
     done = 0
     while done < len(data):
-        done += handle.write(data[done:])
+        done += handle.write(data[done : done + WRITE_BYTES])
