@@ -53,7 +53,6 @@ CREATE TABLE files (
     n_lines INTEGER, n_shots INTEGER, n_records INTEGER, labels TEXT, notices TEXT,
     problem_kind TEXT, problem_where TEXT, problem TEXT, problem_hint TEXT
 );
-CREATE INDEX files_by_config ON files (config_sha256, state);
 """
 _OUTCOME = (
     "outcome", "input_size", "input_mtime_ns", "input_sha256", "seconds", "output_size", "output_mtime_ns",
@@ -270,19 +269,6 @@ class Journal:
             own = list(_entries(self._open_database.execute("SELECT * FROM files")))
         found = _newest([*self._others.values(), *own])
         return [found[name] for name in sorted(found)]
-
-    def runs(self) -> list[Run]:
-        """Return the runs of this journal, oldest first."""
-        with _errors(self.path):
-            return list(_runs(self._open_database))
-
-    def histograms(self, config_sha256: str) -> dict[str, dict[str, int]]:
-        """Return the records by label of every finished file of a configuration, by file."""
-        return {
-            entry.name: dict(entry.outcome.labels)
-            for entry in self.entries()
-            if entry.state == "done" and entry.config_sha256 == config_sha256 and isinstance(entry.outcome, Done)
-        }
 
     def forget(self, names: Iterable[str]) -> int:
         """Forget files in every journal of the folder; return how many were known.

@@ -7,7 +7,7 @@ grow with it; of a file only its confusion matrix is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -137,7 +137,6 @@ def evaluate_tree(
     settings: ReferenceSettings,
     *,
     threads: int = 1,
-    progress: Callable[[str], None] | None = None,
 ) -> BatchEvaluation:
     """Compare outputs with their references and pool them.
 
@@ -149,8 +148,6 @@ def evaluate_tree(
         What they are compared with.
     threads : int
         Files that are compared at a time; the result does not depend on it.
-    progress : callable, optional
-        Called with the name of every file that was compared.
 
     Returns
     -------
@@ -170,8 +167,6 @@ def evaluate_tree(
         if found.matrix is not None:
             pooled = pooled + found.matrix
         files.append(found)
-        if progress is not None:
-            progress(found.name)
     return BatchEvaluation(settings, tuple(files), pooled, check_gates(scores(pooled), gates))
 
 

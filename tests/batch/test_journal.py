@@ -144,19 +144,6 @@ def test_runs_are_kept(folder: Path) -> None:
     assert runs[1].finished is None
 
 
-def test_histograms_are_of_finished_files_of_the_same_configuration(folder: Path) -> None:
-    with Journal(folder) as journal:
-        journal.begin_run("me")
-        for name, config in (("a", "one"), ("b", "one"), ("c", "two"), ("d", "one"), ("e", "one")):
-            journal.start(task(name, config), "worker")
-        for name in "abc":
-            journal.finish(done(name))
-        journal.finish(failed("d"))
-        assert set(journal.histograms("one")) == {"a", "b"}
-        assert journal.histograms("one")["a"] == {"GROUND": 10, "NOISE": 0, "OBJECT": 10}
-        assert journal.histograms("three") == {}
-
-
 def test_journals_of_other_divisions_are_known_and_the_newest_entry_counts(folder: Path) -> None:
     with Journal(folder) as journal:
         journal.begin_run("whole")
