@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,55 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.readers.las_header import DAMAGED, RECORD_BYTES, LasHeader, text_of
 
+_Columns: TypeAlias = tuple[tuple[str, str], ...]
+_Bits: TypeAlias = dict[str, dict[str, int]]
+
+_XYZ: _Columns = (("X", "<i4"), ("Y", "<i4"), ("Z", "<i4"))
+_OLD: _Columns = (
+    *_XYZ, ("intensity", "<u2"), ("bit_fields", "|u1"), ("raw_classification", "|u1"), ("scan_angle_rank", "|i1"),
+    ("user_data", "|u1"), ("point_source_id", "<u2"),
+)  # fmt: skip
+_TIME: _Columns = (("gps_time", "<f8"),)
+_NEW: _Columns = (
+    *_XYZ, ("intensity", "<u2"), ("bit_fields", "|u1"), ("classification_flags", "|u1"), ("classification", "|u1"),
+    ("user_data", "|u1"), ("scan_angle", "<i2"), ("point_source_id", "<u2"), *_TIME,
+)  # fmt: skip
+_COLOUR: _Columns = (("red", "<u2"), ("green", "<u2"), ("blue", "<u2"))
+_NIR: _Columns = (("nir", "<u2"),)
+_WAVE: _Columns = (
+    ("wavepacket_index", "|u1"), ("wavepacket_offset", "<u8"), ("wavepacket_size", "<u4"),
+    ("return_point_wave_location", "<f4"), ("x_t", "<f4"), ("y_t", "<f4"), ("z_t", "<f4"),
+)  # fmt: skip
+RECORD_COLUMNS: tuple[_Columns, ...] = (
+    _OLD,
+    (*_OLD, *_TIME),
+    (*_OLD, *_COLOUR),
+    (*_OLD, *_TIME, *_COLOUR),
+    (*_OLD, *_TIME, *_WAVE),
+    (*_OLD, *_TIME, *_COLOUR, *_WAVE),
+    _NEW,
+    (*_NEW, *_COLOUR),
+    (*_NEW, *_COLOUR, *_NIR),
+    (*_NEW, *_WAVE),
+    (*_NEW, *_COLOUR, *_NIR, *_WAVE),
+)
+"""Stored fields and their types by point format (ASPRS LAS 1.4 R15, tables 7-17); written out here, since importing
+laspy for them would take 20 MiB."""
+_OLD_BITS: _Bits = {
+    "bit_fields": {
+        "return_number": 0x07, "number_of_returns": 0x38, "scan_direction_flag": 0x40, "edge_of_flight_line": 0x80,
+    },
+    "raw_classification": {"classification": 0x1F, "synthetic": 0x20, "key_point": 0x40, "withheld": 0x80},
+}  # fmt: skip
+_NEW_BITS: _Bits = {
+    "bit_fields": {"return_number": 0x0F, "number_of_returns": 0xF0},
+    "classification_flags": {
+        "synthetic": 0x01, "key_point": 0x02, "withheld": 0x04, "overlap": 0x08, "scanner_channel": 0x30,
+        "scan_direction_flag": 0x40, "edge_of_flight_line": 0x80,
+    },
+}  # fmt: skip
+_FIRST_NEW = 6
+"""Point formats from here on have four bits for return numbers and eight for classes."""
 _DESCRIPTOR_BYTES = 192
 _NUMBERS = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 """Numpy types of the extra-bytes data types 1 to 10; 11 to 30 are pairs and triples of them."""
@@ -69,6 +118,11 @@ class RecordLayout:
     """What in the description does not fit the record."""
 
 
+def bits_of(point_format: int) -> _Bits:
+    """Return the dimensions that share a byte with others: its name, then the bits of each."""
+    return _NEW_BITS if point_format >= _FIRST_NEW else _OLD_BITS
+
+
 def read_layout(where: str, header: LasHeader) -> RecordLayout:
     """Put together the point format and the extra bytes.
 
@@ -77,21 +131,19 @@ def read_layout(where: str, header: LasHeader) -> RecordLayout:
     InputError
         When an extra-bytes descriptor makes no sense.
     """
-    import laspy
-    from laspy.point.dims import COMPOSED_FIELDS
-
     point_format = header.point_format
-    columns: list[tuple[Any, ...]] = list(laspy.PointFormat(point_format).dtype().descr)
+    columns: list[tuple[Any, ...]] = list(RECORD_COLUMNS[point_format])
+    bits = bits_of(point_format)
     fields: dict[str, Field] = {}
     for axis, (name, scale, offset) in enumerate(zip("xyz", header.scales, header.offsets, strict=True)):
         fields[name] = Field("XYZ"[axis], scale=scale, offset=offset, layer=name)
     for column, *_ in columns[3:]:
-        parts = COMPOSED_FIELDS[point_format].get(column)
+        parts = bits.get(column)
         if parts is None:
             name = _RENAMED.get(column, column)
             fields[name] = Field(column, scale=_ANGLE_RAD.get(column), as_float=name in _AS_FLOAT, layer=column)
         else:
-            fields |= {part.name: Field(column, mask=int(part.mask), layer=part.name) for part in parts}
+            fields |= {name: Field(column, mask=mask, layer=name) for name, mask in parts.items()}
     described: list[dict[str, Any]] = []
     notes: list[str] = []
     left = header.record_bytes - RECORD_BYTES[point_format]

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from laspy.point.dims import COMPOSED_FIELDS
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.readers.las import LasSource
+from prc_cli.readers.las_layout import RECORD_COLUMNS, bits_of
 from prc_cli.readers.order import OrderWatch
 
 VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
@@ -83,6 +85,17 @@ def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int
     both = next(iter(source.chunks(("column", "x"))))
     assert set(both.values) == {"column", "x"}
     assert both.record is None
+
+
+@pytest.mark.parametrize("point_format", range(11))
+def test_records_are_laid_out_as_laspy_has_them(point_format: int) -> None:
+    assert list(RECORD_COLUMNS[point_format]) == laspy.PointFormat(point_format).dtype().descr
+    theirs = {
+        name: {part.name: int(part.mask) for part in parts} for name, parts in COMPOSED_FIELDS[point_format].items()
+    }
+    assert {name: list(parts.items()) for name, parts in bits_of(point_format).items()} == {
+        name: list(parts.items()) for name, parts in theirs.items()
+    }
 
 
 def test_standard_names_come_first_and_keep_the_names_of_extra_bytes(tmp_path: Path) -> None:
