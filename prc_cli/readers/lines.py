@@ -298,6 +298,8 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
         When more lines are missing in a row than allowed, or nearly all cells so far.
     """
     steady = bool(known.all()) and (not len(line) or line[0] >= max(state.top, 0)) and not np.any(line[1:] < line[:-1])
+    if steady and len(line) and _all_admitted(int(line[-1]), state, rule):
+        return known, replace(state, n_seen=state.n_seen + len(line), top=int(line[-1]))
     seen = line if steady else np.where(known, line, np.iinfo(np.int64).min)
     highest = np.concatenate(([state.top], seen))
     if not steady:
@@ -323,6 +325,13 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
     n_late = int(np.count_nonzero(late & ((line >= 0) | rule.begins_with_first)))
     state = replace(state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late)
     return known & ~late, replace(state, top=int(highest[-1]))
+
+
+def _all_admitted(last: int, state: LineState, rule: Admission) -> bool:
+    """Tell whether lines that never go back, up to the last, cannot be refused: what nearly every chunk is like."""
+    if last - state.top > rule.max_gap_lines + 1:
+        return False
+    return rule.cells is None or last < rule.cells.most_lines(np.array([state.n_seen]))[0]
 
 
 def _check_cells(top: I64, known: Mask, record: I64, state: LineState, limit: CellLimit, where: str) -> None:
