@@ -25,6 +25,8 @@ from prc_cli.writers.options import OutputConfig
 
 SEQUENTIAL_ANGLE: Literal["sequential-angle"] = "sequential-angle"
 FUSED: Literal["fused"] = "fused"
+METHODS = ("prc", SEQUENTIAL_ANGLE, FUSED)
+"""Classifiers; each has a table of its name, underscores for hyphens."""
 
 
 class RunConfig(Params):
@@ -59,12 +61,20 @@ class RunConfig(Params):
 
     @property
     def nadir_from_ground(self) -> bool:
-        """Whether it is enough for the classifier to know where down is within a degree or two."""
-        return self.method == FUSED
+        """Whether the ranges may tell where down is: in streets, where much is level, and a degree or two is enough."""
+        return self.method == FUSED and self.fused.environment == "urban"
 
     def to_table(self) -> dict[str, Any]:
         """Return the effective configuration as a nested table, names as in TOML, unset values left out."""
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
+
+    def of_run(self) -> dict[str, Any]:
+        """Return :meth:`to_table` without the classifiers that ``method`` does not name: what labels depend on."""
+        table = self.to_table()
+        for method in METHODS:
+            if method != self.method:
+                del table[method.replace("-", "_")]
+        return table
 
 
 _THIRDS = [1 / 3, 1 / 3, 1 / 3]

@@ -521,7 +521,7 @@ def run_record(
     """Return the provenance of a finished run; reads the input once more where its fingerprint is not given."""
     config, trajectory = loaded.config, loaded.trajectory
     return RunRecord(
-        config=config.to_table(),
+        config=config.of_run(),
         input=fingerprint(Path(info.path)) if input_print is None else input_print,
         trajectory=None if trajectory is None else fingerprint(trajectory),
         format=info.format,

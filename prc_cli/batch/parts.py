@@ -201,7 +201,7 @@ def remove_parts(task: Task) -> None:
 def _key(task: Task, before: InputPrint) -> str:
     """Return what a part belongs to: the same input, configuration and program."""
     facts = [__version__, task.name.encode("utf-8", "surrogateescape").hex(), task.config_sha256]
-    text = json.dumps([*facts, task.config.config.to_table(), before.size, before.mtime_ns], sort_keys=True)
+    text = json.dumps([*facts, task.config.config.of_run(), before.size, before.mtime_ns], sort_keys=True)
     return sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
 
 

@@ -258,11 +258,11 @@ def suffix_of_name(name: str) -> str:
 
 
 def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
-    """Return the hash of an effective configuration: of every value, and of the content of the file it names.
+    """Return the hash of what an output depends on: the configuration, and the content of the file that it names.
 
-    Folders do not matter, only what is in the file.
+    Neither folders nor the parameters of other classifiers matter.
     """
-    table = config.to_table()
+    table = config.of_run()
     if trajectory_sha256 is not None:
         table["input"]["range"] = f"{TRAJECTORY}{trajectory_sha256}"
     return sha256(json.dumps(table, sort_keys=True, ensure_ascii=True).encode("ascii")).hexdigest()
@@ -415,7 +415,7 @@ def _adopt(item: Found, task: Task, written: os.stat_result) -> Done | None:
             return None
         record = json.loads(path.read_bytes())
         trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
-        expected = RunRecord(task.config.config.to_table(), fingerprint(item.path), "", 1, trajectory=trajectory)
+        expected = RunRecord(task.config.config.of_run(), fingerprint(item.path), "", 1, trajectory=trajectory)
         wanted = expected.as_dict()
         if any(record[key] != wanted[key] for key in ("program", "version", "config", "input", "trajectory")):
             return None

@@ -14,13 +14,13 @@ from typing import Any, TypeVar
 
 import click
 
-from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
+from prc_cli.config import METHODS, PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 _CLASSIFIER_OPTIONS = [
-    click.option("--method", type=click.Choice(["prc", "sequential-angle", "fused"]),
+    click.option("--method", type=click.Choice(METHODS),
                  help="Classifier; default: what the preset or the configuration says, else prc."),
     click.option("--preset", type=click.Choice(list(PRESETS)), help="Parameters to start from."),
 ]  # fmt: skip
