@@ -44,6 +44,9 @@ MADE_UP_RAD = (0.1, math.pi - 0.1)
 """Directions of the outermost columns where nothing tells and nothing can be classified [rad]."""
 KEY = "input.nadir"
 _WITH_ANGLES = "input.nadir with scan angles (input.angle_start and input.angle_step where the input has none)"
+_ANGLES_ALONE = (
+    "scan angles (input.angle_start and input.angle_step where the input has none), and input.nadir if known"
+)
 ORGANISED = ("PTX", "E57")
 """Formats whose scans follow one another, each with directions of its own."""
 _ARRAY = "array"
@@ -336,13 +339,18 @@ class _Finder:
                 return "check whether lines and columns are exchanged, and that z is up"
             if isinstance(error, WrongOriginError):
                 return "subtract the scanner's position from xyz"
-            return f"add zenith_deg, or xyz relative to the scanner, to an .npz, or give {_WITH_ANGLES}"
+            return f"add zenith_deg, or xyz relative to the scanner, to an .npz, or give {self._angles}"
         if isinstance(error, LevelLinesError):
             return "check the lines (--lines, -M), and that z is up"
         ways = self._ways_of_coordinates(origin_only=isinstance(error, WrongOriginError))
         if isinstance(error, WrongOriginError):
             return f"give {' or '.join(ways)}"
-        return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{_WITH_ANGLES}"
+        return f"give {', '.join([*ways, ''])}{'or ' if ways else ''}{self._angles}"
+
+    @property
+    def _angles(self) -> str:
+        """What to give: where the ground may tell which angle points down, the angles alone."""
+        return _ANGLES_ALONE if self.from_ground else _WITH_ANGLES
 
     def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
         if self.dimensions and not self.dimensions >= set(XYZ):

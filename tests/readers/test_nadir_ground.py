@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from prc_cli.config import PRESETS, load_config
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.pipeline import open_stream
 from prc_cli.readers.beams import with_beams
 from prc_cli.readers.nadir_ground import nadir_of_ground
 from prc_cli.readers.options import InputConfig
@@ -64,3 +67,17 @@ def test_beams_come_from_the_ground_only_where_that_is_good_enough() -> None:
     assert np.abs(beams - BEAM).max() < np.deg2rad(1.5)
     said = [one for one in directed.info.assumptions if one.key == "input.nadir"]
     assert "level ground" in said[0].why
+
+
+def test_the_ground_tells_in_streets_alone() -> None:
+    """In a forest a wall of leaves may be taken for it."""
+    found = {preset: load_config(preset=preset).config.nadir_from_ground for preset in PRESETS}
+    assert {preset for preset, is_guessed in found.items() if is_guessed} == {"fused"}
+
+
+def test_the_refusal_asks_for_what_is_enough(tmp_path: Path) -> None:
+    np.save(tmp_path / "drive.npy", street_lines(20)[0])
+    asked = {"fused": r"give scan angles \(.*and input\.nadir if known", "fused-forest": r"give input\.nadir with"}
+    for preset, hint in asked.items():
+        with pytest.raises(InputError, match=hint):
+            open_stream(tmp_path / "drive.npy", load_config(preset=preset))
