@@ -34,12 +34,18 @@ class Part:
     picture: RenderOptions
     options: Mapping[str, Any]
     """Of the simulation, but for the seed."""
+    scan_of: str = ""
+    """Name of the part before whose scan it is; else it has its own."""
 
 
 PARTS: dict[str, Part] = {
     # the steps of one block, as the paper's Fig. 1 shows them (Lehtola et al. 2019); houses with and without gardens
     "drive": Part(
         "street", "street", "urban", "prc", RenderOptions(figure1=True), {"lines": 600, "scene": {"name": "suburb"}}
+    ),
+    # the same drive, for the comparison
+    "fused": Part(
+        "street", "fused", "fused", "prc", RenderOptions(steps=("range", "classes", "reference")), {}, scan_of="drive"
     ),
     # every third line, and as close along the line as curbs need
     "static": Part(
@@ -60,7 +66,8 @@ PARTS: dict[str, Part] = {
         {"lines": 255, "sight_m": 40.0},
     ),
 }
-"""A drive and a walk, classified with PRC, and a static scan, classified with the sequential-angle classifier."""
+"""A drive, classified with PRC and with the fused classifier, and a walk, with PRC; a static scan, classified with the
+sequential-angle classifier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +75,7 @@ class DemoPart:
     """What came out of one part."""
 
     summary: RunSummary
-    """The run that wrote the LAZ file."""
+    """The run that wrote the LAZ file, or the labels where there is none."""
     matrix: ConfusionMatrix
     """Labels of the run against those of the simulator."""
 
@@ -123,15 +130,21 @@ def run_demo(
 
 
 def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, progress: Progress | None) -> DemoPart:
-    """Simulate, classify into LAZ and labels, compare the labels with the simulator's, draw."""
-    stream, labels, reference = (folder / f"{part.stem}{end}" for end in (".npz", "_labels.npy", "_reference.npy"))
+    """Simulate, classify into LAZ and labels, compare the labels with the simulator's, draw.
+
+    The scan of another part is there already, and its LAZ file is not written again.
+    """
+    scan = PARTS[part.scan_of] if part.scan_of else part
+    stream, reference = folder / f"{scan.stem}.npz", folder / f"{scan.stem}_reference.npy"
+    labels = folder / f"{part.stem}_labels.npy"
     config = load_config(preset=part.preset)
-    simulate(
-        part.kind, stream, load_settings(part.kind, options=options), beside=Beside(labels=reference),
-        overwrite=overwrite,
-    )  # fmt: skip
-    summary = classify(stream, stream.with_suffix(".laz"), config, overwrite=overwrite, progress=progress)
-    classify(stream, labels, config, overwrite=overwrite)
+    if part.scan_of:
+        summary = classify(stream, labels, config, overwrite=overwrite, progress=progress)
+    else:
+        settings = load_settings(part.kind, options=options)
+        simulate(part.kind, stream, settings, beside=Beside(labels=reference), overwrite=overwrite)
+        summary = classify(stream, stream.with_suffix(".laz"), config, overwrite=overwrite, progress=progress)
+        classify(stream, labels, config, overwrite=overwrite)
     result = DemoPart(summary, evaluate(labels, reference, part.mapping))
     _write_texts(folder, part, config, result.matrix)
     render(stream, folder / f"{part.stem}.png", config, replace(part.picture, reference=reference), overwrite=overwrite)
@@ -140,7 +153,7 @@ def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, 
 
 def _write_texts(folder: Path, part: Part, config: LoadedConfig, matrix: ConfusionMatrix) -> None:
     """Write the configuration and the tables; those of the drive have no prefix."""
-    prefix = "" if part.kind == "street" else f"{part.stem}_"
+    prefix = "" if part.stem == "street" else f"{part.stem}_"
     texts = {
         f"{part.stem}.toml": to_toml(config),
         f"{prefix}evaluation.json": as_json(matrix),

@@ -15,7 +15,7 @@ from prc_cli.evaluation.scores import scores
 from prc_cli.pipeline import load_classifier
 from prc_cli.simulation.drive import load_simulator
 
-TITLES = {"drive": "prc", "static": "sequential-angle", "walk": "prc forest"}
+TITLES = {"drive": "prc", "fused": "fused", "static": "sequential-angle", "walk": "prc forest"}
 """What the parts are called."""
 
 
@@ -39,7 +39,7 @@ TITLES = {"drive": "prc", "static": "sequential-angle", "walk": "prc forest"}
 def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
     """Simulate a drive, a static scan and a walk in a forest; classify, evaluate and draw them.
 
-    Their presets are urban, street-scan and forest.
+    Their presets are urban, street-scan and forest. The drive is classified with the preset fused as well.
 
     \b
     Example: prc demo --output /tmp/prc-demo
