@@ -6,7 +6,6 @@ A file is written under a temporary name in the folder of its destination, flush
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import glob
 import hashlib
@@ -14,8 +13,7 @@ import os
 import platform
 import re
 import secrets
-from collections.abc import Callable, Iterator
-from functools import lru_cache
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
@@ -23,8 +21,6 @@ from prc_cli.core.errors import InputError, OutputError, OutputExistsError
 
 _TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-[0-9a-f]{8}\.part", re.DOTALL)
 """Names that :func:`temporary_name` gives."""
-_FLUSH_WRITE = 2
-"""``SYNC_FILE_RANGE_WRITE``: begin with what is not being written yet, and do not wait."""
 
 
 @contextlib.contextmanager
@@ -170,28 +166,6 @@ def commit(temporary: Path, path: Path) -> None:
         os.fsync(handle.fileno())
     temporary.replace(path)
     _sync_folder(path.parent)
-
-
-def begin_flush(descriptor: int, first_byte: int, n_bytes: int) -> None:
-    """Let the system begin to write a part of an open file to the disk, so that :func:`commit` finds less to do.
-
-    Nothing is promised: :func:`commit` waits for all of it, and tells of errors. Only Linux can; elsewhere, and on file
-    systems that cannot, nothing happens.
-    """
-    begin = _flusher()
-    if begin is not None:
-        begin(descriptor, first_byte, n_bytes, _FLUSH_WRITE)
-
-
-@lru_cache(maxsize=1)
-def _flusher() -> Callable[[int, int, int, int], int] | None:
-    """Return ``sync_file_range`` of the C library, if it has one."""
-    function = getattr(ctypes.CDLL(None), "sync_file_range", None) if os.name == "posix" else None
-    if function is None:
-        return None
-    function.argtypes = (ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_uint)
-    found: Callable[[int, int, int, int], int] = function
-    return found
 
 
 @contextlib.contextmanager

@@ -6,7 +6,7 @@ import contextlib
 import io
 import struct
 import zlib
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -38,26 +38,13 @@ _PLAIN_BYTES = 1 << 20
 _AHEAD = 1
 _LARGE_CHUNK_BYTES = 32 << 20
 _COPY_BYTES = 4 << 20
-_PART_BYTES = 16 << 20
-"""Bytes after which an output that grows is told of."""
 
 
 class Target:
-    """An output being written; keeps the system's own error, or an interrupt: lazrs would reword them.
+    """An output being written; keeps the system's own error, or an interrupt: lazrs would reword them."""
 
-    Parameters
-    ----------
-    handle : file object
-        Open for binary writing.
-    written : callable, optional
-        Told now and then of a part that is written: its first byte and its size. Only sizes count, so where the output
-        was written out of order it is another part.
-    """
-
-    def __init__(self, handle: BinaryIO, written: Callable[[tuple[int, int]], None] | None = None) -> None:
+    def __init__(self, handle: BinaryIO) -> None:
         self._handle = handle
-        self._written = written
-        self._n_bytes = self._n_told = 0
         self.error: BaseException | None = None
 
     def write(self, data: Any) -> int:
@@ -66,17 +53,10 @@ class Target:
         try:
             for first in range(0, len(view), WRITE_BYTES):
                 self._handle.write(view[first : first + WRITE_BYTES])
-            self._tell_of(len(view))
             return len(view)
         except BaseException as error:
             self.error = error
             raise
-
-    def _tell_of(self, n_bytes: int) -> None:
-        self._n_bytes += n_bytes
-        if self._written is not None and self._n_bytes - self._n_told >= _PART_BYTES:
-            self._written((self._n_told, self._n_bytes - self._n_told))
-            self._n_told = self._n_bytes
 
     def seek(self, position: int, whence: int = 0) -> int:
         """Go to a position."""

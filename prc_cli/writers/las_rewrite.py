@@ -10,14 +10,13 @@ import contextlib
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, OutputError
-from prc_cli.core.files import begin_flush
 from prc_cli.core.laz_contexts import LazContexts
-from prc_cli.core.threads import write_behind
 from prc_cli.core.types import U8
 from prc_cli.writers.base import Columns, ScatterWriter
 from prc_cli.writers.columns import OptionalColumn, asked_columns
@@ -61,9 +60,6 @@ from prc_cli.writers.las_vlrs import (
 )
 from prc_cli.writers.options import FIVE_BIT_LIMIT, OutputConfig
 from prc_cli.writers.record import RunRecord
-
-_PARTS = 1 << 20
-"""Parts of an output that may wait to be flushed: any number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,12 +127,8 @@ class LasRewriter(ScatterWriter):
         place = next((index for index, vlr in enumerate(vlrs) if vlr.key == RECORD_KEY), len(vlrs))
         vlrs = [vlr for vlr in vlrs if vlr.key != RECORD_KEY]
         vlrs.insert(place, record_vlr(record))
-        with (
-            open_source(self._source_path) as source,
-            self._temporary.open("w+b") as writing,
-            write_behind[tuple[int, int]](lambda part: begin_flush(writing.fileno(), *part), depth=_PARTS) as flushing,
-        ):
-            self._rewrite(las, plan, vlrs, bits, source, Target(writing, flushing.put))
+        with open_source(self._source_path) as source, self._temporary.open("w+b") as writing:
+            self._rewrite(las, plan, vlrs, bits, source, writing)
         if self._source_state() != self._state:
             problem = "changed while it was read"
             raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
@@ -217,7 +209,8 @@ class LasRewriter(ScatterWriter):
             )
         return [old.with_payload(payload) if vlr.key == LASZIP_KEY else vlr for vlr in vlrs]
 
-    def _rewrite(self, las: LasFile, plan: Plan, vlrs: list[Vlr], bits: int, source: Source, target: Target) -> None:
+    def _rewrite(self, las: LasFile, plan: Plan, vlrs: list[Vlr], bits: int, source: Source, writing: BinaryIO) -> None:
+        target = Target(writing)
         header = new_header(las, plan, vlrs, bits)
         target.write(header.data)
         for vlr in vlrs:

@@ -101,16 +101,3 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> N
     assert files.remove_stale(tmp_path / "labels1.npy") == ()
     assert files.remove_stale(target) == (dead,)
     assert sorted(tmp_path.iterdir()) == sorted([mine, other])
-
-
-def test_a_flush_that_has_begun_changes_and_refuses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    content = os.urandom(300_000)
-    with (tmp_path / "a").open("w+b", buffering=0) as handle:
-        handle.write(content)
-        files.begin_flush(handle.fileno(), 0, 200_000)
-        files.begin_flush(handle.fileno(), 1 << 40, 5)  # nothing is there
-        descriptor = handle.fileno()
-    files.begin_flush(descriptor, 0, 1)  # closed meanwhile
-    assert (tmp_path / "a").read_bytes() == content
-    monkeypatch.setattr(files, "_flusher", lambda: None)
-    files.begin_flush(descriptor, 0, 1)
