@@ -78,11 +78,16 @@ def read_and_write(source: Path, output: Path) -> None:
             writer.write_points(points)
 
 
-def read_fields(source: Path) -> None:
-    """Decompress the layers that hold what PRC takes: returns, time, intensity and the extra bytes."""
+def read_fields(source: Path, *, intensity: bool = True) -> None:
+    """Decompress the layers that hold what PRC takes: returns, time, intensity and the extra bytes.
+
+    Intensity decides between the returns of a shot. In a file without further returns, such as this one, ``classify``
+    does not decompress it.
+    """
     layers = laspy.DecompressionSelection
-    wanted = layers.base() | layers.INTENSITY | layers.GPS_TIME | layers.ALL_EXTRA_BYTES
-    wanted |= layers.XY_RETURNS_CHANNEL
+    wanted = layers.base() | layers.GPS_TIME | layers.ALL_EXTRA_BYTES | layers.XY_RETURNS_CHANNEL
+    if intensity:
+        wanted |= layers.INTENSITY
     backend = laspy.LazBackend.LazrsParallel
     with laspy.open(source, laz_backend=backend, decompression_selection=wanted & ~layers.Z) as reader:
         for _ in reader.chunk_iterator(CHUNK):
@@ -149,6 +154,7 @@ def jobs_of(laz: Path, las: Path, config: LoadedConfig) -> dict[str, tuple[Path,
         "laspy reads and writes LAZ": (laz, read_and_write),
         "LAZ to classified LAZ": (laz, whole),
         "laspy reads the fields": (laz, lambda source, _: read_fields(source)),
+        "without intensity": (laz, lambda source, _: read_fields(source, intensity=False)),
         "LAZ to labels": (laz, labels_alone),
         "copy and patch": (las, lambda source, output: copy_and_patch(source, output, flush=False)),
         "copy, patch and flush": (las, lambda source, output: copy_and_patch(source, output, flush=True)),
@@ -159,6 +165,7 @@ def jobs_of(laz: Path, las: Path, config: LoadedConfig) -> dict[str, tuple[Path,
 ROWS = (
     ("LAZ to classified LAZ", "laspy reads and writes LAZ", "1.10"),
     ("LAZ to labels", "laspy reads the fields", "1.15"),
+    ("LAZ to labels", "without intensity", ""),
     ("LAS to classified LAS", "copy and patch", "1.25"),
     ("LAS to classified LAS", "copy, patch and flush", ""),
 )
