@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, U8, Mask
+from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 
 Slots = NDArray[np.uint64]
+Pairs = NDArray[np.uint32]
 
 LINES = 2
 """Lines before and after that the texture looks at."""
@@ -22,6 +23,8 @@ LEAST_COLUMNS = 2
 """Half widths of a place, in columns."""
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`prc_cli.kernels.fused_strips`."""
+HALF_STRIP_M = np.float32(0.25)
+"""Width of a bin of level surfaces [m]."""
 (
     LEAST_NEAR,
     SPIKE_SHARE,
@@ -50,6 +53,7 @@ STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 SPIKE_PLACE_M = np.float32(0.1)
 """Half width of the place beside a spike [m]."""
 SPIKE_COLUMNS = 6
+_FAR_BINS = np.float32(1e6)
 LEAF_REACH = 4
 """Slots up and down in which company of leaves is looked for."""
 CAR_REACH = 6
@@ -63,9 +67,67 @@ VOTERS = 4
 GAP_SHOTS = 3
 """Shots without support that part a run, beside as many as it is long."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
-_OPEN = 255
-"""Mark of shots that are not decided yet."""
+_OPEN, _LEAF, _ODD = 255, 254, 253
+"""Marks of shots that are not decided yet, of lonely leaves among them, and of those that may be noise."""
 _BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
+_BUILDING_BIT, _VEGETATION_BIT = 10, 20
+"""Where the votes for building and vegetation begin in a word; those for no class begin at 0."""
+
+
+@helper
+def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
+    """Write what the shots of a line add to a place: themselves to the upper half of a word, their pairs to the lower.
+
+    A place has 605 shots and 4840 pairs at most, so neither half runs over.
+    """
+    for i in range(len(near)):
+        pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
+        places[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
+
+
+@helper
+def _add_to(sums: Pairs, values: Pairs) -> None:
+    """Add up two lines, column by column."""
+    for i in range(len(sums)):
+        sums[i] += values[i]
+
+
+@helper
+def _sum_up(values: Pairs, so_far: Pairs) -> None:
+    """Write the sums of the first 0, 1, ... columns; they may run over, their differences are right all the same."""
+    total = np.uint32(0)
+    so_far[0] = total
+    for i in range(len(values)):
+        total = np.uint32(total + values[i])
+        so_far[i + 1] = total
+
+
+@helper
+def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
+    """Write how many columns the half width of a place is, for every shot of a line; anything where it is missing."""
+    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
+    for i in range(len(ranges)):
+        r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
+        columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
+
+
+@helper
+def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
+    """Write what the places of all shots of a line hold; on its own, because all other loops read row by row."""
+    m = len(columns)
+    for i in range(m):
+        half = columns[i]
+        first, last = max(i - int(half), 0), min(i + int(half) + 1, m)
+        sums[i] = so_far[np.uint64(last)] - so_far[np.uint64(first)]
+
+
+@helper
+def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
+    """Write the share of smooth pairs of every shot's place."""
+    for i in range(len(ranges)):
+        shots, pairs = np.int32(sums[i] >> np.uint32(16)), np.int32(sums[i] & np.uint32(0xFFFF))
+        share = np.float32(pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(shots, np.int32(1))))
+        shares[i] = share if (ranges[i] == ranges[i]) & (shots > 0) else np.float32(0.0)
 
 
 @kernel("float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32)")
@@ -93,30 +155,19 @@ def mean_smoothness(
         0 = all rough, 1 = all smooth; 0 where there is no return.
     """
     n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
-    # smooth pairs so far in the lower half, shots so far in the upper
-    so_far = np.zeros((n_lines + 2 * LINES, m + 1), np.int64)
+    mean = np.empty((n_lines, m), np.float32)
+    places = np.empty((n_lines + 2 * LINES, m), np.uint32)
+    together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
     for line in range(n_lines + 2 * LINES):
-        total = np.int64(0)
-        company, own, row = near[line], smooth[line], so_far[line]
-        for i in range(m):
-            counts = np.float32(company[i]) >= least_near
-            total += (np.int64(1 << 32) + np.int64(min(own[i], np.uint8(MOST_SMOOTH)))) if counts else np.int64(0)
-            row[i + 1] = total
-    mean = np.zeros((n_lines, m), np.float32)
+        _count_pairs(near[line], smooth[line], least_near, places[line])
     for line in range(n_lines):
-        own, row = range_m[line + LINES], mean[line]
-        l0, l1, l2 = so_far[line], so_far[line + 1], so_far[line + 2]
-        l3, l4 = so_far[line + 3], so_far[line + 4]
-        for i in range(m):
-            if own[i] != own[i]:
-                continue
-            columns = min(max(int(half_m / (own[i] * step)), LEAST_COLUMNS), MOST_COLUMNS)
-            a, b = max(i - columns, 0), min(i + columns + 1, m)
-            total = (l0[b] - l0[a]) + (l1[b] - l1[a]) + (l2[b] - l2[a]) + (l3[b] - l3[a]) + (l4[b] - l4[a])
-            shots = total >> 32
-            pairs = total - (shots << 32)
-            if shots > 0:
-                row[i] = np.float32(pairs) / (np.float32(MOST_SMOOTH) * np.float32(shots))
+        together[:] = places[line]
+        for k in range(line + 1, line + 2 * LINES + 1):
+            _add_to(together, places[k])
+        _sum_up(together, so_far)
+        _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
+        _sums_of_places(columns, so_far, together)
+        _shares(range_m[line + LINES], together, mean[line])
     return mean
 
 
@@ -151,32 +202,6 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 
 @inlined
-def _is_tall(word: np.uint64, slot: int, top: int) -> bool:
-    """Tell whether slots are filled from one up to another, but for gaps of two."""
-    if slot >= top:
-        return True
-    filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
-    wanted = (~np.uint64(0) >> np.uint64(SLOTS - (top - slot))) << np.uint64(slot)
-    return bool((filled & wanted) == wanted)
-
-
-@helper
-def _is_spike(
-    near: U8, smooth: U8, line: int, i: int, range_m: np.float32, step: np.float32, least: np.float32, share: np.float32
-) -> bool:
-    """Tell whether the shots right beside a rough one are smooth, in its line and those before and after."""
-    m = near.shape[1]
-    columns = min(max(int(SPIKE_PLACE_M / (range_m * step)), LEAST_COLUMNS), SPIKE_COLUMNS)
-    shots, pairs = 0, 0
-    for k in range(line - 1, line + 2):
-        for j in range(max(i - columns, 0), min(i + columns + 1, m)):
-            if np.float32(near[k, j]) >= least:
-                shots += 1
-                pairs += min(int(smooth[k, j]), MOST_SMOOTH)
-    return bool(np.float32(pairs) > share * np.float32(MOST_SMOOTH * shots))
-
-
-@helper
 def _is_short(ranges: F32, near: U8, heights: F32, i: int, figures: F32) -> bool:
     """Tell whether the run of a shot along its line is short, with something far or nothing behind both of its ends."""
     m = len(ranges)
@@ -206,7 +231,7 @@ def _is_short(ranges: F32, near: U8, heights: F32, i: int, figures: F32) -> bool
     return True
 
 
-@helper
+@inlined
 def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
     """Tell whether lines close by, before and after, see nothing or something far in the direction of a shot."""
     own = window_m[line, i]
@@ -215,21 +240,29 @@ def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
         if line - k >= 0 and not (window_m[line - k, i] <= own + far):
             before = k
             break
+    if before == 0:
+        return False
     for k in range(1, ACROSS_LINES + 1):
         if line + k < len(window_m) and not (window_m[line + k, i] <= own + far):
             after = k
             break
-    return before > 0 and after > 0 and before + after <= ACROSS_LINES + 1
+    return after > 0 and before + after <= ACROSS_LINES + 1
 
 
 @inlined
-def _is_ground(h: np.float32, is_walked: bool, upright: int, level: int, figures: F32) -> bool:
+def _is_ground(
+    h: np.float32,
+    is_walked: bool,
+    up: np.uint8,
+    flat: np.uint8,
+    walked_m: np.float32,
+    level_m: np.float32,
+    soil_m: np.float32,
+) -> bool:
     """Tell whether a shot is on the ground: walked over, or low and more level than upright."""
-    a = abs(h)
-    return (
-        (is_walked and a < figures[WALKED_M])
-        or (a < figures[LEVEL_M] and level > upright)
-        or (a < figures[SOIL_M] and upright <= level + 1)
+    off = abs(h)
+    return bool(
+        ((off < walked_m) & is_walked) | ((off < level_m) & (flat > up)) | ((off < soil_m) & (up <= flat + np.uint8(1)))
     )
 
 
@@ -246,128 +279,211 @@ def _label_plain(
     walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
     for i in range(len(ranges)):
         h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
-        off = abs(h)
-        is_ground = (
-            ((off < walked_m) & walked[i])
-            | ((off < level_m) & (flat > up))
-            | ((off < soil_m) & (up <= flat + np.uint8(1)))
-        )
+        is_ground = _is_ground(h, walked[i], up, flat, walked_m, level_m, soil_m)
         company = np.float32(near[i])
         is_held = (company >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
-        code = np.uint8(_GROUND) if is_ground & is_held else np.uint8(_OPEN)
+        is_odd = (company < least) | (pairs == 0) | (h < -below)
+        code = np.uint8(_ODD) if is_odd else np.uint8(_OPEN)
+        code = np.uint8(_GROUND) if is_ground & is_held else code
         code = np.uint8(_NOISE) if (near[i] == 0) & (company < least) else code
         labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
 
 
 @inlined
-def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, figures: F32) -> bool:
+def _in_wall(
+    y: np.float32, z: np.float32, at: np.float32, top: np.float32, front: np.float32, far: np.float32, over: np.float32
+) -> bool:
     """Tell whether a shot is in a wall or, seen through it, behind."""
-    if at == np.float32(0.0):
-        return False
     behind = abs(y) - abs(at)
-    if behind < -figures[FRONT_M] or behind > figures[BEHIND_M]:
-        return False
     through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
-    return bool(through <= top + figures[OVER_M])
+    return bool((at != np.float32(0.0)) & (behind >= -front) & (behind <= far) & (through <= top + over))
 
 
-@inlined
-def _level_bins(levels: U8, y: np.float32) -> int:
-    """Count the bins with a level surface around a shot."""
-    b = int(np.floor(y / (STRIP_M / np.float32(2.0)))) + STRIPS
+@helper
+def _count_bins(levels: U8, counts: U8) -> None:
+    """Count, for every bin of a line, the bins around it with a level surface."""
+    n = len(levels)
+    counts[:] = levels
+    for away in range(1, CAR_REACH + 1):
+        for q in range(n - away):
+            counts[q] += levels[q + away]
+        for q in range(n - away):
+            counts[q + away] += levels[q]
+
+
+@helper
+def _find_cars(every: Slots, levels: U8, counts: U8, figures: F32, cars: tuple[F32, F32]) -> None:
+    """Write for every bin of a line below which height a shot is of a car: a smooth one, and a rough one; 0 = none.
+
+    That is where it is level enough around, and up to the gap in what reaches above cars.
+    """
+    smooth_bins, rough_bins = figures[CAR_BINS], figures[CAR_BINS_ROUGH]
+    car_slot = int(figures[CAR_TOP_M] / SLOT_M)
+    least = min(smooth_bins, rough_bins)
+    _count_bins(levels, counts)
+    last, below = -1, np.float32(0.0)
+    for q in range(2 * STRIPS):
+        n = np.float32(counts[q])
+        if n < least:
+            cars[0][q] = cars[1][q] = np.float32(0.0)
+            continue
+        b = q // 2
+        if b != last:
+            word, last = every[b], b
+            filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
+            slot = car_slot
+            while slot > 0 and (filled >> np.uint64(slot - 1)) & np.uint64(1) != np.uint64(0):
+                slot -= 1
+            below = np.float32(slot) * SLOT_M
+        cars[0][q] = below if n >= smooth_bins else np.float32(0.0)
+        cars[1][q] = below if n >= rough_bins else np.float32(0.0)
+
+
+@helper
+def _list_open(labels: U8, odd: I32, plain: I32) -> tuple[int, int]:
+    """List the open shots of a line: those that may be noise, and the others."""
+    n_odd = n_plain = 0
+    for i in range(len(labels)):
+        label = labels[i]
+        odd[n_odd] = i
+        n_odd += label == _ODD
+        plain[n_plain] = i
+        n_plain += label == _OPEN
+    return n_odd, n_plain
+
+
+@helper
+def _label_odd(
+    shots: I32,
+    points: tuple[F32, F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    rows: tuple[Slots, F32, F32],
+    spikes: Pairs,
+    figures: F32,
+    labels: U8,
+) -> None:
+    """Label the shots of a line that are noise, or ground all the same; mark lonely leaves."""
+    side, height, above = points
+    near, smooth, upright, level = counts
+    rough, at, top = rows
+    least, below, share = figures[LEAST_NEAR], figures[BELOW_M], figures[SPIKE_SHARE]
+    front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
+    foot, leaf_slots = figures[OBJECT_M], figures[LEAF_SLOTS]
+    walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
+    for k in range(len(shots)):
+        i = shots[k]
+        h, pairs = above[i], smooth[i]
+        is_leaf = False
+        if np.float32(near[i]) < least:
+            y = side[i]
+            b = _strip(y)
+            if near[i] > 0 and b >= 0 and h > foot and not _in_wall(y, height[i], at[b], top[b], front, far, over):
+                is_leaf = np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots
+            if not is_leaf:
+                labels[i] = _NOISE
+                continue
+        # spikes: the shots right beside are smooth, in the line and those before and after
+        place = spikes[i]
+        shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
+        is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
+        if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH)):
+            labels[i] = _NOISE
+        elif _is_ground(h, walked[i], upright[i], level[i], walked_m, level_m, soil_m):
+            labels[i] = _GROUND
+        elif is_leaf:
+            labels[i] = _LEAF
+
+
+@helper
+def _label_things(
+    shots: I32,
+    points: tuple[F32, F32, F32],
+    level: U8,
+    soft: F32,
+    walls: tuple[F32, F32, F32],
+    cars: tuple[F32, F32],
+    figures: F32,
+    labels: U8,
+    poles: I32,
+) -> int:
+    """Label shots of a line that are neither noise nor ground; list those that may be poles, return how many."""
+    side, height, above = points
+    at, top, ahead = walls
+    leaf_share, share_before = figures[LEAF_SHARE], figures[LEAF_SHARE_BEFORE_WALL]
+    front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
+    before_m, foot, poles_wanted = figures[BEFORE_M], figures[OBJECT_M], figures[POLE_M] > 0
+    n_poles = 0
+    for k in range(len(shots)):
+        i = shots[k]
+        y, h, texture, is_leaf = side[i], above[i], soft[i], labels[i] == _LEAF
+        q = int(np.floor(min(max(y / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + STRIPS
+        if q < 0 or q >= 2 * STRIPS:
+            labels[i] = _VEGETATION if texture < leaf_share or is_leaf else _BUILDING
+            continue
+        b = q >> 1
+        is_wall = _in_wall(y, height[i], at[b], top[b], front, far, over)
+        before = abs(ahead[b]) - abs(y)
+        is_before = (ahead[b] != np.float32(0.0)) & (before >= -STRIP_M) & (before <= before_m)
+        is_rough = (texture < (share_before if is_before else leaf_share)) & (not is_wall)
+        is_car = (h >= np.float32(0.0)) & (h < (cars[1][q] if is_rough else cars[0][q]))
+        label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
+        labels[i] = np.uint8(_OTHER) if is_car else label
+        may_be_pole = poles_wanted & (not is_wall) & (level[i] == 0) & (h > foot) & (texture >= leaf_share)
+        poles[n_poles] = i
+        n_poles += may_be_pole & (not is_car)
+    return n_poles
+
+
+@helper
+def _keep_open(labels: U8, shots: I32) -> int:
+    """Keep those of a list that are open still, return how many."""
     n = 0
-    for q in range(max(b - CAR_REACH, 0), min(b + CAR_REACH + 1, 2 * STRIPS)):
-        n += levels[q]
+    for k in range(len(shots)):
+        i = shots[k]
+        shots[n] = i
+        n += labels[i] >= _ODD
     return n
 
 
 @helper
-def _is_noise(
-    places: tuple[U8, U8],
-    line: int,
-    i: int,
-    shot: tuple[np.float32, np.float32, np.float32, np.float32],
-    rows: tuple[Slots, F32, F32],
-    step: np.float32,
-    figures: F32,
-) -> tuple[bool, bool]:
-    """Tell whether a shot is noise, and whether it is a lonely leaf instead."""
-    near, smooth = places
-    r, y, z, h = shot
-    rough, at, top = rows
-    is_leaf = False
-    if np.float32(near[line, i]) < figures[LEAST_NEAR]:
-        b = _strip(y)
-        if near[line, i] > 0 and b >= 0 and h > figures[OBJECT_M] and not _in_wall(y, z, at[b], top[b], figures):
-            is_leaf = np.float32(_slots_around(rough[b], _slot(h))) >= figures[LEAF_SLOTS]
-        if not is_leaf:
-            return True, False
-    if smooth[line, i] == 0 and _is_spike(near, smooth, line, i, r, step, figures[LEAST_NEAR], figures[SPIKE_SHARE]):
-        return True, False
-    return h < -figures[BELOW_M] and smooth[line, i] < BELOW_SMOOTH, is_leaf
-
-
-@helper
-def _label_open(
+def _label_poles(
+    shots: I32,
     window_m: F32,
     line: int,
+    near: U8,
     points: tuple[F32, F32, F32],
-    counts: tuple[U8, U8, U8, U8],
-    walked: Mask,
-    texture: F32,
-    slots: tuple[Slots, Slots],
-    walls: tuple[F32, F32, F32],
-    levels: U8,
-    step: np.float32,
+    rough: Slots,
     figures: F32,
     labels: U8,
 ) -> None:
-    """Ask the shots of a line that are open one question after the other."""
-    k = line + LINES
-    ranges, side, height, above = window_m[line + MARGIN], points[0][k], points[1][k], points[2][k]
-    near, smooth, upright, level = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
-    is_walked, soft, least, below = walked[k], texture[line], figures[LEAST_NEAR], figures[BELOW_M]
-    every, rough_slots, bins = slots[0][line], slots[1][line], levels[line]
-    at, top, ahead = walls[0][line], walls[1][line], walls[2][line]
-    car_slot, leaf_share = int(figures[CAR_TOP_M] / SLOT_M), figures[LEAF_SHARE]
-    for i in range(len(labels)):
-        if labels[i] != _OPEN:
-            continue
-        y, z, h = side[i], height[i], above[i]
-        is_leaf = False
-        if np.float32(near[i]) < least or smooth[i] == 0 or h < -below:
-            is_noise, is_leaf = _is_noise(
-                (counts[0], counts[1]), k, i, (ranges[i], y, z, h), (rough_slots, at, top), step, figures
-            )
-            if is_noise:
-                labels[i] = _NOISE
-                continue
-            # of all others it is known that they are not
-            if _is_ground(h, is_walked[i], int(upright[i]), int(level[i]), figures):
-                labels[i] = _GROUND
-                continue
-        b = _strip(y)
-        if b < 0:
-            labels[i] = _VEGETATION if soft[i] < leaf_share or is_leaf else _BUILDING
-            continue
-        is_wall = _in_wall(y, z, at[b], top[b], figures)
-        before = abs(ahead[b]) - abs(y)
-        is_before = ahead[b] != np.float32(0.0) and -STRIP_M <= before <= figures[BEFORE_M]
-        is_rough = soft[i] < (figures[LEAF_SHARE_BEFORE_WALL] if is_before else leaf_share) and not is_wall
-        labels[i] = _VEGETATION if is_rough or is_leaf else _BUILDING
-        if h >= np.float32(0.0) and not _is_tall(every[b], _slot(h), car_slot):
-            enough = figures[CAR_BINS_ROUGH] if is_rough else figures[CAR_BINS]
-            if np.float32(_level_bins(bins, y)) >= enough:
-                labels[i] = _OTHER
-                continue
-        may_be_pole = not is_wall and level[i] == 0 and h > figures[OBJECT_M] and soft[i] >= leaf_share
-        if figures[POLE_M] > 0 and may_be_pole:
-            is_thin = _is_short(ranges, near, height, i, figures) or _is_thin(
-                window_m, line + MARGIN, i, figures[FAR_M]
-            )
-            if is_thin:
-                crown = np.float32(_bits(rough_slots[b] >> np.uint64(_slot(h))))
-                labels[i] = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
+    """Label the shots among some of a line that are on poles and trunks."""
+    ranges = window_m[line]
+    side, height, above = points
+    m = len(ranges)
+    least, jump, high_m = figures[LEAST_NEAR], figures[JUMP_M], figures[POLE_M]
+    end, low, high = 0, np.float32(0.0), np.float32(0.0)
+    for k in range(len(shots)):
+        i = shots[k]
+        if np.float32(near[i]) < least:
+            low = high = height[i]
+        elif i >= end:
+            # the shots around that go on without a gap: where they are high, so is the run of each that is far from
+            # the lowest or highest of them, and there is no need to follow it
+            first = i
+            low = high = height[i]
+            while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
+                first -= 1
+                low, high = min(low, height[first]), max(high, height[first])
+            end = i + 1
+            while end < m and np.float32(near[end]) >= least and abs(ranges[end] - ranges[end - 1]) < jump:
+                low, high = min(low, height[end]), max(high, height[end])
+                end += 1
+        own = height[i]
+        is_high = (high - own >= high_m) | (own - low >= high_m)
+        if (not is_high and _is_short(ranges, near, height, i, figures)) or _is_thin(window_m, line, i, figures[FAR_M]):
+            crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
+            labels[i] = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
 
 
 @kernel(
@@ -419,11 +535,33 @@ def fused_labels(
     n_lines, m = texture.shape
     near, smooth, upright, level = counts
     labels = np.empty((n_lines, m), np.uint8)
+    odd, plain, poles = np.empty(m + 1, np.int32), np.empty(m + 1, np.int32), np.empty(m + 1, np.int32)
+    bins, cars = np.empty(2 * STRIPS, np.uint8), (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32))
+    columns, spikes, so_far = np.empty(m, np.int32), np.empty(m, np.uint32), np.empty(m + 1, np.uint32)
+    pairs = np.empty((n_lines + 2, m), np.uint32)
+    for line in range(n_lines + 2):
+        _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], figures[LEAST_NEAR], pairs[line])
     for line in range(n_lines):
-        k = line + LINES
-        own = (near[k], smooth[k], upright[k], level[k])
-        _label_plain(window_m[line + MARGIN], points[2][k], own, walked[k], figures, labels[line])
-        _label_open(window_m, line, points, counts, walked, texture, slots, walls, levels, step, figures, labels[line])
+        k, row = line + LINES, labels[line]
+        own, ranges = (near[k], smooth[k], upright[k], level[k]), window_m[line + MARGIN]
+        place = points[0][k], points[1][k], points[2][k]
+        rows = walls[0][line], walls[1][line], walls[2][line]
+        rough = slots[1][line]
+        _label_plain(ranges, place[2], own, walked[k], figures, row)
+        n_odd, n_plain = _list_open(row, odd, plain)
+        spikes[:] = pairs[line]
+        _add_to(spikes, pairs[line + 1])
+        _add_to(spikes, pairs[line + 2])
+        _sum_up(spikes, so_far)
+        _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
+        _sums_of_places(columns, so_far, spikes)
+        _label_odd(odd[:n_odd], place, own, walked[k], (rough, rows[0], rows[1]), spikes, figures, row)
+        _find_cars(slots[0][line], levels[line], bins, figures, cars)
+        n_poles = _label_things(plain[:n_plain], place, level[k], texture[line], rows, cars, figures, row, poles)
+        _label_poles(poles[:n_poles], window_m, line + MARGIN, near[k], place, rough, figures, row)
+        n_odd = _keep_open(row, odd[:n_odd])
+        n_poles = _label_things(odd[:n_odd], place, level[k], texture[line], rows, cars, figures, row, poles)
+        _label_poles(poles[:n_poles], window_m, line + MARGIN, near[k], place, rough, figures, row)
     return labels
 
 
@@ -466,27 +604,59 @@ def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
 
 
 @helper
-def _vote(labels: U8, points: tuple[F32, F32], line: int, i: int, columns: int, near_m: np.float32) -> int:
-    """Return the label that most shots of a place have which are near in space; the own one where several do."""
-    m = labels.shape[1]
-    y, z = points[0][line, i], points[1][line, i]
-    other, building, vegetation = 0, 0, 0
-    stride = max(columns // VOTERS, 1)
-    for k in range(line - 1, line + 2):
-        for j in range(max(i - columns, 0), min(i + columns + 1, m), stride):
-            if abs(points[0][k, j] - y) < near_m and abs(points[1][k, j] - z) < near_m:
-                other += labels[k, j] == _OTHER
-                building += labels[k, j] == _BUILDING
-                vegetation += labels[k, j] == _VEGETATION
+def _weigh(labels: U8, weights: Pairs) -> None:
+    """Give every shot its vote: each of the three labels has a part of the word of its own."""
+    for i in range(len(labels)):
+        label = labels[i]
+        building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
+        vegetation = np.uint32(1 << _VEGETATION_BIT) if label == _VEGETATION else np.uint32(0)
+        weights[i] = building | vegetation | np.uint32(label == _OTHER)
+
+
+@inlined
+def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
+    """Return the label that has most votes; the own one where several do."""
+    part = np.uint32((1 << _BUILDING_BIT) - 1)
+    other = votes & part
+    building, vegetation = (votes >> np.uint32(_BUILDING_BIT)) & part, votes >> np.uint32(_VEGETATION_BIT)
     most = max(max(other, building), vegetation)
-    own = int(labels[line, i])
-    if (own == _OTHER and other == most) or (own == _BUILDING and building == most):
-        return own
-    if own == _VEGETATION and vegetation == most:
+    mine = other if own == _OTHER else (building if own == _BUILDING else vegetation)
+    if mine == most:
         return own
     if other == most:
-        return _OTHER
-    return _BUILDING if building == most else _VEGETATION
+        return np.uint8(_OTHER)
+    return np.uint8(_BUILDING) if building == most else np.uint8(_VEGETATION)
+
+
+@helper
+def _vote_line(
+    labels: U8,
+    ranges: F32,
+    lines: tuple[tuple[F32, F32, Pairs], tuple[F32, F32, Pairs], tuple[F32, F32, Pairs]],
+    unsettled: U8,
+    asking: I32,
+    step: np.float32,
+    half_m: np.float32,
+    near_m: np.float32,
+    voted: U8,
+) -> None:
+    """Count the votes around the unsettled shots of a line: those of shots that are near in space."""
+    m = len(ranges)
+    (y0, z0, w0), (y1, z1, w1), (y2, z2, w2) = lines
+    n = 0
+    for i in range(m):
+        asking[n] = i
+        n += unsettled[i]
+    for k in range(n):
+        i = asking[k]
+        y, z = y1[i], z1[i]
+        columns = int(min(max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)), np.float32(MOST_COLUMNS)))
+        votes = np.uint32(0)
+        for j in range(max(i - columns, 0), min(i + columns + 1, m), max(columns // VOTERS, 1)):
+            votes += w0[j] if (abs(y0[j] - y) < near_m) & (abs(z0[j] - z) < near_m) else np.uint32(0)
+            votes += w1[j] if (abs(y1[j] - y) < near_m) & (abs(z1[j] - z) < near_m) else np.uint32(0)
+            votes += w2[j] if (abs(y2[j] - y) < near_m) & (abs(z2[j] - z) < near_m) else np.uint32(0)
+        voted[i] = _vote(votes, labels[i])
 
 
 @kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[:, ::1], 2), float32, float32, float32)")
@@ -518,12 +688,18 @@ def vote_labels(
     """
     n_lines, m = labels.shape[0] - 2, labels.shape[1]
     voted = labels[1 : n_lines + 1].copy()
-    unsettled = np.empty(m, np.uint8)
+    unsettled, asking = np.empty(m, np.uint8), np.empty(m + 1, np.int32)
+    weights = np.empty((n_lines + 2, m), np.uint32)
+    for line in range(n_lines + 2):
+        _weigh(labels[line], weights[line])
+    side, height = points
     for row in range(n_lines):
         line = row + 1
         _mark_unsettled(labels[line - 1], labels[line], labels[line + 1], unsettled)
-        for i in range(m):
-            if unsettled[i]:
-                columns = min(max(int(half_m / (range_m[line, i] * step)), LEAST_COLUMNS), MOST_COLUMNS)
-                voted[row, i] = _vote(labels, points, line, i, columns, near_m)
+        lines = (
+            (side[line - 1], height[line - 1], weights[line - 1]),
+            (side[line], height[line], weights[line]),
+            (side[line + 1], height[line + 1], weights[line + 1]),
+        )
+        _vote_line(labels[line], range_m[line], lines, unsettled, asking, step, half_m, near_m, voted[row])
     return voted
