@@ -531,7 +531,7 @@ def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
 
 
 def _end_to_end() -> Iterator[Check]:
-    """Simulate a street, classify it from LAZ to LAZ, evaluate it."""
+    """Simulate a street, classify it from LAZ to LAZ, evaluate it, and let another library read the classes."""
     from prc_cli.comparison import evaluate
     from prc_cli.config import load_config
     from prc_cli.evaluation.scores import gate_value, scores
@@ -539,6 +539,7 @@ def _end_to_end() -> Iterator[Check]:
     from prc_cli.simulated_files import simulate
     from prc_cli.simulation.drive import load_simulator
     from prc_cli.simulation.settings import load_settings
+    from prc_cli.writers.las_check import classes_by_laspy
 
     start = time.perf_counter()
     config = load_config(preset="urban", options={"input": {"order": "trust"}})
@@ -551,9 +552,11 @@ def _end_to_end() -> Iterator[Check]:
         simulate("street", scan, load_settings("street", options=options))
         summary = classify(scan, output, config)
         found = scores(evaluate(output, scan))
+        by_laspy = classes_by_laspy(output)
         values = {name: gate_value(found, name) for name in ("recall.ground", "precision.building")}
     seconds = time.perf_counter() - loaded
     n_shots = summary.counts.n_shots
+    written = {item.code: item.count for item in summary.record.classes}
     peak = peak_memory()
     details = {
         "shots": n_shots,
@@ -571,7 +574,11 @@ def _end_to_end() -> Iterator[Check]:
         hint = "the compiled loops are wrong on this machine: remove the cache named above, and report it"
         yield Check("end to end", "bad", f"{text}; expected at least {LEAST_SCORE} of both", hint, details)
         return
-    yield Check("end to end", "ok", text, "", details)
+    if by_laspy != written:
+        hint = "report it, with the versions above"
+        yield Check("end to end", "bad", f"{text}; laspy reads other classes than were written", hint, details)
+        return
+    yield Check("end to end", "ok", f"{text}; laspy reads the same classes", "", details)
 
 
 def _size(n_bytes: int) -> str:

@@ -15,7 +15,9 @@ import pytest
 
 from prc_cli import doctor
 from prc_cli.cli import main
+from prc_cli.core.errors import OutputError
 from prc_cli.doctor import Check, examine, file_system
+from prc_cli.writers.las_check import classes_by_laspy
 
 
 def checks(out: Path | None = None) -> dict[str, Check]:
@@ -228,3 +230,16 @@ def test_quiet_prints_only_what_is_not_well(capsys: pytest.CaptureFixture[str]) 
     assert code == 0
     assert not [line for line in out.splitlines() if line.startswith("ok")]
     assert err == ""
+
+
+def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prc_cli.writers.las_check.classes_by_laspy", lambda path: {2: 1})
+    (found,) = [check for check in examine() if check.name == "end to end"]
+    assert found.status == "bad"
+    assert found.found.endswith("laspy reads other classes than were written")
+
+
+def test_what_laspy_refuses_is_an_error_of_ours(tmp_path: Path) -> None:
+    (tmp_path / "a.las").write_bytes(b"LASF" + bytes(400))
+    with pytest.raises(OutputError, match="laspy does not read it"):
+        classes_by_laspy(tmp_path / "a.las")
