@@ -76,7 +76,7 @@ def classes_by_laspy(path: Path) -> dict[int, int]:
 
     try:
         points = laspy.read(path)
-    except laspy.LaspyException as error:
+    except Exception as error:  # it has errors of its own, and those of whatever it stumbles on
         raise OutputError(str(path), f"laspy does not read it ({error})", "report it, with laspy's version") from error
     counts = count_bytes(np.ascontiguousarray(points.classification, np.uint8))
     return {int(code): int(counts[code]) for code in np.flatnonzero(counts)}
