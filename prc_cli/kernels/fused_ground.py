@@ -38,7 +38,7 @@ def _note(place: int, total: np.float32, n: np.float32, profile: F32, seen: U8) 
 def _mark_level(near: U8, smooth: U8, upright: U8, level: U8, least: np.float32, is_level: U8) -> None:
     """Mark the shots of a line that a walk may go over."""
     for i in range(len(near)):
-        is_level[i] = (np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i])
+        is_level[i] = np.uint8((np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i]))
 
 
 @helper
@@ -47,6 +47,7 @@ def _walk(
     sign: np.float32,
     points: tuple[F32, F32],
     is_level: U8,
+    level_shots: I32,
     known: tuple[F32, I32],
     start_m: np.float32,
     figures: F32,
@@ -60,10 +61,12 @@ def _walk(
     lines, near_m = figures[MEMORY_LINES], figures[KNOWN_M]
     step, slope, reach, gap = figures[STEP_M], figures[SLOPE], figures[SLOPE_REACH_M], figures[GAP_SLOPE]
     place, total, n = -1, np.float32(0.0), np.float32(0.0)
+    n_level = 0
     for k in range(len(columns)):
-        i = columns[k]
-        if not is_level[i]:
-            continue
+        level_shots[n_level] = columns[k]
+        n_level += is_level[columns[k]]
+    for k in range(n_level):
+        i = level_shots[k]
         y, z = points[0][i] * sign, points[1][i]
         out = y - last_y
         if out < -BACK_M or y < np.float32(0.0) or y >= BINS * BIN_M:
@@ -85,17 +88,17 @@ def _walk(
 @helper
 def _remember(profile: F32, seen: U8, memory: F32, age: I32, figures: F32) -> None:
     """Let the memory follow what a line saw, and the profile show what is remembered where the line saw nothing."""
+    lines, follow = figures[MEMORY_LINES], figures[FOLLOW]
     for b in range(BINS):
-        fresh = np.float32(age[b]) < figures[MEMORY_LINES]
-        if seen[b]:
-            memory[b] = memory[b] + (profile[b] - memory[b]) * figures[FOLLOW] if fresh else profile[b]
-            age[b] = 0
-            profile[b] = memory[b]
-        else:
-            if age[b] < np.iinfo(np.int32).max:
-                age[b] += 1
-            if np.float32(age[b]) < figures[MEMORY_LINES]:
-                profile[b], seen[b] = memory[b], 1
+        # no branches, so that many places are looked at at a time
+        is_seen, mean, known_m = seen[b] != 0, profile[b], memory[b]
+        followed = known_m + (mean - known_m) * follow if np.float32(age[b]) < lines else mean
+        older = age[b] + np.int32(age[b] < np.iinfo(np.int32).max)
+        is_known = np.float32(older) < lines
+        profile[b] = followed if is_seen else (known_m if is_known else mean)
+        memory[b] = followed if is_seen else known_m
+        age[b] = np.int32(0) if is_seen else np.int32(older)
+        seen[b] = np.uint8(is_seen | is_known)
 
 
 @helper
@@ -116,19 +119,32 @@ def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
 
 
 @helper
-def _heights(side: F32, height: F32, left: F32, right: F32, above: F32) -> None:
-    """Write the heights of the shots of a line above the profiles of its two sides."""
+def _places(side: F32, places: I32, shares: F32) -> None:
+    """Write the place of the profiles, left and right in a row, before every shot of a line, and how far it is on."""
     half = np.float32(0.5)
     for i in range(len(side)):
-        y = side[i]
-        if y != y:
-            continue
+        y = side[i] if side[i] == side[i] else np.float32(0.0)
         # within the bins before it becomes an integer: a range may be anything
         place = min(max(abs(y) / BIN_M - half, np.float32(0.0)), np.float32(BINS - 1))
-        b = min(int(place), BINS - 2)
-        share = min(place - np.float32(b), np.float32(1.0))
-        inner, outer = (left[b], left[b + 1]) if y >= np.float32(0.0) else (right[b], right[b + 1])
-        above[i] = height[i] - (inner + (outer - inner) * share)
+        b = min(np.int32(place), np.int32(BINS - 2))
+        shares[i] = min(place - np.float32(b), np.float32(1.0))
+        places[i] = b if y >= np.float32(0.0) else b + np.int32(BINS)
+
+
+@helper
+def _grounds(places: I32, shares: F32, profiles: F32, grounds: F32) -> None:
+    """Write the height of the ground under every shot of a line."""
+    for i in range(len(places)):
+        b = np.uint64(places[i])
+        inner, outer = profiles[b], profiles[b + np.uint64(1)]
+        grounds[i] = inner + (outer - inner) * shares[i]
+
+
+@helper
+def _heights(side: F32, height: F32, grounds: F32, above: F32) -> None:
+    """Write the heights of the shots of a line above the ground."""
+    for i in range(len(side)):
+        above[i] = height[i] - grounds[i] if side[i] == side[i] else np.float32(np.nan)
 
 
 @kernel(
@@ -181,11 +197,13 @@ def walk_ground(
         As given, for the lines from ``keep`` on.
     """
     n_lines, m = side_m.shape
-    above = np.full((n_lines, m), np.float32(np.nan), np.float32)
+    above = np.empty((n_lines, m), np.float32)
     walked = np.zeros((n_lines, m), np.bool_)
     memory, ages = memory_m.copy(), age.copy()
     kept_memory, kept_ages = memory_m.copy(), age.copy()
-    profiles, seen = np.empty((2, BINS), np.float32), np.empty(BINS, np.uint8)
+    profiles, seen = np.empty(2 * BINS, np.float32), np.empty(BINS, np.uint8)
+    level_shots, places = np.empty(m + 1, np.int32), np.empty(m, np.int32)
+    shares, grounds = np.empty(m, np.float32), np.empty(m, np.float32)
     near, smooth, upright, level = counts
     is_level = np.empty(m, np.uint8)
     for line in range(n_lines):
@@ -196,13 +214,15 @@ def walk_ground(
         for s in range(2):
             columns = left if s == 0 else right
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
-            profile, known = profiles[s], (memory[s], ages[s])
+            profile, known = profiles[s * BINS : (s + 1) * BINS], (memory[s], ages[s])
             seen[:] = 0
             profile[:] = np.float32(0.0)
-            _walk(columns, sign, points, is_level, known, start_m, figures, profile, seen, walked[line])
+            _walk(columns, sign, points, is_level, level_shots, known, start_m, figures, profile, seen, walked[line])
             _remember(profile, seen, memory[s], ages[s], figures)
             _fill(profile, seen, start_m)
-        _heights(side_m[line], height_m[line], profiles[0], profiles[1], above[line])
+        _places(side_m[line], places, shares)
+        _grounds(places, shares, profiles, grounds)
+        _heights(side_m[line], height_m[line], grounds, above[line])
     if keep >= n_lines:
         kept_memory[:], kept_ages[:] = memory, ages
     return above, walked, kept_memory, kept_ages

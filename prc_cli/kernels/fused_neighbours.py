@@ -22,6 +22,8 @@ CHORD_M, SLOPE, SLACK_M, LONGEST_M = range(4)
 """Figures of directions, in this order."""
 MOST_COLUMNS = 60
 """Half a chord is never more columns long."""
+PAD = MOST_COLUMNS + 2
+"""Columns of nothing beside a line in which chords may end."""
 
 
 @kernel("UniTuple(float32[:, ::1], 2)(float32[:, ::1], float32[::1], float32[::1], int64)")
@@ -62,6 +64,47 @@ def _is_near(dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32,
     return np.uint8((high < near) | ((low < thin) & (high < along)))
 
 
+@helper
+def _count_beside(
+    own: tuple[F32, F32], line: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float32, row: U8
+) -> None:
+    """Add the near neighbours of the shots of a line among the four on either side; the line has margins."""
+    y, z = own
+    other_y, other_z = line
+    near, along = limits
+    for i in range(len(row)):
+        a, b, short, long = y[i], z[i], near[i], along[i]
+        row[i] += (
+            _is_near(other_y[i] - a, other_z[i] - b, short, thin, long)
+            + _is_near(other_y[i + 1] - a, other_z[i + 1] - b, short, thin, long)
+            + _is_near(other_y[i + 2] - a, other_z[i + 2] - b, short, thin, long)
+            + _is_near(other_y[i + 3] - a, other_z[i + 3] - b, short, thin, long)
+            + _is_near(other_y[i + 5] - a, other_z[i + 5] - b, short, thin, long)
+            + _is_near(other_y[i + 6] - a, other_z[i + 6] - b, short, thin, long)
+            + _is_near(other_y[i + 7] - a, other_z[i + 7] - b, short, thin, long)
+            + _is_near(other_y[i + 8] - a, other_z[i + 8] - b, short, thin, long)
+        )
+
+
+@helper
+def _count_across(
+    own: tuple[F32, F32], line: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float32, row: U8
+) -> None:
+    """Add the near neighbours of the shots of a line among five of another line, which has margins."""
+    y, z = own
+    other_y, other_z = line
+    near, along = limits
+    for i in range(len(row)):
+        a, b, short, long = y[i], z[i], near[i], along[i]
+        row[i] += (
+            _is_near(other_y[i + 2] - a, other_z[i + 2] - b, short, thin, long)
+            + _is_near(other_y[i + 3] - a, other_z[i + 3] - b, short, thin, long)
+            + _is_near(other_y[i + 4] - a, other_z[i + 4] - b, short, thin, long)
+            + _is_near(other_y[i + 5] - a, other_z[i + 5] - b, short, thin, long)
+            + _is_near(other_y[i + 6] - a, other_z[i + 6] - b, short, thin, long)
+        )
+
+
 @kernel("uint8[:, ::1](float32[:, ::1], float32[:, ::1], float32[:, ::1], float32, float32[::1])")
 def near_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figures: F32) -> U8:
     """Count the neighbours that a shot has in space: of 8 in its own line and 20 in the two lines before and after.
@@ -88,24 +131,19 @@ def near_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figu
     near_m, near_steps, thin = figures[NEAR_M], figures[NEAR_STEPS], figures[THIN_M]
     along_m, along_steps = figures[ALONG_M], figures[ALONG_STEPS]
     counts = np.empty((n_lines, m), np.uint8)
+    near, along = np.empty(m, np.float32), np.empty(m, np.float32)
     for line in range(n_lines):
-        own, row = range_m[line + LINES], counts[line]
-        y, z = side_m[line + LINES, COLUMNS : COLUMNS + m], height_m[line + LINES, COLUMNS : COLUMNS + m]
+        k = line + LINES
+        own, row = range_m[k], counts[line]
         for i in range(m):
+            apart = own[i] * step
+            near[i] = max(near_m, near_steps * apart)
+            along[i] = max(along_m, along_steps * apart)
             row[i] = np.uint8(0)
-        for away in range(-LINES, LINES + 1):
-            reach = COLUMNS if away == 0 else LINES
-            for shift in range(-reach, reach + 1):
-                if away == 0 and shift == 0:
-                    continue
-                first = COLUMNS + shift
-                other_y = side_m[line + LINES + away, first : first + m]
-                other_z = height_m[line + LINES + away, first : first + m]
-                for i in range(m):
-                    apart = own[i] * step
-                    near = max(near_m, near_steps * apart)
-                    along = max(along_m, along_steps * apart)
-                    row[i] += _is_near(other_y[i] - y[i], other_z[i] - z[i], near, thin, along)
+        y, z = side_m[k, COLUMNS : COLUMNS + m], height_m[k, COLUMNS : COLUMNS + m]
+        _count_beside((y, z), (side_m[k], height_m[k]), (near, along), thin, row)
+        for away in (-2, -1, 1, 2):
+            _count_across((y, z), (side_m[k + away], height_m[k + away]), (near, along), thin, row)
     return counts
 
 
@@ -203,38 +241,36 @@ def _is_upright(dy: np.float32, dz: np.float32, slope: np.float32, slack: np.flo
 
 
 @helper
-def _ends_before(reach: I32, smooth: U8, y: F32, z: F32, end_y: F32, end_z: F32) -> None:
-    """Write the points where the chords of a line begin: about so many columns back, on something smooth; or NaN."""
-    for i in range(len(reach)):
-        columns = reach[i]
-        found = -1
-        j = i - columns
-        if j >= 0 and smooth[j] > 0:
-            found = j
-        elif j >= 1 and smooth[j - 1] > 0:
-            found = j - 1
-        elif columns > 1 and j >= -1 and smooth[j + 1] > 0:
-            found = j + 1
-        end_y[i] = y[found] if found >= 0 else np.float32(np.nan)
-        end_z[i] = z[found] if found >= 0 else np.float32(np.nan)
+def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
+    """Write where the chords of a line may end: at a column if it is smooth, else the next one out, else the next in.
+
+    ``way`` is out: -1 or 1. Column 0 is at PAD, and what lies beyond the line stays NaN. The second half of ``ends`` is
+    for shots to which the next one in is themselves.
+    """
+    n = len(shown)
+    for i in range(len(values)):
+        shown[PAD + i] = values[i] if smooth[i] > 0 else np.float32(np.nan)
+    out, own, back = shown[1 + way : n - 1 + way], shown[1 : n - 1], shown[1 - way : n - 1 - way]
+    three, two = ends[1 : n - 1], ends[n + 1 : 2 * n - 1]
+    for i in range(n - 2):
+        # what is not smooth is NaN
+        further = own[i] if own[i] == own[i] else out[i]
+        two[i] = further
+        three[i] = further if further == further else back[i]
 
 
 @helper
-def _ends_after(reach: I32, smooth: U8, y: F32, z: F32, end_y: F32, end_z: F32) -> None:
-    """Write the points where the chords of a line end; see :func:`_ends_before`."""
+def _look_up(reach: I32, way: int, ends: tuple[F32, F32], found: tuple[F32, F32]) -> None:
+    """Write the ends of the chords of a line, so many columns away; on its own, as all other loops read row by row."""
     m = len(reach)
+    n = m + 2 * PAD
+    side, height = ends
+    found_y, found_z = found
     for i in range(m):
-        columns = reach[i]
-        found = -1
-        j = i + columns
-        if j < m and smooth[j] > 0:
-            found = j
-        elif j < m - 1 and smooth[j + 1] > 0:
-            found = j + 1
-        elif columns > 1 and j <= m and smooth[j - 1] > 0:
-            found = j - 1
-        end_y[i] = y[found] if found >= 0 else np.float32(np.nan)
-        end_z[i] = z[found] if found >= 0 else np.float32(np.nan)
+        columns = int(reach[i])
+        place = np.uint64(PAD + i + way * columns + (n if columns == 1 else 0))
+        found_y[i] = side[place]
+        found_z[i] = height[place]
 
 
 @helper
@@ -296,14 +332,20 @@ def directions(range_m: F32, side_m: F32, height_m: F32, smooth: U8, step: np.fl
     upright = np.zeros((n_lines, m), np.uint8)
     level = np.zeros((n_lines, m), np.uint8)
     reach = np.empty(m, np.int32)
-    ay, az = np.empty(m, np.float32), np.empty(m, np.float32)
-    by, bz = np.empty(m, np.float32), np.empty(m, np.float32)
+    nothing = np.float32(np.nan)
+    shown = np.full(m + 2 * PAD, nothing, np.float32)
+    ends = np.full(2 * len(shown), nothing, np.float32), np.full(2 * len(shown), nothing, np.float32)
+    before = np.empty(m, np.float32), np.empty(m, np.float32)
+    after = np.empty(m, np.float32), np.empty(m, np.float32)
+    chord, most = figures[CHORD_M], np.float32(MOST_COLUMNS)
     for line in range(n_lines):
         own, y, z = range_m[line], side_m[line], height_m[line]
         for i in range(m):
-            columns = np.float32(0.0) if own[i] != own[i] else figures[CHORD_M] / (own[i] * step)
-            reach[i] = np.int32(min(max(columns, np.float32(1.0)), np.float32(MOST_COLUMNS)))
-        _ends_before(reach, smooth[line], y, z, ay, az)
-        _ends_after(reach, smooth[line], y, z, by, bz)
-        _count_chords((y, z), (ay, az), (by, bz), figures, upright[line], level[line])
+            columns = np.float32(0.0) if own[i] != own[i] else chord / (own[i] * step)
+            reach[i] = np.int32(min(max(columns, np.float32(1.0)), most))
+        for way in (-1, 1):
+            _ends(y, smooth[line], way, shown, ends[0])
+            _ends(z, smooth[line], way, shown, ends[1])
+            _look_up(reach, way, ends, before if way < 0 else after)
+        _count_chords((y, z), before, after, figures, upright[line], level[line])
     return upright, level
