@@ -1,0 +1,23 @@
+"""The numbers that stages and loops must agree on: nothing else would notice a difference."""
+
+from __future__ import annotations
+
+from prc_cli.classifiers.fused import ground, plane
+from prc_cli.kernels import fused_classes, fused_ground, fused_neighbours, fused_strips
+
+
+def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
+    assert plane.MARGIN == fused_neighbours.COLUMNS
+    assert plane.INNER_LINES == fused_neighbours.LINES
+    assert plane.WIDE_LINES == fused_strips.LINES == fused_classes.LINES
+    assert plane.WIDE_LINES + plane.INNER_LINES == fused_classes.MARGIN
+    assert plane.INNER_LINES + plane.WIDE_LINES + plane.VOTE_LINES == plane.AROUND_LINES
+
+
+def test_stages_and_loops_agree_on_places_beside_the_scanner() -> None:
+    assert ground.BINS == fused_ground.BINS
+    strips = (fused_strips.STRIPS, fused_strips.STRIP_M, fused_strips.SLOT_M, fused_strips.SLOTS)
+    assert strips == (fused_classes.STRIPS, fused_classes.STRIP_M, fused_classes.SLOT_M, fused_classes.SLOTS)
+    assert 2 * fused_classes.HALF_STRIP_M == fused_strips.STRIP_M
+    # the walk reaches as far as the strips do
+    assert 2 * fused_ground.BINS * fused_ground.BIN_M == fused_strips.STRIPS * fused_strips.STRIP_M

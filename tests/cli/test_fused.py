@@ -1,0 +1,116 @@
+"""The fused presets as a user types them: the same labels by every way in, one line where something lacks."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli import classify_ranges, load_config
+from prc_cli.classifiers.fused.pipeline import FusedParams
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F32, F64, U8
+from prc_cli.pipeline import label_blocks
+from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.cli.test_commands import Prc
+
+M = len(BEAM)
+ANGLES = ("-M", str(M), "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2")
+PRESETS = ("fused", "fused-forest")
+
+
+@pytest.fixture(scope="module")
+def ranges() -> F32:
+    return street_lines(70)[0]
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+@pytest.fixture
+def dump(ranges: F32, tmp_path: Path) -> Path:
+    """A raw dump of ranges, without angles."""
+    path = tmp_path / "street.bin"
+    path.write_bytes(ranges.tobytes())
+    return path
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: Path, preset: str) -> None:
+    given = ("--preset", preset, *ANGLES, "--set", "input.nadir=0", "--set", "fused.lines_per_block=32")
+    out = dump.with_name("labels.npy")
+    for threads in ("1", "3"):
+        result = prc("classify", dump, out, "--overwrite", "--threads", threads, *given)
+        assert result.code == 0, result.err
+        config = load_config(preset=preset, options={"fused": {"lines_per_block": 32}})
+        codes = config.config.classes.lookup()[classify_ranges(ranges, config, beam_rad=BEAM)]
+        np.testing.assert_array_equal(np.load(out).reshape(ranges.shape), codes)
+    command = [sys.executable, "-m", "prc_cli", "stream", "-q", *given]
+    with dump.open("rb") as source:
+        piped = subprocess.run(command, stdin=source, capture_output=True, check=True).stdout
+    assert piped == np.load(out).tobytes()
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_what_lacks_is_said_in_one_line(prc: Prc, dump: Path, preset: str) -> None:
+    out = dump.with_name("labels.npy")
+    result = prc("classify", dump, out, "--preset", preset, "-M", str(M))
+    assert result.code == 1
+    assert "input.angle_start and input.angle_step" in result.err
+    result = prc("classify", dump, out, "--preset", preset, *ANGLES)
+    assert result.code == (0 if preset == "fused" else 1), result.err
+    assert ("no vertical direction known" in result.err) == (preset == "fused-forest")
+    result = prc("stream", "--preset", preset, "--hop", "1", *ANGLES)
+    assert result.code == 2
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_scanners_do_not_disturb_each_other(ranges: F32, preset: str) -> None:
+    params = load_config(preset=preset).config.fused.model_copy(update={"lines_per_block": 16})
+    other = np.ascontiguousarray(ranges[:, ::3])
+    expected = {0: labels(ranges, BEAM, params), 1: labels(other, BEAM[::3], params)}
+    blocks = (
+        ScanBlock(a, image[a : a + 10], scanner=scanner, beam_rad=beam, is_last=a + 10 >= len(ranges))
+        for a in range(0, len(ranges), 10)
+        for scanner, image, beam in ((0, ranges, BEAM), (1, other, BEAM[::3]))
+    )
+    found: dict[int, list[U8]] = {0: [], 1: []}
+    for item in label_blocks(blocks, params, threads=2):
+        found[item.block.scanner].append(item.labels)
+    for scanner, whole in expected.items():
+        np.testing.assert_array_equal(np.concatenate(found[scanner]), whole)
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("shape", [(1, 61), (40, 1), (40, 2), (3, 61)])
+@pytest.mark.parametrize("value", [np.nan, 5.0])
+def test_small_and_dull_images_are_labelled(preset: str, shape: tuple[int, int], value: float) -> None:
+    beam = np.deg2rad(np.linspace(-90, 90, shape[1]) if shape[1] > 1 else [0.0])
+    found = classify_ranges(np.full(shape, value), load_config(preset=preset), beam_rad=beam)
+    assert found.shape == shape
+    assert ((found == 0) == np.isnan(value)).all()
+
+
+def test_a_circle_may_begin_anywhere_and_turn_either_way(ranges: F32) -> None:
+    beam = np.deg2rad(np.arange(-180, 180, 0.2))
+    circle = np.full((len(ranges), len(beam)), np.nan, np.float32)
+    first = int(np.argmin(np.abs(beam - BEAM[0])))
+    circle[:, first : first + M] = ranges
+    config = load_config(preset="fused")
+    whole = classify_ranges(circle, config, beam_rad=beam)
+    np.testing.assert_array_equal(classify_ranges(circle[:, ::-1], config, beam_rad=beam[::-1])[:, ::-1], whole)
+    half = len(beam) // 2
+    turned = classify_ranges(np.roll(circle, half, axis=1), config, beam_rad=np.roll(beam, half) % (2 * np.pi))
+    # at the seam shots have fewer neighbours
+    assert (np.roll(turned, -half, axis=1) == whole).mean() > 0.999
+
+
+def labels(image: F32, beam: F64, params: FusedParams) -> U8:
+    """Label one scanner alone."""
+    block = ScanBlock(0, image, beam_rad=beam, is_last=True)
+    return np.concatenate([item.labels for item in label_blocks(iter([block]), params)])
