@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -70,7 +71,7 @@ def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path:
         assert "ead-only file system" in line
         assert tree(out) == before
         status = subprocess.run(
-            ["python", "-m", "prc_cli", "batch", "status", str(out)], capture_output=True, text=True, check=False
+            [sys.executable, "-m", "prc_cli", "batch", "status", str(out)], capture_output=True, text=True, check=False
         )
         assert status.returncode == 0, status.stderr
         change(disk, "rw")
