@@ -11,6 +11,7 @@ import pytest
 
 from prc_cli import classify_ranges, load_config
 from prc_cli.classifiers.fused.pipeline import FusedParams
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.pipeline import label_blocks
@@ -67,6 +68,12 @@ def test_what_lacks_is_said_in_one_line(prc: Prc, dump: Path, preset: str) -> No
     assert ("no vertical direction known" in result.err) == (preset == "fused-forest")
     result = prc("stream", "--preset", preset, "--hop", "1", *ANGLES)
     assert result.code == 2
+
+
+@pytest.mark.parametrize("value", [-1.0, 2.0])
+def test_a_noise_that_cannot_be_is_refused(value: float) -> None:
+    with pytest.raises(ConfigError, match="range_noise_m"):
+        load_config(preset="fused", options={"fused": {"sensor": {"range_noise_m": value}}})
 
 
 @pytest.mark.parametrize("preset", PRESETS)

@@ -15,6 +15,7 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
 
 NEVER = 1e9
+"""A share or number that nothing reaches, for steps that are off."""
 
 
 class NoiseParams(Params):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -38,7 +38,7 @@ LEAST_TRIPLES = 100
 class SensorParams(Params):
     """How precisely the scanner measures (``[fused.sensor]``)."""
 
-    range_noise_m: float | Literal["auto"] = Field(
+    range_noise_m: Annotated[float, Field(ge=0, le=1)] | Literal["auto"] = Field(
         "auto", description='standard deviation of ranges on smooth surfaces [m]; "auto" = from the first block'
     )
     default_noise_m: float = Field(0.005, gt=0, le=1, description="the same where the first block is too short [m]")

@@ -16,6 +16,7 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8
 
 NEVER_M = 1e9
+"""No wall is so high; for when walls are off [m]."""
 
 
 class StripsParams(Params):
