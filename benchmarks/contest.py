@@ -303,9 +303,9 @@ def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     print("## Filters of registered clouds\n")
     say("""They are given what methods of the stream are not: every return with its true coordinates in the world
     (simulated scans: the pose that was simulated; Oakland: the set's own x, y, z; KITTI: the frame itself).
-    Parameters as their authors recommend, and as chosen on streets for tuning (seeds 9001, 9004 and 9006) by
-    <code>python -m benchmarks.contest_tune</code>. Ground filters are run alone and behind the best noise filter.
-    Ground and noise F1: mean over the scans, the worst in brackets. Seconds of all cores together a million
+    Parameters as their authors recommend, and, but for SMRF, as chosen on streets for tuning (seeds 9001, 9004 and
+    9006) by <code>python -m benchmarks.contest_tune</code>. Ground filters are run alone and behind the best noise
+    filter. Ground and noise F1: mean over the scans, the worst in brackets. Seconds of all cores together a million
     returns, and the most memory of the process, Python and the points included.""")
     missing = sorted({peers.PACKAGES[f] for chain in CHAINS.values() for f in (s["filter"] for s in chain)
                       if peers.installed(f) is None})  # fmt: skip

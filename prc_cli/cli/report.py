@@ -68,7 +68,7 @@ COMPILING_S = 2.0
 @contextlib.contextmanager
 def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
     """Say why nothing happens yet when loading the classifier, or the simulator, takes long."""
-    text = f"loading the {what}; after installation it is compiled, once, which takes up to half a minute"
+    text = f"loading the {what}; after installation it is compiled, once, which takes up to a minute"
     timer = threading.Timer(COMPILING_S, lambda: console().print(text, soft_wrap=True))
     timer.daemon = True
     if not quiet:

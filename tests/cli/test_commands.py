@@ -185,7 +185,8 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--output", folder, "--lines", "200", "--json", "--quiet")
     assert result.code == 0, result.err
     found = json.loads(result.out)
-    # found: .98 and .58; .89, .996, .88 and .95; .99, .86 and .38; .29 and .39, for ground is a strip there and stems far away are lost
+    # found: .98 and .58; .89, .996, .88 and .95; .99, .86 and .38; .29 and .39, for ground is a strip there and stems
+    # far away are lost
     floors = {
         "prc": {"ground": 0.9, "building": 0.2},
         "fused": {"noise": 0.7, "ground": 0.95, "building": 0.85, "vegetation": 0.6},
