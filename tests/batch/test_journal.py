@@ -7,6 +7,8 @@ import random
 import sqlite3
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +20,6 @@ from prc_cli.batch.journal import Journal, journal_path, read_entries, read_runs
 from prc_cli.batch.types import Done, Entry, Failed, InputPrint, Problem, Shard, Task
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError, InputError, OutputError
-from tests.faults.harness import AS_PLAIN_USER
 
 ODD_NAMES = [
     "plain.laz",
@@ -38,6 +39,14 @@ ODD_NAMES = [
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return tmp_path / ".prc"
+
+
+@pytest.fixture
+def open_to_all() -> Iterator[Path]:
+    """Folder that another user may enter; those of pytest are private."""
+    with tempfile.TemporaryDirectory(prefix="prc-journal-") as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
 
 
 def task(name: str, config: str = "c" * 64) -> Task:
@@ -294,12 +303,14 @@ def test_without_shared_memory_a_rollback_journal_is_kept_and_said_so(
         assert [entry.name for entry in read_entries(folder)] == ["a"]
 
 
-READ_AND_WRITE = """
-import sys
+AS_NOBODY = """
+import os, sys
 from pathlib import Path
 from prc_cli.batch.journal import Journal, read_entries
 from prc_cli.core.errors import PrcError
 folder = Path(sys.argv[1])
+if os.getuid() == 0:
+    os.setgroups([]); os.setgid(65534); os.setuid(65534)
 print(len(read_entries(folder)))
 try:
     with Journal(folder) as journal:
@@ -309,10 +320,11 @@ except PrcError as error:
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="takes the capabilities of root away")
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
 @pytest.mark.parametrize("live", [False, True])
-def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(folder: Path, live: bool) -> None:
-    """Permissions count, for root as well: the log of a live or killed writer is read too, though no file can be made beside it."""
+def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: Path, live: bool) -> None:
+    """As another user: the log of a live or killed writer is read too, though no file can be made beside it."""
+    folder = open_to_all / ".prc"
     with Journal(folder) as journal:
         journal.begin_run("me")
         journal.start(task("a"), "worker")
@@ -321,10 +333,7 @@ def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(folder: Path,
         folder.chmod(0o555)
         try:
             result = subprocess.run(
-                [sys.executable, "-c", AS_PLAIN_USER, "-c", READ_AND_WRITE, str(folder)],
-                capture_output=True,
-                text=True,
-                check=False,
+                [sys.executable, "-c", AS_NOBODY, str(folder)], capture_output=True, text=True, check=False
             )
         finally:
             folder.chmod(0o755)
