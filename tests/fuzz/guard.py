@@ -10,6 +10,8 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
+from prc_cli.kernels import compiling
+
 FORBIDDEN = (
     "os.system",
     "os.exec",
@@ -36,6 +38,8 @@ CHANGES = {
     "shutil.move": 2,
 }
 """Events whose first arguments are names of files that are changed."""
+COMPILER = compiling.__file__
+"""Begins processes that compile loops, once after installation."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_TRUNC
 
 
@@ -108,7 +112,7 @@ def _is_import() -> bool:
     frame = sys._getframe(2)
     while frame is not None:
         name = frame.f_code.co_filename
-        if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name:
+        if "importlib._bootstrap" in name or f"{os.sep}numba{os.sep}" in name or name == COMPILER:
             return True
         frame = frame.f_back  # type: ignore[assignment]
     return False
