@@ -19,6 +19,8 @@ import traceback
 from pathlib import Path
 from typing import Any
 
+from prc_cli.core.files import cache_folder
+from prc_cli.kernels.cache import writable_cache
 from tests.fuzz.guard import Guard, unprintable
 
 ADDRESS_SPACE = 3 << 30
@@ -43,8 +45,9 @@ class Worker:
             made.mkdir(exist_ok=True)
         os.environ["TMPDIR"] = str(self._scratch)
         tempfile.tempdir = str(self._scratch)
-        cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "prc-cli"
-        self._guard = Guard((self._out, self._scratch, cache))
+        compiled = writable_cache()
+        caches = () if compiled is None else (compiled,)
+        self._guard = Guard((self._out, self._scratch, cache_folder(), *caches))
         self._printed = (folder / f"printed-{os.getpid()}").open("w+b")
         for descriptor in (1, 2):
             os.dup2(self._printed.fileno(), descriptor)
