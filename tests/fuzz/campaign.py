@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from prc_cli.kernels import load_kernels
 from tests.fuzz.mutations import mutate
 from tests.fuzz.seeds import seed as content_of
 from tests.fuzz.seeds import write_seeds
@@ -42,6 +43,8 @@ class WatchedWorker:
     """A worker process that is replaced when it dies or hangs."""
 
     def __init__(self, folder: Path) -> None:
+        # compiling them, once after installation, is no hang of the command that happens to need them first
+        load_kernels()
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         self._n_jobs = 0
