@@ -19,6 +19,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.fused import pipeline as fused
 from prc_cli.classifiers.fused.pipeline import FusedParams
 from prc_cli.classifiers.fused.plane import AROUND_LINES
+from prc_cli.classifiers.fused.returns import label_further_returns
 from prc_cli.classifiers.prc import pipeline as prc
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.returns import label_extra_returns
@@ -149,16 +150,11 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     ``geometry``: angles are looked for though the classifier does not need them; ``only_ranges``: times and
     intensities may be left out.
     """
-    if config.method == SEQUENTIAL_ANGLE:
-        return with_beams(open_input(path, config.input, config.layout, only_ranges=only_ranges), config.input)
-    if config.method == FUSED:
-        lines = config.fused.lines_per_block
-        stream = open_input(path, config.input, config.layout, lines_at_once=lines, only_ranges=only_ranges)
-        return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
-    lines = config.prc.lines_per_block
-    return open_input(
-        path, config.input, config.layout, lines_at_once=lines, geometry=geometry, only_ranges=only_ranges
-    )
+    stream = open_input(
+        path, config.input, config.layout, lines_at_once=getattr(config.classifier, "lines_per_block", 1),
+        geometry=geometry or config.needs_beams, only_ranges=only_ranges,
+    )  # fmt: skip
+    return with_beams(stream, config.input, from_ground=config.nadir_from_ground) if config.needs_beams else stream
 
 
 def label_blocks(
@@ -237,11 +233,10 @@ def _fused(blocks: Iterator[ScanBlock], params: FusedParams, threads: int) -> It
     def work(item: Item) -> LabelledBlock:
         block, one, job = item
         labels = one.classify(job)
-        further, limit = block.extra, params.extra_return_m
-        extra = label_extra_returns(block.range_m, labels, further.line, further.column, further.range_m, limit, limit)
-        # light that passes by a leaf meets the next leaf, which may be on its own
-        of_leaf = labels[further.line, further.column] == Label.VEGETATION
-        extra[of_leaf & (extra == Label.NOISE)] = Label.VEGETATION
+        further = block.extra
+        extra = label_further_returns(
+            block.range_m, labels, further.line, further.column, further.range_m, params.extra_return_m
+        )
         return LabelledBlock(block, labels, extra)
 
     keep_memory()

@@ -45,7 +45,7 @@ from prc_cli.batch.types import (
 from prc_cli.batch.work import may_pass, run_task
 from prc_cli.batch.worker import BEAT_S, MOVED, bytes_moved
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.threads import TICK_S
+from prc_cli.core.threads import TICK_S, take_waiting
 from prc_cli.pipeline import load_classifier
 
 EXTRA = "prc-cli[dask]"
@@ -544,14 +544,7 @@ class _Run:
 
     def _hear(self) -> Iterator[Event]:
         """Wait a little for messages and turn all there are into events."""
-        try:
-            messages = [self._messages.get(timeout=TICK_S)]
-        except queue.Empty:
-            return
-        with contextlib.suppress(queue.Empty):
-            while True:
-                messages.append(self._messages.get_nowait())
-        for kind, message in messages:
+        for kind, message in take_waiting(self._messages):
             yield from self._see(*message) if kind == "event" else self._take(message)
 
     def _see(self, kind: str, key: str, worker: str, n_lines: int) -> Iterator[Event]:

@@ -27,7 +27,7 @@ from prc_cli.batch.work import MEMORY
 from prc_cli.batch.worker import PATIENCE_S, READY
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import remove_stale
-from prc_cli.core.threads import TICK_S, default_threads
+from prc_cli.core.threads import default_threads, take_waiting
 from prc_cli.writers.record import record_path
 
 START_S = 120.0
@@ -246,14 +246,7 @@ class _Pool:
 
     def _hear(self) -> Iterator[Event]:
         """Wait a little for messages and turn all there are into events."""
-        try:
-            messages = [self._messages.get(timeout=TICK_S)]
-        except queue.Empty:
-            return
-        with contextlib.suppress(queue.Empty):
-            while True:
-                messages.append(self._messages.get_nowait())
-        for worker, message in messages:
+        for worker, message in take_waiting(self._messages):
             worker.seen = time.monotonic()
             if message is None:
                 yield from self._bury(worker)

@@ -6,8 +6,10 @@ changes a result: what comes out, and in which order, does not depend on the num
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+import queue
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -354,6 +356,23 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
             self.close()
         else:
             self.abort()
+
+
+def take_waiting(messages: queue.SimpleQueue[_A]) -> list[_A]:
+    """Return all messages of a queue, after :data:`TICK_S` seconds at the most; empty if none came.
+
+    >>> messages: queue.SimpleQueue[int] = queue.SimpleQueue()
+    >>> messages.put(1)
+    >>> messages.put(2)
+    >>> take_waiting(messages)
+    [1, 2]
+    """
+    taken = []
+    with contextlib.suppress(queue.Empty):
+        taken.append(messages.get(timeout=TICK_S))
+        while True:
+            taken.append(messages.get_nowait())
+    return taken
 
 
 def close_items(items: Iterator[object]) -> None:

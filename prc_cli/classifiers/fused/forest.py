@@ -13,8 +13,9 @@ import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
+from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.classifiers.fused.stems import StemsParams, find_stems
-from prc_cli.classifiers.fused.terrain import Plane, TerrainParams, heights_over_ground
+from prc_cli.classifiers.fused.terrain import TerrainParams, heights_over_ground
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, U8, Mask

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
     CarParams,
     LeavesParams,
@@ -42,6 +43,7 @@ from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
     WIDE_LINES,
+    Plane,
     ScanPlane,
     SensorParams,
     inner,
@@ -49,9 +51,7 @@ from prc_cli.classifiers.fused.plane import (
     range_noise,
 )
 from prc_cli.classifiers.fused.strips import StripsParams, WallParams, stand
-from prc_cli.classifiers.fused.terrain import Plane
 from prc_cli.core.config import Params
-from prc_cli.core.errors import InputError
 from prc_cli.core.threads import Relay
 from prc_cli.core.types import F32, F64, U8
 
@@ -231,8 +231,9 @@ class ParallelBlocks:
 
     def __init__(self, beam_rad: F64, params: FusedParams) -> None:
         state = initial_state(beam_rad)
-        self._params, self._beam_rad = params, beam_rad
-        self._plane, self._tail, self._turn = ScanPlane.of(beam_rad), state.tail, 0
+        self._params, self._width = params, len(beam_rad)
+        self._plane, self._scan_plane = Plane.of(beam_rad), ScanPlane.of(beam_rad)
+        self._tail, self._turn = state.tail, 0
         self._noise: Relay[float | None] = Relay(state.noise_m)
         self._ground = Relay(state.memory)
 
@@ -244,7 +245,7 @@ class ParallelBlocks:
         InputError
             When the block is empty, too long or not as wide as the beams.
         """
-        _check_shapes(range_m, next_m, len(self._beam_rad), self._params)
+        _check_shapes(range_m, next_m, self._width, self._params)
         window = _window(self._tail, range_m, next_m)
         job = BlockJob(self._turn, window, range_m)
         self._turn, self._tail = self._turn + 1, window[len(range_m) : len(range_m) + AROUND_LINES]
@@ -252,9 +253,9 @@ class ParallelBlocks:
 
     def classify(self, job: BlockJob) -> U8:
         """Label a block, in any thread; jobs must begin in order."""
-        params, plane = self._params, self._plane
+        params, plane = self._params, self._scan_plane
         if params.environment == "forest":
-            return forest(job.range_m, Plane.of(self._beam_rad), params.forest)
+            return forest(job.range_m, self._plane, params.forest)
         try:
             points = points_of(job.window, plane)
             noise_m = self._noise.take_turn(job.turn, lambda known: _once(known, points, params.sensor))[0]
@@ -294,11 +295,5 @@ def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
 
 def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: FusedParams) -> None:
     """Refuse what cannot be the next block of the stream."""
-    where = "block of ranges"
-    for array in (range_m,) if next_m is None else (range_m, next_m):
-        if array.ndim != 2 or array.shape[1] != width:
-            problem = f"found an array of shape {array.shape}, expected (lines, {width}), one column a beam"
-            raise InputError(where, problem, "check points_per_line")
-    if not 1 <= len(range_m) <= params.lines_per_block:
-        problem = f"found {len(range_m)} lines, expected 1 to {params.lines_per_block}"
-        raise InputError(where, problem, "cut the stream into blocks of fused.lines_per_block lines")
+    key = "fused.lines_per_block"
+    check_block(range_m, next_m, width, params.lines_per_block, columns=", one column a beam", key=key)

@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
-from prc_cli.classifiers.fused.terrain import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, I32
@@ -33,6 +32,7 @@ EVERY_LINE = 4
 """The noise is measured on every so many lines."""
 LEAST_TRIPLES = 100
 """Fewer do not tell the noise."""
+_TURN = 2 * np.pi
 
 
 class SensorParams(Params):
@@ -42,6 +42,29 @@ class SensorParams(Params):
         "auto", description='standard deviation of ranges on smooth surfaces [m]; "auto" = from the first block'
     )
     default_noise_m: float = Field(0.005, gt=0, le=1, description="the same where the first block is too short [m]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """Where the beams of a scanner point within its scan plane."""
+
+    sine: F64
+    """(M,) float64, metres to the side for every metre of range."""
+    cosine: F64
+    """(M,) float64, metres down for every metre of range."""
+    step_rad: float
+    """Angle between neighbouring columns, in the middle [rad]."""
+
+    @classmethod
+    def of(cls, beam_rad: F64) -> Plane:
+        """Return the plane of beams, (M,) float64, given by their angles from straight down [rad].
+
+        >>> Plane.of(np.deg2rad([179.0, -179.0, -177.0])).step_rad.__round__(4)
+        0.0349
+        """
+        step = np.abs(np.diff(beam_rad))
+        step = np.minimum(step, np.abs(_TURN - step))
+        return cls(np.sin(beam_rad), np.cos(beam_rad), float(np.median(step)) if len(step) else 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

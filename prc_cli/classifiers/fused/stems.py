@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
-from prc_cli.classifiers.fused.terrain import Plane
+from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, F64, Mask

@@ -2,40 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
+from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.types import F32, F64
-
-_TURN = 2 * np.pi
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plane:
-    """Where the beams of a scanner point within its scan plane."""
-
-    sine: F64
-    """(M,) float64, metres to the side for every metre of range."""
-    cosine: F64
-    """(M,) float64, metres down for every metre of range."""
-    step_rad: float
-    """Angle between neighbouring columns, in the middle [rad]."""
-
-    @classmethod
-    def of(cls, beam_rad: F64) -> Plane:
-        """Return the plane of beams, (M,) float64, given by their angles from straight down [rad].
-
-        >>> Plane.of(np.deg2rad([179.0, -179.0, -177.0])).step_rad.__round__(4)
-        0.0349
-        """
-        step = np.abs(np.diff(beam_rad))
-        step = np.minimum(step, np.abs(_TURN - step))
-        return cls(np.sin(beam_rad), np.cos(beam_rad), float(np.median(step)) if len(step) else 0.0)
+from prc_cli.core.types import F32
 
 
 class TerrainParams(Params):

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from prc_cli.classifiers.blocks import WHERE, check_block
 from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.components import Components, ComponentsParams, Joined, identify, join
 from prc_cli.classifiers.prc.forest import ForestParams, forest
@@ -306,15 +307,8 @@ def draw(seen: Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:
 
 def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: PrcParams) -> None:
     """Refuse what cannot be the next block of the stream."""
-    where = "block of ranges"
-    for array in (range_m,) if next_m is None else (range_m, next_m):
-        if array.ndim != 2 or array.shape[1] != width:
-            problem = f"found an array of shape {array.shape}, expected (lines, {width}) as the stream began"
-            raise InputError(where, problem, "check points_per_line")
-    n_lines = range_m.shape[0]
-    if not 1 <= n_lines <= params.lines_per_block:
-        problem = f"found {n_lines} lines, expected 1 to {params.lines_per_block}"
-        raise InputError(where, problem, "cut the stream into blocks of prc.lines_per_block lines")
+    key = "prc.lines_per_block"
+    check_block(range_m, next_m, width, params.lines_per_block, columns=" as the stream began", key=key)
     if range_m.size >= 2**31:
-        problem = f"found {n_lines} x {width} shots, expected fewer than 2^31"
-        raise InputError(where, problem, "lower prc.lines_per_block")
+        problem = f"found {len(range_m)} x {width} shots, expected fewer than 2^31"
+        raise InputError(WHERE, problem, f"lower {key}")

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from prc_cli.classifiers.fused.forest import ForestParams, forest
+from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.classifiers.fused.stems import StemsParams, find_stems
-from prc_cli.classifiers.fused.terrain import Plane, TerrainParams, heights_over_ground
+from prc_cli.classifiers.fused.terrain import TerrainParams, heights_over_ground
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, F64, U8

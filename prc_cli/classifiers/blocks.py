@@ -1,0 +1,42 @@
+"""What classifiers that work on blocks of k lines ask of a block, whichever they are."""
+
+from __future__ import annotations
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F32
+
+WHERE = "block of ranges"
+
+
+def check_block(
+    range_m: F32, next_m: F32 | None, points_per_line: int, lines_per_block: int, *, columns: str, key: str
+) -> None:
+    """Refuse what cannot be the next block of a stream.
+
+    Parameters
+    ----------
+    range_m : (lines, M) float32, metres
+        The block.
+    next_m : (lines, M) float32, metres, optional
+        The lines that follow.
+    points_per_line : int
+        M.
+    lines_per_block : int
+        k, most lines of a block.
+    columns : str
+        What says that a line has M columns, for the message.
+    key : str
+        The parameter that holds k, for the message.
+
+    Raises
+    ------
+    InputError
+        When the block is empty, too long or of another width.
+    """
+    for array in (range_m,) if next_m is None else (range_m, next_m):
+        if array.ndim != 2 or array.shape[1] != points_per_line:
+            problem = f"found an array of shape {array.shape}, expected (lines, {points_per_line}){columns}"
+            raise InputError(WHERE, problem, "check points_per_line")
+    if not 1 <= len(range_m) <= lines_per_block:
+        problem = f"found {len(range_m)} lines, expected 1 to {lines_per_block}"
+        raise InputError(WHERE, problem, f"cut the stream into blocks of {key} lines")

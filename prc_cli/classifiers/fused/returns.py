@@ -1,0 +1,37 @@
+"""Further returns: they take the label of the shot around them, but a leaf's are leaves."""
+
+from __future__ import annotations
+
+from prc_cli.classifiers.returns import label_extra_returns
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8
+
+
+def label_further_returns(range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, limit_m: float) -> U8:
+    """Label returns beside the one that stands for the shot.
+
+    Light that passes by a leaf meets the next leaf, which may be on its own: it is no noise.
+
+    Parameters
+    ----------
+    range_m, labels, line, column, range_m_extra
+        As for :func:`prc_cli.classifiers.returns.label_extra_returns`.
+    limit_m : float, metres
+        The shot that a return takes its label from is as near in range, in its line and in those around.
+
+    Returns
+    -------
+    (n,) uint8
+        :class:`prc_cli.core.classes.Label` of every further return.
+
+    Examples
+    --------
+    >>> image = np.array([[6.0, 6.1, 20.0]], dtype=np.float32)
+    >>> labels = np.array([[Label.VEGETATION, Label.VEGETATION, Label.BUILDING]], dtype=np.uint8)
+    >>> own = np.zeros(2, np.int32), np.array([0, 2], np.int32), np.array([9.0, 30.0], np.float32)
+    >>> [Label(label).name for label in label_further_returns(image, labels, *own, 0.3)]
+    ['VEGETATION', 'NOISE']
+    """
+    found = label_extra_returns(range_m, labels, line, column, range_m_extra, limit_m, limit_m)
+    found[(labels[line, column] == Label.VEGETATION) & (found == Label.NOISE)] = Label.VEGETATION
+    return found
