@@ -29,15 +29,8 @@ from prc_cli.readers.records import RecordSource
 from prc_cli.writers.las_copy import copy_las, read_las
 from prc_cli.writers.record import RunRecord, fingerprint, record_path
 from prc_cli.writers.record_values import RecordValues
-from prc_cli.writers.streams import (
-    NO_CODE,
-    StreamItem,
-    StreamShape,
-    check_stream_output,
-    open_stream_writer,
-    outputs_of,
-    stream_suffix,
-)
+from prc_cli.writers.stream_base import NO_CODE, StreamItem, StreamShape
+from prc_cli.writers.streams import check_stream_output, open_stream_writer, outputs_of, stream_suffix
 
 XYZ = ("x", "y", "z")
 _LAS = (".las", ".laz")

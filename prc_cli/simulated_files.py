@@ -30,14 +30,8 @@ from prc_cli.simulation.trajectory import Trajectory
 from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write_trajectory
 from prc_cli.writers.record import ClassCount, Fingerprint, RunRecord
 from prc_cli.writers.straight import StraightCodes
-from prc_cli.writers.streams import (
-    StreamItem,
-    StreamShape,
-    check_stream_output,
-    open_stream_writer,
-    outputs_of,
-    stream_suffix,
-)
+from prc_cli.writers.stream_base import StreamItem, StreamShape
+from prc_cli.writers.streams import check_stream_output, open_stream_writer, outputs_of, stream_suffix
 
 _BESIDE = (".npy", ".bin", ".e57")
 """Outputs whose classes cannot be held, or not compared: they stand in a file beside."""

@@ -41,7 +41,8 @@ from prc_cli.writers.las_copy import check_copied, copy_las, read_las
 from prc_cli.writers.record import RunRecord, record_path
 from prc_cli.writers.record_values import RecordValues
 from prc_cli.writers.spool import Spool
-from prc_cli.writers.streams import NO_CODE, StreamItem, open_stream_writer, outputs_of, stream_suffix
+from prc_cli.writers.stream_base import NO_CODE, StreamItem
+from prc_cli.writers.streams import open_stream_writer, outputs_of, stream_suffix
 
 CLASSIFY = "classify"
 """Labels: those that the classifier gives on the way."""

@@ -12,7 +12,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ExtraReturns
 from prc_cli.core.types import F64, I32, I64, Mask
 from prc_cli.thinning.rules import ThinRule
-from prc_cli.writers.streams import NO_CODE, StreamItem
+from prc_cli.writers.stream_base import NO_CODE, StreamItem
 
 _GOLDEN = 0.618
 """Shift of the pattern from line to line, as a share of its period: no stripes."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.types import F64
 from prc_cli.writers.straight import npy_header
-from prc_cli.writers.streams import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.writers.stream_base import StagedStreamWriter, StreamItem, StreamShape
 
 COPY_BYTES = 1 << 20
 _EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import F64, I64
+from prc_cli.writers.stream_base import StagedStreamWriter, StreamItem, StreamShape
 from prc_cli.writers.stream_tables import number_returns
-from prc_cli.writers.streams import StagedStreamWriter, StreamItem, StreamShape
 
 POINTS_AT_ONCE = 1 << 17
 """Points that are handed to the library together."""

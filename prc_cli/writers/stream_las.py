@@ -13,7 +13,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import I64, U8
 from prc_cli.writers.las_build import LasBuilder, Returns, gather_returns
 from prc_cli.writers.options import OutputConfig
-from prc_cli.writers.streams import NO_CODE, StreamItem, StreamShape
+from prc_cli.writers.stream_base import NO_CODE, StreamItem, StreamShape
 
 OFFSET_STEP_M = 1000.0
 """Registered coordinates are kept relative to a whole multiple of this [m]."""
@@ -40,7 +40,7 @@ class LasStream(LasBuilder):
         return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {unknown}",)
 
     def add_item(self, item: StreamItem) -> None:
-        """Take a block (see :class:`prc_cli.writers.streams.StreamWriter`)."""
+        """Take a block (see :class:`prc_cli.writers.stream_base.StreamWriter`)."""
         block = item.block
         self._item = item
         if item.registered_m is not None and not self._has_offset:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.types import F64
-from prc_cli.writers.streams import StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.writers.stream_base import StagedStreamWriter, StreamItem, StreamShape
 
 EVEN_RAD = 1e-10
 """Angles that are this close to even steps are written as start and step [rad]."""

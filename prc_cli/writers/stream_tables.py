@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import I64
-from prc_cli.writers.streams import NO_CODE, StagedStreamWriter, StreamItem, StreamShape
+from prc_cli.writers.stream_base import NO_CODE, StagedStreamWriter, StreamItem, StreamShape
 
 ROWS_AT_ONCE = 1 << 17
 """Rows that are turned into columns together."""

@@ -16,7 +16,8 @@ from prc_cli.pipeline import open_stream
 from prc_cli.readers.regroup import join
 from prc_cli.writers import stream_e57
 from prc_cli.writers.record import Fingerprint, RunRecord
-from prc_cli.writers.streams import StreamItem, StreamShape, open_stream_writer
+from prc_cli.writers.stream_base import StreamItem, StreamShape
+from prc_cli.writers.streams import open_stream_writer
 from tests.readers.organised_files import grid_points, ptx_scan, write_text
 
 M = 40
