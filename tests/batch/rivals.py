@@ -1,7 +1,9 @@
 """Processes that fight for one lock and drop dead in the middle of it; a script of its own, because it forks.
 
-``python rivals.py FOLDER SEED LIVES KINDS`` prints what happened as JSON. Every step of a rival in the file system
-may be slow, and may be its last: it leaves with ``os._exit``, as a kill would make it.
+``python rivals.py FOLDER SEED LIVES INHERITED KINDS`` prints what happened as JSON. Every step of a rival in the file
+system may be slow, and may be its last: it leaves with ``os._exit``, as a kill would make it. There are at least so
+many lives, and as many more as it takes until so many locks of dead rivals were inherited: how often that happens in
+a number of lives depends on who is scheduled when.
 """
 
 from __future__ import annotations
@@ -26,34 +28,43 @@ DEATH = 0.01
 """Chance that a step is the last."""
 DEATH_INSIDE = 0.4
 """Chance to die while the lock is held."""
+DIED = 9
+"""Exit code of a rival that dropped dead."""
+MOST_LIVES = 20_000
+"""Locks that are not inherited in so many are never inherited: every fifth life or so ends with the lock held."""
 
 
 def main() -> None:
-    folder, seed, all_lives = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
-    kinds = [None if kind == "whole" else Shard.parse(kind) for kind in sys.argv[4].split(",")]
+    folder, seed, n_wanted, n_inherited = Path(sys.argv[1]), *map(int, sys.argv[2:5])
+    kinds = [None if kind == "whole" else Shard.parse(kind) for kind in sys.argv[5].split(",")]
     subject.ATTEMPT_PAUSE_S, subject.CONFLICT_PAUSE_S = 0.002, 0.01
     (folder / "inside").mkdir()
+    log = folder / "log"
+    log.touch()
     running: set[int] = set()
-    n_lives = 0
-    while n_lives < all_lives or running:
-        while len(running) < N_RIVALS and n_lives < all_lives:
+    n_lives = n_failed = 0
+    goes_on = True
+    while goes_on or running:
+        while goes_on and len(running) < N_RIVALS:
             n_lives += 1
             pid = os.fork()
             if pid == 0:
                 _live(folder, random.Random(seed * 100_003 + n_lives), kinds)
                 os._exit(0)
             running.add(pid)
-        pid, _ = os.wait()
+        pid, status = os.wait()
         running.discard(pid)
-    words = [word for path in (folder / "log").iterdir() for word in path.read_text().split()]
-    counts = Counter(words)
+        for mark in (folder / "inside").glob(f"{pid}.*"):  # its number may be given again
+            mark.unlink()
+        n_failed += os.waitstatus_to_exitcode(status) not in (0, DIED)
+        goes_on = n_lives < n_wanted or (log.read_text().count("inherited") < n_inherited and n_lives < MOST_LIVES)
+    counts = Counter(log.read_text().split())
     left = [name for name in os.listdir(folder / ".prc") if "heir" in name]
-    sys.stdout.write(json.dumps({**counts, "lives": n_lives, "heirs left": len(left)}))
+    sys.stdout.write(json.dumps({**counts, "lives": n_lives, "failed": n_failed, "heirs left": len(left)}))
 
 
 def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
-    (folder / "log").mkdir(exist_ok=True)
-    log = (folder / "log" / str(os.getpid())).open("a", buffering=1)
+    log = (folder / "log").open("a", buffering=1)
     kind = rng.choice(kinds)
 
     def step(death: float = DEATH) -> None:
@@ -63,7 +74,7 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
             time.sleep(rng.random() * 0.02)
         if rng.random() < death:
             log.write("died\n")
-            os._exit(9)
+            os._exit(DIED)
 
     for name in ("_read", "_link", "_write", "_judge", "_chain"):
         setattr(subject, name, _with_steps(getattr(subject, name), step))
@@ -75,7 +86,7 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
         try:
             with Lock(folder / ".prc", kind) as lock:
                 log.write("inherited\n" if lock.inherited_from else "entered\n")
-                mark = folder / "inside" / f"{os.getpid()}.{'whole' if kind is None else kind.count}"
+                mark = folder / "inside" / f"{os.getpid()}.{_word(kind)}"
                 mark.touch()
                 for other in (folder / "inside").iterdir():
                     if other != mark and _alive(int(other.name.split(".")[0])) and _excludes(mark, other):
@@ -99,12 +110,13 @@ def _with_steps(function, step):  # type: ignore[no-untyped-def]
     return stepped
 
 
+def _word(kind: Shard | None) -> str:
+    return "whole" if kind is None else f"{kind.index}-of-{kind.count}"
+
+
 def _excludes(mark: Path, other: Path) -> bool:
-    return mark.suffix != other.suffix or mark.suffix == ".whole" or SAME_SHARD
-
-
-SAME_SHARD = len(sys.argv) > 4 and len(set(sys.argv[4].split(","))) == 1
-"""With one kind only, nobody else may be inside at all."""
+    """Tell whether two that are inside may not be: all but two different shards of one division."""
+    return mark.suffix == other.suffix or mark.suffix.partition("-")[2] != other.suffix.partition("-")[2]
 
 
 def _alive(pid: int) -> bool:

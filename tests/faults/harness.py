@@ -184,6 +184,12 @@ class Batch:
         return time.monotonic() - begun
 
 
+def hooked(variable: str, value: str) -> dict[str, str]:
+    """Return what a run needs in its environment that ``steps/sitecustomize.py`` is to disturb."""
+    path = os.pathsep.join([str(Path(__file__).parent / "steps"), os.environ.get("PYTHONPATH", "")])
+    return {variable: value, "PYTHONPATH": path}
+
+
 def tree(out: Path) -> dict[str, bytes]:
     """Return every file under its final name, without our own folder and the summaries."""
     found = {}

@@ -8,12 +8,11 @@ the first thing that is not as it should be.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import tempfile
 from pathlib import Path
 
-from tests.faults.harness import Archive, Batch, check_nothing_half, check_whole, fresh, make_archive, part_of
+from tests.faults.harness import Archive, Batch, check_nothing_half, check_whole, fresh, hooked, make_archive, part_of
 
 NAMES = ("2026/day 1/drive.npz", "2026/day 2/drive.laz")
 
@@ -22,10 +21,7 @@ def run_to(archive: Archive, out: Path, strike_at: int, victims: str) -> tuple[B
     """Run until a step, 0 for none; return the run, ended, and how many steps there were."""
     counter = out.with_name("steps")
     counter.unlink(missing_ok=True)
-    environment = {
-        "PRC_FAULTS_STEPS": f"{out}|{counter}|{strike_at}|{victims}",
-        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent / "steps"), os.environ.get("PYTHONPATH", "")]),
-    }
+    environment = hooked("PRC_FAULTS_STEPS", f"{out}|{counter}|{strike_at}|{victims}")
     batch = Batch(archive.folder, out, archive.config, jobs=1, environment=environment)
     batch.end()
     batch.wait_until_gone()

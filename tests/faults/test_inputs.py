@@ -6,8 +6,6 @@ import contextlib
 import os
 import random
 import shutil
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +17,7 @@ from tests.faults.harness import (
     check_nothing_half,
     check_whole,
     entries,
+    hooked,
     part_of,
     parts,
     tree,
@@ -60,32 +59,14 @@ def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path,
     resume(few, out)
 
 
-@contextlib.contextmanager
-def growing(path: Path) -> Iterator[None]:
-    """Append to a file all the time, as a copy that is not complete; the last bytes are taken away at the end."""
-    size, stop = path.stat().st_size, threading.Event()
-
-    def grow() -> None:
-        with path.open("ab") as stream:
-            while not stop.wait(0.02):
-                stream.write(b"\0" * 100)
-                stream.flush()
-
-    thread = threading.Thread(target=grow)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join()
-        with path.open("rb+") as stream:
-            stream.truncate(size)
-
-
 def test_an_input_that_grows_while_it_is_read_is_not_done(few: Archive, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with growing(few.folder / LAST):
-        code, said = Batch(few.folder, out, few.config, jobs=1).end()
+    """As a copy that is not complete: it is longer whenever the run opens it again."""
+    out, path = tmp_path / "out", few.folder / LAST
+    size = path.stat().st_size
+    grows = hooked("PRC_FAULTS_GROWS", str(path))
+    code, said = Batch(few.folder, out, few.config, jobs=1, environment=grows).end()
+    assert path.stat().st_size > size
+    os.truncate(path, size)
     assert code == 1, said
     (line,) = failures(said)
     assert "changed while it was read" in line

@@ -1,6 +1,6 @@
 """Kills a process of a run just before its n-th step in the output folder; Python imports this module by its name.
 
-The steps of all processes of a run are counted in one file, a byte each.
+The steps of all processes of a run are counted in one file, a byte each. Or lets an input grow whenever a run opens it.
 """
 
 import os
@@ -27,6 +27,18 @@ def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
     sys.addaudithook(step)
 
 
+def _let_grow(path: str) -> None:
+    def grow(event: str, arguments: tuple[object, ...]) -> None:
+        if event != "open" or not _is_below(path, arguments[0]):
+            return
+        if isinstance(arguments[2], int) and not arguments[2] & (os.O_WRONLY | os.O_RDWR):
+            handle = os.open(path, os.O_WRONLY | os.O_APPEND)
+            os.write(handle, bytes(100))
+            os.close(handle)
+
+    sys.addaudithook(grow)
+
+
 def _is_below(out: str, argument: object) -> bool:
     if isinstance(argument, bytes):
         argument = os.fsdecode(argument)
@@ -38,3 +50,5 @@ def _is_below(out: str, argument: object) -> bool:
 if "PRC_FAULTS_STEPS" in os.environ:
     _out, _counter, _strike_at, _victims = os.environ["PRC_FAULTS_STEPS"].split("|")
     _install(_out, _counter, int(_strike_at), _victims)
+if "PRC_FAULTS_GROWS" in os.environ:
+    _let_grow(os.environ["PRC_FAULTS_GROWS"])
