@@ -59,19 +59,19 @@ def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path,
     resume(few, out)
 
 
-def test_an_input_that_grows_while_it_is_read_is_not_done(few: Archive, tmp_path: Path) -> None:
-    """As a copy that is not complete: it is longer whenever the run opens it again."""
+def test_inputs_that_change_while_they_are_read_are_not_done(few: Archive, tmp_path: Path) -> None:
+    """As copies that are not complete: whenever the run opens them again one is longer, the other one is younger."""
     out, path = tmp_path / "out", few.folder / LAST
     size = path.stat().st_size
-    grows = hooked("PRC_FAULTS_GROWS", str(path))
-    code, said = Batch(few.folder, out, few.config, jobs=1, environment=grows).end()
+    change = hooked("PRC_FAULTS_CHANGE", os.pathsep.join([str(path), str(few.folder / FIRST)]))
+    code, said = Batch(few.folder, out, few.config, jobs=1, environment=change).end()
+    assert code == 1, said
+    changed = [line.partition(" failed ")[2].partition(";")[0] for line in failures(said)]
+    assert changed == [f"{name}: changed while it was read" for name in (FIRST, LAST)], said
     assert path.stat().st_size > size
     os.truncate(path, size)
-    assert code == 1, said
-    (line,) = failures(said)
-    assert "changed while it was read" in line
     check_nothing_half(few, out)
-    assert LAST not in tree(out)
+    assert not {FIRST, LAST} & set(tree(out))
     resume(few, out)
 
 

@@ -1,11 +1,12 @@
 """Kills a process of a run just before its n-th step in the output folder; Python imports this module by its name.
 
-The steps of all processes of a run are counted in one file, a byte each. Or lets an input grow whenever a run opens it.
+The steps of all processes of a run are counted in one file, a byte each. Or changes inputs whenever a run opens them.
 """
 
 import os
 import signal
 import sys
+from pathlib import Path
 
 _EVENTS = {"os.rename", "os.remove", "os.link", "os.mkdir", "os.utime", "os.truncate", "open", "sqlite3.connect"}
 
@@ -27,16 +28,22 @@ def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
     sys.addaudithook(step)
 
 
-def _let_grow(path: str) -> None:
-    def grow(event: str, arguments: tuple[object, ...]) -> None:
-        if event != "open" or not _is_below(path, arguments[0]):
+def _let_change(paths: list[str]) -> None:
+    def change(event: str, arguments: tuple[object, ...]) -> None:
+        if event != "open" or not isinstance(arguments[2], int) or arguments[2] & (os.O_WRONLY | os.O_RDWR):
             return
-        if isinstance(arguments[2], int) and not arguments[2] & (os.O_WRONLY | os.O_RDWR):
-            handle = os.open(path, os.O_WRONLY | os.O_APPEND)
-            os.write(handle, bytes(100))
-            os.close(handle)
+        for path in paths:
+            if not _is_below(path, arguments[0]):
+                continue
+            if path.endswith(".npz"):  # with bytes behind its end it would be damaged
+                then = Path(path).stat().st_mtime_ns + 1_000_000_000
+                os.utime(path, ns=(then, then))
+            else:
+                handle = os.open(path, os.O_WRONLY | os.O_APPEND)
+                os.write(handle, bytes(100))
+                os.close(handle)
 
-    sys.addaudithook(grow)
+    sys.addaudithook(change)
 
 
 def _is_below(out: str, argument: object) -> bool:
@@ -50,5 +57,5 @@ def _is_below(out: str, argument: object) -> bool:
 if "PRC_FAULTS_STEPS" in os.environ:
     _out, _counter, _strike_at, _victims = os.environ["PRC_FAULTS_STEPS"].split("|")
     _install(_out, _counter, int(_strike_at), _victims)
-if "PRC_FAULTS_GROWS" in os.environ:
-    _let_grow(os.environ["PRC_FAULTS_GROWS"])
+if "PRC_FAULTS_CHANGE" in os.environ:
+    _let_change(os.environ["PRC_FAULTS_CHANGE"].split(os.pathsep))
