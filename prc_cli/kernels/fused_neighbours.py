@@ -1,8 +1,8 @@
 """Loops over shots and their neighbours in the scan plane, for the fused classifier: company, smoothness, direction.
 
-Most read the *window* of a block: its lines with :data:`LINES` more before and after it, and :data:`COLUMNS` columns
-more on either side, NaN where there is nothing. So neighbours are plain shifts, and a comparison with what is not there
-is false.
+Company and smoothness read the *window* of a block: its lines with :data:`LINES` more before and after it. A line's
+points are laid out with :data:`COLUMNS` columns of NaN on either side. So neighbours are plain shifts, and a comparison
+with what is not there is false.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ PAD = MOST_COLUMNS + 2
 """Columns of nothing beside a line in which chords may end."""
 
 
-@kernel("UniTuple(float32[:, ::1], 2)(float32[:, ::1], float32[::1], float32[::1], int64)")
-def plane_points(range_m: F32, sine: F32, cosine: F32, margin: int) -> tuple[F32, F32]:
+@kernel("UniTuple(float32[:, ::1], 2)(float32[:, ::1], float32[::1], float32[::1])")
+def plane_points(range_m: F32, sine: F32, cosine: F32) -> tuple[F32, F32]:
     """Turn ranges into points of the scan plane.
 
     Parameters
@@ -36,85 +36,113 @@ def plane_points(range_m: F32, sine: F32, cosine: F32, margin: int) -> tuple[F32
         NaN = missing.
     sine, cosine : (M,) float32
         Of every column's beam from straight down.
-    margin : int
-        Columns of NaN to put on either side.
 
     Returns
     -------
-    side_m, height_m : (lines, M + 2 margin) float32, metres
+    side_m, height_m : (lines, M) float32, metres
         Beside and above the scanner.
     """
     n_lines, m = range_m.shape
-    side = np.full((n_lines, m + 2 * margin), np.float32(np.nan), np.float32)
-    height = np.full((n_lines, m + 2 * margin), np.float32(np.nan), np.float32)
+    side = np.empty((n_lines, m), np.float32)
+    height = np.empty((n_lines, m), np.float32)
     for line in range(n_lines):
-        own = range_m[line]
-        y, z = side[line, margin : margin + m], height[line, margin : margin + m]
+        own, y, z = range_m[line], side[line], height[line]
         for i in range(m):
             y[i] = own[i] * sine[i]
             z[i] = -(own[i] * cosine[i])
     return side, height
 
 
-@inlined
-def _is_near(dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32) -> np.uint8:
-    """Tell whether two points are close, or on one level or upright surface, which may be met at grazing incidence."""
-    a, b = abs(dy), abs(dz)
-    low, high = min(a, b), max(a, b)
-    return np.uint8((high < near) | ((low < thin) & (high < along)))
+@helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line between its margins, as :func:`plane_points` has them."""
+    sine, cosine = beams
+    m = len(ranges)
+    y, z = side[COLUMNS : COLUMNS + m], height[COLUMNS : COLUMNS + m]
+    for i in range(m):
+        y[i] = ranges[i] * sine[i]
+        z[i] = -(ranges[i] * cosine[i])
 
 
 @helper
-def _count_beside(
-    own: tuple[F32, F32], line: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float32, row: U8
-) -> None:
-    """Add the near neighbours of the shots of a line among the four on either side; the line has margins."""
+def _margins(m: int) -> F32:
+    """Return room for the points of as many lines as are looked at together, NaN in the margins."""
+    rows = np.empty((2 * LINES + 1, m + 2 * COLUMNS), np.float32)
+    for row in range(2 * LINES + 1):
+        for i in range(COLUMNS):
+            rows[row, i] = rows[row, m + COLUMNS + i] = np.float32(np.nan)
+    return rows
+
+
+@inlined
+def _is_near(dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32) -> np.uint8:
+    """Tell whether two points are close, or on one level or upright surface, which may be met at grazing incidence.
+
+    ``along`` is not less than ``near``.
+    """
+    a, b = abs(dy), abs(dz)
+    return np.uint8(max(a, b) < (along if min(a, b) < thin else near))
+
+
+@helper
+def _count_beside(own: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float32, row: U8) -> None:
+    """Count the near neighbours of the shots of a line, which has margins, among the four on either side."""
     y, z = own
-    other_y, other_z = line
     near, along = limits
     for i in range(len(row)):
-        a, b, short, long = y[i], z[i], near[i], along[i]
-        row[i] += (
-            _is_near(other_y[i] - a, other_z[i] - b, short, thin, long)
-            + _is_near(other_y[i + 1] - a, other_z[i + 1] - b, short, thin, long)
-            + _is_near(other_y[i + 2] - a, other_z[i + 2] - b, short, thin, long)
-            + _is_near(other_y[i + 3] - a, other_z[i + 3] - b, short, thin, long)
-            + _is_near(other_y[i + 5] - a, other_z[i + 5] - b, short, thin, long)
-            + _is_near(other_y[i + 6] - a, other_z[i + 6] - b, short, thin, long)
-            + _is_near(other_y[i + 7] - a, other_z[i + 7] - b, short, thin, long)
-            + _is_near(other_y[i + 8] - a, other_z[i + 8] - b, short, thin, long)
+        a, b, short, long = y[i + 4], z[i + 4], near[i], along[i]
+        row[i] = (
+            _is_near(y[i] - a, z[i] - b, short, thin, long)
+            + _is_near(y[i + 1] - a, z[i + 1] - b, short, thin, long)
+            + _is_near(y[i + 2] - a, z[i + 2] - b, short, thin, long)
+            + _is_near(y[i + 3] - a, z[i + 3] - b, short, thin, long)
+            + _is_near(y[i + 5] - a, z[i + 5] - b, short, thin, long)
+            + _is_near(y[i + 6] - a, z[i + 6] - b, short, thin, long)
+            + _is_near(y[i + 7] - a, z[i + 7] - b, short, thin, long)
+            + _is_near(y[i + 8] - a, z[i + 8] - b, short, thin, long)
         )
 
 
 @helper
 def _count_across(
-    own: tuple[F32, F32], line: tuple[F32, F32], limits: tuple[F32, F32], thin: np.float32, row: U8
+    own: tuple[F32, F32],
+    line: tuple[F32, F32],
+    other: tuple[F32, F32],
+    limits: tuple[F32, F32],
+    thin: np.float32,
+    row: U8,
 ) -> None:
-    """Add the near neighbours of the shots of a line among five of another line, which has margins."""
+    """Add the near neighbours of the shots of a line among five of two other lines each; all have margins."""
     y, z = own
-    other_y, other_z = line
+    y1, z1 = line
+    y2, z2 = other
     near, along = limits
     for i in range(len(row)):
-        a, b, short, long = y[i], z[i], near[i], along[i]
+        a, b, short, long = y[i + 4], z[i + 4], near[i], along[i]
         row[i] += (
-            _is_near(other_y[i + 2] - a, other_z[i + 2] - b, short, thin, long)
-            + _is_near(other_y[i + 3] - a, other_z[i + 3] - b, short, thin, long)
-            + _is_near(other_y[i + 4] - a, other_z[i + 4] - b, short, thin, long)
-            + _is_near(other_y[i + 5] - a, other_z[i + 5] - b, short, thin, long)
-            + _is_near(other_y[i + 6] - a, other_z[i + 6] - b, short, thin, long)
+            _is_near(y1[i + 2] - a, z1[i + 2] - b, short, thin, long)
+            + _is_near(y1[i + 3] - a, z1[i + 3] - b, short, thin, long)
+            + _is_near(y1[i + 4] - a, z1[i + 4] - b, short, thin, long)
+            + _is_near(y1[i + 5] - a, z1[i + 5] - b, short, thin, long)
+            + _is_near(y1[i + 6] - a, z1[i + 6] - b, short, thin, long)
+            + _is_near(y2[i + 2] - a, z2[i + 2] - b, short, thin, long)
+            + _is_near(y2[i + 3] - a, z2[i + 3] - b, short, thin, long)
+            + _is_near(y2[i + 4] - a, z2[i + 4] - b, short, thin, long)
+            + _is_near(y2[i + 5] - a, z2[i + 5] - b, short, thin, long)
+            + _is_near(y2[i + 6] - a, z2[i + 6] - b, short, thin, long)
         )
 
 
-@kernel("uint8[:, ::1](float32[:, ::1], float32[:, ::1], float32[:, ::1], float32, float32[::1])")
-def near_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figures: F32) -> U8:
+@kernel("uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, float32[::1])")
+def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
     """Count the neighbours that a shot has in space: of 8 in its own line and 20 in the two lines before and after.
 
     Parameters
     ----------
     range_m : (lines + 4, M) float32, metres
-        The window without its margins.
-    side_m, height_m : (lines + 4, M + 8) float32, metres
-        The window of :func:`plane_points`.
+        The window.
+    sine, cosine : (M,) float32
+        Of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
     figures : (5,) float32
@@ -132,18 +160,25 @@ def near_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figu
     along_m, along_steps = figures[ALONG_M], figures[ALONG_STEPS]
     counts = np.empty((n_lines, m), np.uint8)
     near, along = np.empty(m, np.float32), np.empty(m, np.float32)
-    for line in range(n_lines):
-        k = line + LINES
-        own, row = range_m[k], counts[line]
+    # lines take turns in it, each while it is near enough
+    side, height = _margins(m), _margins(m)
+    room = 2 * LINES + 1
+    for line in range(range_m.shape[0]):
+        _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
+        if line < 2 * LINES:
+            continue
+        own = range_m[line - LINES]
         for i in range(m):
             apart = own[i] * step
-            near[i] = max(near_m, near_steps * apart)
-            along[i] = max(along_m, along_steps * apart)
-            row[i] = np.uint8(0)
-        y, z = side_m[k, COLUMNS : COLUMNS + m], height_m[k, COLUMNS : COLUMNS + m]
-        _count_beside((y, z), (side_m[k], height_m[k]), (near, along), thin, row)
-        for away in (-2, -1, 1, 2):
-            _count_across((y, z), (side_m[k + away], height_m[k + away]), (near, along), thin, row)
+            short = max(near_m, near_steps * apart)
+            near[i] = short
+            along[i] = max(max(along_m, along_steps * apart), short)
+        row = counts[line - 2 * LINES]
+        a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
+        points = side[c], height[c]
+        _count_beside(points, (near, along), thin, row)
+        _count_across(points, (side[a], height[a]), (side[b], height[b]), (near, along), thin, row)
+        _count_across(points, (side[d], height[d]), (side[e], height[e]), (near, along), thin, row)
     return counts
 
 
@@ -175,8 +210,49 @@ def _between(
     return np.uint8(dy * dy + dz * dz < np.float32(4.0) * tolerance)
 
 
-@kernel("uint8[:, ::1](float32[:, ::1], float32[:, ::1], float32[:, ::1], float32, float32[::1])")
-def smooth_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figures: F32) -> U8:
+@helper
+def _pairs_in_line(ranges: F32, side: F32, height: F32, step: np.float32, figures: F32, row: U8) -> None:
+    """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
+    base, per_m, gap_m, gap_steps = figures[0], figures[1], figures[2], figures[3]
+    for i in range(len(row)):
+        tolerance = base + per_m * ranges[i]
+        tolerance = tolerance * tolerance
+        gap = max(gap_m, gap_steps * (ranges[i] * step))
+        gap = gap * gap
+        y1, y2, y, y3, y4 = side[i + 2], side[i + 3], side[i + 4], side[i + 5], side[i + 6]
+        z1, z2, z, z3, z4 = height[i + 2], height[i + 3], height[i + 4], height[i + 5], height[i + 6]
+        row[i] = (
+            _on_line(y2, z2, y3, z3, y, z, tolerance, gap)
+            + _on_line(y1, z1, y4, z4, y, z, tolerance, gap)
+            + _on_line(y1, z1, y2, z2, y, z, tolerance, gap)
+            + _on_line(y3, z3, y4, z4, y, z, tolerance, gap)
+            + _on_line(y2, z2, y4, z4, y, z, tolerance, gap)
+            + _on_line(y1, z1, y3, z3, y, z, tolerance, gap)
+        )
+
+
+@helper
+def _pairs_across(
+    ranges: F32, lines: tuple[F32, F32, F32, F32, F32], heights: tuple[F32, F32, F32, F32, F32], figures: F32, row: U8
+) -> None:
+    """Add the pairs of shots before and after a line that its shots lie in the middle between; all have margins."""
+    base, per_m = figures[0], figures[1]
+    ya, yb, own_y, yd, ye = lines
+    za, zb, own_z, zd, ze = heights
+    for i in range(len(row)):
+        tolerance = base + per_m * ranges[i]
+        tolerance = tolerance * tolerance
+        y, z = own_y[i + 4], own_z[i + 4]
+        row[i] += (
+            _between(yb[i + 4], zb[i + 4], yd[i + 4], zd[i + 4], y, z, tolerance)
+            + _between(yb[i + 5], zb[i + 5], yd[i + 3], zd[i + 3], y, z, tolerance)
+            + _between(yb[i + 3], zb[i + 3], yd[i + 5], zd[i + 5], y, z, tolerance)
+            + _between(ya[i + 4], za[i + 4], ye[i + 4], ze[i + 4], y, z, tolerance)
+        )
+
+
+@kernel("uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, float32[::1])")
+def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
     """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
 
     In the line, a shot must lie on the straight line through the pair; across lines, whose distance is not known, in
@@ -185,7 +261,7 @@ def smooth_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, fi
     Parameters
     ----------
     range_m : (lines + 4, M) float32, metres
-    side_m, height_m : (lines + 4, M + 8) float32, metres
+    sine, cosine : (M,) float32
         As for :func:`near_counts`.
     step : float32, radians
     figures : (4,) float32
@@ -199,38 +275,19 @@ def smooth_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, fi
     """
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
-    base, per_m, gap_m, gap_steps = figures[0], figures[1], figures[2], figures[3]
     counts = np.empty((n_lines, m), np.uint8)
-    c = COLUMNS
-    for line in range(n_lines):
-        k = line + LINES
-        own, row = range_m[k], counts[line]
-        y, z = side_m[k, c : c + m], height_m[k, c : c + m]
-        y1, z1 = side_m[k, c - 2 : c - 2 + m], height_m[k, c - 2 : c - 2 + m]
-        y2, z2 = side_m[k, c - 1 : c - 1 + m], height_m[k, c - 1 : c - 1 + m]
-        y3, z3 = side_m[k, c + 1 : c + 1 + m], height_m[k, c + 1 : c + 1 + m]
-        y4, z4 = side_m[k, c + 2 : c + 2 + m], height_m[k, c + 2 : c + 2 + m]
-        for i in range(m):
-            tolerance = base + per_m * own[i]
-            tolerance = tolerance * tolerance
-            gap = max(gap_m, gap_steps * (own[i] * step))
-            gap = gap * gap
-            row[i] = (
-                _on_line(y2[i], z2[i], y3[i], z3[i], y[i], z[i], tolerance, gap)
-                + _on_line(y1[i], z1[i], y4[i], z4[i], y[i], z[i], tolerance, gap)
-                + _on_line(y1[i], z1[i], y2[i], z2[i], y[i], z[i], tolerance, gap)
-                + _on_line(y3[i], z3[i], y4[i], z4[i], y[i], z[i], tolerance, gap)
-                + _on_line(y2[i], z2[i], y4[i], z4[i], y[i], z[i], tolerance, gap)
-                + _on_line(y1[i], z1[i], y3[i], z3[i], y[i], z[i], tolerance, gap)
-            )
-        for pair in range(4):
-            away = 2 if pair == 3 else 1
-            shift = 0 if pair in (0, 3) else (1 if pair == 1 else -1)
-            ay, az = side_m[k - away, c + shift : c + shift + m], height_m[k - away, c + shift : c + shift + m]
-            by, bz = side_m[k + away, c - shift : c - shift + m], height_m[k + away, c - shift : c - shift + m]
-            for i in range(m):
-                tolerance = base + per_m * own[i]
-                row[i] += _between(ay[i], az[i], by[i], bz[i], y[i], z[i], tolerance * tolerance)
+    side, height = _margins(m), _margins(m)
+    room = 2 * LINES + 1
+    for line in range(range_m.shape[0]):
+        _lay_out(range_m[line], (sine, cosine), side[line % room], height[line % room])
+        if line < 2 * LINES:
+            continue
+        ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
+        a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
+        _pairs_in_line(ranges, side[c], height[c], step, figures, row)
+        lines = side[a], side[b], side[c], side[d], side[e]
+        heights = height[a], height[b], height[c], height[d], height[e]
+        _pairs_across(ranges, lines, heights, figures, row)
     return counts
 
 

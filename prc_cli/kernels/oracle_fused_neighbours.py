@@ -13,16 +13,20 @@ PAIRS_ACROSS = (((-1, 0), (1, 0)), ((-1, 1), (1, -1)), ((-1, -1), (1, 1)), ((-2,
 """Lines and columns away of the two shots of a pair."""
 
 
-def plane_points(range_m: F32, sine: F32, cosine: F32, margin: int) -> tuple[F32, F32]:
+def plane_points(range_m: F32, sine: F32, cosine: F32) -> tuple[F32, F32]:
     """Turn ranges into points; see :func:`prc_cli.kernels.fused_neighbours.plane_points`."""
-    width = ((0, 0), (margin, margin))
-    side, height = range_m * sine[None, :], -(range_m * cosine[None, :])
-    return np.pad(side, width, constant_values=np.nan), np.pad(height, width, constant_values=np.nan)
+    return range_m * sine[None, :], -(range_m * cosine[None, :])
 
 
-def near_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figures: F32) -> U8:
+def _with_margins(points: tuple[F32, F32]) -> tuple[F32, F32]:
+    side, height = (np.pad(one, ((0, 0), (4, 4)), constant_values=np.nan) for one in points)
+    return side, height
+
+
+def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
     """Count near neighbours; see :func:`prc_cli.kernels.fused_neighbours.near_counts`."""
     near_m, near_steps, thin, along_m, along_steps = figures
+    side_m, height_m = _with_margins(plane_points(range_m, sine, cosine))
     around = [(a, b) for a, b in product(range(-2, 3), range(-4, 5)) if (a, b) != (0, 0) and (a == 0 or abs(b) <= 2)]
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
@@ -39,10 +43,10 @@ def near_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figu
     return counts
 
 
-def smooth_counts(range_m: F32, side_m: F32, height_m: F32, step: np.float32, figures: F32) -> U8:
+def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
     """Count smooth pairs; see :func:`prc_cli.kernels.fused_neighbours.smooth_counts`."""
     base, per_m, gap_m, gap_steps = figures
-    points = np.stack([side_m, height_m], axis=-1)
+    points = np.stack(_with_margins(plane_points(range_m, sine, cosine)), axis=-1)
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
         y, x = line + 2, column + 4

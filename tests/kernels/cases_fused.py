@@ -12,7 +12,7 @@ from numpy.random import Generator
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels import fused_classes, fused_ground, fused_neighbours, fused_strips
 
-AROUND, INNER, MARGIN = 4, 2, 4
+AROUND, INNER = 4, 2
 
 
 @dataclass
@@ -30,12 +30,13 @@ class Street:
     def range_m(self) -> F32:
         return np.ascontiguousarray(self.window[INNER:-INNER])
 
-    def margins(self) -> tuple[F32, F32]:
-        side, height = fused_neighbours.plane_points(self.window, self.sine, self.cosine, MARGIN)
-        return side, height
+    @property
+    def seen(self) -> tuple[F32, F32, F32, np.float32]:
+        """What neighbours are counted by."""
+        return self.window, self.sine, self.cosine, self.step
 
     def points(self) -> tuple[F32, F32]:
-        side, height = (np.ascontiguousarray(one[INNER:-INNER, MARGIN:-MARGIN]) for one in self.margins())
+        side, height = fused_neighbours.plane_points(self.range_m, self.sine, self.cosine)
         return side, height
 
 
@@ -72,19 +73,19 @@ def figures(*values: float) -> F32:
 
 def points_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    return one.window, one.sine, one.cosine, int(rng.integers(0, 5))
+    return one.window, one.sine, one.cosine
 
 
 def near_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     chosen = figures(rng.choice([0.4, 0.125, 2.0]), rng.choice([0.0, 3.0]), 0.1, 1.0, rng.choice([0.0, 8.0]))
-    return one.window, *one.margins(), one.step, chosen
+    return *one.seen, chosen
 
 
 def smooth_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     chosen = figures(rng.choice([0.0, 0.006, 0.2]), rng.choice([0.0, 0.01]), rng.choice([0.4, 5.0]), 16.0)
-    return one.window, *one.margins(), one.step, chosen
+    return *one.seen, chosen
 
 
 def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
@@ -95,8 +96,8 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         for counts in (near, smooth, upright, level):
             counts[np.isnan(one.range_m)] = 0
         return near, smooth, upright, level
-    near = fused_neighbours.near_counts(one.window, *one.margins(), one.step, figures(0.4, 3, 0.1, 1, 8))
-    smooth = fused_neighbours.smooth_counts(one.window, *one.margins(), one.step, figures(0.006, 0.01, 0.4, 16))
+    near = fused_neighbours.near_counts(*one.seen, figures(0.4, 3, 0.1, 1, 8))
+    smooth = fused_neighbours.smooth_counts(*one.seen, figures(0.006, 0.01, 0.4, 16))
     chords = fused_neighbours.directions(one.range_m, *one.points(), smooth, one.step, figures(0.15, 0.35, 0.02, 2))
     return near, smooth, *chords
 

@@ -69,21 +69,19 @@ class Neighbours:
 
 
 @stage("company")
-def near_neighbours(window_m: F32, points: tuple[F32, F32], plane: ScanPlane, params: CompanyParams) -> U8:
+def near_neighbours(window_m: F32, plane: ScanPlane, params: CompanyParams) -> U8:
     """Count the near neighbours of every shot, in its own line and two lines before and after.
 
     Near is meant in space, so that a surface at grazing incidence, whose ranges differ by metres from shot to shot,
     keeps its shots together: they are on one level, or above each other.
     """
     figures = [params.near_m, params.near_steps, params.thin_m, params.along_m, params.along_steps]
-    counts: U8 = kernels.near_counts(window_m, *points, plane.step_rad, np.array(figures, np.float32))
+    counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, np.array(figures, np.float32))
     return counts
 
 
 @stage("smoothness")
-def smooth_pairs(
-    window_m: F32, points: tuple[F32, F32], plane: ScanPlane, noise_m: float, params: SmoothnessParams
-) -> U8:
+def smooth_pairs(window_m: F32, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
     """Count the pairs of neighbours that every shot is on a smooth surface with, in its line and across lines."""
     figures = [
         max(params.least_m, params.noise_sigmas * noise_m),
@@ -91,7 +89,9 @@ def smooth_pairs(
         params.gap_m,
         params.gap_steps,
     ]
-    counts: U8 = kernels.smooth_counts(window_m, *points, plane.step_rad, np.array(figures, np.float32))
+    counts: U8 = kernels.smooth_counts(
+        window_m, plane.sine, plane.cosine, plane.step_rad, np.array(figures, np.float32)
+    )
     return counts
 
 

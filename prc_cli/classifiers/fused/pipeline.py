@@ -10,6 +10,7 @@ need the block and five lines before and after it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -46,7 +47,6 @@ from prc_cli.classifiers.fused.plane import (
     Plane,
     ScanPlane,
     SensorParams,
-    inner,
     points_of,
     range_noise,
 )
@@ -167,21 +167,36 @@ def classify_block(range_m: F32, next_m: F32 | None, state: FusedState, params: 
     if params.environment == "forest":
         return FusedResult(forest(range_m, Plane.of(state.beam_rad), params.forest), after)
     plane = ScanPlane.of(state.beam_rad)
-    points = points_of(window, plane)
-    noise_m = range_noise(*points, params.sensor) if state.noise_m is None else state.noise_m
-    seen = _see(window, points, plane, noise_m, params)
-    ground, memory = _follow(seen, plane, state.memory, params)
-    return FusedResult(_decide(seen, ground, plane, params), replace(after, noise_m=noise_m, memory=memory))
+    noise_m, memory = _noise(state.noise_m, window, plane, params), state.memory
+
+    def walk(seen: _Seen) -> Ground:
+        nonlocal memory
+        ground, memory = _follow(seen, plane, memory, params)
+        return ground
+
+    labels = _label(window, plane, noise_m, walk, params)
+    return FusedResult(labels, replace(after, noise_m=noise_m, memory=memory))
 
 
-def _see(window: F32, points: tuple[F32, F32], plane: ScanPlane, noise_m: float, params: FusedParams) -> _Seen:
+def _label(window: F32, plane: ScanPlane, noise_m: float, walk: Callable[[_Seen], Ground], params: FusedParams) -> U8:
+    """Take a block through the stages; the walk along the ground is the caller's, who knows what was before."""
+    seen = _see(window, plane, noise_m, params)
+    return _decide(seen, walk(seen), plane, params)
+
+
+def _noise(known: float | None, window: F32, plane: ScanPlane, params: FusedParams) -> float:
+    """Measure the noise of the first block; it is that of all others."""
+    return range_noise(*points_of(window, plane), params.sensor) if known is None else known
+
+
+def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> _Seen:
     """Ask the neighbours: is a shot alone, on something smooth, and which way does that go."""
-    near = near_neighbours(window, points, plane, params.company)
-    smooth = smooth_pairs(window, points, plane, noise_m, params.smoothness)
+    near = near_neighbours(window, plane, params.company)
+    smooth = smooth_pairs(window, plane, noise_m, params.smoothness)
     range_m = window[INNER_LINES:-INNER_LINES]
-    own = (inner(points[0]), inner(points[1]))
-    upright, level = chords(range_m, own, smooth, plane, params.directions)
-    return _Seen(window, range_m, own, Neighbours(near, smooth, upright, level))
+    points = points_of(range_m, plane)
+    upright, level = chords(range_m, points, smooth, plane, params.directions)
+    return _Seen(window, range_m, points, Neighbours(near, smooth, upright, level))
 
 
 def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
@@ -256,12 +271,16 @@ class ParallelBlocks:
         params, plane = self._params, self._scan_plane
         if params.environment == "forest":
             return forest(job.range_m, self._plane, params.forest)
+
+        def measure(known: float | None) -> tuple[float, float]:
+            noise_m = _noise(known, job.window, plane, params)
+            return noise_m, noise_m
+
+        def walk(seen: _Seen) -> Ground:
+            return self._ground.take_turn(job.turn, lambda memory: _follow(seen, plane, memory, params))[0]
+
         try:
-            points = points_of(job.window, plane)
-            noise_m = self._noise.take_turn(job.turn, lambda known: _once(known, points, params.sensor))[0]
-            seen = _see(job.window, points, plane, noise_m, params)
-            ground = self._ground.take_turn(job.turn, lambda memory: _follow(seen, plane, memory, params))[0]
-            return _decide(seen, ground, plane, params)
+            return _label(job.window, plane, self._noise.take_turn(job.turn, measure)[0], walk, params)
         except BaseException:
             for relay in (self._noise, self._ground):
                 relay.give_up(job.turn)
@@ -275,12 +294,6 @@ class BlockJob:
     turn: int
     window: F32
     range_m: F32
-
-
-def _once(known: float | None, points: tuple[F32, F32], params: SensorParams) -> tuple[float, float | None]:
-    """Measure the noise of the first block; it is that of all others."""
-    noise_m = range_noise(*points, params) if known is None else known
-    return noise_m, noise_m
 
 
 def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:

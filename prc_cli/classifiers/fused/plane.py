@@ -22,8 +22,6 @@ WIDE_LINES = 2
 """Lines before and after a line whose strips and texture are put together with it."""
 VOTE_LINES = 1
 """Lines before and after a block whose labels have a vote."""
-MARGIN = 4
-"""Columns of nothing on either side of the points of the scan plane."""
 NORMAL_QUARTILE = 0.6745
 """Half of the values of a normal law are within so many standard deviations."""
 MIDDLE_OF_THREE = 1.5
@@ -102,27 +100,22 @@ class ScanPlane:
 
 
 @stage("scan plane")
-def points_of(window_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
-    """Return where the shots of a window are in the scan plane: to the side, and above the scanner.
+def points_of(range_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
+    """Return where shots are in the scan plane: to the side, and above the scanner.
 
     Parameters
     ----------
-    window_m : (lines, M) float32, metres
+    range_m : (lines, M) float32, metres
         NaN = missing.
     plane : ScanPlane
 
     Returns
     -------
-    side_m, height_m : (lines, M + 2 MARGIN) float32, metres
-        ``r sin(beam)`` and ``-r cos(beam)``, NaN in the margins.
+    side_m, height_m : (lines, M) float32, metres
+        ``r sin(beam)`` and ``-r cos(beam)``.
     """
-    side, height = kernels.plane_points(window_m, plane.sine, plane.cosine, MARGIN)
+    side, height = kernels.plane_points(range_m, plane.sine, plane.cosine)
     return side, height
-
-
-def inner(image: F32) -> F32:
-    """Cut the lines of which the neighbours are known out of a window with margins."""
-    return np.ascontiguousarray(image[INNER_LINES:-INNER_LINES, MARGIN:-MARGIN])
 
 
 @stage("range noise")

@@ -7,7 +7,6 @@ from prc_cli.kernels import fused_classes, fused_ground, fused_neighbours, fused
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:
-    assert plane.MARGIN == fused_neighbours.COLUMNS
     assert plane.INNER_LINES == fused_neighbours.LINES
     assert plane.WIDE_LINES == fused_strips.LINES == fused_classes.LINES
     assert plane.WIDE_LINES + plane.INNER_LINES == fused_classes.MARGIN
