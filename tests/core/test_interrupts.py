@@ -9,6 +9,7 @@ import pytest
 
 from prc_cli import kernels
 from prc_cli.core.interrupts import held, raise_or_hold
+from tests.patience import HANGS_S
 
 
 def test_outside_it_is_raised_at_once() -> None:
@@ -52,12 +53,12 @@ def test_work_in_another_thread_holds_nothing_back_here() -> None:
     @held
     def work() -> None:
         entered.set()
-        leave.wait(5)
+        leave.wait(HANGS_S)
 
     thread = threading.Thread(target=work)
     thread.start()
     try:
-        assert entered.wait(5)
+        assert entered.wait(HANGS_S)
         with pytest.raises(KeyboardInterrupt):
             raise_or_hold(KeyboardInterrupt())
     finally:

@@ -21,8 +21,8 @@ def test_a_stage_inside_another_is_not_counted_twice() -> None:
         with timed("inner"):
             burn(0.05)
     found = {each.name: each for each in profile.stages()}
-    assert found["inner"].cpu_s == pytest.approx(0.05, abs=0.02)
-    assert found["outer"].cpu_s == pytest.approx(0.02, abs=0.02)
+    assert found["inner"].cpu_s >= 0.05
+    assert found["outer"].cpu_s >= 0.02
     assert sum(each.cpu_s for each in found.values()) <= profile.cpu_s
     assert found["outer"].wall_s + found["inner"].wall_s <= profile.wall_s
 
@@ -79,7 +79,7 @@ def test_making_items_is_timed_and_using_them_is_not() -> None:
             break
         source.close()
     (found,) = profile.stages()
-    assert found.cpu_s == pytest.approx(0.01, abs=0.01)
+    assert 0.01 <= found.cpu_s <= profile.cpu_s - 0.03
     assert closed
 
 
