@@ -145,7 +145,8 @@ class LasSource:
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the file.
 
-        From the second chunk on, a thread decodes the next one meanwhile; who only looks at the first starts none.
+        From the second chunk of a compressed file on, a thread decodes the next one meanwhile; who only looks at the
+        first starts none.
 
         Raises
         ------
@@ -165,7 +166,9 @@ class LasSource:
         except BaseException:
             decoded.close()
             raise
-        yield from read_ahead(decoded, depth=1) if first.n < self.n_records else decoded
+        # what is not compressed is decoded in less time than two threads take to hand it over
+        apart = self.header.compressed and first.n < self.n_records
+        yield from read_ahead(decoded, depth=1) if apart else decoded
 
     def _decoded(self, names: tuple[str, ...]) -> Generator[RecordChunk]:
         """Decode one batch after the other; every dimension is copied out of its batch."""

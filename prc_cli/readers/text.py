@@ -21,7 +21,7 @@ from prc_cli.readers.options import Layout
 from prc_cli.readers.records import RecordChunk
 from prc_cli.readers.text_columns import TextColumn, find_columns
 from prc_cli.readers.text_format import BLANKS, find_format, shorten, split, to_number, try_split
-from prc_cli.readers.text_lines import BLOCK_BYTES, MAX_LINE_BYTES, Lines, iter_lines
+from prc_cli.readers.text_lines import BLOCK_BYTES, MAX_LINE_BYTES, Lines, count_line_ends, iter_lines
 
 _HEAD_BYTES = 256
 
@@ -243,7 +243,7 @@ class TextSource:
 
 
 def _n_lines(data: bytes) -> int:
-    return data.count(b"\n") + (not data.endswith(b"\n"))
+    return count_line_ends(data) + (not data.endswith(b"\n"))
 
 
 class _BlankWatch:

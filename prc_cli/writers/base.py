@@ -310,7 +310,7 @@ class ScatterWriter(StagedWriter):
 
     def _put(self, record: I64, codes: U8, values: dict[str, Values]) -> None:
         keep = record >= 0
-        if self._n_records is not None:
+        if self._n_records is not None and record.size and int(record.max()) >= self._n_records:
             outside = record >= self._n_records
             # cells that pad the last line have no record; only a shot with a label must have one
             if np.any(outside & (codes != MISSING_CODE)):
