@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 BIN, SLOPE, STEP, STEP_SHARE = range(4)
 """Places in the figures of :func:`ground_profiles`."""
@@ -39,8 +39,8 @@ MIN_ASIDE_M = 0.3
 LINES_AROUND = 2
 """Lines before and after in which company is looked for."""
 
-_N, _PASSED, _WAITING, _Y_FIRST, _Z_FIRST, _Y_LAST, _Z_LAST, _R_LAST, _N_WORK = range(9)
-"""Columns of what is worked out for the runs of a line; waiting are shots from behind that may be between two of it."""
+_OPEN, _TOUCHING = 255, 254
+"""Marks of shots that are not labelled yet: those that may be alone, and those that have a stem beside them."""
 
 
 @helper
@@ -64,6 +64,54 @@ def _bridge(profile: F64, seen: F64) -> None:
             profile[k] = profile[b] + share * (profile[max(last, 0)] - profile[b])
         last = b
     profile[last + 1 :] = profile[last] if last >= 0 else NO_GROUND
+
+
+@helper
+def _low_shots(
+    ranges: F32,
+    beams: tuple[F64, F64],
+    n_bins: int,
+    figures: F64,
+    before: F64,
+    bins: I32,
+    heights: F64,
+    shots: I32,
+) -> int:
+    """List the shots of a line that may be on the ground, write their bins and heights; return how many there are."""
+    sine, cosine = beams
+    half, per_metre = n_bins // 2, 1.0 / figures[BIN]
+    step_m, step_share = figures[STEP], figures[STEP_SHARE]
+    last = np.inf
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        before[column] = last
+        last = r if r == r else last
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        place = r * sine[column] * per_metre + half
+        # what is missing is nowhere
+        counts = (abs(r - before[column]) <= step_m + step_share * r) & (place >= 0.0) & (place < n_bins)
+        bins[column] = np.int32(place if counts else -1.0)
+        heights[column] = -r * cosine[column]
+    n_shots = 0
+    for column in range(len(ranges)):
+        shots[n_shots] = column
+        n_shots += bins[column] >= 0
+    return n_shots
+
+
+@helper
+def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F64]) -> None:
+    """Keep the three lowest shots of every bin, in order."""
+    one, two, three = lowest
+    for k in range(len(shots)):
+        column = np.uint64(shots[k])
+        b, z = np.uint64(bins[column]), heights[column]
+        if z < three[b]:
+            low, middle = one[b], two[b]
+            one[b] = min(z, low)
+            two[b] = min(max(z, low), middle)
+            three[b] = max(z, middle)
 
 
 @kernel("float64[:, ::1](float32[:, ::1], float64[::1], float64[::1], int64, int64, float64[::1])")
@@ -92,43 +140,53 @@ def ground_profiles(range_m: F32, sine: F64, cosine: F64, lines_together: int, n
         Height in the plane over the scanner at the middle of every bin; :data:`NO_GROUND` where none was seen.
     """
     n_lines, n_columns = range_m.shape
-    half = n_bins // 2
-    per_metre = 1.0 / figures[BIN]
-    step_m, step_share = figures[STEP], figures[STEP_SHARE]
     profiles = np.empty((-(-n_lines // lines_together), n_bins), np.float64)
-    lowest = np.empty((n_bins, N_LOWEST), np.float64)
+    one, two, three = np.empty(n_bins, np.float64), np.empty(n_bins, np.float64), np.empty(n_bins, np.float64)
+    before, heights = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    bins, shots = np.empty(n_columns, np.int32), np.empty(n_columns + 1, np.int32)
     for group in range(len(profiles)):
-        lowest[:] = np.inf
+        for b in range(n_bins):
+            one[b] = two[b] = three[b] = np.inf
         for line in range(group * lines_together, min((group + 1) * lines_together, n_lines)):
-            before = np.inf
-            for column in range(n_columns):
-                r = np.float64(range_m[line, column])
-                if r != r:
-                    continue
-                apart = abs(r - before)
-                before = r
-                if apart > step_m + step_share * r:
-                    continue
-                place = r * sine[column] * per_metre + half
-                if place < 0.0 or place >= n_bins:
-                    continue
-                low = lowest[int(place)]
-                z = -r * cosine[column]
-                if z < low[2]:
-                    if z < low[1]:
-                        low[2] = low[1]
-                        if z < low[0]:
-                            low[1] = low[0]
-                            low[0] = z
-                        else:
-                            low[1] = z
-                    else:
-                        low[2] = z
+            n_shots = _low_shots(range_m[line], (sine, cosine), n_bins, figures, before, bins, heights, shots)
+            _keep_lowest(shots[:n_shots], bins, heights, (one, two, three))
         profile = profiles[group]
-        profile[:] = lowest[:, N_LOWEST - 1]
+        for b in range(n_bins):
+            profile[b] = three[b]
         _lower_towards_neighbours(profile, figures[SLOPE] * figures[BIN])
-        _bridge(profile, lowest[:, N_LOWEST - 1])
+        _bridge(profile, three)
     return profiles
+
+
+@helper
+def _floors(ranges: F32, sine: F64, n_bins: int, per_metre: float, bins: I32, shares: F64) -> None:
+    """Write the bin before every shot of a line, the middles of bins taken, and how far beyond it the shot is."""
+    half = n_bins // 2
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        place = (r if r == r else 0.0) * sine[column] * per_metre + half - 0.5
+        place = min(max(place, 0.0), n_bins - 1.0)
+        b = min(np.int32(place), np.int32(n_bins - 2))
+        bins[column] = b
+        shares[column] = place - np.float64(b)
+
+
+@helper
+def _look_up(bins: I32, profile: F64, low: F64, high: F64) -> None:
+    """Write the heights of the ground in two bins beside each other; on its own, as all other loops read row by row."""
+    for column in range(len(bins)):
+        b = np.uint64(bins[column])
+        low[column] = profile[b]
+        high[column] = profile[b + np.uint64(1)]
+
+
+@helper
+def _over(ranges: F32, cosine: F64, shares: F64, low: F64, high: F64, heights: F32) -> None:
+    """Write the heights of the shots of a line over the ground, on straight lines between bins."""
+    for column in range(len(ranges)):
+        r = np.float64(ranges[column])
+        ground = low[column] + shares[column] * (high[column] - low[column])
+        heights[column] = np.float32(-r * cosine[column] - ground)
 
 
 @kernel("float32[:, ::1](float32[:, ::1], float64[::1], float64[::1], float64[:, ::1], int64, float64)")
@@ -154,89 +212,114 @@ def ground_heights(range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_to
         In the scan plane, between the middles of bins along straight lines; NaN = missing.
     """
     n_lines, n_columns = range_m.shape
-    n_bins = profiles.shape[1]
-    half = n_bins // 2
-    per_metre = 1.0 / bin_m
     heights = np.empty((n_lines, n_columns), np.float32)
+    bins, shares = np.empty(n_columns, np.int32), np.empty(n_columns, np.float64)
+    low, high = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
     for line in range(n_lines):
-        profile = profiles[line // lines_together]
-        for column in range(n_columns):
-            r = np.float64(range_m[line, column])
-            if r != r:
-                heights[line, column] = np.nan
-                continue
-            place = min(max(r * sine[column] * per_metre + half - 0.5, 0.0), n_bins - 1.0)
-            b = min(int(place), n_bins - 2)
-            ground = profile[b] + (place - b) * (profile[b + 1] - profile[b])
-            heights[line, column] = -r * cosine[column] - ground
+        _floors(range_m[line], sine, profiles.shape[1], 1.0 / bin_m, bins, shares)
+        _look_up(bins, profiles[line // lines_together], low, high)
+        _over(range_m[line], cosine, shares, low, high, heights[line])
     return heights
 
 
 @helper
-def _goes_on(apart: float, up: float, spacing: float, tolerance: float, figures: F64) -> bool:
-    """Tell whether a return follows another one steeply, so far beside and up from it."""
-    if up > figures[GAP]:
-        return False
-    if up > spacing:
-        return bool(apart <= tolerance + figures[STEEP] * spacing + figures[GAP_STEEP] * (up - spacing))
-    return bool(apart <= tolerance + figures[STEEP] * up)
-
-
-@helper
-def _line_runs(ranges: F32, heights: F32, sine: F64, cosine: F64, figures: F64, mine: I32, found: F64) -> int:
-    """Write the run of every shot of a line, counted from 0, -1 = none; return how many runs there are."""
-    n_runs = 0
-    recent = np.full(N_OPEN, -1, np.int64)
+def _aim(
+    ranges: F32, heights: F32, beams: tuple[F64, F64], figures: F64, points: tuple[F64, F64, F64, F64, F64], shots: I32
+) -> int:
+    """Write place, range, tolerance and spacing of the shots of a line; list those high enough, return how many."""
+    sine, cosine = beams
+    side, up, far, tolerances, spacings = points
+    low, base, share = figures[LOW], figures[TOLERANCE], figures[TOLERANCE_SHARE]
+    angle = SPACINGS * figures[ANGLE]
     for column in range(len(ranges)):
-        mine[column] = -1
         r = np.float64(ranges[column])
+        y = r * sine[column]
+        side[column], up[column], far[column] = y, -r * cosine[column], r
+        tolerances[column] = base + share * r
+        spacings[column] = angle * r * r / max(abs(y), MIN_ASIDE_M)
+    n_shots = 0
+    for column in range(len(ranges)):
+        shots[n_shots] = column
         # missing heights are not above anything either
-        if not heights[column] >= figures[LOW]:
-            continue
-        y, z = r * sine[column], -r * cosine[column]
-        tolerance = figures[TOLERANCE] + figures[TOLERANCE_SHARE] * r
-        spacing = SPACINGS * figures[ANGLE] * r * r / max(abs(y), MIN_ASIDE_M)
-        k = 0
-        while k < N_OPEN:
-            run = recent[k]
-            if run >= 0 and _goes_on(
-                abs(y - found[run, _Y_LAST]), abs(z - found[run, _Z_LAST]), spacing, tolerance, figures
-            ):
-                break
-            k += 1
-        if k < N_OPEN:
-            run = recent[k]
-            found[run, _N] += 1.0
-            found[run, _PASSED] += found[run, _WAITING]
-        else:
-            run = n_runs
-            n_runs += 1
-            k = N_OPEN - 1
-            found[run, _N] = 1.0
-            found[run, _PASSED] = 0.0
-            found[run, _Y_FIRST] = y
-            found[run, _Z_FIRST] = z
-        found[run, _WAITING] = 0.0
-        found[run, _Y_LAST] = y
-        found[run, _Z_LAST] = z
-        found[run, _R_LAST] = r
-        mine[column] = run
-        for i in range(k, 0, -1):
-            recent[i] = recent[i - 1]
-        recent[0] = run
-        for i in range(1, N_OPEN):
-            other = recent[i]
-            if other >= 0 and r > found[other, _R_LAST] + figures[BEHIND]:
-                found[other, _WAITING] += 1.0
-    return n_runs
+        n_shots += np.float64(heights[column]) >= low
+    return n_shots
+
+
+@inlined
+def _goes_on(
+    apart: float, up: float, spacing: float, tolerance: float, steep: float, gap: float, gap_steep: float
+) -> bool:
+    """Tell whether a return follows another one steeply, so far beside and up from it; what is NaN does not."""
+    beside = (tolerance + steep * spacing) + gap_steep * (up - spacing) if up > spacing else tolerance + steep * up
+    return bool((up <= gap) & (apart <= beside))
 
 
 @helper
-def _is_upright(run: F64, figures: F64) -> bool:
-    up = abs(run[_Z_LAST] - run[_Z_FIRST])
-    if run[_N] < MIN_SHOTS or 2.0 * run[_PASSED] > run[_N]:
-        return False
-    return bool(up >= figures[SHORT] and abs(run[_Y_LAST] - run[_Y_FIRST]) <= figures[LEAN] * up)
+def _put_away(
+    run: int, n: float, passed: float, y: float, z: float, figures: F64, firsts: tuple[F64, F64], ends: F64
+) -> None:
+    """Note of a run that gets no more shots how many it has and how many passed it, and its ends; 0 shots: none."""
+    y_first, z_first = firsts
+    if run < 0:
+        return
+    ends[run, COUNT] = 0.0
+    up = abs(z - z_first[run])
+    is_kept = (n >= MIN_SHOTS) & (2.0 * passed <= n) & (up >= figures[SHORT])
+    if is_kept & (abs(y - y_first[run]) <= figures[LEAN] * up):
+        ends[run, COUNT], ends[run, PASSED] = n, passed
+        ends[run, LOWEST], ends[run, HIGHEST] = min(z_first[run], z), max(z_first[run], z)
+
+
+@helper
+def _line_runs(
+    shots: I32,
+    points: tuple[F64, F64, F64, F64, F64],
+    figures: F64,
+    mine: I32,
+    firsts: tuple[F64, F64],
+    ends: F64,
+) -> int:
+    """Write the run of every shot of a list, counted from 0, and what is to know of the runs; return how many.
+
+    Of three runs the last shot is known, the latest run first: place y, z and range r, shots n, shots behind them that
+    passed, and those that wait to be between two of the run. They are named, not kept in an array, to stay in the
+    registers of the processor.
+    """
+    side, up, far, tolerances, spacings = points
+    steep, gap, gap_steep, behind = figures[STEEP], figures[GAP], figures[GAP_STEEP], figures[BEHIND]
+    y_first, z_first = firsts
+    nothing = np.float64(np.nan)
+    run0, y0, z0, r0, n0, passed0, waiting0 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
+    run1, y1, z1, r1, n1, passed1, waiting1 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
+    run2, y2, z2, r2, n2, passed2, waiting2 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
+    n_runs = 0
+    for k in range(len(shots)):
+        column = np.uint64(shots[k])
+        y, z, r = side[column], up[column], far[column]
+        tolerance, spacing = tolerances[column], spacings[column]
+        if not _goes_on(abs(y - y0), abs(z - z0), spacing, tolerance, steep, gap, gap_steep):
+            run, n, passed = run1, n1, passed1 + waiting1
+            if not _goes_on(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
+                run, n, passed = run2, n2, passed2 + waiting2
+                if not _goes_on(abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep):
+                    _put_away(run2, n2, passed2, y2, z2, figures, firsts, ends)
+                    run, n, passed = n_runs, 0.0, 0.0
+                    y_first[n_runs], z_first[n_runs] = y, z
+                    n_runs += 1
+                run2, y2, z2, r2, n2, passed2, waiting2 = run1, y1, z1, r1, n1, passed1, waiting1
+            run1, y1, z1, r1, n1, passed1, waiting1 = run0, y0, z0, r0, n0, passed0, waiting0
+            run0, n0, passed0, waiting0 = run, n, passed, 0.0
+        y0, z0, r0 = y, z, r
+        n0 += 1.0
+        passed0 += waiting0
+        waiting0 = 0.0
+        waiting1 += 1.0 if r > r1 + behind else 0.0
+        waiting2 += 1.0 if r > r2 + behind else 0.0
+        mine[k] = run0
+    _put_away(run0, n0, passed0, y0, z0, figures, firsts, ends)
+    _put_away(run1, n1, passed1, y1, z1, figures, firsts, ends)
+    _put_away(run2, n2, passed2, y2, z2, figures, firsts, ends)
+    return n_runs
 
 
 @kernel(
@@ -272,30 +355,39 @@ def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, figures: F
         Shots, shots from behind, lowest and highest end in the plane [m]; row 0 is nothing.
     """
     n_lines, n_columns = range_m.shape
-    runs = np.zeros((n_lines, n_columns), np.int32)
+    runs = np.empty((n_lines, n_columns), np.int32)
     table = np.empty((n_lines * (n_columns // MIN_SHOTS) + 1, 4), np.float64)
-    table[0] = 0.0
+    for i in range(4):
+        table[0, i] = 0.0
     n_kept = 1
-    mine = np.empty(n_columns, np.int32)
-    found = np.empty((n_columns, _N_WORK), np.float64)
-    number = np.empty(n_columns, np.int32)
+    side, up, far = np.empty(n_columns, np.float64), np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    points = side, up, far, np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)
+    firsts, ends = (np.empty(n_columns, np.float64), np.empty(n_columns, np.float64)), np.empty((n_columns, 4))
+    shots, mine, number = (
+        np.empty(n_columns + 1, np.int32),
+        np.empty(n_columns, np.int32),
+        np.empty(n_columns, np.int32),
+    )
     for line in range(n_lines):
-        n_runs = _line_runs(range_m[line], height_m[line], sine, cosine, figures, mine, found)
+        n_shots = _aim(range_m[line], height_m[line], (sine, cosine), figures, points, shots)
+        n_runs = _line_runs(shots[:n_shots], points, figures, mine, firsts, ends)
         for i in range(n_runs):
-            run = found[i]
             number[i] = 0
-            if _is_upright(run, figures):
+            if ends[i, COUNT] > 0.0:
                 number[i] = n_kept
-                table[n_kept, COUNT] = run[_N]
-                table[n_kept, PASSED] = run[_PASSED]
-                table[n_kept, LOWEST] = min(run[_Z_FIRST], run[_Z_LAST])
-                table[n_kept, HIGHEST] = max(run[_Z_FIRST], run[_Z_LAST])
+                for one in range(4):
+                    table[n_kept, one] = ends[i, one]
                 n_kept += 1
         row = runs[line]
         for column in range(n_columns):
-            if mine[column] >= 0:
-                row[column] = number[mine[column]]
-    return runs, table[:n_kept].copy()
+            row[column] = 0
+        for k in range(n_shots):
+            row[shots[k]] = number[mine[k]]
+    kept = np.empty((n_kept, 4), np.float64)
+    for i in range(n_kept):
+        for one in range(4):
+            kept[i, one] = table[i, one]
+    return runs, kept
 
 
 @helper
@@ -304,6 +396,30 @@ def _root(parent: I32, run: int) -> int:
         parent[run] = parent[parent[run]]
         run = parent[run]
     return run
+
+
+@helper
+def _join_lines(ranges: tuple[F32, F32], runs: tuple[I32, I32], figures: F64, linked: I32, parent: I32) -> None:
+    """Join the runs of two successive lines that have shots of a column near to each other."""
+    earlier, later = ranges
+    before, own = runs
+    near, share = figures[NEAR], figures[NEAR_SHARE]
+    n_linked = 0
+    for column in range(len(own)):
+        linked[n_linked] = column
+        n_linked += (own[column] != 0) & (before[column] != 0)
+    last_run = last_before = 0
+    for k in range(n_linked):
+        place = np.uint64(linked[k])
+        r = np.float64(later[place])
+        run, other = own[place], before[place]
+        # most shots say what the one before them said
+        if (run == last_run) & (other == last_before):
+            continue
+        if abs(r - np.float64(earlier[place])) < near + share * r:
+            one, two = _root(parent, run), _root(parent, other)
+            parent[max(one, two)] = min(one, two)
+            last_run, last_before = run, other
 
 
 @kernel("boolean[:, ::1](float32[:, ::1], int32[:, ::1], float64[:, ::1], float64[::1])")
@@ -328,20 +444,19 @@ def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
     (lines, M) bool
     """
     n_lines, n_columns = range_m.shape
-    parent = np.arange(len(table)).astype(np.int32)
+    n_runs = len(table)
+    parent = np.empty(n_runs, np.int32)
+    sums = np.empty((n_runs, 4), np.float64)
+    low, high = np.empty(n_runs, np.float64), np.empty(n_runs, np.float64)
+    for run in range(n_runs):
+        parent[run] = run
+        low[run], high[run] = np.inf, -np.inf
+        for one in range(4):
+            sums[run, one] = 0.0
+    linked = np.empty(n_columns + 1, np.int32)
     for line in range(1, n_lines):
-        for column in range(n_columns):
-            run, before = runs[line, column], runs[line - 1, column]
-            if run == 0 or before == 0:
-                continue
-            r = np.float64(range_m[line, column])
-            if abs(r - np.float64(range_m[line - 1, column])) < figures[NEAR] + figures[NEAR_SHARE] * r:
-                one, other = _root(parent, run), _root(parent, before)
-                parent[max(one, other)] = min(one, other)
-    sums = np.zeros((len(table), 4), np.float64)
-    low = np.full(len(table), np.inf)
-    high = np.full(len(table), -np.inf)
-    for run in range(1, len(table)):
+        _join_lines((range_m[line - 1], range_m[line]), (runs[line - 1], runs[line]), figures, linked, parent)
+    for run in range(1, n_runs):
         root = _root(parent, run)
         sums[root, 0] += table[run, COUNT]
         sums[root, 1] += table[run, PASSED]
@@ -349,8 +464,9 @@ def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
         sums[root, 3] += table[run, HIGHEST] - table[run, LOWEST]
         low[root] = min(low[root], table[run, LOWEST])
         high[root] = max(high[root], table[run, HIGHEST])
-    is_stem = np.zeros(len(table), np.bool_)
-    for run in range(1, len(table)):
+    is_stem = np.empty(n_runs, np.bool_)
+    is_stem[0] = False
+    for run in range(1, n_runs):
         root = _root(parent, run)
         is_stem[run] = (
             sums[root, 0] >= figures[SHOTS]
@@ -362,19 +478,72 @@ def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
         )
     stems = np.empty((n_lines, n_columns), np.bool_)
     for line in range(n_lines):
+        own, row = runs[line], stems[line]
         for column in range(n_columns):
-            stems[line, column] = is_stem[runs[line, column]]
+            row[column] = is_stem[np.uint64(own[column])]
     return stems
 
 
 @helper
-def _is_flat(heights: F32, column: int, limit: float) -> bool:
-    """Tell whether the shots on both sides are about as high."""
-    if column == 0 or column == len(heights) - 1:
-        return False
-    height = np.float64(heights[column])
-    before, after = np.float64(heights[column - 1]), np.float64(heights[column + 1])
-    return bool(abs(height - before) < limit and abs(height - after) < limit)
+def _mark_flat(heights: F32, limit: float, flat: U8) -> None:
+    """Mark the shots of a line whose neighbours on both sides are about as high."""
+    n = len(heights)
+    flat[0] = flat[n - 1] = np.uint8(0)
+    before, own, after, marks = heights[: n - 2], heights[1 : n - 1], heights[2:], flat[1 : n - 1]
+    for i in range(n - 2):
+        height = np.float64(own[i])
+        marks[i] = np.uint8(
+            (abs(height - np.float64(before[i])) < limit) & (abs(height - np.float64(after[i])) < limit)
+        )
+
+
+@helper
+def _mark_beside(stems: Mask, line: int, across: U8, beside: U8) -> None:
+    """Mark the shots of a line that are, or have around them, a shot of a stem."""
+    n_lines, n = stems.shape
+    before, own, after = stems[max(line - 1, 0)], stems[line], stems[min(line + 1, n_lines - 1)]
+    for i in range(n):
+        across[i] = np.uint8(before[i] | own[i] | after[i])
+        beside[i] = across[i]
+    inner, outer = beside[: n - 1], across[1:]
+    for i in range(n - 1):
+        inner[i] |= outer[i]
+    inner, outer = beside[1:], across[: n - 1]
+    for i in range(n - 1):
+        inner[i] |= outer[i]
+
+
+@helper
+def _mark_company(ranges: F32, limit: float, links: U8, company: U8) -> None:
+    """Mark the shots of a line of which one right beside is about as far."""
+    n = len(ranges)
+    for i in range(n - 1):
+        links[i] = np.uint8(abs(np.float64(ranges[i + 1]) - np.float64(ranges[i])) <= limit)
+    links[n - 1] = company[0] = np.uint8(0)
+    for i in range(n - 1):
+        company[i + 1] = links[i]
+    for i in range(n):
+        company[i] |= links[i]
+
+
+@helper
+def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], figures: F64, labels: U8) -> None:
+    """Label the shots of a line that tell at once what they are, and mark the others.
+
+    No branches, so that many shots are looked at at a time.
+    """
+    flat, beside, company = marks
+    below, soil, cover, top = -figures[BELOW], figures[SOIL], figures[COVER], figures[TOP]
+    for i in range(len(heights)):
+        height = np.float64(heights[i])
+        is_ground = (height <= soil) | ((height <= cover) & (flat[i] != 0))
+        label = np.uint8(LABEL_VEGETATION) if company[i] != 0 else np.uint8(_OPEN)
+        label = np.uint8(_TOUCHING) if (beside[i] != 0) & (height <= top) else label
+        label = np.uint8(LABEL_GROUND) if is_ground else label
+        stem = np.uint8(LABEL_STEM) if height <= top else np.uint8(LABEL_VEGETATION)
+        label = stem if stems[i] else label
+        label = np.uint8(LABEL_NOISE) if height < below else label
+        labels[i] = label if height == height else np.uint8(LABEL_MISSING)
 
 
 @helper
@@ -434,22 +603,25 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
     """
     n_lines, n_columns = range_m.shape
     labels = np.empty((n_lines, n_columns), np.uint8)
+    flat, across, beside = np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8)
+    company, shots = np.empty(n_columns, np.uint8), np.empty(n_columns + 1, np.int32)
+    limit = figures[COMPANY]
     for line in range(n_lines):
-        heights = height_m[line]
+        row = labels[line]
+        _mark_flat(height_m[line], figures[FLAT], flat)
+        _mark_beside(stems, line, across, beside)
+        # negative ones are smaller than every distance
+        _mark_company(range_m[line], limit if limit >= 0.0 else np.inf, across, company)
+        _label_plain(height_m[line], stems[line], (flat, beside, company), figures, row)
+        n_shots = 0
         for column in range(n_columns):
-            height = np.float64(heights[column])
-            label = LABEL_MISSING
-            if height < -figures[BELOW]:
-                label = LABEL_NOISE
-            elif stems[line, column]:
-                label = LABEL_STEM if height <= figures[TOP] else LABEL_VEGETATION
-            elif height <= figures[SOIL] or (height <= figures[COVER] and _is_flat(heights, column, figures[FLAT])):
-                label = LABEL_GROUND
-            elif height <= figures[TOP] and _touches_stem(range_m, stems, line, column, figures[BESIDE]):
-                label = LABEL_STEM
-            elif height == height:
-                company = figures[COMPANY]
-                plant = company < 0.0 or _has_company(range_m, line, column, columns_around, company)
-                label = LABEL_VEGETATION if plant else LABEL_NOISE
-            labels[line, column] = label
+            shots[n_shots] = column
+            n_shots += row[column] >= _TOUCHING
+        for k in range(n_shots):
+            column = shots[k]
+            if row[column] == _TOUCHING and _touches_stem(range_m, stems, line, column, figures[BESIDE]):
+                row[column] = LABEL_STEM
+            else:
+                plant = limit < 0.0 or company[column] or _has_company(range_m, line, column, columns_around, limit)
+                row[column] = LABEL_VEGETATION if plant else LABEL_NOISE
     return labels
