@@ -47,8 +47,11 @@ HALF_STRIP_M = np.float32(0.25)
     FAR_M,
     CROWN_SLOTS,
     OBJECT_M,
+    IS_HELD,
+    GHOST_M,
+    GHOST_NEAR,
     N_FIGURES,
-) = range(22)
+) = range(25)
 """Figures of the decision, in this order."""
 SPIKE_PLACE_M = np.float32(0.1)
 """Half width of the place beside a spike [m]."""
@@ -369,7 +372,7 @@ def _label_odd(
     rough, at, top = rows
     least, below, share = figures[LEAST_NEAR], figures[BELOW_M], figures[SPIKE_SHARE]
     front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
-    foot, leaf_slots = figures[OBJECT_M], figures[LEAF_SLOTS]
+    foot, leaf_slots, holds = figures[OBJECT_M], figures[LEAF_SLOTS], figures[IS_HELD] > 0
     walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
     for k in range(len(shots)):
         i = shots[k]
@@ -378,9 +381,12 @@ def _label_odd(
         if np.float32(near[i]) < least:
             y = side[i]
             b = _strip(y)
-            if near[i] > 0 and b >= 0 and h > foot and not _in_wall(y, height[i], at[b], top[b], front, far, over):
+            is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], front, far, over)
+            # few as they are, what is left of a far surface agrees with it
+            is_held = holds and (pairs > 0 or is_wall or abs(h) < soil_m)
+            if near[i] > 0 and b >= 0 and h > foot and not is_wall:
                 is_leaf = np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots
-            if not is_leaf:
+            if near[i] == 0 or not (is_leaf or is_held):
                 labels[i] = _NOISE
                 continue
         # spikes: the shots right beside are smooth, in the line and those before and after
@@ -399,7 +405,7 @@ def _label_odd(
 def _label_things(
     shots: I32,
     points: tuple[F32, F32, F32],
-    level: U8,
+    counts: tuple[U8, U8, U8, U8],
     soft: F32,
     walls: tuple[F32, F32, F32],
     cars: tuple[F32, F32],
@@ -407,12 +413,14 @@ def _label_things(
     labels: U8,
     poles: I32,
 ) -> int:
-    """Label shots of a line that are neither noise nor ground; list those that may be poles, return how many."""
+    """Label shots of a line that are neither alone nor ground; list those that may be poles, return how many."""
     side, height, above = points
+    near, _, _, level = counts
     at, top, ahead = walls
     leaf_share, share_before = figures[LEAF_SHARE], figures[LEAF_SHARE_BEFORE_WALL]
     front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
     before_m, foot, poles_wanted = figures[BEFORE_M], figures[OBJECT_M], figures[POLE_M] > 0
+    ghost_m, ghost_near = figures[GHOST_M], figures[GHOST_NEAR]
     n_poles = 0
     for k in range(len(shots)):
         i = shots[k]
@@ -428,10 +436,14 @@ def _label_things(
         is_rough = (texture < (share_before if is_before else leaf_share)) & (not is_wall)
         is_car = (h >= np.float32(0.0)) & (h < (cars[1][q] if is_rough else cars[0][q]))
         label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
-        labels[i] = np.uint8(_OTHER) if is_car else label
+        label = np.uint8(_OTHER) if is_car else label
+        is_behind = (at[b] != np.float32(0.0)) & (abs(y) - abs(at[b]) > ghost_m)
+        is_ghost = is_behind & (height[i] * abs(at[b]) <= top[b] * abs(y)) & (np.float32(near[i]) < ghost_near)
+        is_ghost &= is_rough
+        labels[i] = np.uint8(_NOISE) if is_ghost else label
         may_be_pole = poles_wanted & (not is_wall) & (level[i] == 0) & (h > foot) & (texture >= leaf_share)
         poles[n_poles] = i
-        n_poles += may_be_pole & (not is_car)
+        n_poles += may_be_pole & (not is_car) & (not is_ghost)
     return n_poles
 
 
@@ -557,10 +569,10 @@ def fused_labels(
         _sums_of_places(columns, so_far, spikes)
         _label_odd(odd[:n_odd], place, own, walked[k], (rough, rows[0], rows[1]), spikes, figures, row)
         _find_cars(slots[0][line], levels[line], bins, figures, cars)
-        n_poles = _label_things(plain[:n_plain], place, level[k], texture[line], rows, cars, figures, row, poles)
+        n_poles = _label_things(plain[:n_plain], place, own, texture[line], rows, cars, figures, row, poles)
         _label_poles(poles[:n_poles], window_m, line + MARGIN, near[k], place, rough, figures, row)
         n_odd = _keep_open(row, odd[:n_odd])
-        n_poles = _label_things(odd[:n_odd], place, level[k], texture[line], rows, cars, figures, row, poles)
+        n_poles = _label_things(odd[:n_odd], place, own, texture[line], rows, cars, figures, row, poles)
         _label_poles(poles[:n_poles], window_m, line + MARGIN, near[k], place, rough, figures, row)
     return labels
 

@@ -23,13 +23,13 @@ LINES = 2
 """Lines before and after that are put together with a line."""
 NO_TOP = np.float32(-1e9)
 """Top of nothing [m]."""
-LEAST_NEAR, FOOT_M, ROUGH, SMOOTH, LEVEL_TOP_M, JUMP_M = range(6)
+LEAST_NEAR, FOOT_M, ROUGH, SMOOTH, LEVEL_SMOOTH, LEVEL_TOP_M, JUMP_M = range(7)
 """Figures of the strips, in this order."""
 LEAST_COSINE = np.float32(0.3)
 """Surfaces are not taken to be met at more than this cosine when the height that a shot stands for is reckoned."""
 UPRIGHT_CHORDS = 2
 """Upright chords, of three, of a shot on an upright surface."""
-WALL_M, WALL_SHARE, BEHIND_M, BEFORE_M = range(4)
+WALL_M, WALL_SHARE, BEFORE_M = range(3)
 """Figures of walls, in this order."""
 
 
@@ -64,13 +64,12 @@ def _fill_line(
         # the height that the shot stands for, if it is on an upright surface
         stands_for = ranges[i] * step / max(abs(y) / ranges[i], LEAST_COSINE)
         length[b] += stands_for
-        if np.float32(smooth[i]) < figures[SMOOTH]:
-            continue
-        if upright[i] >= UPRIGHT_CHORDS:
+        pairs = np.float32(smooth[i])
+        if pairs >= figures[SMOOTH] and upright[i] >= UPRIGHT_CHORDS:
             wall[b] += stands_for
             place[b] += stands_for * y
             top[b] = max(top[b], height[i])
-        if level[i] > upright[i] and h < figures[LEVEL_TOP_M]:
+        if pairs >= figures[LEVEL_SMOOTH] and level[i] > upright[i] and h < figures[LEVEL_TOP_M]:
             first, last = y, y
             for j in (i - 1, i + 1):
                 if 0 <= j < m and abs(side[j] - y) < figures[JUMP_M]:
@@ -99,10 +98,10 @@ def fill_strips(
         Near neighbours, smooth pairs, upright and level chords.
     step : float32, radians
         Angle from column to column.
-    figures : (6,) float32
+    figures : (7,) float32
         Shots with LEAST_NEAR near neighbours that are FOOT_M above the ground count. With ROUGH smooth pairs or fewer
-        they are rough, with SMOOTH or more smooth. Level surfaces below LEVEL_TOP_M count; they reach to the shots
-        before and after that are less than JUMP_M away.
+        they are rough, with SMOOTH or more smooth. Level surfaces of LEVEL_SMOOTH pairs below LEVEL_TOP_M count; they
+        reach to the shots before and after that are less than JUMP_M away.
 
     Returns
     -------
@@ -225,7 +224,7 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, figures: F32, found: tuple[F
             b = first + way * k
             if is_wall[b]:
                 last = b
-            if last >= 0 and np.float32(k + 1) * STRIP_M - abs(wall_at[last]) <= figures[BEHIND_M] + STRIP_M:
+            if last >= 0:
                 at[b], top[b] = wall_at[last], tops[last]
         last = -1
         for k in range(half - 1, -1, -1):
@@ -244,14 +243,14 @@ def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32,
     ----------
     sums : tuple of (lines + 4, STRIPS) float32
         Of :func:`fill_strips`.
-    figures : (4,) float32
-        A wall is WALL_M high in the mean of the lines and WALL_SHARE of all that its strips show. It is told to
-        strips up to BEHIND_M behind and BEFORE_M before it.
+    figures : (3,) float32
+        A wall is WALL_M high in the mean of the lines and WALL_SHARE of all that its strips show. It is told to all
+        strips behind it up to the next wall, and to those up to BEFORE_M before it.
 
     Returns
     -------
     at_m, top_m : (lines, STRIPS) float32, metres
-        Side and top of the wall that a strip holds or lies behind; 0 = none.
+        Side and top of the last wall that a strip holds or lies behind; 0 = none.
     ahead_m : (lines, STRIPS) float32, metres
         Side of the wall that a strip holds or lies before; 0 = none.
     """

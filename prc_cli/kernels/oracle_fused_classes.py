@@ -18,6 +18,7 @@ WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
 NAMES = [
     "least", "spike", "below", "leaf_slots", "walked", "level", "soil", "share", "share_before", "before", "front",
     "behind", "over", "car_top", "car_bins", "car_bins_rough", "pole", "jump", "far", "crown", "foot",
+    "held", "ghost", "ghost_near",
 ]  # fmt: skip
 
 
@@ -115,6 +116,18 @@ class _Shot:
         around = self.filled(1)[max(self.slot - 4, 0) : self.slot + 5]
         return bool(sum(around) >= self.figures["leaf_slots"])
 
+    def is_held(self) -> bool:
+        on_ground = abs(self.above) < self.figures["soil"]
+        return bool(self.figures["held"] > 0 and (self.smooth > 0 or on_ground or self.is_in_wall()))
+
+    def is_ghost(self) -> bool:
+        if self.strip is None or not self.near < self.figures["ghost_near"]:
+            return False
+        away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
+        if away == 0 or not abs(self.side) - away > self.figures["ghost"]:
+            return False
+        return bool(self.height * away <= top * abs(self.side))
+
     def is_spike(self) -> bool:
         if self.smooth > 0:
             return False
@@ -196,13 +209,15 @@ class _Shot:
         leaf = False
         if self.near < self.figures["least"]:
             leaf = self.is_leaf()
-            if not leaf:
+            if self.near == 0 or not (leaf or self.is_held()):
                 return NOISE
         if self.is_spike() or self.is_reflection():
             return NOISE
         if self.is_ground():
             return GROUND
         rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall()
+        if rough and self.is_ghost():
+            return NOISE
         if self.is_low_with_level(rough=rough):
             return OTHER
         if self.is_thin():

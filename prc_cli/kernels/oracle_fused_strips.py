@@ -21,7 +21,7 @@ def fill_strips(
     """Sort shots into strips; see :func:`prc_cli.kernels.fused_strips.fill_strips`."""
     ranges, side, height, above = points
     near, smooth, upright, level = counts
-    least, foot, rough_most, smooth_least, level_top, jump = figures
+    least, foot, rough_most, smooth_least, level_least, level_top, jump = figures
     shape = (len(ranges), N)
     every, rough = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
     length, wall, place = (np.zeros(shape, np.float32) for _ in range(3))
@@ -40,7 +40,7 @@ def fill_strips(
             wall[k, strip] += stands_for
             place[k, strip] += stands_for * y
             top[k, strip] = max(top[k, strip], height[k, i])
-        if smooth[k, i] >= smooth_least and level[k, i] > upright[k, i] and above[k, i] < level_top:
+        if smooth[k, i] >= level_least and level[k, i] > upright[k, i] and above[k, i] < level_top:
             beside = [side[k, j] for j in (i - 1, i + 1) if 0 <= j < side.shape[1] and abs(side[k, j] - y) < jump]
             low, high = (floor(end / HALF_WIDTH) + N for end in (min([y, *beside]), max([y, *beside])))
             levels[k, max(low, 0) : max(min(high, 2 * N - 1) + 1, 0)] = 1
@@ -65,7 +65,7 @@ def widen_levels(levels: U8) -> U8:
 
 def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32, F32]:
     """Find walls; see :func:`prc_cli.kernels.fused_strips.find_walls`."""
-    height, share, behind, before = figures
+    height, share, before = figures
     n_lines = len(sums[0]) - 4
     at, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
     for line in range(n_lines):
@@ -79,9 +79,7 @@ def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32,
             for k in number:
                 if inwards[k] >= 0:
                     w = side[inwards[k]]
-                    where = place[w] / wall[w]
-                    if np.float32(k + 1) * WIDTH - abs(where) <= behind + WIDTH:
-                        at[line, side[k]], top[line, side[k]] = where, highest[w : w + 3].max()
+                    at[line, side[k]], top[line, side[k]] = place[w] / wall[w], highest[w : w + 3].max()
                 if outwards[k] < N:
                     w = side[outwards[k]]
                     where = place[w] / wall[w]

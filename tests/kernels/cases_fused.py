@@ -129,7 +129,8 @@ def heights(rng: Generator, one: Street) -> F32:
 def strips_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     points = (one.range_m, *one.points(), heights(rng, one))
-    chosen = figures(3, rng.choice([0.15, 0.0]), 2, rng.choice([3, 0]), rng.choice([3.4, 0.5]), rng.choice([1.0, 9.0]))
+    smooth, level = rng.choice([3, 0]), rng.choice([6, 2, 0])
+    chosen = figures(3, rng.choice([0.15, 0.0]), 2, smooth, level, rng.choice([3.4, 0.5]), rng.choice([1.0, 9.0]))
     return points, random_counts(rng, one), one.step, chosen
 
 
@@ -155,7 +156,7 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
         top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
         sums = length, wall, (wall * middle).astype(np.float32), top
-    chosen = figures(rng.choice([0.01, 0.5, 1.5]), rng.choice([0.0, 0.3, 1.0]), rng.choice([0.0, 2.5]), 1.6)
+    chosen = figures(rng.choice([0.01, 0.5, 1.5]), rng.choice([0.0, 0.3, 1.0]), 1.6)
     return sums, chosen
 
 
@@ -168,7 +169,9 @@ def texture_case(rng: Generator) -> tuple[Any, ...]:
 
 def decision(rng: Generator) -> F32:
     """Numbers of the decision, near to those that are used, some of them off."""
-    usual = [3, 0.7, 0.3, 5, 0.3, 0.12, 0.06, 0.4, 0.2, 1.6, 0.4, 2.5, 0.3, 3.75, 3, 6, 1.0, 0.5, 1.0, 5, 0.3]
+    usual = [
+        3, 0.7, 0.3, 5, 0.3, 0.12, 0.06, 0.4, 0.2, 1.6, 0.4, 2.5, 0.3, 3.75, 3, 6, 1.0, 0.5, 1.0, 5, 0.3, 1, 1.5, 15
+    ]  # fmt: skip
     chosen = np.array(usual) * rng.choice([1.0, 1.0, 0.3, 2.0], len(usual))
     chosen[rng.random(len(usual)) < 0.05] = rng.choice([0.0, 1e9])
     chosen[fused_classes.CAR_TOP_M] = min(chosen[fused_classes.CAR_TOP_M], 15.0)
@@ -182,10 +185,10 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     n_lines = len(one.range_m) - 2 * INNER
     walked: Mask = (rng.random(above.shape) < 0.2) & ~np.isnan(above)
     every, rough, length, wall, place, top, levels = fused_strips.fill_strips(
-        (one.range_m, *one.points(), above), counts, one.step, figures(3, 0.15, 2, 3, 3.4, 1)
+        (one.range_m, *one.points(), above), counts, one.step, figures(3, 0.15, 2, 3, rng.choice([6, 3]), 3.4, 1)
     )
     wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
-    walls = fused_strips.find_walls((length, wall, place, top), figures(rng.choice([0.1, 1.5]), 0.3, 2.5, 1.6))
+    walls = fused_strips.find_walls((length, wall, place, top), figures(rng.choice([0.1, 1.5]), 0.3, 1.6))
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     return (
         one.window, (*one.points(), above), counts, walked, texture, wide, walls, fused_strips.widen_levels(levels),

@@ -29,6 +29,12 @@ class NoiseParams(Params):
     leaf_slots: int = Field(
         5, ge=1, le=9, description="slots of 0.25 m around it, of 9, with rough shots in its strip and those beside"
     )
+    held: bool = Field(
+        True, description="whether a lonely shot with a smooth pair, in a wall or level with the ground is part of it"
+    )
+    ghosts: bool = Field(True, description="whether lonely rough shots far behind a wall, seen through it, are noise")
+    ghost_m: float = Field(5.0, ge=0, le=100, description="they are farther behind it than this [m] ...")
+    ghost_near: int = Field(6, ge=0, le=28, description="... and have fewer near neighbours, of 28")
 
 
 class LeavesParams(Params):
@@ -89,9 +95,10 @@ def decide(
 ) -> U8:
     """Label every shot of the lines; see :func:`prc_cli.kernels.fused_classes.fused_labels`.
 
-    In this order: alone, unless a leaf: noise. A spike: noise. Rough and far below the ground: noise. On the ground:
-    ground. Low with level surfaces: no class. Thin and upright: vegetation below a crown, else no class. Rough place,
-    and neither in a wall nor behind its windows: vegetation. All else: building.
+    In this order: alone, unless a leaf or part of a surface: noise. A spike: noise. Rough and far below the ground:
+    noise. On the ground: ground. Lonely, rough and far behind a wall: noise. Low with level surfaces: no class. Thin
+    and upright: vegetation below a crown, else no class. Rough place, and neither in a wall nor behind its windows:
+    vegetation. All else: building.
     """
     labels: U8 = kernels.fused_labels(
         window_m, (*points, ground.above_m), seen.counts, ground.walked, texture, standing.slots, standing.walls,
@@ -133,6 +140,9 @@ def decision_figures(
             poles.far_m,
             poles.crown_slots,
             poles.foot_m,
+            1.0 if noise.held else 0.0,
+            noise.ghost_m,
+            noise.ghost_near if noise.ghosts else 0,
         ],
         np.float32,
     )

@@ -25,6 +25,9 @@ class StripsParams(Params):
     foot_m: float = Field(0.15, ge=0, le=10, description="what is lower above the ground is left out [m]")
     rough: int = Field(2, ge=0, le=10, description="shots with so many smooth pairs, of 10, or fewer are rough")
     smooth: int = Field(3, ge=0, le=11, description="shots with so many or more are smooth")
+    level_smooth: int = Field(
+        6, ge=0, le=11, description="level surfaces of cars have so many or more; the tops of hedges are rougher"
+    )
     jump_m: float = Field(1.0, ge=0, le=100, description="a level surface goes on to a neighbour that is nearer [m]")
 
 
@@ -37,7 +40,7 @@ class WallParams(Params):
     )
     share: float = Field(0.3, ge=0, le=1, description="its share of all that stands there")
     front_m: float = Field(0.4, ge=0, le=10, description="what is this close before a wall belongs to it [m]")
-    behind_m: float = Field(2.5, ge=0, le=100, description="so does what is seen through it, up to so far behind [m]")
+    behind_m: float = Field(1.0, ge=0, le=100, description="so does what is seen through it, up to so far behind [m]")
     over_m: float = Field(0.3, ge=0, le=10, description="by lines of sight up to so much above its top [m]")
     before_m: float = Field(
         1.6, ge=0, le=100, description="before a wall, up to so far, leaves must be rougher: balconies are there [m]"
@@ -81,12 +84,12 @@ def stand(
     strips : StripsParams
     walls : WallParams
     """
-    figures = [least_near, strips.foot_m, strips.rough, strips.smooth, car_top_m, strips.jump_m]
+    figures = [least_near, strips.foot_m, strips.rough, strips.smooth, strips.level_smooth, car_top_m, strips.jump_m]
     every, rough, length, wall, place, top, levels = kernels.fill_strips(
         points, seen.counts, plane.step_rad, np.array(figures, np.float32)
     )
     height_m = walls.height_m if walls.enabled else NEVER_M
     found = kernels.find_walls(
-        (length, wall, place, top), np.array([height_m, walls.share, walls.behind_m, walls.before_m], np.float32)
+        (length, wall, place, top), np.array([height_m, walls.share, walls.before_m], np.float32)
     )
     return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, kernels.widen_levels(levels))

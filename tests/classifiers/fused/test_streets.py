@@ -104,12 +104,35 @@ def test_ranges_behind_the_windows_of_a_wall_are_building(street: tuple[F32, U8]
     rng = np.random.default_rng(5)
     height = -ranges * np.cos(BEAM) + HEIGHT_M
     window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.6)
-    ranges[window] *= rng.uniform(1.05, 1.25, int(window.sum())).astype(np.float32)
+    ranges[window] *= rng.uniform(1.05, 1.13, int(window.sum())).astype(np.float32)
     with_walls, without = (
         classified(ranges, FusedParams(walls={"enabled": on}, votes={"enabled": False})) for on in (True, False)
     )
     assert (with_walls[window] == Label.BUILDING).mean() > 0.8
     assert (without[window] == Label.BUILDING).mean() < 0.5
+
+
+def test_lonely_ranges_far_behind_the_windows_of_a_wall_are_noise(street: tuple[F32, U8]) -> None:
+    ranges, kind = street[0].copy(), street[1]
+    rng = np.random.default_rng(6)
+    height = -ranges * np.cos(BEAM) + HEIGHT_M
+    window = (kind == BUILDING) & (height > 3) & (height < 4.5) & (rng.random(ranges.shape) < 0.5)
+    ranges[window] *= rng.uniform(1.8, 2.4, int(window.sum())).astype(np.float32)
+    found, missed = (classified(ranges, FusedParams(noise={"ghosts": on})) for on in (True, False))
+    assert (found[window] == Label.NOISE).mean() > 0.6
+    assert (missed[window] == Label.NOISE).mean() < 0.3
+
+
+def test_what_few_shots_are_left_of_a_wall_are_building(street: tuple[F32, U8]) -> None:
+    ranges, kind = street[0].copy(), street[1]
+    rng = np.random.default_rng(7)
+    height = -ranges * np.cos(BEAM) + HEIGHT_M
+    band = (kind == BUILDING) & (height > 2) & (height < 4)
+    ranges[band & (rng.random(ranges.shape) < 0.9)] = np.nan
+    left = band & ~np.isnan(ranges)
+    found, missed = (classified(ranges, FusedParams(noise={"held": on})) for on in (True, False))
+    assert (found[left] == Label.BUILDING).mean() > 0.9
+    assert (missed[left] == Label.BUILDING).mean() < 0.6
 
 
 def test_votes_settle_single_shots(street: tuple[F32, U8]) -> None:
