@@ -1,6 +1,7 @@
 """Writers of one journal, each killed at a random moment; a script of its own, because it forks.
 
-``python killed_writers.py FOLDER SEED KILLS`` checks the journal after every kill and says how many rows there were.
+``python killed_writers.py FOLDER SEED KILLS ROWS`` checks the journal after every kill and says how many rows there
+were. It kills at least so often, and goes on until so many rows were finished.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import random
 import signal
 import sys
 import time
+from itertools import count
 from pathlib import Path
 
 from prc_cli.batch.journal import Journal, read_entries
@@ -18,10 +20,12 @@ from prc_cli.config import LoadedConfig, RunConfig
 
 
 def main() -> None:
-    folder, rng, n_kills = Path(sys.argv[1]), random.Random(int(sys.argv[2])), int(sys.argv[3])
+    folder, rng, n_kills, n_rows = Path(sys.argv[1]), random.Random(int(sys.argv[2])), *map(int, sys.argv[3:5])
     started: set[str] = set()
     finished: set[str] = set()
-    for number in range(n_kills):
+    for number in count():
+        if number >= n_kills and len(finished) >= n_rows:
+            break
         reading, writing = os.pipe()
         pid = os.fork()
         if pid == 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -18,6 +19,7 @@ from prc_cli.batch.settings import BatchSettings
 from prc_cli.batch.types import OWN_FOLDER, Shard
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.readers import check_input
+from tests.patience import HANGS_S
 
 
 def put(path: Path, content: bytes = b"x") -> Path:
@@ -114,10 +116,10 @@ def test_no_pattern_is_an_error_of_python(pattern: str, name: str) -> None:
 
 
 def test_many_stars_take_no_time() -> None:
-    begun = time.perf_counter()
+    begun = time.process_time()
     Patterns(["*" * 50 + "b"]).match("a" * 200)
     Patterns(["a/" + "**/" * 8 + "x.laz"]).match("a/" + "b/" * 12 + "y.laz")
-    assert time.perf_counter() - begun < 1
+    assert time.process_time() - begun < 60, "the naive way takes longer than there is time"
 
 
 def test_outputs_are_no_inputs(archive: Path) -> None:
@@ -254,13 +256,16 @@ def test_parse_since() -> None:
 
 
 def test_a_file_system_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = threading.Event()
+
     def hang(settings: BatchSettings, since_ns: int | None) -> Iterator[None]:
-        time.sleep(5)
+        answers.wait(HANGS_S)
         yield None
 
     monkeypatch.setattr(discovery, "_select", hang)
     with pytest.raises(InputError, match="has not answered for 0.1 s"):
         discover(BatchSettings(tmp_path, tmp_path / "out"), patience_s=0.1)
+    answers.set()
 
 
 def test_names_of_outputs_never_meet() -> None:

@@ -8,9 +8,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from prc_cli.batch import local, worker
@@ -19,17 +21,55 @@ from prc_cli.batch.types import Done, EngineSettings, Event, Failed, Progress, S
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import PrcError
 from prc_cli.pipeline import classify
+from tests.patience import wait_until
 from tests.street import street, write_npz
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
 
 
-STALL_S = 4.0
-"""Long enough for what a busy machine needs to load the classifier."""
+STALL_S = 100_000.0
+"""So long that no machine is slow enough to be taken for one that hangs; tests turn the clock on instead."""
+
+
+class Clock:
+    """The clock of the engine, which a test may turn on."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.ahead_s = 0.0
+        patch.setattr(local, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + self.ahead_s))
+
+    def turn_on(self) -> None:
+        """Let every worker be silent for longer than it may be."""
+        self.ahead_s += 2 * STALL_S
+
+    def turn_on_when_given(self, patch: pytest.MonkeyPatch, name: str) -> None:
+        """Do so when a worker has got a task of this name."""
+        give = local._Worker.give
+
+        def given(worker: local._Worker, task: Task) -> None:
+            give(worker, task)
+            if task.name == name:
+                self.turn_on()
+
+        patch.setattr(local._Worker, "give", given)
+
+
+def pass_for_listening(patch: pytest.MonkeyPatch) -> None:
+    """Let the engine hold the time by which its clock was turned on against its workers."""
+    patch.setattr(local, "LONGEST_LOOK_S", float("inf"))
 
 
 def task(folder: Path, name: str, source: Path) -> Task:
     return Task(name, source, folder / "out" / f"{name}.npy", LoadedConfig(RunConfig()), "")
+
+
+def endless(path: Path) -> Path:
+    """A file of nothing but missing shots, a hole on the disk, which takes an hour or more to classify."""
+    with path.open("wb") as handle:
+        shape = {"descr": "<f4", "fortran_order": False, "shape": (20_000_000, 2000)}
+        np.lib.format.write_array_header_1_0(handle, shape)
+        handle.truncate(handle.tell() + 4 * 20_000_000 * 2000)
+    return path
 
 
 def process_of(event: Started) -> int:
@@ -42,15 +82,6 @@ def is_running(process: int) -> bool:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
-
-
-def wait_until(is_so: Callable[[], bool], seconds: float = 20.0) -> bool:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if is_so():
-            return True
-        time.sleep(0.02)
-    return False
 
 
 def children(process: int) -> list[int]:
@@ -77,13 +108,18 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]
     sources = {"damaged": damaged, "gone": folder / "gone.npz"}
     tasks = [task(folder, name, sources.get(name, sound)) for name in names]
     found: list[Event] = []
-    for event in LocalEngine().run(iter(tasks), EngineSettings(jobs=2, stall_s=STALL_S)):
-        found.append(event)
-        # the task is sent when the next event is asked for: the process dies, or sleeps, with the task before it
-        if isinstance(event, Started) and event.name == "killed":
-            os.kill(process_of(event), signal.SIGKILL)
-        if isinstance(event, Started) and event.name == "hangs":
-            os.kill(process_of(event), signal.SIGSTOP)
+    with pytest.MonkeyPatch.context() as patch:
+        clock = Clock(patch)
+        pass_for_listening(patch)
+        for event in LocalEngine().run(iter(tasks), EngineSettings(jobs=2, stall_s=STALL_S)):
+            found.append(event)
+            # the task is sent when the next event is asked for: the process dies, or sleeps, with the task before it
+            if isinstance(event, Started) and event.name == "killed":
+                os.kill(process_of(event), signal.SIGKILL)
+            if isinstance(event, Started) and event.name == "hangs":
+                os.kill(process_of(event), signal.SIGSTOP)
+            if len(outcomes(found)) == len(tasks) - 1 and not clock.ahead_s:  # all but the one that hangs
+                clock.turn_on()
     return folder, found
 
 
@@ -131,7 +167,7 @@ def test_a_file_without_progress_is_given_up(events: tuple[Path, list[Event]]) -
     found = outcomes(events[1])["hangs"]
     assert isinstance(found, Failed)
     assert found.problem.kind == "timeout"
-    assert STALL_S <= found.seconds < STALL_S + 15
+    assert found.seconds >= STALL_S
 
 
 def test_damage_is_the_readers_word(events: tuple[Path, list[Event]]) -> None:
@@ -157,24 +193,20 @@ def test_done_counts_what_was_read(events: tuple[Path, list[Event]]) -> None:
 
 
 def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
-    image = street(4000)
-    sources = [write_npz(tmp_path / f"{i}.npz", image) for i in range(4)]
-    run = LocalEngine().run([task(tmp_path, path.name, path) for path in sources], EngineSettings(jobs=1))
+    source = endless(tmp_path / "endless.npy")
+    run = LocalEngine().run([task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1))
     for event in run:
         if isinstance(event, Progress):
             break
     workers = children(os.getpid())
-    begun = time.monotonic()
     run.close()  # type: ignore[attr-defined]
-    assert time.monotonic() - begun < 15
     assert workers
-    assert wait_until(lambda: not any(is_running(process) for process in workers), 5.0)
-    left = {path.name for path in (tmp_path / "out").iterdir()}
-    assert left <= {"0.npz.npy", "0.npz.npy.prc.json"}, left  # unless it was done just then
+    assert not any(is_running(process) for process in workers)
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
-    source = write_npz(tmp_path / "long.npz", street(6000))
+    source = endless(tmp_path / "endless.npy")
     script = """
 import sys
 from pathlib import Path
@@ -182,7 +214,7 @@ from prc_cli.batch.local import LocalEngine
 from prc_cli.batch.types import EngineSettings, Progress, Task
 from prc_cli.config import LoadedConfig, RunConfig
 source = Path(sys.argv[1])
-tasks = (Task(str(i), source, source.parent / "out" / f"{i}.npy", LoadedConfig(RunConfig()), "") for i in range(50))
+tasks = [Task("a", source, source.parent / "out" / "a.npy", LoadedConfig(RunConfig()), "")]
 for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
     if isinstance(event, Progress):
         print("progress", flush=True)
@@ -197,8 +229,8 @@ for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
         parent.kill()
         parent.wait()
         parent.stdout.close()
-    assert wait_until(lambda: not any(is_running(process) for process in workers), 15.0)
-    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith(".")]
+    wait_until(lambda: not any(is_running(process) for process in workers))
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_a_worker_does_not_hear_ctrl_c(tmp_path: Path) -> None:
@@ -214,8 +246,6 @@ def test_a_worker_does_not_hear_ctrl_c(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems count address space")
 def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: Path) -> None:
-    import numpy as np
-
     wide = tmp_path / "wide.npy"
     np.lib.format.open_memmap(wide, mode="w+", dtype=np.float32, shape=(40, 4_000_000)).flush()
     small = write_npz(tmp_path / "small.npz", street(80))
@@ -230,10 +260,13 @@ def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: 
 def test_a_worker_that_cannot_be_killed_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As one that waits for a file server that is gone, in the system, where no signal comes through."""
     source = write_npz(tmp_path / "a.npz", street(80))
-    monkeypatch.setattr(local, "ABANDON_S", 0.3)
+    clock = Clock(monkeypatch)
+    clock.turn_on_when_given(monkeypatch, "hangs")
+    pass_for_listening(monkeypatch)
     stopped: list[int] = []
     real_kill = subprocess.Popen.kill
-    monkeypatch.setattr(subprocess.Popen, "kill", lambda process: None)
+    # it is told to end, does not, and is given up
+    monkeypatch.setattr(subprocess.Popen, "kill", lambda process: clock.turn_on())
     try:
         found: list[Event] = []
         tasks = [task(tmp_path, name, source) for name in ("hangs", "b")]
@@ -246,7 +279,7 @@ def test_a_worker_that_cannot_be_killed_is_left_behind(tmp_path: Path, monkeypat
         monkeypatch.setattr(subprocess.Popen, "kill", real_kill)
         for process in stopped:
             os.kill(process, signal.SIGKILL)
-            wait_until(lambda n=process: not Path(f"/proc/{n}").exists())  # type: ignore[misc]
+            wait_until(lambda n=process: not Path(f"/proc/{n}").exists())
     ended = outcomes(found)
     assert isinstance(ended["hangs"], Failed)
     assert ended["hangs"].problem.kind == "timeout"
@@ -295,18 +328,16 @@ interrupts = worker._Interrupts()
 class Deleted:
     def __del__(self):
         threading.Thread(target=interrupts.end, daemon=True).start()
-        time.sleep(5)
+        time.sleep(600)
 try:
     Deleted()
-    time.sleep(30)
+    time.sleep(600)
 finally:
     print("rolled back", flush=True)
 """
-    begun = time.monotonic()
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert found.stdout == "rolled back\n"
     assert found.returncode == worker.ENDED
-    assert time.monotonic() - begun < 20
 
 
 def test_values_go_through_pipes(tmp_path: Path) -> None:
@@ -314,20 +345,9 @@ def test_values_go_through_pipes(tmp_path: Path) -> None:
     assert pickle.loads(pickle.dumps(one)) == one
 
 
-def test_time_in_which_nobody_listened_is_no_stall(tmp_path: Path) -> None:
+def test_time_in_which_nobody_listened_is_no_stall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if this process had been stopped as well."""
     source = write_npz(tmp_path / "a.npz", street(80))
-    found: list[Event] = []
-    for event in LocalEngine().run([task(tmp_path, "a", source)], EngineSettings(jobs=1, stall_s=STALL_S)):
-        found.append(event)
-        if isinstance(event, Started):
-            process = process_of(event)
-            os.kill(process, signal.SIGSTOP)
-            begun = time.monotonic()
-        elif isinstance(event, Progress):
-            break
-        if isinstance(event, Started):
-            while time.monotonic() - begun < STALL_S + 1.5:  # as if this process had been stopped as well
-                time.sleep(0.1)
-            os.kill(process, signal.SIGCONT)
-    assert not [event for event in found if isinstance(event, Failed)]
-    assert isinstance(found[-1], Progress)
+    Clock(monkeypatch).turn_on_when_given(monkeypatch, "a")
+    found = list(LocalEngine().run([task(tmp_path, "a", source)], EngineSettings(jobs=1, stall_s=STALL_S)))
+    assert [type(event) for event in found if not isinstance(event, Progress)] == [Started, Done]
