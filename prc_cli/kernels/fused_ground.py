@@ -108,14 +108,15 @@ def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
     for b in range(BINS):
         if not seen[b]:
             continue
-        if last < 0:
-            profile[:b] = profile[b]
-        elif b - last > 1:
-            rise = (profile[b] - profile[last]) / np.float32(b - last)
+        if b - last > 1:
+            low = profile[b] if last < 0 else profile[last]
+            rise = (profile[b] - low) / np.float32(b - last)
             for q in range(last + 1, b):
-                profile[q] = profile[last] + rise * np.float32(q - last)
+                profile[q] = low + rise * np.float32(q - last)
         last = b
-    profile[last + 1 :] = profile[last] if last >= 0 else start_m
+    beyond = profile[last] if last >= 0 else start_m
+    for q in range(last + 1, BINS):
+        profile[q] = beyond
 
 
 @helper
@@ -147,17 +148,35 @@ def _heights(side: F32, height: F32, grounds: F32, above: F32) -> None:
         above[i] = height[i] - grounds[i] if side[i] == side[i] else np.float32(np.nan)
 
 
+@helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line in the scan plane."""
+    sine, cosine = beams
+    for i in range(len(ranges)):
+        side[i] = ranges[i] * sine[i]
+    for i in range(len(ranges)):
+        height[i] = -(ranges[i] * cosine[i])
+
+
+@helper
+def _copy(heights: F32, ages: I32, to_heights: F32, to_ages: I32) -> None:
+    """Copy a memory of the ground; by itself, because the compiler takes seconds over a copy of arrays."""
+    for s in range(2):
+        for b in range(BINS):
+            to_heights[s, b] = heights[s, b]
+            to_ages[s, b] = ages[s, b]
+
+
 @kernel(
     "Tuple((float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[:, ::1]))"
-    "(float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), int32[::1], int32[::1],"
+    "(float32[:, ::1], UniTuple(float32[::1], 2), UniTuple(uint8[:, ::1], 4), UniTuple(int32[::1], 2),"
     " float32[:, ::1], int32[:, ::1], float32, int64, float32[::1])"
 )
 def walk_ground(
-    side_m: F32,
-    height_m: F32,
+    range_m: F32,
+    beams: tuple[F32, F32],
     counts: tuple[U8, U8, U8, U8],
-    left: I32,
-    right: I32,
+    sides: tuple[I32, I32],
     memory_m: F32,
     age: I32,
     start_m: np.float32,
@@ -168,11 +187,13 @@ def walk_ground(
 
     Parameters
     ----------
-    side_m, height_m : (lines, M) float32, metres
-        Points of the scan plane; NaN = missing.
+    range_m : (lines, M) float32, metres
+        NaN = missing.
+    beams : tuple of (M,) float32
+        Sine and cosine of every column's beam from straight down.
     counts : tuple of (lines, M) uint8
         Near neighbours, smooth pairs, upright and level chords of every shot.
-    left, right : (n,) int32
+    sides : tuple of (n,) int32
         Columns of positive and negative side, from straight down to straight up.
     memory_m : (2, BINS) float32, metres
         Height of the ground at every place beside the scanner, left and right, as last seen.
@@ -196,33 +217,38 @@ def walk_ground(
     memory_m, age
         As given, for the lines from ``keep`` on.
     """
-    n_lines, m = side_m.shape
+    n_lines, m = range_m.shape
     above = np.empty((n_lines, m), np.float32)
-    walked = np.zeros((n_lines, m), np.bool_)
-    memory, ages = memory_m.copy(), age.copy()
-    kept_memory, kept_ages = memory_m.copy(), age.copy()
+    walked = np.empty((n_lines, m), np.bool_)
+    memory, ages = np.empty((2, BINS), np.float32), np.empty((2, BINS), np.int32)
+    kept_memory, kept_ages = np.empty((2, BINS), np.float32), np.empty((2, BINS), np.int32)
+    _copy(memory_m, age, memory, ages)
     profiles, seen = np.empty(2 * BINS, np.float32), np.empty(BINS, np.uint8)
     level_shots, places = np.empty(m + 1, np.int32), np.empty(m, np.int32)
     shares, grounds = np.empty(m, np.float32), np.empty(m, np.float32)
+    side, height, is_level = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
     near, smooth, upright, level = counts
-    is_level = np.empty(m, np.uint8)
     for line in range(n_lines):
         if line == keep:
-            kept_memory[:], kept_ages[:] = memory, ages
-        points = (side_m[line], height_m[line])
+            _copy(memory, ages, kept_memory, kept_ages)
+        _lay_out(range_m[line], beams, side, height)
         _mark_level(near[line], smooth[line], upright[line], level[line], figures[LEAST_NEAR], is_level)
+        own = walked[line]
+        for i in range(m):
+            own[i] = False
         for s in range(2):
-            columns = left if s == 0 else right
+            columns = sides[0] if s == 0 else sides[1]
             sign = np.float32(1.0) if s == 0 else np.float32(-1.0)
             profile, known = profiles[s * BINS : (s + 1) * BINS], (memory[s], ages[s])
-            seen[:] = 0
-            profile[:] = np.float32(0.0)
-            _walk(columns, sign, points, is_level, level_shots, known, start_m, figures, profile, seen, walked[line])
+            for b in range(BINS):
+                seen[b] = 0
+                profile[b] = np.float32(0.0)
+            _walk(columns, sign, (side, height), is_level, level_shots, known, start_m, figures, profile, seen, own)
             _remember(profile, seen, memory[s], ages[s], figures)
             _fill(profile, seen, start_m)
-        _places(side_m[line], places, shares)
+        _places(side, places, shares)
         _grounds(places, shares, profiles, grounds)
-        _heights(side_m[line], height_m[line], grounds, above[line])
+        _heights(side, height, grounds, above[line])
     if keep >= n_lines:
-        kept_memory[:], kept_ages[:] = memory, ages
+        _copy(memory, ages, kept_memory, kept_ages)
     return above, walked, kept_memory, kept_ages

@@ -59,8 +59,10 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
     sine, cosine = beams
     m = len(ranges)
     y, z = side[COLUMNS : COLUMNS + m], height[COLUMNS : COLUMNS + m]
+    # one result a loop: of more, the compiler does not always see that they lie apart
     for i in range(m):
         y[i] = ranges[i] * sine[i]
+    for i in range(m):
         z[i] = -(ranges[i] * cosine[i])
 
 
@@ -357,11 +359,8 @@ def _count_chords(
         )
 
 
-@kernel(
-    "UniTuple(uint8[:, ::1], 2)"
-    "(float32[:, ::1], float32[:, ::1], float32[:, ::1], uint8[:, ::1], float32, float32[::1])"
-)
-def directions(range_m: F32, side_m: F32, height_m: F32, smooth: U8, step: np.float32, figures: F32) -> tuple[U8, U8]:
+@kernel("UniTuple(uint8[:, ::1], 2)(float32[:, ::1], uint8[:, ::1], float32[::1], float32[::1], float32, float32[::1])")
+def directions(range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, figures: F32) -> tuple[U8, U8]:
     """Count which chords through a shot are upright and which are level.
 
     A chord reaches as far to both sides as CHORD_M is long at that range, to shots that lie on something smooth; it and
@@ -371,10 +370,10 @@ def directions(range_m: F32, side_m: F32, height_m: F32, smooth: U8, step: np.fl
     ----------
     range_m : (lines, M) float32, metres
         NaN = missing.
-    side_m, height_m : (lines, M) float32, metres
-        Points of the scan plane.
     smooth : (lines, M) uint8
         Of :func:`smooth_counts`.
+    sine, cosine : (M,) float32
+        Of every column's beam from straight down.
     step : float32, radians
     figures : (4,) float32
         CHORD_M; a chord is upright where it goes less than SLOPE times its height, and SLACK_M, to the side, and level
@@ -386,23 +385,29 @@ def directions(range_m: F32, side_m: F32, height_m: F32, smooth: U8, step: np.fl
         0 to 3. A chord may be both where it is short.
     """
     n_lines, m = range_m.shape
-    upright = np.zeros((n_lines, m), np.uint8)
-    level = np.zeros((n_lines, m), np.uint8)
-    reach = np.empty(m, np.int32)
-    nothing = np.float32(np.nan)
-    shown = np.full(m + 2 * PAD, nothing, np.float32)
-    ends = np.full(2 * len(shown), nothing, np.float32), np.full(2 * len(shown), nothing, np.float32)
+    n = m + 2 * PAD
+    upright, level = np.empty((n_lines, m), np.uint8), np.empty((n_lines, m), np.uint8)
+    reach, side, height = np.empty(m, np.int32), np.empty(m, np.float32), np.empty(m, np.float32)
+    shown, ends = np.empty(n, np.float32), (np.empty(2 * n, np.float32), np.empty(2 * n, np.float32))
+    for i in range(n):
+        shown[i] = np.float32(np.nan)
+    for i in range(2 * n):
+        ends[0][i] = ends[1][i] = np.float32(np.nan)
     before = np.empty(m, np.float32), np.empty(m, np.float32)
     after = np.empty(m, np.float32), np.empty(m, np.float32)
     chord, most = figures[CHORD_M], np.float32(MOST_COLUMNS)
     for line in range(n_lines):
-        own, y, z = range_m[line], side_m[line], height_m[line]
+        own = range_m[line]
         for i in range(m):
             columns = np.float32(0.0) if own[i] != own[i] else chord / (own[i] * step)
             reach[i] = np.int32(min(max(columns, np.float32(1.0)), most))
+        for i in range(m):
+            side[i] = own[i] * sine[i]
+        for i in range(m):
+            height[i] = -(own[i] * cosine[i])
         for way in (-1, 1):
-            _ends(y, smooth[line], way, shown, ends[0])
-            _ends(z, smooth[line], way, shown, ends[1])
+            _ends(side, smooth[line], way, shown, ends[0])
+            _ends(height, smooth[line], way, shown, ends[1])
             _look_up(reach, way, ends, before if way < 0 else after)
-        _count_chords((y, z), before, after, figures, upright[line], level[line])
+        _count_chords((side, height), before, after, figures, upright[line], level[line])
     return upright, level

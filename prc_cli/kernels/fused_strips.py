@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F32, U8
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.core.types import F32, I32, U8
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 Slots = NDArray[np.uint64]
 
@@ -33,69 +33,157 @@ WALL_M, WALL_SHARE, BEFORE_M = range(3)
 """Figures of walls, in this order."""
 
 
+_FAR_BINS = np.float32(1e6)
+"""So far away there are no bins; what is to become an integer is nearer."""
+
+
+@inlined
+def _bin(y: np.float32, width: np.float32) -> np.int32:
+    """Return which of the bins to the left and right a shot is in, 0 = the first beside the scanner."""
+    return np.int32(np.floor(min(max(y / width, -_FAR_BINS), _FAR_BINS)))
+
+
 @helper
-def _fill_line(
-    points: tuple[F32, F32, F32, F32],
-    counts: tuple[U8, U8, U8, U8],
+def _list_counted(
+    ranges: F32,
+    side: F32,
+    above: F32,
+    near: U8,
     step: np.float32,
     figures: F32,
+    strips: I32,
+    stand_for: F32,
+    shots: I32,
+) -> int:
+    """List the shots of a line that count, return how many; write their strips and the heights that they stand for.
+
+    One result a loop: of more, the compiler does not see that they lie apart.
+    """
+    least, foot = figures[LEAST_NEAR], figures[FOOT_M]
+    for i in range(len(ranges)):
+        counted = (above[i] >= foot) & (np.float32(near[i]) >= least)
+        b = _bin(side[i] if counted else np.float32(0.0), STRIP_M) + np.int32(STRIPS // 2)
+        strips[i] = b if counted & (b >= 0) & (b < STRIPS) else np.int32(-1)
+    for i in range(len(ranges)):
+        stand_for[i] = ranges[i] * step / max(abs(side[i]) / ranges[i], LEAST_COSINE)
+    n = 0
+    for i in range(len(ranges)):
+        shots[n] = i
+        n += strips[i] >= 0
+    return n
+
+
+@helper
+def _mark_kinds(
+    above: F32, counts: tuple[U8, U8, U8, U8], figures: F32, slots: U8, rough: U8, upright: U8, level: U8
+) -> None:
+    """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces."""
+    _, pairs, up, flat = counts
+    foot, most_rough, least_smooth = figures[FOOT_M], figures[ROUGH], figures[SMOOTH]
+    least_level, level_top = figures[LEVEL_SMOOTH], figures[LEVEL_TOP_M]
+    for i in range(len(above)):
+        h = above[i] if above[i] >= foot else np.float32(0.0)
+        slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
+    for i in range(len(above)):
+        rough[i] = np.uint8(np.float32(pairs[i]) <= most_rough)
+    for i in range(len(above)):
+        upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & (up[i] >= UPRIGHT_CHORDS))
+    for i in range(len(above)):
+        level[i] = np.uint8(
+            (np.float32(pairs[i]) >= least_level) & (flat[i] > up[i]) & (above[i] < level_top) & (above[i] >= foot)
+        )
+
+
+@helper
+def _keep_walls(upright: U8, stand_for: F32, side: F32, height: F32, wall: F32, place: F32, top: F32) -> None:
+    """Write what the shots of a line add to walls: height, its place and its top; nothing where they are on none."""
+    for i in range(len(upright)):
+        wall[i] = stand_for[i] if upright[i] != 0 else np.float32(0.0)
+    for i in range(len(upright)):
+        place[i] = stand_for[i] * side[i] if upright[i] != 0 else np.float32(0.0)
+    for i in range(len(upright)):
+        top[i] = height[i] if upright[i] != 0 else NO_TOP
+
+
+@helper
+def _fill_line(
+    shots: I32,
+    strips: I32,
+    slot: U8,
+    is_rough: U8,
+    heights: tuple[F32, F32, F32, F32],
     slots: tuple[Slots, Slots],
     sums: tuple[F32, F32, F32, F32],
-    levels: U8,
 ) -> None:
-    """Put the shots of a line into its strips."""
-    ranges, side, height, above = points
-    near, smooth, upright, level = counts
+    """Put the shots of a list into the strips of their line."""
+    stand_for, on_wall, at, top_of = heights
     every, rough = slots
     length, wall, place, top = sums
-    least, foot = figures[LEAST_NEAR], figures[FOOT_M]
-    m = len(ranges)
-    for i in range(m):
-        h, y = above[i], side[i]
-        if not (h >= foot) or np.float32(near[i]) < least:
-            continue
-        b = int(np.floor(y / STRIP_M)) + STRIPS // 2
-        if b < 0 or b >= STRIPS:
-            continue
-        bit = np.uint64(1) << np.uint64(int(min(h / SLOT_M, np.float32(SLOTS - 1))))
-        every[b] |= bit
-        if np.float32(smooth[i]) <= figures[ROUGH]:
-            rough[b] |= bit
-        # the height that the shot stands for, if it is on an upright surface
-        stands_for = ranges[i] * step / max(abs(y) / ranges[i], LEAST_COSINE)
-        length[b] += stands_for
-        pairs = np.float32(smooth[i])
-        if pairs >= figures[SMOOTH] and upright[i] >= UPRIGHT_CHORDS:
-            wall[b] += stands_for
-            place[b] += stands_for * y
-            top[b] = max(top[b], height[i])
-        if pairs >= figures[LEVEL_SMOOTH] and level[i] > upright[i] and h < figures[LEVEL_TOP_M]:
-            first, last = y, y
-            for j in (i - 1, i + 1):
-                if 0 <= j < m and abs(side[j] - y) < figures[JUMP_M]:
-                    first, last = min(first, side[j]), max(last, side[j])
-            low = max(int(np.floor(first / (STRIP_M / np.float32(2.0)))) + STRIPS, 0)
-            high = min(int(np.floor(last / (STRIP_M / np.float32(2.0)))) + STRIPS, 2 * STRIPS - 1)
-            for q in range(low, high + 1):
-                levels[q] = 1
+    # what is added to a strip stays in the registers of the processor until the next shot is in another one
+    b = np.uint64(0)
+    bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
+    for k in range(len(shots)):
+        i = np.uint64(shots[k])
+        own = np.uint64(strips[i])
+        if own != b:
+            every[b], rough[b], length[b], wall[b], place[b], top[b] = (
+                bits, rough_bits, all_m, wall_m, place_m, highest
+            )  # fmt: skip
+            b = own
+            bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
+        bits |= np.uint64(1) << np.uint64(slot[i])
+        rough_bits |= np.uint64(is_rough[i]) << np.uint64(slot[i])
+        all_m += stand_for[i]
+        wall_m += on_wall[i]
+        place_m += at[i]
+        highest = max(highest, top_of[i])
+    every[b], rough[b], length[b], wall[b], place[b], top[b] = bits, rough_bits, all_m, wall_m, place_m, highest
+
+
+@helper
+def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8) -> None:
+    """Mark the bins from every marked shot of a list, on a level surface, to those beside it that are not far."""
+    n = 0
+    for k in range(len(shots)):
+        i = shots[k]
+        shots[n] = i
+        n += marks[i]
+    for k in range(n):
+        i = shots[k]
+        y = side[i]
+        first, last = y, y
+        for j in (i - 1, i + 1):
+            if 0 <= j < len(side) and abs(side[j] - y) < jump:
+                first, last = min(first, side[j]), max(last, side[j])
+        low = max(int(_bin(first, STRIP_M / np.float32(2.0))) + STRIPS, 0)
+        high = min(int(_bin(last, STRIP_M / np.float32(2.0))) + STRIPS, 2 * STRIPS - 1)
+        for q in range(low, high + 1):
+            levels[q] = 1
 
 
 @kernel(
     "Tuple((uint64[:, ::1], uint64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1],"
     " uint8[:, ::1]))"
-    "(UniTuple(float32[:, ::1], 4), UniTuple(uint8[:, ::1], 4), float32, float32[::1])"
+    "(float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), UniTuple(float32[::1], 2), float32, float32[::1])"
 )
 def fill_strips(
-    points: tuple[F32, F32, F32, F32], counts: tuple[U8, U8, U8, U8], step: np.float32, figures: F32
+    range_m: F32,
+    above_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    beams: tuple[F32, F32],
+    step: np.float32,
+    figures: F32,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
     """Sort what stands above the ground into strips, line by line.
 
     Parameters
     ----------
-    points : tuple of (lines, M) float32, metres
-        Range, side and height in the scan plane, height above the ground; NaN = missing.
+    range_m, above_m : (lines, M) float32, metres
+        Range and height above the ground; NaN = missing.
     counts : tuple of (lines, M) uint8
         Near neighbours, smooth pairs, upright and level chords.
+    beams : tuple of (M,) float32
+        Sine and cosine of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
     figures : (7,) float32
@@ -113,21 +201,34 @@ def fill_strips(
     levels : (lines, 2 STRIPS) uint8
         1 where a smooth level surface is.
     """
-    n_lines = points[0].shape[0]
-    every, rough = np.zeros((n_lines, STRIPS), np.uint64), np.zeros((n_lines, STRIPS), np.uint64)
-    length, wall = np.zeros((n_lines, STRIPS), np.float32), np.zeros((n_lines, STRIPS), np.float32)
-    place, top = np.zeros((n_lines, STRIPS), np.float32), np.full((n_lines, STRIPS), NO_TOP, np.float32)
-    levels = np.zeros((n_lines, 2 * STRIPS), np.uint8)
+    n_lines, m = range_m.shape
+    side, height = np.empty(m, np.float32), np.empty(m, np.float32)
+    every, rough = np.empty((n_lines, STRIPS), np.uint64), np.empty((n_lines, STRIPS), np.uint64)
+    length, wall = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
+    place, top = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
+    levels = np.empty((n_lines, 2 * STRIPS), np.uint8)
+    shots, strips = np.empty(m + 1, np.int32), np.empty(m, np.int32)
+    slot, marks = np.empty(m, np.uint8), np.empty((3, m), np.uint8)
+    heights = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.float32)
     for k in range(n_lines):
-        _fill_line(
-            (points[0][k], points[1][k], points[2][k], points[3][k]),
-            (counts[0][k], counts[1][k], counts[2][k], counts[3][k]),
-            step,
-            figures,
-            (every[k], rough[k]),
-            (length[k], wall[k], place[k], top[k]),
-            levels[k],
-        )
+        for b in range(STRIPS):
+            every[k, b] = rough[k, b] = np.uint64(0)
+            length[k, b] = wall[k, b] = place[k, b] = np.float32(0.0)
+            top[k, b] = NO_TOP
+        for q in range(2 * STRIPS):
+            levels[k, q] = np.uint8(0)
+        own, above = range_m[k], above_m[k]
+        for i in range(m):
+            side[i] = own[i] * beams[0][i]
+        for i in range(m):
+            height[i] = -(own[i] * beams[1][i])
+        n = _list_counted(own, side, above, counts[0][k], step, figures, strips, heights[0], shots)
+        seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
+        _mark_kinds(above, seen, figures, slot, marks[0], marks[1], marks[2])
+        _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
+        sums = length[k], wall[k], place[k], top[k]
+        _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)
+        _mark_levels(shots[:n], marks[2], side, figures[JUMP_M], levels[k])
     return every, rough, length, wall, place, top, levels
 
 
@@ -146,17 +247,16 @@ def widen_slots(slots: Slots) -> Slots:
     """
     n_lines = slots.shape[0] - 2 * LINES
     wide = np.empty((n_lines, STRIPS), np.uint64)
+    lines = np.empty(STRIPS + 2, np.uint64)
+    lines[0] = lines[STRIPS + 1] = np.uint64(0)
     for line in range(n_lines):
         row = wide[line]
-        row[:] = slots[line]
-        for k in range(line + 1, line + 2 * LINES + 1):
-            for b in range(STRIPS):
-                row[b] |= slots[k, b]
-        before = np.uint64(0)
         for b in range(STRIPS):
-            own = row[b]
-            row[b] = before | own | (row[b + 1] if b + 1 < STRIPS else np.uint64(0))
-            before = own
+            lines[b + 1] = (
+                slots[line, b] | slots[line + 1, b] | slots[line + 2, b] | slots[line + 3, b] | slots[line + 4, b]
+            )
+        for b in range(STRIPS):
+            row[b] = lines[b] | lines[b + 1] | lines[b + 2]
     return wide
 
 
@@ -176,39 +276,33 @@ def widen_levels(levels: U8) -> U8:
     wide = np.empty((n_lines, n), np.uint8)
     for line in range(n_lines):
         row = wide[line]
-        row[:] = levels[line]
-        for k in range(line + 1, line + 2 * LINES + 1):
-            for b in range(n):
-                row[b] |= levels[k, b]
+        for b in range(n):
+            row[b] = (
+                levels[line, b] | levels[line + 1, b] | levels[line + 2, b] | levels[line + 3, b] | levels[line + 4, b]
+            )
     return wide
 
 
 @helper
-def _sum_around(values: F32, line: int, sums: F32) -> None:
+def _sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
     """Add up the values of five lines, and then of three strips."""
-    sums[:] = values[line]
-    for k in range(line + 1, line + 2 * LINES + 1):
-        for b in range(STRIPS):
-            sums[b] += values[k, b]
-    before = np.float32(0.0)
     for b in range(STRIPS):
-        own = sums[b]
-        sums[b] = (before + own) + (sums[b + 1] if b + 1 < STRIPS else np.float32(0.0))
-        before = own
+        before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
+        lines[b + 1] = (before + values[line + 3, b]) + values[line + 4, b]
+    lines[0] = lines[STRIPS + 1] = np.float32(0.0)
+    for b in range(STRIPS):
+        sums[b] = (lines[b] + lines[b + 1]) + lines[b + 2]
 
 
 @helper
-def _top_around(values: F32, line: int, tops: F32) -> None:
+def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
     """Find the highest of five lines and three strips."""
-    tops[:] = values[line]
-    for k in range(line + 1, line + 2 * LINES + 1):
-        for b in range(STRIPS):
-            tops[b] = max(tops[b], values[k, b])
-    before = NO_TOP
     for b in range(STRIPS):
-        own = tops[b]
-        tops[b] = max(max(before, own), tops[b + 1] if b + 1 < STRIPS else NO_TOP)
-        before = own
+        before, after = max(values[line, b], values[line + 1, b]), max(values[line + 3, b], values[line + 4, b])
+        lines[b + 1] = max(max(before, values[line + 2, b]), after)
+    lines[0] = lines[STRIPS + 1] = NO_TOP
+    for b in range(STRIPS):
+        tops[b] = max(max(lines[b], lines[b + 1]), lines[b + 2])
 
 
 @helper
@@ -256,17 +350,18 @@ def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32,
     """
     length, wall, place, top = sums
     n_lines = length.shape[0] - 2 * LINES
-    at, tops = np.zeros((n_lines, STRIPS), np.float32), np.zeros((n_lines, STRIPS), np.float32)
-    ahead = np.zeros((n_lines, STRIPS), np.float32)
+    at, tops = np.empty((n_lines, STRIPS), np.float32), np.empty((n_lines, STRIPS), np.float32)
+    ahead, lines = np.empty((n_lines, STRIPS), np.float32), np.empty(STRIPS + 2, np.float32)
     lengths, walls, places = (np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32))
     highest, wall_at, is_wall = np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.uint8)
     enough = figures[WALL_M] * np.float32(2 * LINES + 1)
     for line in range(n_lines):
-        _sum_around(length, line, lengths)
-        _sum_around(wall, line, walls)
-        _sum_around(place, line, places)
-        _top_around(top, line, highest)
+        _sum_around(length, line, lines, lengths)
+        _sum_around(wall, line, lines, walls)
+        _sum_around(place, line, lines, places)
+        _top_around(top, line, lines, highest)
         for b in range(STRIPS):
+            at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
             is_wall[b] = (walls[b] >= enough) & (walls[b] >= figures[WALL_SHARE] * lengths[b]) & (walls[b] > 0)
             wall_at[b] = places[b] / walls[b] if is_wall[b] else np.float32(0.0)
         _look_out(is_wall, wall_at, highest, figures, (at[line], tops[line], ahead[line]))

@@ -12,11 +12,10 @@ QUARTER, HALF, BINS = np.float32(0.25), np.float32(0.5), 320
 
 
 def walk_ground(
-    side_m: F32,
-    height_m: F32,
+    range_m: F32,
+    beams: tuple[F32, F32],
     counts: tuple[U8, U8, U8, U8],
-    left: I32,
-    right: I32,
+    sides: tuple[I32, I32],
     memory_m: F32,
     age: I32,
     start_m: np.float32,
@@ -24,6 +23,7 @@ def walk_ground(
     figures: F32,
 ) -> tuple[F32, Mask, F32, I32]:
     """Find the ground; see :func:`prc_cli.kernels.fused_ground.walk_ground`."""
+    side_m, height_m = range_m * beams[0], -(range_m * beams[1])
     above, walked = np.full(side_m.shape, np.nan, np.float32), np.zeros(side_m.shape, np.bool_)
     memories = [_Memory(memory_m[s].copy(), age[s].copy(), figures) for s in range(2)]
     kept = None
@@ -31,7 +31,7 @@ def walk_ground(
         if line == keep:
             kept = [(one.height.copy(), one.age.copy()) for one in memories]
         profiles = []
-        for memory, columns, sign in zip(memories, (left, right), (1, -1), strict=True):
+        for memory, columns, sign in zip(memories, sides, (1, -1), strict=True):
             on_way = [
                 i for i in columns
                 if counts[0][line, i] >= figures[0] and counts[1][line, i] > 0

@@ -66,9 +66,10 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figure
     return counts
 
 
-def directions(range_m: F32, side_m: F32, height_m: F32, smooth: U8, step: np.float32, figures: F32) -> tuple[U8, U8]:
+def directions(range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, figures: F32) -> tuple[U8, U8]:
     """Count upright and level chords; see :func:`prc_cli.kernels.fused_neighbours.directions`."""
     chord, slope, slack, longest = figures
+    side_m, height_m = plane_points(range_m, sine, cosine)
     m = range_m.shape[1]
     upright, level = np.zeros(range_m.shape, np.uint8), np.zeros(range_m.shape, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(range_m)), strict=True):

@@ -35,6 +35,10 @@ class Street:
         """What neighbours are counted by."""
         return self.window, self.sine, self.cosine, self.step
 
+    @property
+    def beams(self) -> tuple[F32, F32]:
+        return self.sine, self.cosine
+
     def points(self) -> tuple[F32, F32]:
         side, height = fused_neighbours.plane_points(self.range_m, self.sine, self.cosine)
         return side, height
@@ -98,14 +102,14 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         return near, smooth, upright, level
     near = fused_neighbours.near_counts(*one.seen, figures(0.4, 3, 0.1, 1, 8))
     smooth = fused_neighbours.smooth_counts(*one.seen, figures(0.006, 0.01, 0.4, 16))
-    chords = fused_neighbours.directions(one.range_m, *one.points(), smooth, one.step, figures(0.15, 0.35, 0.02, 2))
+    chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, figures(0.15, 0.35, 0.02, 2))
     return near, smooth, *chords
 
 
 def directions_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     chosen = figures(rng.choice([0.15, 2.0, 20.0]), rng.choice([0.35, 0.0]), rng.choice([0.02, 0.0]), 5.0)
-    return one.range_m, *one.points(), random_counts(rng, one)[1], one.step, chosen
+    return one.range_m, random_counts(rng, one)[1], *one.beams, one.step, chosen
 
 
 def walk_case(rng: Generator) -> tuple[Any, ...]:
@@ -117,7 +121,8 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
     chosen = figures(3, rng.choice([0.14, 1.0]), 0.3, 0.5, rng.choice([0.0, 0.08]), 0.15, rng.choice([0, 5, 60]), 0.4)
     keep = int(rng.integers(0, len(one.range_m) + 1))
     start = np.float32(rng.choice([-2.0, 0.0]))
-    return *one.points(), random_counts(rng, one), one.left, one.right, memory, age, start, keep, chosen
+    sides = one.left, one.right
+    return one.range_m, one.beams, random_counts(rng, one), sides, memory, age, start, keep, chosen
 
 
 def heights(rng: Generator, one: Street) -> F32:
@@ -128,10 +133,9 @@ def heights(rng: Generator, one: Street) -> F32:
 
 def strips_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    points = (one.range_m, *one.points(), heights(rng, one))
-    smooth, level = rng.choice([3, 0]), rng.choice([6, 2, 0])
+    above, smooth, level = heights(rng, one), rng.choice([3, 0]), rng.choice([6, 2, 0])
     chosen = figures(3, rng.choice([0.15, 0.0]), 2, smooth, level, rng.choice([3.4, 0.5]), rng.choice([1.0, 9.0]))
-    return points, random_counts(rng, one), one.step, chosen
+    return one.range_m, above, random_counts(rng, one), one.beams, one.step, chosen
 
 
 def slots_case(rng: Generator) -> tuple[Any, ...]:
@@ -185,7 +189,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     n_lines = len(one.range_m) - 2 * INNER
     walked: Mask = (rng.random(above.shape) < 0.2) & ~np.isnan(above)
     every, rough, length, wall, place, top, levels = fused_strips.fill_strips(
-        (one.range_m, *one.points(), above), counts, one.step, figures(3, 0.15, 2, 3, rng.choice([6, 3]), 3.4, 1)
+        one.range_m, above, counts, one.beams, one.step, figures(3, 0.15, 2, 3, rng.choice([6, 3]), 3.4, 1)
     )
     wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
     walls = fused_strips.find_walls((length, wall, place, top), figures(rng.choice([0.1, 1.5]), 0.3, 1.6))

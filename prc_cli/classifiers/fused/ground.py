@@ -9,7 +9,7 @@ from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.classifiers.fused.neighbours import Neighbours
-from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.classifiers.fused.plane import ScanPlane, points_of
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I32, Mask
@@ -74,7 +74,7 @@ class Ground:
 
 @stage("ground")
 def follow_ground(
-    points: tuple[F32, F32],
+    range_m: F32,
     seen: Neighbours,
     plane: ScanPlane,
     memory: GroundMemory,
@@ -86,8 +86,8 @@ def follow_ground(
 
     Parameters
     ----------
-    points : tuple of (lines, M) float32, metres
-        Side and height in the scan plane.
+    range_m : (lines, M) float32, metres
+        NaN = missing.
     seen : Neighbours
     plane : ScanPlane
     memory : GroundMemory
@@ -108,10 +108,10 @@ def follow_ground(
     ]  # fmt: skip
     start_m = 0.0
     if memory.age.min() >= params.memory_lines:
-        start_m = start_height(*points, seen, params)
+        start_m = start_height(*points_of(range_m, plane), seen, params)
     above, walked, height_m, age = kernels.walk_ground(
-        *points, seen.counts, plane.left, plane.right, memory.height_m, memory.age, np.float32(start_m), keep,
-        np.array(figures, np.float32),
+        range_m, (plane.sine, plane.cosine), seen.counts, (plane.left, plane.right), memory.height_m, memory.age,
+        np.float32(start_m), keep, np.array(figures, np.float32),
     )  # fmt: skip
     return Ground(above, walked), GroundMemory(height_m, age)
 

@@ -96,10 +96,8 @@ def smooth_pairs(window_m: F32, plane: ScanPlane, noise_m: float, params: Smooth
 
 
 @stage("directions")
-def chords(
-    range_m: F32, points: tuple[F32, F32], smooth: U8, plane: ScanPlane, params: DirectionParams
-) -> tuple[U8, U8]:
+def chords(range_m: F32, smooth: U8, plane: ScanPlane, params: DirectionParams) -> tuple[U8, U8]:
     """Count the upright and the level chords through every shot."""
     figures = np.array([params.chord_m, params.slope, params.slack_m, params.longest_m], np.float32)
-    upright, level = kernels.directions(range_m, *points, smooth, plane.step_rad, figures)
+    upright, level = kernels.directions(range_m, smooth, plane.sine, plane.cosine, plane.step_rad, figures)
     return upright, level

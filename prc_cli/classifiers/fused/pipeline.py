@@ -195,14 +195,14 @@ def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> 
     smooth = smooth_pairs(window, plane, noise_m, params.smoothness)
     range_m = window[INNER_LINES:-INNER_LINES]
     points = points_of(range_m, plane)
-    upright, level = chords(range_m, points, smooth, plane, params.directions)
+    upright, level = chords(range_m, smooth, plane, params.directions)
     return _Seen(window, range_m, points, Neighbours(near, smooth, upright, level))
 
 
 def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
     """Follow the ground; what is handed on is the memory before the last three lines of the block."""
     n_lines = len(seen.window) - 2 * AROUND_LINES
-    return follow_ground(seen.points, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
+    return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
 
 
 def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) -> U8:
@@ -210,9 +210,8 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
     standing = stand(
-        (seen.range_m, *seen.points, ground.above_m), seen.neighbours, plane, least, params.cars.top_m, params.strips,
-        params.walls,
-    )  # fmt: skip
+        seen.range_m, ground.above_m, seen.neighbours, plane, least, params.cars.top_m, params.strips, params.walls
+    )
     figures = decision_figures(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )

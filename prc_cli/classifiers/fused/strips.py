@@ -61,7 +61,8 @@ class Standing:
 
 @stage("strips")
 def stand(
-    points: tuple[F32, F32, F32, F32],
+    range_m: F32,
+    above_m: F32,
     seen: Neighbours,
     plane: ScanPlane,
     least_near: int,
@@ -73,8 +74,8 @@ def stand(
 
     Parameters
     ----------
-    points : tuple of (lines + 4, M) float32, metres
-        Range, side, height, height above the ground.
+    range_m, above_m : (lines + 4, M) float32, metres
+        Range and height above the ground.
     seen : Neighbours
     plane : ScanPlane
     least_near : int
@@ -86,7 +87,7 @@ def stand(
     """
     figures = [least_near, strips.foot_m, strips.rough, strips.smooth, strips.level_smooth, car_top_m, strips.jump_m]
     every, rough, length, wall, place, top, levels = kernels.fill_strips(
-        points, seen.counts, plane.step_rad, np.array(figures, np.float32)
+        range_m, above_m, seen.counts, (plane.sine, plane.cosine), plane.step_rad, np.array(figures, np.float32)
     )
     height_m = walls.height_m if walls.enabled else NEVER_M
     found = kernels.find_walls(
