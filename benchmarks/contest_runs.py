@@ -236,7 +236,8 @@ def _run(path: Path) -> Run:
 
 def sources_of(method: str) -> tuple[str, ...]:
     """Return what a method's labels depend on, as far as it can be told by file."""
-    own = sorted(f"kernels/{name}.py" for name in KERNELS_OF[method])
+    kernels = frozenset[str]().union(*(KERNELS_OF[name] for name in KERNELS_OF if name.startswith(method)))
+    own = sorted(f"kernels/{name}.py" for name in kernels)
     return (f"classifiers/{method.replace('-', '_')}", "classifiers/returns.py", *own)
 
 

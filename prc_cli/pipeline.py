@@ -49,6 +49,7 @@ Progress: TypeAlias = Callable[[int], None]
 Labeller: TypeAlias = Callable[[Iterator[ScanBlock], int], Iterator[LabelledBlock]]
 """Labels a stream, given its blocks and a number of threads; in the order of the stream."""
 
+FUSED_FOREST = f"{FUSED}-forest"
 KERNELS_OF = {
     "prc": frozenset({"components", "support", "surfaces"}),
     SEQUENTIAL_ANGLE: frozenset(
@@ -66,9 +67,10 @@ KERNELS_OF = {
             "verticals",
         }
     ),
-    FUSED: frozenset({"fused_classes", "fused_ground", "fused_neighbours", "fused_strips", "stems"}),
+    FUSED: frozenset({"fused_classes", "fused_ground", "fused_neighbours", "fused_strips"}),
+    FUSED_FOREST: frozenset({"stems"}),
 }
-"""Modules of the compiled loops of every method."""
+"""Modules of the compiled loops of every method; forests have their own."""
 
 SHOTS_AT_ONCE = 1 << 17
 """Shots that the sequential-angle classifier takes at a time; its labels do not depend on it."""
@@ -293,7 +295,9 @@ def _sequential_angle(
 
 def load_classifier(config: LoadedConfig | RunConfig | None = None) -> None:
     """Load the compiled loops of the classifier; after installation they are compiled once, which takes a while."""
-    load_kernels(KERNELS_OF[_loaded(config).config.method])
+    run = _loaded(config).config
+    is_forest = run.method == FUSED and run.fused.environment == "forest"
+    load_kernels(KERNELS_OF[FUSED_FOREST if is_forest else run.method])
 
 
 def classify(
