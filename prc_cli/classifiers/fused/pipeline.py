@@ -44,11 +44,11 @@ from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
     WIDE_LINES,
+    Noise,
     Plane,
     ScanPlane,
     SensorParams,
     points_of,
-    range_noise,
 )
 from prc_cli.classifiers.fused.strips import StripsParams, WallParams, stand
 from prc_cli.core.config import Params
@@ -89,8 +89,8 @@ class FusedState:
     """(M,) float64, angle of every column's beam from straight down [rad]."""
     tail: F32
     """(5, M) float32, the last lines [m]; NaN = missing, or before the stream."""
-    noise_m: float | None
-    """Range noise [m]; None before the first block."""
+    noise: Noise
+    """What was measured of the range noise."""
     memory: GroundMemory
     """The ground before the last three lines of the tail."""
 
@@ -127,7 +127,7 @@ def initial_state(beam_rad: F64) -> FusedState:
         Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
     """
     tail = np.full((AROUND_LINES, len(beam_rad)), np.nan, np.float32)
-    return FusedState(beam_rad, tail, None, GroundMemory.none())
+    return FusedState(beam_rad, tail, Noise(), GroundMemory.none())
 
 
 def classify_block(range_m: F32, next_m: F32 | None, state: FusedState, params: FusedParams) -> FusedResult:
@@ -167,26 +167,21 @@ def classify_block(range_m: F32, next_m: F32 | None, state: FusedState, params: 
     if params.environment == "forest":
         return FusedResult(forest(range_m, Plane.of(state.beam_rad), params.forest), after)
     plane = ScanPlane.of(state.beam_rad)
-    noise_m, memory = _noise(state.noise_m, window, plane, params), state.memory
+    noise, memory = state.noise.after(window, plane, params.sensor), state.memory
 
     def walk(seen: _Seen) -> Ground:
         nonlocal memory
         ground, memory = _follow(seen, plane, memory, params)
         return ground
 
-    labels = _label(window, plane, noise_m, walk, params)
-    return FusedResult(labels, replace(after, noise_m=noise_m, memory=memory))
+    labels = _label(window, plane, noise, walk, params)
+    return FusedResult(labels, replace(after, noise=noise, memory=memory))
 
 
-def _label(window: F32, plane: ScanPlane, noise_m: float, walk: Callable[[_Seen], Ground], params: FusedParams) -> U8:
+def _label(window: F32, plane: ScanPlane, noise: Noise, walk: Callable[[_Seen], Ground], params: FusedParams) -> U8:
     """Take a block through the stages; the walk along the ground is the caller's, who knows what was before."""
-    seen = _see(window, plane, noise_m, params)
+    seen = _see(window, plane, noise.noise_m(params.sensor), params)
     return _decide(seen, walk(seen), plane, params)
-
-
-def _noise(known: float | None, window: F32, plane: ScanPlane, params: FusedParams) -> float:
-    """Measure the noise of the first block; it is that of all others."""
-    return range_noise(*points_of(window, plane), params.sensor) if known is None else known
 
 
 def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> _Seen:
@@ -223,7 +218,7 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
 class ParallelBlocks:
     """Blocks of one scanner, several of them at the same time in threads.
 
-    The stages are those of :func:`classify_block`. Only the noise of the first block and the walk along the ground need
+    The stages are those of :func:`classify_block`. Only the range noise and the walk along the ground need
     what was before; they take turns in the order of the stream, so labels do not depend on the number of threads.
 
     Parameters
@@ -248,7 +243,7 @@ class ParallelBlocks:
         self._params, self._width = params, len(beam_rad)
         self._plane, self._scan_plane = Plane.of(beam_rad), ScanPlane.of(beam_rad)
         self._tail, self._turn = state.tail, 0
-        self._noise: Relay[float | None] = Relay(state.noise_m)
+        self._noise = Relay(state.noise)
         self._ground = Relay(state.memory)
 
     def begin(self, range_m: F32, next_m: F32 | None) -> BlockJob:
@@ -271,9 +266,9 @@ class ParallelBlocks:
         if params.environment == "forest":
             return forest(job.range_m, self._plane, params.forest)
 
-        def measure(known: float | None) -> tuple[float, float]:
-            noise_m = _noise(known, job.window, plane, params)
-            return noise_m, noise_m
+        def measure(known: Noise) -> tuple[Noise, Noise]:
+            noise = known.after(job.window, plane, params.sensor)
+            return noise, noise
 
         def walk(seen: _Seen) -> Ground:
             return self._ground.take_turn(job.turn, lambda memory: _follow(seen, plane, memory, params))[0]

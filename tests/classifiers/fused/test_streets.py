@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.classifiers.fused.pipeline import FusedParams, ParallelBlocks, classify_block, initial_state
-from prc_cli.classifiers.fused.plane import ScanPlane, SensorParams, points_of, range_noise
+from prc_cli.classifiers.fused.plane import Noise, ScanPlane, SensorParams
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ScanBlock
@@ -27,6 +27,7 @@ from tests.classifiers.fused.street_lines import (
     street_lines,
 )
 
+PLANE = ScanPlane.of(BEAM)
 EXPECTED = {
     GROUND: Label.GROUND,
     BUILDING: Label.BUILDING,
@@ -77,12 +78,21 @@ def test_a_scanner_of_a_centimetre_of_noise_sees_the_same_street() -> None:
 def test_the_noise_of_ranges_is_measured() -> None:
     for noise_m in (0.002, 0.005, 0.01):
         ranges, _ = street_lines(40, noise_m=noise_m)
-        measured = range_noise(*points_of(ranges, ScanPlane.of(BEAM)), SensorParams())
-        assert measured == pytest.approx(noise_m, rel=0.25)
+        assert Noise().after(ranges, PLANE, SensorParams()).noise_m(SensorParams()) == pytest.approx(noise_m, rel=0.25)
     given = SensorParams(range_noise_m=0.004)
-    assert range_noise(*points_of(ranges, ScanPlane.of(BEAM)), given) == 0.004
+    assert Noise().after(ranges, PLANE, given).noise_m(given) == 0.004
     nothing = np.full((8, len(BEAM)), np.nan, np.float32)
-    assert range_noise(*points_of(nothing, ScanPlane.of(BEAM)), SensorParams()) == SensorParams().default_noise_m
+    assert Noise().after(nothing, PLANE, SensorParams()).noise_m(SensorParams()) == SensorParams().default_noise_m
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_a_drive_that_begins_beneath_trees_sees_better_later(street: tuple[F32, U8], again: bool) -> None:
+    leaves = street[0] + np.random.default_rng(8).exponential(0.1, street[0].shape).astype(np.float32)
+    noise, params = Noise(), SensorParams(again=again)
+    for block in (leaves, leaves, leaves, leaves, street[0], leaves):
+        noise = noise.after(block, PLANE, params)
+    assert (noise.noise_m(params) < 0.003) == again
+    assert noise.blocks == 6
 
 
 @pytest.mark.parametrize(
