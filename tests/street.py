@@ -64,3 +64,14 @@ def write_npz(path: Path, image: F32) -> Path:
     """Write the range image with its angles."""
     np.savez_compressed(path, range_m=image, angle_deg=np.rad2deg(angles()))
     return path
+
+
+def write_endless(path: Path) -> Path:
+    """A raw file, or an array, of nothing but missing shots, a hole on the disk that takes hours to classify."""
+    n_lines, n_shots = 20_000_000, 2000
+    with path.open("wb") as handle:
+        if path.suffix == ".npy":
+            about = {"descr": "<f4", "fortran_order": False, "shape": (n_lines, n_shots)}
+            np.lib.format.write_array_header_1_0(handle, about)
+        handle.truncate(handle.tell() + 4 * n_lines * n_shots)
+    return path

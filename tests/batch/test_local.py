@@ -22,7 +22,7 @@ from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import PrcError
 from prc_cli.pipeline import classify
 from tests.patience import wait_until
-from tests.street import street, write_npz
+from tests.street import street, write_endless, write_npz
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
 
@@ -61,15 +61,6 @@ def pass_for_listening(patch: pytest.MonkeyPatch) -> None:
 
 def task(folder: Path, name: str, source: Path) -> Task:
     return Task(name, source, folder / "out" / f"{name}.npy", LoadedConfig(RunConfig()), "")
-
-
-def endless(path: Path) -> Path:
-    """A file of nothing but missing shots, a hole on the disk, which takes an hour or more to classify."""
-    with path.open("wb") as handle:
-        shape = {"descr": "<f4", "fortran_order": False, "shape": (20_000_000, 2000)}
-        np.lib.format.write_array_header_1_0(handle, shape)
-        handle.truncate(handle.tell() + 4 * 20_000_000 * 2000)
-    return path
 
 
 def process_of(event: Started) -> int:
@@ -193,7 +184,7 @@ def test_done_counts_what_was_read(events: tuple[Path, list[Event]]) -> None:
 
 
 def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
-    source = endless(tmp_path / "endless.npy")
+    source = write_endless(tmp_path / "endless.npy")
     run = LocalEngine().run([task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1))
     for event in run:
         if isinstance(event, Progress):
@@ -206,7 +197,7 @@ def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
 
 
 def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
-    source = endless(tmp_path / "endless.npy")
+    source = write_endless(tmp_path / "endless.npy")
     script = """
 import sys
 from pathlib import Path

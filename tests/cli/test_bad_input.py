@@ -248,7 +248,7 @@ def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
         pytest.skip("mounting a small file system needs root")
     try:
         source = write_npz(tmp_path / "drive.npz", np.tile(street(), (20, 1)))
-        command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(small / "labels.las")]
+        command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(small / "labels.las"), "-q"]
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         assert result.returncode == 1
         assert result.stderr.startswith("error: ")

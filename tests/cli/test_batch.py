@@ -32,6 +32,7 @@ from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import GateResult
+from tests.patience import HANGS_S
 from tests.street import street, write_csv, write_npz
 
 PRC = [sys.executable, "-m", "prc_cli"]
@@ -80,7 +81,13 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         environment["XDG_CACHE_HOME"] = os.environ.get("XDG_CACHE_HOME", os.environ["HOME"] + "/.cache")
     command = [*PRC, "batch", "archive", "out", "--preset", "urban", "--jobs", "1", "--log-json", "log.jsonl"]
     result = subprocess.run(
-        command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=120
+        command,
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
+        timeout=HANGS_S,
     )
     assert result.returncode == 1, result.stderr
     assert result.stdout == b""
@@ -540,7 +547,7 @@ def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "wb") as pipe:
-        found = subprocess.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe, check=False, timeout=120)
+        found = subprocess.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe, check=False, timeout=HANGS_S)
     assert found.returncode == 0
     assert (tmp_path / "out" / "drive.npz.labels.npy").exists()
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["done"] == 1

@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.patience import HANGS_S
+
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the shell closes the streams")
 
 
 def run(redirection: str, *arguments: str) -> tuple[int, bytes, str]:
     command = [sys.executable, "-m", "prc_cli", *arguments]
     done = subprocess.run(
-        ["sh", "-c", f'"$@" {redirection}', "sh", *command], input=bytes(4 * 90), capture_output=True, timeout=120
+        ["sh", "-c", f'"$@" {redirection}', "sh", *command], input=bytes(4 * 90), capture_output=True, timeout=HANGS_S
     )
     return done.returncode, done.stdout, done.stderr.decode()
 

@@ -12,8 +12,9 @@ import laspy
 import numpy as np
 import pytest
 
-from prc_cli.cli import main
-from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
+from prc_cli.cli import main, report
+from tests.patience import HANGS_S, wait_until
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
 
 
 class Result:
@@ -250,17 +251,20 @@ def _read(handle: int) -> bytes:
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
     import signal
-    import time
 
-    source = write_raw(tmp_path / "drive.bin", np.tile(street(), (400, 1)))
-    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.laz"), "-M", "180", "-q"]
+    source = write_endless(tmp_path / "drive.bin")
+    command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.laz"), "-M", "2000", "-q"]
     run = subprocess.Popen(command)
-    deadline = time.monotonic() + 30
-    while not list(tmp_path.glob(".a.laz.*")) and run.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_until(lambda: list(tmp_path.glob(".a.laz.*")) or run.poll() is not None)
     run.send_signal(signal.SIGTERM)
-    assert run.wait(30) == 128 + signal.SIGTERM
+    assert run.wait(HANGS_S) == 128 + signal.SIGTERM
     assert sorted(os.listdir(tmp_path)) == ["drive.bin"]
+
+
+def test_what_takes_long_is_explained(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(report, "COMPILING_S", 0.0)
+    with report.compiling_note(quiet=False):
+        wait_until(lambda: "it is compiled, once" in capsys.readouterr().err)
 
 
 def test_files_that_a_run_reads_are_never_its_output(prc: Prc, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from prc_cli.cli import main
 from prc_cli.core.errors import OutputError
 from prc_cli.doctor import Check, examine, file_system
 from prc_cli.writers.las_check import classes_by_laspy
+from tests.patience import HANGS_S
 
 
 def checks(out: Path | None = None) -> dict[str, Check]:
@@ -104,7 +105,7 @@ def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_pat
     (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")
     command = [sys.executable, "-m", "prc_cli", "doctor", "--json", "--out", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=120)
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=HANGS_S)
     assert (ended.returncode, ended.stderr) == (1, "")
     found = {check["name"]: check for check in json.loads(ended.stdout)["checks"]}
     assert found["packages"]["status"] == "bad"

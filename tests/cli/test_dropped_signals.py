@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+from tests.patience import HANGS_S
+
 PROGRAM = """
 import os, signal, time
 from prc_cli.cli import _leave_on_signals
@@ -19,7 +21,7 @@ class Deleted:
         sum(range(100))
 
 Deleted()
-time.sleep(20)
+time.sleep({hangs})
 print("still running")
 """
 
@@ -27,5 +29,6 @@ print("still running")
 @pytest.mark.skipif(os.name != "posix", reason="sends itself a signal")
 @pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", -2)])
 def test_it_comes_again(name: str, code: int) -> None:
-    done = subprocess.run([sys.executable, "-c", PROGRAM.format(name=name)], capture_output=True, text=True, timeout=15)
+    program = PROGRAM.format(name=name, hangs=HANGS_S)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (code, "")

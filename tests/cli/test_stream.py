@@ -16,6 +16,7 @@ import pytest
 
 from prc_cli.cli import main
 from prc_cli.core.classes import ClassCodes
+from tests.patience import HANGS_S
 from tests.street import POINTS_PER_LINE, angles, street
 
 URBAN = ("--preset", "urban", "-M", str(POINTS_PER_LINE), "--set", "prc.lines_per_block=16")
@@ -29,7 +30,7 @@ def start(*arguments: str) -> subprocess.Popen[bytes]:
 
 def run(data: bytes, *arguments: str) -> tuple[int, bytes, str]:
     process = start(*arguments)
-    out, err = process.communicate(data, timeout=120)
+    out, err = process.communicate(data, timeout=HANGS_S)
     return process.returncode, out, err.decode()
 
 
@@ -38,8 +39,8 @@ def take(process: subprocess.Popen[bytes], n_bytes: int) -> bytes:
     assert process.stdout is not None
     found = b""
     while len(found) < n_bytes:
-        ready, _, _ = select.select([process.stdout], [], [], 60)
-        assert ready, "no labels within a minute"
+        ready, _, _ = select.select([process.stdout], [], [], HANGS_S)
+        assert ready, "no labels come"
         found += os.read(process.stdout.fileno(), 1 << 16)
     return found
 
@@ -84,7 +85,7 @@ def test_labels_leave_while_the_scanner_goes_on() -> None:
     assert len(take(process, 3 * POINTS_PER_LINE)) == 3 * POINTS_PER_LINE
     process.stdin.close()
     assert len(process.stdout.read()) == 2 * POINTS_PER_LINE  # the rest, at the end
-    assert process.wait(60) == 0
+    assert process.wait(HANGS_S) == 0
     process.stdout.close()
     assert process.stderr is not None
     process.stderr.close()
@@ -96,7 +97,7 @@ def test_a_block_leaves_when_two_more_lines_are_there() -> None:
     assert process.stdin is not None
     process.stdin.write(image[:18].tobytes())
     assert len(take(process, 16 * POINTS_PER_LINE)) == 16 * POINTS_PER_LINE
-    rest, err = process.communicate(timeout=60)
+    rest, err = process.communicate(timeout=HANGS_S)
     assert (process.returncode, len(rest), err) == (0, 2 * POINTS_PER_LINE, b"")
 
 
@@ -106,12 +107,14 @@ def test_a_slow_reader_slows_the_writer_down() -> None:
     assert process.stdin is not None
     os.set_blocking(process.stdin.fileno(), False)
     data, taken, idle = street(137).tobytes() * 200, 0, time.monotonic()
-    while time.monotonic() - idle < 3 and taken < len(data):
+    # it has begun to read when more was taken than fits into a pipe
+    while taken < len(data) and (taken < 2 << 16 or time.monotonic() - idle < 1):
         try:
             written = os.write(process.stdin.fileno(), data[taken : taken + (1 << 16)])
             taken, idle = taken + written, time.monotonic()
         except BlockingIOError:
             time.sleep(0.02)
+        assert process.poll() is None
     assert taken < len(data) // 2, "nobody reads the labels, and yet all ranges were taken"
     process.kill()
     process.communicate()
@@ -137,7 +140,7 @@ def test_a_last_line_that_is_not_whole_is_labelled_too() -> None:
 
 
 def test_nothing_comes() -> None:
-    code, out, err = run(b"", *URBAN)
+    code, out, err = run(b"", *URBAN, "-q")
     assert (code, out) == (1, b"")
     assert err.startswith("error: stdin: ended before the first record of 4 bytes")
     assert err.count("\n") == 1
@@ -147,7 +150,7 @@ def test_the_reader_of_the_labels_goes() -> None:
     process = start(*URBAN, "-q")
     assert process.stdout is not None
     process.stdout.close()
-    _, err = process.communicate(street().tobytes() * 20, timeout=120)
+    _, err = process.communicate(street().tobytes() * 20, timeout=HANGS_S)
     assert process.returncode == 1
     assert err == b"error: stdout: its reader has gone; the labels of the shots before have left\n"
 
@@ -158,7 +161,7 @@ def test_a_signal_ends_it_within_seconds() -> None:
     process.stdin.write(street()[:9].tobytes())
     assert len(take(process, 7 * POINTS_PER_LINE)) == 7 * POINTS_PER_LINE
     process.send_signal(signal.SIGTERM)
-    out, _ = process.communicate(timeout=20)
+    out, _ = process.communicate(timeout=HANGS_S)
     assert (process.returncode, out) == (128 + signal.SIGTERM, b"")
 
 
