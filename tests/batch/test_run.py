@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +36,8 @@ from prc_cli.batch.types import (
 )
 from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
 from prc_cli.pipeline import classify
-from tests.street import street, write_csv, write_npz, write_raw
+from tests.patience import HANGS_S
+from tests.street import street, write_csv, write_endless, write_npz, write_raw
 
 Script = Callable[[Task, int], Outcome]
 """What becomes of a task at its n-th attempt."""
@@ -432,7 +432,7 @@ def test_a_dry_run_measures_and_writes_nothing(
     assert len(plan.todo) == 6
     assert not (tmp_path / "out").exists()
     assert estimate.seconds is not None
-    assert 0 < estimate.seconds < 60
+    assert estimate.seconds > 0
     assert estimate.n_unknown == 1  # the damaged file
     assert set(estimate.sources) == {
         "bin: measured on a sample of odd\nname/b.bin", "laz: nothing known", "npz: measured on a sample of day/3.npz",
@@ -448,7 +448,7 @@ def test_a_dry_run_measures_and_writes_nothing(
 def test_ctrl_c_stops_a_real_run_within_seconds(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     for i in range(3):
-        write_npz(tmp_path / "in" / f"{i}.npz", street(5000, seed=1))
+        write_endless(tmp_path / "in" / f"{i}.npy")
     script = """
 import sys
 from pathlib import Path
@@ -470,18 +470,15 @@ except KeyboardInterrupt:
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, process_group=0)
     assert process.stdout is not None
     assert process.stdout.readline() == "progress\n"
-    begun = time.monotonic()
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     process.stdout.read()
     process.stdout.close()
-    assert process.wait(20) == 130
-    assert time.monotonic() - begun < 10
+    assert process.wait(HANGS_S) == 130
     written = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert written["ended"] == "interrupted"
     entries = {entry.name: entry for entry in read_entries(tmp_path / "out" / OWN_FOLDER)}
     assert not [entry for entry in entries.values() if entry.state == "running"]
-    left = [path.name for path in (tmp_path / "out").iterdir() if path.suffix in (".npy", ".part")]
-    assert len(left) == sum(entry.state == "done" for entry in entries.values())
+    assert not [path.name for path in (tmp_path / "out").iterdir() if path.suffix in (".npy", ".part")]
     assert not (tmp_path / "out" / OWN_FOLDER / "lock.json").exists()
 
 
