@@ -9,12 +9,14 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F64
 from prc_cli.readers.layout import check_fields, decode
 from prc_cli.readers.options import Layout
@@ -24,6 +26,8 @@ from prc_cli.readers.text_format import BLANKS, find_format, shorten, split, to_
 from prc_cli.readers.text_lines import BLOCK_BYTES, MAX_LINE_BYTES, Lines, count_line_ends, iter_lines
 
 _HEAD_BYTES = 256
+PARSERS = 2
+"""Blocks parsed at a time: with more of them memory grows, and what classifies would wait for a core."""
 
 
 class TextSource:
@@ -127,8 +131,8 @@ class TextSource:
         read = columns or [next(iter(self._columns.values()))]
         first = 0
         blank = _BlankWatch(self._path, self._text.n_columns)
-        for lines in self._rows():
-            stored = self._parse(lines, read, blank)
+        for block in self._blocks(read):
+            stored = self._judged(block, read, blank)
             n = len(stored[0])
             if n:
                 values = {
@@ -137,6 +141,16 @@ class TextSource:
                 }
                 yield RecordChunk(first, values, n)
             first += n
+
+    def _blocks(self, columns: list[TextColumn]) -> Iterator[_Block]:
+        """Parse the lines behind the header; from the second block on several at a time."""
+        rows = self._rows()
+        first = next(rows, None)
+        if first is not None:
+            yield self._parse(first, columns)
+            yield from ordered(
+                lambda lines: self._parse(lines, columns), rows, threads=min(PARSERS, default_threads()), ahead=PARSERS
+            )
 
     def _rows(self) -> Iterator[Lines]:
         """Yield the lines behind the header."""
@@ -154,20 +168,24 @@ class TextSource:
                 continue
             yield Lines(lines.first + skipped, lines.data[end:])
 
-    def _parse(self, lines: Lines, columns: list[TextColumn], blank: _BlankWatch) -> list[F64]:
-        """Return one array of stored numbers a column, for the rows among the lines."""
+    def _parse(self, lines: Lines, columns: list[TextColumn]) -> _Block:
+        """Parse lines by what they hold alone."""
         data = self._plain(lines.data)
         # most blocks show with their first bytes that they are not blank
         blank_only = not self._text.stripped(data[:_HEAD_BYTES]) and not self._text.stripped(data)
-        if blank_only and blank.first is not None:
+        found = [np.empty(0)] * len(columns) if blank_only else self._parse_fast(data, columns)
+        if self._text.n_columns == 1 and not blank_only and found is not None and len(found[0]) != _n_lines(data):
+            found = None  # pyarrow passes over blank lines
+        return _Block(lines, found, blank_only)
+
+    def _judged(self, block: _Block, columns: list[TextColumn], blank: _BlankWatch) -> list[F64]:
+        """Return one array of stored numbers a column, for the rows of a block, by what stood before it."""
+        if block.is_blank and blank.first is not None:
             # the first blank line is known: a gigabyte of them must not be looked at line by line
             return [np.empty(0)] * len(columns)
-        if blank.watches and (blank.first is not None or blank_only):
-            return self._parse_exactly(lines, columns, blank)
-        found = [np.empty(0)] * len(columns) if blank_only else self._parse_fast(data, columns)
-        if blank.watches and found is not None and len(found[0]) != _n_lines(data):
-            return self._parse_exactly(lines, columns, blank)  # pyarrow passes over blank lines
-        return found if found is not None else self._parse_exactly(lines, columns, blank)
+        if block.found is None or (blank.watches and (blank.first is not None or block.is_blank)):
+            return self._parse_exactly(block.lines, columns, blank)
+        return block.found
 
     def _plain(self, data: bytes) -> bytes:
         """Return lines without comments and with single delimiters; costs next to nothing where there are none."""
@@ -192,7 +210,7 @@ class TextSource:
         try:
             table = csv.read_csv(
                 pa.BufferReader(data),
-                csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES),
+                csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES, use_threads=False),
                 csv.ParseOptions(delimiter=self._text.delimiter),
                 csv.ConvertOptions(column_types=wanted, include_columns=list(wanted), null_values=[""]),
                 pa.system_memory_pool(),  # which gives freed memory to whatever comes next, not to pyarrow alone
@@ -240,6 +258,17 @@ class TextSource:
         if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", cell):
             hint = "write decimals with a point"
         return InputError(f"{self._path}: line {number}", problem, hint)
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Lines that were parsed by what they hold alone."""
+
+    lines: Lines
+    found: list[F64] | None
+    """One array of stored numbers a column; None where only the slow parser can tell."""
+    is_blank: bool
+    """Whether all lines are blank or comments."""
 
 
 def _n_lines(data: bytes) -> int:
