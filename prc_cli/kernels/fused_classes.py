@@ -89,10 +89,11 @@ def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None
 
 
 @helper
-def _add_to(sums: Pairs, values: Pairs) -> None:
-    """Add up two lines, column by column."""
+def _add_lines(lines: tuple[Pairs, Pairs, Pairs, Pairs, Pairs], sums: Pairs) -> None:
+    """Add up five lines, column by column."""
+    one, two, three, four, five = lines
     for i in range(len(sums)):
-        sums[i] += values[i]
+        sums[i] = one[i] + two[i] + three[i] + four[i] + five[i]
 
 
 @helper
@@ -102,6 +103,16 @@ def _sum_up(values: Pairs, so_far: Pairs) -> None:
     so_far[0] = total
     for i in range(len(values)):
         total = np.uint32(total + values[i])
+        so_far[i + 1] = total
+
+
+@helper
+def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None:
+    """Write the sums of the first 0, 1, ... columns of three lines together; as :func:`_sum_up` does."""
+    total = np.uint32(0)
+    so_far[0] = total
+    for i in range(len(one)):
+        total = np.uint32(total + (one[i] + other[i] + third[i]))
         so_far[i + 1] = total
 
 
@@ -159,14 +170,16 @@ def mean_smoothness(
     """
     n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
     mean = np.empty((n_lines, m), np.float32)
-    places = np.empty((n_lines + 2 * LINES, m), np.uint32)
+    room = 2 * LINES + 1
+    # lines take turns in it, each while it is near enough
+    places = np.empty((room, m), np.uint32)
     together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
-    for line in range(n_lines + 2 * LINES):
-        _count_pairs(near[line], smooth[line], least_near, places[line])
-    for line in range(n_lines):
-        together[:] = places[line]
-        for k in range(line + 1, line + 2 * LINES + 1):
-            _add_to(together, places[k])
+    for k in range(n_lines + 2 * LINES):
+        _count_pairs(near[k], smooth[k], least_near, places[k % room])
+        if k < 2 * LINES:
+            continue
+        line = k - 2 * LINES
+        _add_lines((places[0], places[1], places[2], places[3], places[4]), together)
         _sum_up(together, so_far)
         _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
         _sums_of_places(columns, so_far, together)
@@ -306,7 +319,8 @@ def _in_wall(
 def _count_bins(levels: U8, counts: U8) -> None:
     """Count, for every bin of a line, the bins around it with a level surface."""
     n = len(levels)
-    counts[:] = levels
+    for q in range(n):
+        counts[q] = levels[q]
     for away in range(1, CAR_REACH + 1):
         for q in range(n - away):
             counts[q] += levels[q + away]
@@ -343,16 +357,13 @@ def _find_cars(every: Slots, levels: U8, counts: U8, figures: F32, cars: tuple[F
 
 
 @helper
-def _list_open(labels: U8, odd: I32, plain: I32) -> tuple[int, int]:
-    """List the open shots of a line: those that may be noise, and the others."""
-    n_odd = n_plain = 0
+def _list_marked(labels: U8, least: int, most: int, shots: I32) -> int:
+    """List the shots of a line with marks from one to another, return how many there are."""
+    n = 0
     for i in range(len(labels)):
-        label = labels[i]
-        odd[n_odd] = i
-        n_odd += label == _ODD
-        plain[n_plain] = i
-        n_plain += label == _OPEN
-    return n_odd, n_plain
+        shots[n] = i
+        n += (labels[i] >= least) & (labels[i] <= most)
+    return n
 
 
 @helper
@@ -362,7 +373,7 @@ def _label_odd(
     counts: tuple[U8, U8, U8, U8],
     walked: Mask,
     rows: tuple[Slots, F32, F32],
-    spikes: Pairs,
+    spikes: tuple[I32, Pairs],
     figures: F32,
     labels: U8,
 ) -> None:
@@ -370,6 +381,7 @@ def _label_odd(
     side, height, above = points
     near, smooth, upright, level = counts
     rough, at, top = rows
+    columns, so_far = spikes
     least, below, share = figures[LEAST_NEAR], figures[BELOW_M], figures[SPIKE_SHARE]
     front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
     foot, leaf_slots, holds = figures[OBJECT_M], figures[LEAF_SLOTS], figures[IS_HELD] > 0
@@ -390,7 +402,8 @@ def _label_odd(
                 labels[i] = _NOISE
                 continue
         # spikes: the shots right beside are smooth, in the line and those before and after
-        place = spikes[i]
+        half = int(columns[i])
+        place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
         shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
         is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
         if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH)):
@@ -402,60 +415,69 @@ def _label_odd(
 
 
 @helper
+def _bins(side: F32, bins: I32) -> None:
+    """Write the bin of half a strip of every shot of a line, -1 = beyond."""
+    for i in range(len(side)):
+        q = np.int32(np.floor(min(max(side[i] / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + np.int32(STRIPS)
+        bins[i] = q if (q >= 0) & (q < 2 * STRIPS) else np.int32(-1)
+
+
+@helper
+def _look_up(
+    shots: I32, bins: I32, walls: tuple[F32, F32, F32], cars: tuple[F32, F32], found: tuple[F32, F32, F32, F32, F32]
+) -> None:
+    """Write what there is to know of the strips of some shots of a line; by itself, as all else reads row by row."""
+    at, top, ahead = walls
+    own_at, own_top, own_ahead, below, rough_below = found
+    for k in range(len(shots)):
+        i = np.uint64(shots[k])
+        q = np.uint64(max(bins[i], np.int32(0)))
+        b = q >> np.uint64(1)
+        own_at[i], own_top[i], own_ahead[i] = at[b], top[b], ahead[b]
+        below[i], rough_below[i] = cars[0][q], cars[1][q]
+
+
+@helper
 def _label_things(
-    shots: I32,
     points: tuple[F32, F32, F32],
     counts: tuple[U8, U8, U8, U8],
     soft: F32,
-    walls: tuple[F32, F32, F32],
-    cars: tuple[F32, F32],
+    bins: I32,
+    found: tuple[F32, F32, F32, F32, F32],
     figures: F32,
     labels: U8,
-    poles: I32,
-) -> int:
-    """Label shots of a line that are neither alone nor ground; list those that may be poles, return how many."""
+    poles: U8,
+) -> None:
+    """Label shots of a line that are neither alone nor ground; mark those that may be poles.
+
+    No branches, so that many shots are looked at at a time.
+    """
     side, height, above = points
     near, _, _, level = counts
-    at, top, ahead = walls
+    at, top, ahead, car_below, rough_below = found
     leaf_share, share_before = figures[LEAF_SHARE], figures[LEAF_SHARE_BEFORE_WALL]
     front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
     before_m, foot, poles_wanted = figures[BEFORE_M], figures[OBJECT_M], figures[POLE_M] > 0
     ghost_m, ghost_near = figures[GHOST_M], figures[GHOST_NEAR]
-    n_poles = 0
-    for k in range(len(shots)):
-        i = shots[k]
-        y, h, texture, is_leaf = side[i], above[i], soft[i], labels[i] == _LEAF
-        q = int(np.floor(min(max(y / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + STRIPS
-        if q < 0 or q >= 2 * STRIPS:
-            labels[i] = _VEGETATION if texture < leaf_share or is_leaf else _BUILDING
-            continue
-        b = q >> 1
-        is_wall = _in_wall(y, height[i], at[b], top[b], front, far, over)
-        before = abs(ahead[b]) - abs(y)
-        is_before = (ahead[b] != np.float32(0.0)) & (before >= -STRIP_M) & (before <= before_m)
-        is_rough = (texture < (share_before if is_before else leaf_share)) & (not is_wall)
-        is_car = (h >= np.float32(0.0)) & (h < (cars[1][q] if is_rough else cars[0][q]))
+    nothing = np.float32(0.0)
+    for i in range(len(labels)):
+        y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
+        is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
+        is_wall = _in_wall(y, z, at[i], end, front, far, over)
+        before = abs(ahead[i]) - abs(y)
+        is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
+        is_soft = texture < (share_before if is_before else leaf_share)
+        is_rough = is_soft & (not (is_wall & is_here))
+        is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
         label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
         label = np.uint8(_OTHER) if is_car else label
-        is_behind = (at[b] != np.float32(0.0)) & (abs(y) - abs(at[b]) > ghost_m)
-        is_ghost = is_behind & (height[i] * abs(at[b]) <= top[b] * abs(y)) & (np.float32(near[i]) < ghost_near)
-        is_ghost &= is_rough
-        labels[i] = np.uint8(_NOISE) if is_ghost else label
-        may_be_pole = poles_wanted & (not is_wall) & (level[i] == 0) & (h > foot) & (texture >= leaf_share)
-        poles[n_poles] = i
-        n_poles += may_be_pole & (not is_car) & (not is_ghost)
-    return n_poles
-
-
-@helper
-def _keep_open(labels: U8, shots: I32) -> int:
-    """Keep those of a list that are open still, return how many."""
-    n = 0
-    for k in range(len(shots)):
-        i = shots[k]
-        shots[n] = i
-        n += labels[i] >= _ODD
-    return n
+        is_behind = (wall != nothing) & (abs(y) - wall > ghost_m) & (z * wall <= end * abs(y))
+        is_ghost = is_behind & (np.float32(near[i]) < ghost_near) & is_rough & is_here
+        label = np.uint8(_NOISE) if is_ghost else label
+        is_open = labels[i] >= np.uint8(_ODD)
+        labels[i] = label if is_open else labels[i]
+        may_be_pole = is_open & is_here & (not is_wall) & (level[i] == 0) & (h > foot) & (texture >= leaf_share)
+        poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_car) & (not is_ghost))
 
 
 @helper
@@ -547,11 +569,19 @@ def fused_labels(
     n_lines, m = texture.shape
     near, smooth, upright, level = counts
     labels = np.empty((n_lines, m), np.uint8)
-    odd, plain, poles = np.empty(m + 1, np.int32), np.empty(m + 1, np.int32), np.empty(m + 1, np.int32)
-    bins, cars = np.empty(2 * STRIPS, np.uint8), (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32))
-    columns, spikes, so_far = np.empty(m, np.int32), np.empty(m, np.uint32), np.empty(m + 1, np.uint32)
-    pairs = np.empty((n_lines + 2, m), np.uint32)
-    for line in range(n_lines + 2):
+    shots, marks = np.empty(m + 1, np.int32), np.empty(m, np.uint8)
+    bin_counts, cars = (
+        np.empty(2 * STRIPS, np.uint8),
+        (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32)),
+    )
+    columns, bins, so_far = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m + 1, np.uint32)
+    found = (
+        np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32),
+        np.zeros(m, np.float32),
+    )  # fmt: skip
+    # lines take turns in it, each while it is near enough
+    pairs = np.empty((3, m), np.uint32)
+    for line in range(2):
         _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], figures[LEAST_NEAR], pairs[line])
     for line in range(n_lines):
         k, row = line + LINES, labels[line]
@@ -560,20 +590,18 @@ def fused_labels(
         rows = walls[0][line], walls[1][line], walls[2][line]
         rough = slots[1][line]
         _label_plain(ranges, place[2], own, walked[k], figures, row)
-        n_odd, n_plain = _list_open(row, odd, plain)
-        spikes[:] = pairs[line]
-        _add_to(spikes, pairs[line + 1])
-        _add_to(spikes, pairs[line + 2])
-        _sum_up(spikes, so_far)
+        n = _list_marked(row, _ODD, _ODD, shots)
+        _count_pairs(near[k + 1], smooth[k + 1], figures[LEAST_NEAR], pairs[(line + 2) % 3])
+        _sum_up_three(pairs[0], pairs[1], pairs[2], so_far)
         _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
-        _sums_of_places(columns, so_far, spikes)
-        _label_odd(odd[:n_odd], place, own, walked[k], (rough, rows[0], rows[1]), spikes, figures, row)
-        _find_cars(slots[0][line], levels[line], bins, figures, cars)
-        n_poles = _label_things(plain[:n_plain], place, own, texture[line], rows, cars, figures, row, poles)
-        _label_poles(poles[:n_poles], window_m, line + MARGIN, near[k], place, rough, figures, row)
-        n_odd = _keep_open(row, odd[:n_odd])
-        n_poles = _label_things(odd[:n_odd], place, own, texture[line], rows, cars, figures, row, poles)
-        _label_poles(poles[:n_poles], window_m, line + MARGIN, near[k], place, rough, figures, row)
+        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (columns, so_far), figures, row)
+        n = _list_marked(row, _ODD, _OPEN, shots)
+        _find_cars(slots[0][line], levels[line], bin_counts, figures, cars)
+        _bins(place[0], bins)
+        _look_up(shots[:n], bins, rows, cars, found)
+        _label_things(place, own, texture[line], bins, found, figures, row, marks)
+        n = _list_marked(marks, 1, 1, shots)
+        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, rough, figures, row)
     return labels
 
 
