@@ -24,7 +24,7 @@ from benchmarks import contest_peers as peers
 from benchmarks.contest_chains import CHAINS
 from benchmarks.contest_data import ROOT, Scan
 from benchmarks.contest_judge import LEAST_SHARE, Verdict, pooled
-from benchmarks.contest_methods import PAPERS, Method, ablations, fused, label, label_scan
+from benchmarks.contest_methods import PAPERS, TO_THE_TOP, Method, ablations, fused, label, label_scan
 from benchmarks.contest_pictures import failures
 from benchmarks.contest_runs import (
     FOREST,
@@ -183,6 +183,7 @@ def print_wins(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """On how many scans a fused method is the best of the stream, as a whole and class by class."""
     for method in fused():
         own = runs.get(method.name, {})
+        same = {method.name, *(other.name for other in TO_THE_TOP if other.preset == method.preset)}
         there = [item for item in contest.items if item.how in own]
         lost: list[str] = []
         n_classes = 0
@@ -193,7 +194,7 @@ def print_wins(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
                 others = {
                     name: _score(each[item.how].verdict, score)
                     for name, each in runs.items()
-                    if name != method.name and item.how in each
+                    if name not in same and item.how in each
                 }
                 rival = max(others, key=lambda name: others[name], default="")
                 if rival and others[rival] > value:
@@ -556,7 +557,7 @@ def main() -> None:
     items = tuple(each for each in data_sets() if not arguments.only or arguments.only in f"{each.group} {each.name}")
     if arguments.quick:
         items = tuple(each for each in items if each.name in _quick_names())
-    contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused()), arguments.quick)
+    contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused(), *TO_THE_TOP), arguments.quick)
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
     print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest\n")

@@ -87,6 +87,17 @@ PAPERS = (
 )
 """What the two papers give, with published parameters but for the two push-broom ones."""
 
+TO_THE_TOP = (
+    Method(
+        "fused-forest, stems up to 4.6 m",
+        "fused-forest",
+        {"fused": {"forest": {"stem_top_m": 4.6}}},
+        mappings=frozenset({"cylinders"}),
+    ),
+)
+"""The same method told where stems end: the cylinders of the paper's reference end 4.3 m above the ground, that is at
+4.6 m in a plane that leans by 20°. What is farther up the same stem is noise there by definition."""
+
 
 def fused() -> tuple[Method, ...]:
     """Return the fused presets that exist."""
