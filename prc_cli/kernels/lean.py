@@ -1,10 +1,11 @@
 """What the compiler does twice or for nothing when it compiles a loop, left out.
 
-Two things, a third of the time of a first run, by classes and methods of numba that are not part of its interface:
+Two things, a quarter of the time of a first run, by classes and methods of numba that are not part of its interface:
 
-- The compiler optimises every function that a loop calls and turns it into machine code, those of NumPy too, though
-  nothing but the loop calls it; linked into the loop it is optimised and translated once more. Here that waits until
-  somebody asks for the address of such a function, which for a private one nobody does.
+- The compiler optimises every function that a loop calls together with what it calls, and turns it into machine code,
+  those of NumPy too, though nothing but the loop calls it; linked into the loop it is optimised and translated once
+  more. Here that waits until somebody asks for the address of such a function, which for a private one nobody does.
+  Each function is still simplified by itself: without that, loops come out that no vector instruction fits.
 - For every operation in a loop it looks up what it knows under its own settings, and builds a table of all of them
   each time, to compare.
 
@@ -40,10 +41,6 @@ class _Once(_Library):  # type: ignore[misc, valid-type]
     """Code of a function and of what it calls, which becomes machine code when its address is asked for."""
 
     _waits = False
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        """Leave functions as they are: all are optimised together in the end."""
-        ll_module.data_layout = self._codegen._data_layout
 
     def finalize(self) -> None:
         """Put together what belongs to it."""
