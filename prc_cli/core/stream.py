@@ -53,11 +53,17 @@ class StreamInfo:
     """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad]; None if unknown."""
     fall: float = 1.0
     """Metres that the height falls a metre of range along that beam: the cosine of the lean of the scan plane."""
+    downs: dict[int, tuple[float, float]] = field(default_factory=dict)
+    """The same two by scanner, where several share the input and it is known."""
     assumptions: tuple[Assumption, ...] = ()
     notes: tuple[str, ...] = ()
     """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""
     laz_contexts: LazContexts | None = field(default=None, repr=False, compare=False)
     """LAZ of point formats 6-10: filled while the blocks are read, for writing the same file again."""
+
+    def down(self, scanner: int) -> tuple[float | None, float]:
+        """Return the scan angle that points straight down for a scanner [rad], None if unknown, and the fall there."""
+        return self.downs.get(scanner, (self.nadir_rad, self.fall))
 
 
 @dataclass(frozen=True, slots=True)

@@ -241,11 +241,11 @@ class _Finder:
                 raise ConfigError(KEY, problem, "give input.angle_start and input.angle_step, or --columns angle")
             shown = f"{self.config.nadir:g} deg"
             return self._turned(angle, math.radians(self.config.nadir), off_m, shown, "input.nadir is given")
-        if self.info.nadir_rad is not None and angle is not None:
-            told = any(one.key == KEY for one in self.info.assumptions)
-            shown = "" if told else f"{math.degrees(self.info.nadir_rad):.2f} deg"
-            why = "the input says where down is"
-            return self._turned(angle, self.info.nadir_rad, off_m, shown, why, self.info.fall)
+        nadir_rad, fall = self.info.down(scanner)
+        if nadir_rad is not None and angle is not None:
+            told = any(one.key.startswith(KEY) for one in self.info.assumptions)
+            shown = "" if told else f"{math.degrees(nadir_rad):.2f} deg"
+            return self._turned(angle, nadir_rad, off_m, shown, "the input says where down is", fall)
         if not (np.isfinite(range_m).sum(axis=1) > 1).any():
             return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
         if xyz is None and self.from_ground and angle is not None:

@@ -105,6 +105,9 @@ def open_grid(
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
         nadir_rad=next(iter(setups.values())).nadir_rad if len(setups) == 1 else None,
         fall=next(iter(setups.values())).fall if len(setups) == 1 else 1.0,
+        downs={
+            scanner: (setup.nadir_rad, setup.fall) for scanner, setup in setups.items() if setup.nadir_rad is not None
+        },
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
         laz_contexts=getattr(source, "laz_contexts", None),
     )

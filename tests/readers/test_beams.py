@@ -308,6 +308,26 @@ def test_down_from_registered_coordinates_beside_range_and_angle() -> None:
     assert not any(one.key == "input.nadir" for one in open_records(records, nadir=30.0).info.assumptions)
 
 
+def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
+    _, one = scene()
+    one["z"] += 120.0 + 0.1 * one["scan_line"]
+    n = len(one["z"])
+    records = {name: np.concatenate([values, values]) for name, values in one.items()}
+    records["point_source_id"] = np.repeat([3, 8], n)
+    records["angle"][n:] = (records["angle"][n:] + np.deg2rad(30.0)) % (2 * np.pi)
+    read = open_records(records, scanner="point_source_id")
+    assert read.info.nadir_rad is None
+    assert np.rad2deg([read.info.down(scanner)[0] for scanner in (3, 8)]) == pytest.approx([0.0, 30.0], abs=0.1)
+    expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
+    found = with_beams(read, AUTO)
+    for block in found.blocks():
+        assert block.beam_rad is not None
+        assert worst_deg(block.beam_rad, expected) < 0.1
+    assert [a.key for a in found.info.assumptions if "nadir" in a.key] == [
+        "input.nadir of point_source_id 3", "input.nadir of point_source_id 8",
+    ]  # fmt: skip
+
+
 def test_registered_coordinates_that_do_not_fit_are_told_and_refused() -> None:
     _, records = scene()
     records["z"] = np.random.default_rng(0).normal(0, 30, len(records["z"]))
