@@ -37,7 +37,6 @@ from prc_cli.core.threads import close_items, default_threads, ordered, read_ahe
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.kernels import load_kernels
 from prc_cli.readers import LAS_SUFFIXES, check_input, open_input, suffix_of
-from prc_cli.readers.beams import with_beams
 from prc_cli.readers.ranges_clean import clean_ranges
 from prc_cli.readers.regroup import LineBuffer, regroup
 from prc_cli.writers import LabelWriter, open_writer
@@ -156,7 +155,12 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
         path, config.input, config.layout, lines_at_once=getattr(config.classifier, "lines_per_block", 1),
         geometry=geometry or config.needs_beams, only_ranges=only_ranges,
     )  # fmt: skip
-    return with_beams(stream, config.input, from_ground=config.nadir_from_ground) if config.needs_beams else stream
+    if not config.needs_beams:
+        return stream
+    # not at the top: PRC needs no beams, and starts sooner without what finds them
+    from prc_cli.readers.beams import with_beams
+
+    return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
 
 
 def label_blocks(

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import click
 
-from prc_cli.cli.report import compiling_note, console, line_progress, print_classes, print_evaluation
+from prc_cli.cli.report import compiling_note, console, line_progress, print_classes
+from prc_cli.cli.report_evaluation import print_evaluation
 from prc_cli.config import load_config
 from prc_cli.demo import PARTS, run_demo
 from prc_cli.evaluation.reports import as_dict

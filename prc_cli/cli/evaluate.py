@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from prc_cli.class_pictures import class_pictures
-from prc_cli.cli.report import print_evaluation, print_evaluation_details
+from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
 from prc_cli.comparison import EvaluateOptions, evaluate_all
 from prc_cli.core.errors import ConfigError, InputError

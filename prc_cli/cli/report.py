@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -16,28 +16,10 @@ from rich.text import Text
 
 from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.evaluation.reports import (
-    NO_INTERVALS,
-    doubts,
-    gate_cells,
-    match_line,
-    overall_line,
-    percent,
-    split_table,
-    with_interval,
-)
-from prc_cli.evaluation.scores import CLASS_SCORES, scores
 
 if TYPE_CHECKING:
     from prc_cli.core.stream import Assumption, ReadTally
-    from prc_cli.evaluation.confusion import ConfusionMatrix
-    from prc_cli.evaluation.gates import GateResult
-    from prc_cli.evaluation.result import Evaluation, Interval
-    from prc_cli.evaluation.scores import Scores
     from prc_cli.pipeline import Progress, RunSummary
-
-MAX_PARTS = 40
-"""Parts of a split that are shown on a terminal."""
 
 
 class SafeConsole(Console):
@@ -104,51 +86,6 @@ def print_classes(summary: RunSummary) -> None:
             share = "" if label is Label.MISSING else f"{counts[label] / returned:.1%}"
             table.add_row(label.name.lower(), str(codes.code(label)), f"{counts[label]:,}", share)
     console().print(table)
-
-
-def print_evaluation(matrix: ConfusionMatrix, found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> None:
-    """Print a confusion matrix with row shares, and the scores, on stdout."""
-    shown = matrix.trimmed()
-    table = Table(title="reference in rows, predicted in columns: records (share of the row)")
-    table.add_column("reference")
-    for name in shown.predicted_names:
-        table.add_column(name, justify="right")
-    for name, counts, shares in zip(shown.reference_names, shown.counts, shown.row_shares(), strict=True):
-        cells = (f"{count:,} ({percent(share)})" for count, share in zip(counts, shares, strict=True))
-        table.add_row(name, *cells)
-    results().print(table)
-    table = Table(title="scores")
-    table.add_column("class")
-    for score in CLASS_SCORES:
-        table.add_column(score, justify="right")
-    for item in scores(shown).classes:
-        values = ((getattr(item, score), intervals.get(f"{score}.{item.name}")) for score in CLASS_SCORES)
-        table.add_row(item.name, *(with_interval(value, interval) for value, interval in values))
-    results().print(table)
-    counts = f"scored {found.n_scored:,} records, ignored {found.n_ignored:,}"
-    results().print(f"{counts}: {overall_line(found, intervals)}")
-
-
-def print_evaluation_details(found: Evaluation, gates: Sequence[GateResult]) -> None:
-    """Print the parts of an evaluation, its gates and how the records were matched, on stdout."""
-    if found.intervals:
-        results().print(f"intervals: {found.interval_method}")
-    for split, parts in found.splits.items():
-        header, rows = split_table(parts, found.matrix.trimmed())
-        table = Table(title=f"by {split}")
-        for heading in header:
-            table.add_column(heading, justify="left" if heading == "part" else "right")
-        for row in rows[:MAX_PARTS]:
-            table.add_row(*row)
-        results().print(table)
-        if len(rows) > MAX_PARTS:
-            results().print(f"and {len(rows) - MAX_PARTS} more; --output and --format have all of them")
-    for gate in gates:
-        name, limit, value = gate_cells(gate)
-        results().print(f"{name}: found {value}, demanded {limit}: {'passed' if gate.passed else 'failed'}")
-    results().print(match_line(found.match))
-    for note in (*found.match.notes, *doubts(found)):
-        results().print(note)
 
 
 def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:

@@ -184,6 +184,25 @@ def output_errors(path: Path) -> Iterator[None]:
         raise OutputError(str(path), problem, "check the folder and its permissions") from error
 
 
+def begin_flush(handle: IO[bytes], first: int, stop: int) -> None:
+    """Let the system begin to write a span of a file to its disk, where it knows how to, and wait for nothing.
+
+    What has gone when the file is flushed need not be waited for then. Nothing is promised by this.
+
+    Parameters
+    ----------
+    handle : file
+        Open; what it still buffers is left out.
+    first, stop : int
+        Bytes of the file, the last exclusive; each byte is best named once.
+    """
+    advise = getattr(os, "posix_fadvise", None)
+    if advise is not None:
+        # Linux begins to write what is said not to be needed; it only leaves the cache if it has been written already
+        with contextlib.suppress(OSError, ValueError):
+            advise(handle.fileno(), first, stop - first, os.POSIX_FADV_DONTNEED)
+
+
 def _sync_folder(folder: Path) -> None:
     """Make a rename durable where folders can be flushed (POSIX); elsewhere the rename is enough."""
     if os.name != "posix":

@@ -76,12 +76,22 @@ def columns_by_dimension(number: NDArray[Any]) -> I64:
     """Take columns from the input; what is no whole number from 0 on is none."""
     if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
         column = number.astype(np.int64)
-        column[(column < 0) | (column >= MAX_COLUMN)] = NO_COLUMN
+        if not is_within(column, MAX_COLUMN):
+            column[(column < 0) | (column >= MAX_COLUMN)] = NO_COLUMN
         return column
     value = np.asarray(number, np.float64)
     with np.errstate(invalid="ignore"):
         whole = (value >= 0) & (value < MAX_COLUMN) & (value == np.floor(value))
     return np.where(whole, value, NO_COLUMN).astype(np.int64)
+
+
+def is_within(number: I64, stop: int) -> bool:
+    """Tell whether all numbers are 0 or more and below ``stop``; faster than to look for those that are not.
+
+    >>> is_within(np.array([0, 4]), 5), is_within(np.array([0, 5]), 5), is_within(np.array([-1, 0]), 5)
+    (True, False, False)
+    """
+    return not len(number) or bool(number.min() >= 0 and number.max() < stop)
 
 
 def columns_by_order(line: I64) -> I64:

@@ -181,7 +181,16 @@ class GridStream:
         m = setup.points_per_line
         # every shot of fixed lines has its cell
         cells = None if self.rules.lines == "fixed" else cell_limit(self.rules.config, m, self.n_known)
-        return LineRules(self.rules, m, setup.sweep, setup.beat, cells)
+        return LineRules(self.rules, m, setup.sweep, setup.beat, cells, self._spent())
+
+    def _spent(self) -> tuple[str, ...]:
+        """Return the dimensions that only find the shots and their lines: fewer columns are cut and joined then."""
+        rules = self.rules
+        spent = {"number_of_returns", rules.scanner, rules.line_dimension}
+        if self.only_ranges and rules.shot_hz is None:
+            spent.add("time")
+        kept = {rules.column_dimension, "angle", "return_number"}
+        return tuple(name for name in rules.names if name in spent and name not in kept)
 
     def _sparse_blocks(self) -> Iterator[ScanBlock]:
         """Bring every record to its cell, whatever is missing between them."""

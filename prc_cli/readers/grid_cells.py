@@ -9,6 +9,7 @@ import numpy as np
 
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64
+from prc_cli.readers.columns import is_within
 from prc_cli.readers.grid_lines import LINE, RECORD, START, Table, WholeLines, n_rows, take
 from prc_cli.readers.grid_rules import GridRules
 from prc_cli.readers.grid_setup import ScannerSetup, find_columns
@@ -75,9 +76,10 @@ def _place(whole: WholeLines, rules: GridRules, setup: ScannerSetup) -> tuple[_C
     stands = choose_returns(
         starts, records[RANGE], records.get(INTENSITY), records.get("return_number"), rules.config.return_
     )
-    inside = (column >= 0) & (column < setup.points_per_line)
-    n_unplaced = len(inside) - int(np.count_nonzero(inside))
-    if n_unplaced:
+    n_unplaced = 0
+    if not is_within(column, setup.points_per_line):
+        inside = (column >= 0) & (column < setup.points_per_line)
+        n_unplaced = len(inside) - int(np.count_nonzero(inside))
         records, column, stands = take(records, inside), column[inside], stands[inside]
     return _Cells(records, records[LINE], column, stands), n_unplaced
 
@@ -95,7 +97,9 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: GridRules, setup:
     xyz: F32 | None = np.full((n_lines * m, 3), np.nan, np.float32) if with_xyz else None
     extra, tally = ExtraReturns.none(), ReadTally()
     if n_rows(records):
-        cell = (cells.line - first_line) * m + cells.column
+        cell = cells.line - first_line
+        cell *= m
+        cell += cells.column
         # where every record has a cell of its own, nothing needs to be chosen
         alone = bool(cells.stands.all()) and bool(np.all(cell[1:] > cell[:-1]))
         own = slice(None) if alone else _winners(cell, cells.stands, records[RANGE], n_lines * m)

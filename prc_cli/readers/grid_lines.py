@@ -45,6 +45,8 @@ class LineRules:
     beat: Beat = UNKNOWN
     cells: CellLimit | None = None
     """None = where no cells are made."""
+    spent: tuple[str, ...] = ()
+    """Dimensions that nobody asks for once a record has its line."""
 
     @property
     def slack(self) -> int:
@@ -130,6 +132,7 @@ def advance(
     records, starts, state = whole_shots(join([state.tail, records]), state, rules, final=final)
     if n_rows(records):
         records, state = _find_lines(records, starts, state, rules)
+        records = {name: column for name, column in records.items() if name not in rules.spent}
     held = (*state.held, records) if n_rows(records) else state.held
     n_held = state.n_held + n_rows(records)
     if n_held > rules.max_open and not final:

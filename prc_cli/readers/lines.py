@@ -87,16 +87,19 @@ def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tu
         When a number is not whole or absurdly large.
     """
     if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
-        line, known = number.astype(np.int64), np.ones(len(number), np.bool_)
-    else:
-        value = np.asarray(number, np.float64)
-        known = np.isfinite(value)
-        value = np.where(known, value, 0.0)
-        odd = (value != np.floor(value)) | (np.abs(value) >= MAX_NUMBER)
-        if odd.any():
-            problem = f"found line number {value[int(np.argmax(odd))]:g}, expected whole numbers"
-            raise InputError(where, problem, "name the dimension that counts lines: --lines dimension:NAME")
-        line = value.astype(np.int64)
+        if state.offset is None and len(number):
+            state = replace(state, offset=int(number[0]))
+        # in one pass: nearly every file numbers its lines so
+        line = np.subtract(number, np.int64(state.offset or 0), dtype=np.int64)
+        return line, np.ones(len(number), np.bool_), state
+    value = np.asarray(number, np.float64)
+    known = np.isfinite(value)
+    value = np.where(known, value, 0.0)
+    odd = (value != np.floor(value)) | (np.abs(value) >= MAX_NUMBER)
+    if odd.any():
+        problem = f"found line number {value[int(np.argmax(odd))]:g}, expected whole numbers"
+        raise InputError(where, problem, "name the dimension that counts lines: --lines dimension:NAME")
+    line = value.astype(np.int64)
     if state.offset is None and known.any():
         state = replace(state, offset=int(line[int(np.argmax(known))]))
     return line - (state.offset or 0), known, state

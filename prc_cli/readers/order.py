@@ -180,12 +180,14 @@ class OrderWatch:
             values, record = values[finite], record[finite]
         if not len(values):
             return
-        if self._last is None:
-            before, after, record = values[:-1], values[1:], record[1:]
-        else:
-            before, after = np.concatenate(([self._last], values[:-1])), values
+        if self._last is not None:
+            self._compare(np.array([self._last]), values[:1], record[:1])
+        self._compare(values[:-1], values[1:], record[1:])
         self._last = float(values[-1])
         self._n_finite += len(values)
+
+    def _compare(self, before: F64, after: F64, record: I64) -> None:
+        """Count steps; ``record`` is where each ends."""
         self._n_equal += int(np.count_nonzero(after == before))
         back = np.flatnonzero(after < before)
         if len(back):

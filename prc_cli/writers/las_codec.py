@@ -16,6 +16,7 @@ import lazrs
 import numpy as np
 
 from prc_cli.core.errors import OutputError
+from prc_cli.core.files import begin_flush
 from prc_cli.core.laz_chunks import RUN_BYTES, chunk_head, find_run
 from prc_cli.core.threads import read_ahead
 from prc_cli.core.types import U8
@@ -39,6 +40,8 @@ _PLAIN_BYTES = 1 << 19
 _AHEAD = 1
 _LARGE_CHUNK_BYTES = 32 << 20
 _COPY_BYTES = 4 << 20
+_FLUSH_BYTES = 16 << 20
+"""Bytes after which the disk is set to work, so that little is left to be waited for at the end."""
 
 
 class Target:
@@ -46,6 +49,7 @@ class Target:
 
     def __init__(self, handle: BinaryIO) -> None:
         self._handle = handle
+        self._n_unflushed = 0
         self.error: BaseException | None = None
 
     def write(self, data: Any) -> int:
@@ -56,6 +60,11 @@ class Target:
             stop = WRITE_BYTES - self._handle.tell() % WRITE_BYTES if len(view) > WRITE_BYTES else len(view)
             for first, last in pairwise((0, *range(stop, len(view), WRITE_BYTES), len(view))):
                 self._handle.write(view[first:last])
+            self._n_unflushed += len(view)
+            if self._n_unflushed >= _FLUSH_BYTES:
+                stop = self._handle.tell()
+                begin_flush(self._handle, stop - self._n_unflushed, stop)
+                self._n_unflushed = 0
             return len(view)
         except BaseException as error:
             self.error = error
