@@ -1,4 +1,4 @@
-"""One archive for all tests of this folder, and small copies of it to be harmed."""
+"""Archives for all tests of this folder, and copies to be harmed."""
 
 from __future__ import annotations
 
@@ -7,16 +7,22 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.harness import Archive, make_archive, part_of
+from tests.faults.harness import FAST, Archive, make_archive, part_of
 
 
 @pytest.fixture(scope="session")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Archive:
-    if sys.platform != "linux":
-        pytest.skip("processes are found through /proc")
+    """All kinds of files."""
     return make_archive(tmp_path_factory.mktemp("faults"))
 
 
+@pytest.fixture(scope="session")
+def fast(tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    if sys.platform != "linux":
+        pytest.skip("processes are found through /proc")
+    return make_archive(tmp_path_factory.mktemp("fast"), FAST)
+
+
 @pytest.fixture
-def few(archive: Archive, tmp_path: Path) -> Archive:
-    return part_of(archive, tmp_path / "archive")
+def few(fast: Archive, tmp_path: Path) -> Archive:
+    return part_of(fast, tmp_path / "archive")

@@ -22,7 +22,7 @@ from tests.faults.harness import (
     parts,
     tree,
 )
-from tests.faults.test_kills import run_until
+from tests.faults.test_kills import release, run_into
 
 LONG = "2026/day 3/long.laz"
 FIRST, LAST = "2026/day 1/drive.npz", "rückweg.las"
@@ -44,11 +44,12 @@ def resume(archive: Archive, out: Path) -> None:
 def test_an_input_that_is_gone_when_its_turn_comes(few: Archive, tmp_path: Path, fate: str) -> None:
     out = tmp_path / "out"
     path, aside = few.folder / LAST, tmp_path / "aside"
-    batch = run_until(few, out, "running", jobs=1)
+    batch = run_into(few, out, [FIRST], jobs=1)
     path.rename(aside)
     if fate == "becomes a pipe":
         os.mkfifo(path)
-    code, said = batch.end(60)
+    release(out)
+    code, said = batch.end()
     assert code == 1, said
     (line,) = failures(said)
     assert LAST in line
@@ -147,7 +148,7 @@ def test_corrupt_files_and_things_that_are_no_files_cost_themselves_alone(few: A
     (bad / "away.laz").symlink_to("/etc/passwd")
     (bad / "loop.laz").symlink_to("loop.laz")
     (bad / "folder.laz").mkdir()
-    code, said = Batch(few.folder, out, few.config).end(120)
+    code, said = Batch(few.folder, out, few.config).end()
     assert code == 1, said
     assert "Traceback" not in said
     assert "\x1b" not in said

@@ -6,6 +6,7 @@ import os
 import random
 import signal
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -13,14 +14,29 @@ import pytest
 from prc_cli.batch.journal import read_runs
 from prc_cli.batch.types import OWN_FOLDER, Entry
 from tests.faults import step_kills
-from tests.faults.harness import FAST, Archive, Batch, check_nothing_half, check_whole, entries, part_of, parts
+from tests.faults.harness import FAST, Archive, Batch, check_nothing_half, check_whole, entries, hooked, part_of, parts
 from tests.faults.kills import kill_many
 from tests.faults.step_kills import strike_step
+from tests.patience import wait_until
 
 
 def test_some_kills(few: Archive, tmp_path: Path) -> None:
-    tally = kill_many(few, tmp_path, 3, seed=3)
-    assert sum(tally.kills.values()) == 3
+    """Everything, then the first process alone, then a worker, while a file is at work in one folder."""
+    out = tmp_path / "out"
+    for n_known, strike in ((1, Batch.strike_all), (2, Batch.strike)):
+        batch = run_into(few, out, FAST[n_known : n_known + 1], jobs=1)
+        assert strike(batch)
+        batch.process.communicate()
+        batch.wait_until_gone()
+        check_nothing_half(few, out)
+        states = [entry.state for entry in sorted(known(out), key=lambda entry: entry.name)]
+        assert states == ["done"] * n_known + ["running"]
+    batch = run_into(few, out, FAST[2:], jobs=1)
+    assert batch.strike_worker(random.Random(3))
+    release(out)
+    code, said = batch.end()
+    assert code == 0, said
+    check_whole(few, out)
 
 
 @pytest.mark.slow
@@ -31,20 +47,31 @@ def test_many_kills(archive: Archive, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 12))])
-def test_a_kill_just_before_a_step_in_the_output_folder(archive: Archive, tmp_path: Path, seed: int) -> None:
+def test_a_kill_just_before_a_step_in_the_output_folder(fast: Archive, tmp_path: Path, seed: int) -> None:
     """``python -m tests.faults.step_kills`` takes every step."""
     rng = random.Random(seed)
-    two = part_of(archive, tmp_path / "archive", step_kills.NAMES)
+    two = part_of(fast, tmp_path / "archive", step_kills.NAMES)
     strike_step(two, tmp_path / "out", rng.randint(8, 44), rng.choice(["all", "self"]))
 
 
-def run_until(archive: Archive, out: Path, state: str, *options: str, jobs: int = 2) -> Batch:
-    """Start a run and return when the journal knows of a file in such a state."""
-    batch = Batch(archive.folder, out, archive.config, *options, jobs=jobs)
-    end = time.monotonic() + 60
-    while time.monotonic() < end and not any(entry.state == state for entry in known(out)):
-        time.sleep(0.02)
+def run_into(archive: Archive, out: Path, names: Sequence[str], *options: str, jobs: int = 2) -> Batch:
+    """Start a run and return when its workers are about to open all these inputs, which :func:`release` lets them."""
+    held = [Path(f"{_release(out)}.{number}") for number in range(len(names))]
+    for path in (_release(out), *held):
+        path.unlink(missing_ok=True)
+    hold = hooked("PRC_FAULTS_HOLD", os.pathsep.join([str(_release(out)), *(str(archive.folder / n) for n in names)]))
+    batch = Batch(archive.folder, out, archive.config, *options, jobs=jobs, environment=hold)
+    wait_until(lambda: all(path.exists() for path in held) or batch.process.poll() is not None)
     return batch
+
+
+def release(out: Path) -> None:
+    """Let the workers of a run into an output folder go on."""
+    _release(out).touch()
+
+
+def _release(out: Path) -> Path:
+    return out.with_name("release")
 
 
 def known(out: Path) -> list[Entry]:
@@ -61,14 +88,12 @@ def known(out: Path) -> list[Entry]:
 )
 def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, number: int, n_times: int) -> None:
     out = tmp_path / "out"
-    batch = run_until(few, out, "running")
-    begun = time.monotonic()
+    batch = run_into(few, out, FAST[1:])
     assert batch.strike(number)
     for _ in range(n_times - 1):  # somebody who is impatient
         time.sleep(0.1)
         batch.strike(number)
-    code, said = batch.end(20)
-    assert time.monotonic() - begun < 10
+    code, said = batch.end()
     # the last of several may come when Python has put back the system's own handling, which shells show as the same
     assert code == 128 + number or (n_times > 1 and code == -number), said
     assert "Traceback" not in said
@@ -87,9 +112,9 @@ def test_a_signal_ends_the_run_within_seconds(few: Archive, tmp_path: Path, numb
 
 @pytest.mark.slow
 def test_a_closed_terminal_leaves_no_worker(few: Archive, tmp_path: Path) -> None:
-    batch = run_until(few, tmp_path / "out", "running")
+    batch = run_into(few, tmp_path / "out", FAST[1:])
     batch.strike(signal.SIGHUP)
-    code, said = batch.end(20)
+    code, said = batch.end()
     assert code == 128 + signal.SIGHUP, said
     batch.wait_until_gone()
     check_nothing_half(few, tmp_path / "out")
@@ -124,16 +149,13 @@ def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive
     assert entries(out)[long].state == "done"
 
 
+@pytest.mark.slow
 def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
-    """As on a network share that does not answer: the worker makes no step any more."""
+    """As on a network share that does not answer; tests/batch/test_local.py has the quick cases."""
     out = tmp_path / "out"
-    batch = run_until(few, out, "done", "--stall", "4", jobs=1)
-    (worker,) = batch.workers()
-    os.kill(worker, signal.SIGSTOP)
-    code, said = batch.end(60)
+    code, said = run_into(few, out, FAST[2:], "--stall", "20", jobs=1).end()
     assert code == 1, said
-    assert [line for line in said.splitlines() if "failed" in line and "no progress for 4 s, given up" in line], said
-    batch.wait_until_gone()
+    assert [line for line in said.splitlines() if "failed" in line and "no progress for 20 s, given up" in line], said
     check_nothing_half(few, out)
     assert sorted(entry.state for entry in known(out)) == ["done", "done", "failed"]
     code, said = Batch(few.folder, out, few.config).end()

@@ -1,11 +1,13 @@
 """Kills a process of a run just before its n-th step in the output folder; Python imports this module by its name.
 
-The steps of all processes of a run are counted in one file, a byte each. Or changes inputs whenever a run opens them.
+The steps of all processes of a run are counted in one file, a byte each. Or changes inputs whenever a run opens them,
+or holds its workers up there.
 """
 
 import os
 import signal
 import sys
+import time
 from pathlib import Path
 
 _EVENTS = {"os.rename", "os.remove", "os.link", "os.mkdir", "os.utime", "os.truncate", "open", "sqlite3.connect"}
@@ -26,6 +28,17 @@ def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
 
     sys.addaudithook(step)
+
+
+def _hold(release: str, paths: list[str]) -> None:
+    def hold(event: str, arguments: tuple[object, ...]) -> None:
+        for number, path in enumerate(paths if event == "open" else ()):
+            if _is_below(path, arguments[0]):
+                Path(f"{release}.{number}").touch()
+                while not Path(release).exists():
+                    time.sleep(0.01)
+
+    sys.addaudithook(hold)
 
 
 def _let_change(paths: list[str]) -> None:
@@ -57,5 +70,8 @@ def _is_below(out: str, argument: object) -> bool:
 if "PRC_FAULTS_STEPS" in os.environ:
     _out, _counter, _strike_at, _victims = os.environ["PRC_FAULTS_STEPS"].split("|")
     _install(_out, _counter, int(_strike_at), _victims)
+if "PRC_FAULTS_HOLD" in os.environ and "prc_cli.batch.worker" in " ".join(sys.orig_argv):
+    _release, *_paths = os.environ["PRC_FAULTS_HOLD"].split(os.pathsep)
+    _hold(_release, _paths)
 if "PRC_FAULTS_CHANGE" in os.environ:
     _let_change(os.environ["PRC_FAULTS_CHANGE"].split(os.pathsep))
