@@ -117,6 +117,16 @@ def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None
 
 
 @helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line in the scan plane."""
+    sine, cosine = beams
+    for i in range(len(ranges)):
+        side[i] = ranges[i] * sine[i]
+    for i in range(len(ranges)):
+        height[i] = -(ranges[i] * cosine[i])
+
+
+@helper
 def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
     """Write how many columns the half width of a place is, for every shot of a line; anything where it is missing."""
     fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
@@ -263,6 +273,20 @@ def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
             after = k
             break
     return after > 0 and before + after <= ACROSS_LINES + 1
+
+
+@helper
+def _mark_thin(window_m: F32, line: int, far: np.float32, thin: U8) -> None:
+    """Mark the shots of a line where :func:`_is_thin` may hold: lines on both sides see nothing or something far."""
+    own = window_m[line]
+    a, b, c, d = window_m[line - 4], window_m[line - 3], window_m[line - 2], window_m[line - 1]
+    for i in range(len(own)):
+        end = own[i] + far
+        thin[i] = np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
+    a, b, c, d = window_m[line + 1], window_m[line + 2], window_m[line + 3], window_m[line + 4]
+    for i in range(len(own)):
+        end = own[i] + far
+        thin[i] &= np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
 
 
 @inlined
@@ -487,6 +511,7 @@ def _label_poles(
     line: int,
     near: U8,
     points: tuple[F32, F32, F32],
+    thin: U8,
     rough: Slots,
     figures: F32,
     labels: U8,
@@ -515,24 +540,27 @@ def _label_poles(
                 end += 1
         own = height[i]
         is_high = (high - own >= high_m) | (own - low >= high_m)
-        if (not is_high and _is_short(ranges, near, height, i, figures)) or _is_thin(window_m, line, i, figures[FAR_M]):
+        is_short = not is_high and _is_short(ranges, near, height, i, figures)
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, figures[FAR_M])):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             labels[i] = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
 
 
 @kernel(
-    "uint8[:, ::1](float32[:, ::1], UniTuple(float32[:, ::1], 3), UniTuple(uint8[:, ::1], 4), boolean[:, ::1],"
-    " float32[:, ::1], UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 3), uint8[:, ::1], float32, float32[::1])"
+    "uint8[:, ::1](float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), boolean[:, ::1], float32[:, ::1],"
+    " UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 3), uint8[:, ::1], UniTuple(float32[::1], 2), float32,"
+    " float32[::1])"
 )
 def fused_labels(
     window_m: F32,
-    points: tuple[F32, F32, F32],
+    above_m: F32,
     counts: tuple[U8, U8, U8, U8],
     walked: Mask,
     texture: F32,
     slots: tuple[Slots, Slots],
     walls: tuple[F32, F32, F32],
     levels: U8,
+    beams: tuple[F32, F32],
     step: np.float32,
     figures: F32,
 ) -> U8:
@@ -542,8 +570,8 @@ def fused_labels(
     ----------
     window_m : (lines + 8, M) float32, metres
         Ranges of these lines and of four before and after; NaN = missing.
-    points : tuple of (lines + 4, M) float32, metres
-        Side and height in the scan plane, and height above the ground, of these lines and two before and after.
+    above_m : (lines + 4, M) float32, metres
+        Height above the ground, of these lines and two before and after.
     counts : tuple of (lines + 4, M) uint8
         Near neighbours, smooth pairs, upright and level chords.
     walked : (lines + 4, M) bool
@@ -556,6 +584,8 @@ def fused_labels(
         Of :func:`prc_cli.kernels.fused_strips.find_walls`.
     levels : (lines, 2 STRIPS) uint8
         Widened.
+    beams : tuple of (M,) float32
+        Sine and cosine of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
     figures : (N_FIGURES,) float32
@@ -579,6 +609,7 @@ def fused_labels(
         np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32),
         np.zeros(m, np.float32),
     )  # fmt: skip
+    side, height, thin = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
     # lines take turns in it, each while it is near enough
     pairs = np.empty((3, m), np.uint32)
     for line in range(2):
@@ -586,7 +617,8 @@ def fused_labels(
     for line in range(n_lines):
         k, row = line + LINES, labels[line]
         own, ranges = (near[k], smooth[k], upright[k], level[k]), window_m[line + MARGIN]
-        place = points[0][k], points[1][k], points[2][k]
+        _lay_out(ranges, beams, side, height)
+        place = side, height, above_m[k]
         rows = walls[0][line], walls[1][line], walls[2][line]
         rough = slots[1][line]
         _label_plain(ranges, place[2], own, walked[k], figures, row)
@@ -601,7 +633,8 @@ def fused_labels(
         _look_up(shots[:n], bins, rows, cars, found)
         _label_things(place, own, texture[line], bins, found, figures, row, marks)
         n = _list_marked(marks, 1, 1, shots)
-        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, rough, figures, row)
+        _mark_thin(window_m, line + MARGIN, figures[FAR_M], thin)
+        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, figures, row)
     return labels
 
 
@@ -699,9 +732,9 @@ def _vote_line(
         voted[i] = _vote(votes, labels[i])
 
 
-@kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[:, ::1], 2), float32, float32, float32)")
+@kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, float32, float32)")
 def vote_labels(
-    labels: U8, range_m: F32, points: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
+    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
 ) -> U8:
     """Let every shot that is neither ground nor noise take the label of most of the shots around it.
 
@@ -713,8 +746,8 @@ def vote_labels(
     labels : (lines + 2, M) uint8
         :class:`prc_cli.core.classes.Label` of the block and a line before and after.
     range_m : (lines + 2, M) float32, metres
-    points : tuple of (lines + 2, M) float32, metres
-        Side and height in the scan plane.
+    beams : tuple of (M,) float32
+        Sine and cosine of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
     half_m : float32
@@ -727,19 +760,22 @@ def vote_labels(
     (lines, M) uint8
     """
     n_lines, m = labels.shape[0] - 2, labels.shape[1]
-    voted = labels[1 : n_lines + 1].copy()
+    voted = np.empty((n_lines, m), np.uint8)
     unsettled, asking = np.empty(m, np.uint8), np.empty(m + 1, np.int32)
-    weights = np.empty((n_lines + 2, m), np.uint32)
+    # lines take turns in these, each while it is near enough
+    weights = np.empty((3, m), np.uint32)
+    side, height = np.empty((3, m), np.float32), np.empty((3, m), np.float32)
     for line in range(n_lines + 2):
-        _weigh(labels[line], weights[line])
-    side, height = points
-    for row in range(n_lines):
-        line = row + 1
-        _mark_unsettled(labels[line - 1], labels[line], labels[line + 1], unsettled)
-        lines = (
-            (side[line - 1], height[line - 1], weights[line - 1]),
-            (side[line], height[line], weights[line]),
-            (side[line + 1], height[line + 1], weights[line + 1]),
-        )
-        _vote_line(labels[line], range_m[line], lines, unsettled, asking, step, half_m, near_m, voted[row])
+        c = line % 3
+        _weigh(labels[line], weights[c])
+        _lay_out(range_m[line], beams, side[c], height[c])
+        if line < 2:
+            continue
+        own, row = labels[line - 1], voted[line - 2]
+        for i in range(m):
+            row[i] = own[i]
+        _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
+        a, b = (line - 2) % 3, (line - 1) % 3
+        lines = (side[a], height[a], weights[a]), (side[b], height[b], weights[b]), (side[c], height[c], weights[c])
+        _vote_line(own, range_m[line - 1], lines, unsettled, asking, step, half_m, near_m, row)
     return voted

@@ -227,18 +227,20 @@ class _Shot:
 
 def fused_labels(
     window_m: F32,
-    points: tuple[F32, F32, F32],
+    above_m: F32,
     counts: tuple[U8, U8, U8, U8],
     walked: Mask,
     texture: F32,
     slots: tuple[Slots, Slots],
     walls: tuple[F32, F32, F32],
     levels: U8,
+    beams: tuple[F32, F32],
     step: np.float32,
     figures: F32,
 ) -> U8:
     """Label shots; see :func:`prc_cli.kernels.fused_classes.fused_labels`."""
     named = dict(zip(NAMES, figures, strict=True))
+    points = (*_points(window_m[2:-2], beams), above_m)
     labels = np.full(texture.shape, MISSING, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(window_m[4:-4])), strict=True):
         is_walked, soft = bool(walked[line + 2, i]), np.float32(texture[line, i])
@@ -247,8 +249,13 @@ def fused_labels(
     return labels
 
 
+def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
+    """Turn ranges into points of the scan plane."""
+    return range_m * beams[0], -(range_m * beams[1])
+
+
 def vote_labels(
-    labels: U8, range_m: F32, points: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
+    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
 ) -> U8:
     """Let the shots around vote; see :func:`prc_cli.kernels.fused_classes.vote_labels`."""
     voted = labels[1:-1].copy()
@@ -261,7 +268,7 @@ def vote_labels(
         columns = min(max(int(half_m / (range_m[line, i] * step)), 2), 60)
         place = slice(line - 1, line + 2), slice(max(i - columns, 0), i + columns + 1, max(columns // 4, 1))
         close = np.ones(labels[place].shape, bool)
-        for image in points:
+        for image in _points(range_m, beams):
             close &= np.abs(image[place] - image[line, i]) < near_m
         votes = {label: int((labels[place][close] == label).sum()) for label in (OTHER, BUILDING, VEGETATION)}
         if votes[own] < max(votes.values()):

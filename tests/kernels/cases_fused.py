@@ -195,7 +195,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     walls = fused_strips.find_walls((length, wall, place, top), figures(rng.choice([0.1, 1.5]), 0.3, 1.6))
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     return (
-        one.window, (*one.points(), above), counts, walked, texture, wide, walls, fused_strips.widen_levels(levels),
+        one.window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,
         one.step, decision(rng),
     )  # fmt: skip
 
@@ -208,7 +208,7 @@ def vote_case(rng: Generator) -> tuple[Any, ...]:
         labels[:, : labels.shape[1] // 2] = 4
     labels[np.isnan(range_m)] = 0
     half, near = np.float32(rng.choice([0.0, 0.8, 8.0])), np.float32(rng.choice([0.1, 2.0]))
-    return labels, range_m, one.points(), one.step, half, near
+    return labels, range_m, one.beams, one.step, half, near
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

@@ -85,7 +85,6 @@ def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int
 @stage("classes")
 def decide(
     window_m: F32,
-    points: tuple[F32, F32],
     seen: Neighbours,
     ground: Ground,
     texture: F32,
@@ -101,8 +100,8 @@ def decide(
     vegetation. All else: building.
     """
     labels: U8 = kernels.fused_labels(
-        window_m, (*points, ground.above_m), seen.counts, ground.walked, texture, standing.slots, standing.walls,
-        standing.levels, plane.step_rad, figures,
+        window_m, ground.above_m, seen.counts, ground.walked, texture, standing.slots, standing.walls,
+        standing.levels, plane.beams, plane.step_rad, figures,
     )  # fmt: skip
     return labels
 
@@ -149,11 +148,11 @@ def decision_figures(
 
 
 @stage("votes")
-def vote(labels: U8, range_m: F32, points: tuple[F32, F32], plane: ScanPlane, params: VoteParams) -> U8:
+def vote(labels: U8, range_m: F32, plane: ScanPlane, params: VoteParams) -> U8:
     """Let the shots around have the last word; see :func:`prc_cli.kernels.fused_classes.vote_labels`."""
     if not params.enabled:
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(
-        labels, range_m, points, plane.step_rad, np.float32(params.half_width_m), np.float32(params.near_m)
+        labels, range_m, plane.beams, plane.step_rad, np.float32(params.half_width_m), np.float32(params.near_m)
     )
     return voted

@@ -110,7 +110,7 @@ def follow_ground(
     if memory.age.min() >= params.memory_lines:
         start_m = start_height(*points_of(range_m, plane), seen, params)
     above, walked, height_m, age = kernels.walk_ground(
-        range_m, (plane.sine, plane.cosine), seen.counts, (plane.left, plane.right), memory.height_m, memory.age,
+        range_m, plane.beams, seen.counts, (plane.left, plane.right), memory.height_m, memory.age,
         np.float32(start_m), keep, np.array(figures, np.float32),
     )  # fmt: skip
     return Ground(above, walked), GroundMemory(height_m, age)

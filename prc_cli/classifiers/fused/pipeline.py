@@ -48,7 +48,6 @@ from prc_cli.classifiers.fused.plane import (
     Plane,
     ScanPlane,
     SensorParams,
-    points_of,
 )
 from prc_cli.classifiers.fused.strips import StripsParams, WallParams, stand
 from prc_cli.core.config import Params
@@ -113,8 +112,6 @@ class _Seen:
     """(lines + 10, M) float32, ranges [m]."""
     range_m: F32
     """(lines + 6, M) float32, those of the lines that are looked at."""
-    points: tuple[F32, F32]
-    """(lines + 6, M) float32, side and height in the scan plane [m]."""
     neighbours: Neighbours
 
 
@@ -189,9 +186,8 @@ def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> 
     near = near_neighbours(window, plane, params.company)
     smooth = smooth_pairs(window, plane, noise_m, params.smoothness)
     range_m = window[INNER_LINES:-INNER_LINES]
-    points = points_of(range_m, plane)
     upright, level = chords(range_m, smooth, plane, params.directions)
-    return _Seen(window, range_m, points, Neighbours(near, smooth, upright, level))
+    return _Seen(window, range_m, Neighbours(near, smooth, upright, level))
 
 
 def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
@@ -210,9 +206,8 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     figures = decision_figures(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    labels = decide(seen.window, seen.points, seen.neighbours, ground, texture, standing, plane, figures)
-    own = slice(WIDE_LINES, -WIDE_LINES)
-    return vote(labels, seen.range_m[own], (seen.points[0][own], seen.points[1][own]), plane, params.votes)
+    labels = decide(seen.window, seen.neighbours, ground, texture, standing, plane, figures)
+    return vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
 
 
 class ParallelBlocks:

@@ -81,6 +81,11 @@ class ScanPlane:
     right: I32
     """(n,) int32, those of the other side."""
 
+    @property
+    def beams(self) -> tuple[F32, F32]:
+        """Sine and cosine."""
+        return self.sine, self.cosine
+
     @classmethod
     def of(cls, beam_rad: F64) -> ScanPlane:
         """Return the plane of beams, (M,) float64, given by their angles from straight down in (-pi, pi] [rad].

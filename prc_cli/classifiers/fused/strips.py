@@ -87,7 +87,7 @@ def stand(
     """
     figures = [least_near, strips.foot_m, strips.rough, strips.smooth, strips.level_smooth, car_top_m, strips.jump_m]
     every, rough, length, wall, place, top, levels = kernels.fill_strips(
-        range_m, above_m, seen.counts, (plane.sine, plane.cosine), plane.step_rad, np.array(figures, np.float32)
+        range_m, above_m, seen.counts, plane.beams, plane.step_rad, np.array(figures, np.float32)
     )
     height_m = walls.height_m if walls.enabled else NEVER_M
     found = kernels.find_walls(
