@@ -4,8 +4,7 @@
     python -m benchmarks.memory --full                    # 10 and 100 million shots; takes 10 GB of disk and minutes
     python -m benchmarks.memory --lines 3000 30000
 
-The stream is a tiled simulated street; the table is what the documentation quotes. Text is written for the smaller
-size alone with ``--full``: its reader holds a block of it, whatever its length.
+The stream is a tiled simulated street; the table is what the documentation quotes.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ def write_csv(path: Path, raw: Path) -> None:
             handle.writelines(f"{value:.3f}\n" if value > 0 else "nan\n" for value in values)
 
 
-def measure(folder: Path, n_lines: int, *, with_text: bool) -> Iterator[tuple[str, float]]:
+def measure(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
     """Yield every job and its peak [MiB]; inputs are removed again."""
     from benchmarks.las import write_drive
 
@@ -70,10 +69,9 @@ def measure(folder: Path, n_lines: int, *, with_text: bool) -> Iterator[tuple[st
     np.savez(array, range_m=np.memmap(raw, "<f4", "r").reshape(-1, POINTS_PER_LINE))
     yield "npz → npy", classify(array, folder / "labels.npy")
     array.unlink()
-    if with_text:
-        write_csv(text, raw)
-        yield "csv → npy", classify(text, folder / "labels.npy")
-        text.unlink()
+    write_csv(text, raw)
+    yield "csv → npy", classify(text, folder / "labels.npy")
+    text.unlink()
     for suffix in (".laz", ".las"):
         drive = folder / f"drive{suffix}"
         write_drive(drive, raw, 6)
@@ -91,9 +89,9 @@ def main() -> None:
     arguments = parser.parse_args()
     lines = FULL_LINES if arguments.full else arguments.lines
     peaks: dict[str, list[float]] = {}
-    for number, n_lines in enumerate(lines):
+    for n_lines in lines:
         with tempfile.TemporaryDirectory() as name:
-            for job, peak in measure(Path(name), n_lines, with_text=not (arguments.full and number)):
+            for job, peak in measure(Path(name), n_lines):
                 peaks.setdefault(job, []).append(peak)
     sizes = " | ".join(f"{n * POINTS_PER_LINE / 1e6:.1f} M shots [MiB]" for n in lines)
     print(f"| job | {sizes} | ratio | goal [MiB] |")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import pickle
 import subprocess
@@ -101,3 +102,14 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> N
     assert files.remove_stale(tmp_path / "labels1.npy") == ()
     assert files.remove_stale(target) == (dead,)
     assert sorted(tmp_path.iterdir()) == sorted([mine, other])
+
+
+def test_to_begin_a_flush_changes_nothing_and_never_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (tmp_path / "a").open("w+b") as handle:
+        handle.write(b"abc")
+        files.begin_flush(handle, 0, 3)
+        monkeypatch.delattr(os, "posix_fadvise", raising=False)
+        files.begin_flush(handle, 0, 3)
+    monkeypatch.undo()
+    files.begin_flush(io.BytesIO(b"abc"), 0, 3)
+    assert (tmp_path / "a").read_bytes() == b"abc"

@@ -414,6 +414,17 @@ def test_lines_that_are_no_rows_are_passed_over_at_once(tmp_path: Path, monkeypa
     assert values(tmp_path, path.read_bytes()) == [1.0]
 
 
+def test_blocks_parsed_together_are_judged_in_order(tmp_path: Path) -> None:
+    """A blank line is refused by what follows it, however many blocks later that is parsed."""
+    path = tmp_path / "a.csv"
+    path.write_text("range\n" + "1.5\n" * 50 + "\n" * 40 + "2.5\n" * 3 + "wrong\n")
+    source = TextSource(path, block_bytes=16)
+    with pytest.raises(InputError, match="line 52: a blank line between the rows"):
+        list(source.chunks(("range",)))
+    path.write_text("range\n" + "1.5\n" * 50 + "\n" * 40)
+    assert sum(chunk.n for chunk in TextSource(path, block_bytes=16).chunks(("range",))) == 50
+
+
 @pytest.mark.parametrize("block_bytes", [4, 7, 1 << 20])
 def test_a_row_of_tabs_alone_is_a_row_of_empty_cells(tmp_path: Path, block_bytes: int) -> None:
     path = tmp_path / "drive.txt"

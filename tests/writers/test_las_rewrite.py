@@ -617,3 +617,40 @@ def test_what_is_written_at_once_is_cut(tmp_path: Path) -> None:
         assert [target.write(np.frombuffer(piece, np.uint8).data) for piece in written] == [len(p) for p in written]
         target.flush()
     assert (tmp_path / "a").read_bytes() == b"".join(written)
+
+
+class _Pieces(io.BytesIO):
+    """Notes where every piece begins and how long it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun: list[tuple[int, int]] = []
+
+    def write(self, data: Any) -> int:
+        self.begun.append((self.tell(), len(data)))
+        return super().write(data)
+
+
+def test_large_pieces_begin_where_pages_do() -> None:
+    """Pages that are written in two halves cost half as much time again."""
+    rng = np.random.default_rng(2)
+    handle = _Pieces()
+    target = las_codec.Target(handle)
+    written = [rng.bytes(n) for n in (375, 200_000, 200_001, 3)]
+    for piece in written:
+        target.write(np.frombuffer(piece, np.uint8).data)
+    assert handle.getvalue() == b"".join(written)
+    whole = [start for start, n in handle.begun if n == 65_536]
+    assert len(whole) >= 4
+    assert all(start % 65_536 == 0 for start in whole)
+
+
+def test_the_disk_begins_with_every_byte_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spans: list[tuple[int, int]] = []
+    monkeypatch.setattr(las_codec, "begin_flush", lambda _, first, stop: spans.append((first, stop)))
+    monkeypatch.setattr(las_codec, "_FLUSH_BYTES", 1000)
+    with (tmp_path / "a").open("w+b") as handle:
+        target = las_codec.Target(handle)
+        for n in (10, 999, 2500, 400, 600, 5):
+            target.write(bytes(n))
+    assert spans == [(0, 1009), (1009, 3509), (3509, 4509)]
