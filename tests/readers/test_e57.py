@@ -18,6 +18,7 @@ from prc_cli.pipeline import classify
 from prc_cli.readers import e57, e57_check, e57_file, open_input
 from prc_cli.readers.e57 import E57Stream
 from prc_cli.readers.options import InputConfig
+from tests.patience import HANGS_S
 from tests.readers.organised_files import (
     Array,
     Scan,
@@ -384,7 +385,7 @@ def test_no_damage_ends_the_interpreter_hangs_or_takes_the_memory(tmp_path: Path
         path.write_bytes(_mutated(raw, seed))
         names.append(str(path))
     done = subprocess.run(
-        [sys.executable, "-c", _CHILD], input="\n".join(names), capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", _CHILD], input="\n".join(names), capture_output=True, text=True, timeout=HANGS_S
     )
     assert done.returncode == 0, [*done.stdout.splitlines()[-1:], done.stderr[-2000:]]
     lines = done.stdout.splitlines()
