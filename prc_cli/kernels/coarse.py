@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, kernel
 
 _MISSING, _VEGETATION, _HORIZONTAL, _VERTICAL, _UNDECIDED = 0, 1, 2, 3, 4
@@ -23,17 +23,17 @@ def _tilt(signed_deg: float, fold: bool) -> float:
 
 
 @helper
-def _first_label(signed: F32, beam: I32, begin: int, end: int, fold: bool) -> int:
+def _first_label(tilt: F64, begin: int, end: int) -> int:
     """Label that a run begins with: what the median of its first five samples is nearer to."""
     n = min(end - begin, 5)
     first = np.empty(5, np.float64)
     for i in range(n):  # by hand: the library's sort takes seconds to compile
-        tilt = _tilt(np.float64(signed[beam[begin + i]]), fold)
+        here = tilt[begin + i]
         j = i
-        while j > 0 and first[j - 1] > tilt:
+        while j > 0 and first[j - 1] > here:
             first[j] = first[j - 1]
             j -= 1
-        first[j] = tilt
+        first[j] = here
     median = (first[(n - 1) // 2] + first[n // 2]) / 2.0
     return _VERTICAL if median < _MIDDLE else _HORIZONTAL
 
@@ -85,48 +85,48 @@ def surface_image(
     """
     n_rows, n = signed_deg.shape
     image = np.zeros((n_rows, n), np.uint8)
-    beam = np.empty(n, np.int32)
+    beam = np.empty(n, np.uint32)  # without a sign, for which every access would look
+    tilt = np.empty(n, np.float64)
+    grown = np.empty(n, np.bool_)
     for row in range(n_rows):
         width = min(np.int64(n_beams[row]), n)
-        signed = signed_deg[row]
         labels = image[row]
-        m = 0
+        m = np.uint64(0)
         for k in range(width):
             beam[m] = k
-            m += not math.isnan(signed[k])
-        begin = int(np.int64(0))  # not the literal, for which a helper would be compiled once more
+            tilt[m] = _tilt(np.float64(signed_deg[row, k]), fold)
+            grown[m] = vegetation[row, k]
+            m += np.uint64(not math.isnan(signed_deg[row, k]))
+        begin = np.uint64(0)
         while begin < m:
-            if vegetation[row, beam[begin]]:
+            if grown[begin]:
                 labels[beam[begin]] = _VEGETATION
-                begin += 1
+                begin += np.uint64(1)
                 continue
             end = begin
-            while end < m and not vegetation[row, beam[end]]:
-                end += 1
-            label = _HORIZONTAL if start_horizontal else _first_label(signed, beam, begin, end, fold)
+            while end < m and not grown[end]:
+                end += np.uint64(1)
+            label = _HORIZONTAL if start_horizontal else _first_label(tilt, int(np.int64(begin)), int(np.int64(end)))
             total = 0.0
             onset = begin
             for i in range(begin, end):
-                tilt = _tilt(np.float64(signed[beam[i]]), fold)
-                step = drift_vertical - tilt if label == _HORIZONTAL else tilt - drift_horizontal
-                limit = threshold_vertical if label == _HORIZONTAL else threshold_horizontal
-                total += step
-                if total > limit:
-                    label = _VERTICAL if label == _HORIZONTAL else _HORIZONTAL
+                horizontal = label == _HORIZONTAL
+                total += drift_vertical - tilt[i] if horizontal else tilt[i] - drift_horizontal
+                if total > (threshold_vertical if horizontal else threshold_horizontal):
+                    label = _VERTICAL if horizontal else _HORIZONTAL
                     if backdate:
                         for j in range(onset, i):
                             labels[beam[j]] = label
                     total = 0.0
                 if total <= 0.0:
                     total = 0.0
-                    onset = i + 1
+                    onset = i + np.uint64(1)
                 labels[beam[i]] = label
             begin = end
         # shots without an angle go with the shot before them, the first ones with the first that has one
         label = _UNDECIDED if m == 0 else int(labels[beam[0]])
         for k in range(width):
-            if labels[k] != _MISSING:
-                label = int(labels[k])
-            elif not math.isnan(range_m[row, k]):
-                labels[k] = label
+            here = int(labels[k])
+            label = label if here == _MISSING else here
+            labels[k] = _MISSING if here == _MISSING and math.isnan(range_m[row, k]) else label
     return image

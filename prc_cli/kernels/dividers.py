@@ -8,7 +8,7 @@ import numpy as np
 
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import kernel
+from prc_cli.kernels.cache import helper, kernel
 
 _HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
 
@@ -17,47 +17,61 @@ _Z, _RANGE, _DISTANCE = 2, 3, 4
 """Columns of the points of a row: x, y, z, range, horizontal distance [m]."""
 
 
-@kernel(
-    "int64(uint8[::1], float32[::1], float32[:, ::1], float32[::1], int64, float64, int32[::1], uint8[::1], "
-    "float64[:, ::1])"
-)
+@helper
 def _gather(
-    surface: U8,
-    range_m: F32,
-    xyz_m: F32,
-    horizontal_m: F32,
-    n: int,
-    limit_m: float,
-    beam: I32,
-    code: U8,
-    points: F64,
-) -> int:
-    """Put the returns of a row together up to the first one that is neither H nor V, or too high; count them."""
-    size = 0
+    surface: U8, range_m: F32, xyz_m: F32, row: int, n: int, limit_m: float, beam: I32, code: U8
+) -> tuple[int, int]:
+    """List the returns of a row up to the first one that is neither H nor V, or too high.
+
+    Returns how many there are, and which of them is the first vertical one behind a horizontal one.
+    """
+    size = first = int(np.int64(0))
+    before = _VERTICAL
     for k in range(n):
-        if range_m[k] != range_m[k]:
+        if range_m[row, k] != range_m[row, k]:
             continue
-        if (surface[k] != _HORIZONTAL and surface[k] != _VERTICAL) or xyz_m[k, 2] > limit_m:
+        here = surface[row, k]
+        if (here != _HORIZONTAL and here != _VERTICAL) or xyz_m[row, k, 2] > limit_m:
             break
+        if first == 0 and here == _VERTICAL and before == _HORIZONTAL:
+            first = size
+        before = here
         beam[size] = k
-        code[size] = surface[k]
-        points[size, 0], points[size, 1], points[size, _Z] = xyz_m[k, 0], xyz_m[k, 1], xyz_m[k, 2]
-        points[size, _RANGE], points[size, _DISTANCE] = range_m[k], horizontal_m[k]
+        code[size] = here
         size += 1
-    return size
+    return size, first if first > 0 else size
 
 
-@kernel("float64(float64[:, ::1], int64, int64, float64, int64)")
-def _change_angle(points: F64, size: int, j: int, chord_m: float, reach: int) -> float:
+@helper
+def _place(
+    range_m: F32, xyz_m: F32, horizontal_m: F32, row: int, beam: I32, first: int, size: int, points: F64
+) -> None:
+    """Put the points of a row together from one of its returns on: what comes before divides nothing."""
+    for i in range(first, size):
+        k = beam[i]
+        points[i, 0], points[i, 1], points[i, _Z] = xyz_m[row, k, 0], xyz_m[row, k, 1], xyz_m[row, k, 2]
+        points[i, _RANGE], points[i, _DISTANCE] = range_m[row, k], horizontal_m[row, k]
+
+
+@helper
+def _change_angle(xyz_m: F32, row: int, beam: I32, size: int, j: int, chord_m: float, reach: int) -> float:
     """Return the signed angle of the chord that begins at a point [deg]; NaN when no point is far enough away."""
-    x, y, z = points[j, 0], points[j, 1], points[j, _Z]
+    k = beam[j]
+    x, y, z = np.float64(xyz_m[row, k, 0]), np.float64(xyz_m[row, k, 1]), np.float64(xyz_m[row, k, 2])
     for after in range(j + 1, min(j + reach, size - 1) + 1):
-        dx, dy, dz = points[after, 0] - x, points[after, 1] - y, points[after, 2] - z
+        k = beam[after]
+        dx, dy, dz = (
+            np.float64(xyz_m[row, k, 0]) - x,
+            np.float64(xyz_m[row, k, 1]) - y,
+            np.float64(xyz_m[row, k, 2]) - z,
+        )
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         if length >= chord_m and length > 0.0:
             angle = math.degrees(math.acos(max(-1.0, min(1.0, dz / length))))
             for before in range(j - 1, max(j - reach, 0) - 1, -1):
-                bx, by, bz = x - points[before, 0], y - points[before, 1], z - points[before, 2]
+                k = beam[before]
+                bx, by = x - np.float64(xyz_m[row, k, 0]), y - np.float64(xyz_m[row, k, 1])
+                bz = z - np.float64(xyz_m[row, k, 2])
                 back = math.sqrt(bx * bx + by * by + bz * bz)
                 if back >= chord_m and back > 0.0:
                     return angle if dx * bx + dy * by + dz * bz >= 0.0 else -angle
@@ -65,16 +79,17 @@ def _change_angle(points: F64, size: int, j: int, chord_m: float, reach: int) ->
     return math.nan
 
 
-@kernel("boolean(float64[:, ::1], int64, int64, float64)")
-def _is_under(points: F64, j: int, n_before: int, threshold_m: float) -> bool:
+@helper
+def _is_under(range_m: F32, row: int, beam: I32, j: int, n_before: int, threshold_m: float) -> bool:
     """Tell whether one of the points before lies farther away (TestUnder)."""
-    farthest = points[j, _RANGE]
+    own = np.float64(range_m[row, beam[j]])
+    farthest = own
     for before in range(max(0, j - n_before), j):
-        farthest = max(farthest, points[before, _RANGE])
-    return bool(farthest - points[j, _RANGE] > threshold_m)
+        farthest = max(farthest, np.float64(range_m[row, beam[before]]))
+    return bool(farthest - own > threshold_m)
 
 
-@kernel("boolean(float64[:, ::1], int64, int64, float64, float64)")
+@helper
 def _is_flat(sums: F64, first: int, last: int, residual_m: float, slope: float) -> bool:
     """Tell whether the straight line through the heights of successive points is near them and not steep.
 
@@ -89,7 +104,7 @@ def _is_flat(sums: F64, first: int, last: int, residual_m: float, slope: float) 
     return bool(abs(hz) <= slope * hh and zz - hz * hz / hh <= residual_m * residual_m)
 
 
-@kernel("UniTuple(int64, 2)(float64[:, ::1], int64, int64, float64, float64, float64, float64[:, ::1], float64[::1])")
+@helper
 def _flat_stretch(
     points: F64,
     first: int,
@@ -137,10 +152,7 @@ def _flat_stretch(
     return -1, -1
 
 
-@kernel(
-    "UniTuple(int64, 2)(uint8[::1], float64[:, ::1], int64, int64, float64, float64, float64, float64[:, ::1], "
-    "float64[::1])"
-)
+@helper
 def _first_flat(
     code: U8,
     points: F64,
@@ -166,7 +178,7 @@ def _first_flat(
     return -1, -1
 
 
-@kernel("int64(float64[:, ::1], int64, int64, float64)")
+@helper
 def _next_jump(points: F64, size: int, j: int, separation_m: float) -> int:
     """Find the first point from one on that a jump away from the scanner follows, or the last one."""
     while j < size - 1:
@@ -179,7 +191,7 @@ def _next_jump(points: F64, size: int, j: int, separation_m: float) -> int:
     return j
 
 
-@kernel("int32[:, ::1](int32[:, ::1], int64)")
+@helper
 def _with_room(found: I32, size: int) -> I32:
     """Return the list itself, or a copy of twice its length when it is full."""
     if size < len(found):
@@ -266,30 +278,22 @@ def car_intervals(
         ground = np.float64(ground_m[row])
         if not triggered[row] or ground != ground:
             continue
-        size = _gather(
-            surface[row],
-            range_m[row],
-            xyz_m[row],
-            horizontal_m[row],
-            n_beams[row],
-            ground + height_m,
-            beam,
-            code,
-            points,
-        )
-        jump = -1
-        j = 1
+        size, j = _gather(surface, range_m, xyz_m, row, int(np.int64(n_beams[row])), ground + height_m, beam, code)
+        if j == size:
+            continue
+        _place(range_m, xyz_m, horizontal_m, row, beam, j, size, points)
+        jump = int(np.int64(-1))
         while j < size:
             if code[j - 1] != _HORIZONTAL or code[j] != _VERTICAL:
                 j += 1
                 continue
             angle = math.nan
             if chord_m > 0.0:
-                angle = _change_angle(points, size, j, chord_m, chord_reach)
+                angle = _change_angle(xyz_m, row, beam, size, j, chord_m, chord_reach)
             if angle != angle:
                 angle = signed_deg[row, beam[j]]
             gradual = angle < sudden_from_deg or angle > sudden_to_deg
-            if not gradual and not _is_under(points, j, under_points, under_m):
+            if not gradual and not _is_under(range_m, row, beam, j, under_points, under_m):
                 j += 1
                 continue
             begin = j

@@ -41,7 +41,11 @@ _MISSING = 0
 
 # slots of the heights: how many, their first and last coarse bin, their median, ...
 _N, _LO, _HI, _MEDIAN, _BELOW, _WIDTH, _FIRST, _LAST, _OLDEST, _NEWEST = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-_SLOTS = 10
+# ... and between which coarse bins memory has been cleared: all of it would be three megabytes for every block
+_FROM, _TO = 10, 11
+_SLOTS = 12
+_AT_ONCE = 250
+"""Bins of the histogram of heights that are looked at together for whether there is anything."""
 
 
 @helper
@@ -96,13 +100,35 @@ def _build(hist: I64, density: I64, lo: int, hi: int) -> None:
             _spread(density, q, hist[q])
 
 
+@inlined
+def _density_at(hist: I64, q: int) -> int:
+    """Compute the density of binned samples in one bin."""
+    first = np.uint64(q - HALF)
+    total = 0
+    for j in range(np.uint64(2 * HALF + 1)):
+        total += hist[first + j] * WEIGHT[j]
+    return total
+
+
 @helper
-def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
-    """Forget all samples."""
+def _forget(hist: I64, lo: int, hi: int) -> None:
+    """Forget samples."""
     for q in range(max(lo, HALF), hi + 1):
         hist[q] = 0
+
+
+@helper
+def _clear_density(density: I64, lo: int, hi: int) -> None:
+    """Forget the density of samples."""
     for q in range(max(lo, HALF) - HALF, hi + HALF + 1 if hi >= lo else 0):
         density[q] = 0
+
+
+@helper
+def _clear(hist: I64, density: I64, lo: int, hi: int) -> None:
+    """Forget all samples and their density."""
+    _forget(hist, lo, hi)
+    _clear_density(density, lo, hi)
 
 
 @kernel("Tuple((float64[::1], int64[::1]))(float64[::1], float64)")
@@ -174,6 +200,15 @@ def _bandwidth(xyz: F32, ahead: I32, one: int, least: float, sigmas: float, nois
 def _bin(angle: float, width: float, size: int) -> int:
     """Return the bin of a line angle."""
     return min(max(math.floor(angle / width), 0), size - 1) + HALF
+
+
+@helper
+def _count(angles: F64, n: int, width: float, size: int, hist: I64) -> None:
+    """Count line angles, the first row of ``angles``, in their bins; the other row takes these, many at a time."""
+    for i in range(n):
+        angles[1, i] = min(max(np.floor(angles[0, i] / width), 0.0), size - 1.0)
+    for i in range(n):
+        hist[int(angles[1, i]) + HALF] += 1
 
 
 @helper
@@ -252,6 +287,7 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
     step: float,
     beams: I32,
     sampled: I32,
+    angles: F64,
     hist: I64,
     density: I64,
     tops: I64,
@@ -261,12 +297,14 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
 
     ``hist`` and ``density`` are zero before and after. What every point goes through stands here and calls nothing
     with an array: numba counts the references of each array that it hands over, in atomic steps, which took most of
-    the time.
+    the time. As long as the samples lie so close together that they have one mode, the least and the largest angle
+    say so, and no bin is counted.
     """
     size = len(hist) - 2 * HALF
     n_points = n_samples = renew_at = int(np.int64(0))  # not the literal, for which helpers would be compiled once more
     lo = hi = peak = int(np.int64(-1))
     b = width = 0.0
+    angle = least_deg = most_deg = lowest_deg = highest_deg = np.nan
     k = start
     growing = built = False
     while True:
@@ -297,48 +335,64 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
         before = n_samples
         if not growing:
             n_samples = renew_at = int(np.int64(0))
+            least_deg, most_deg = np.inf, -np.inf
         for i in range(n_points - 2 if growing else 0, n_points - 1):
+            angle = np.float64(phihat[beams[i]])
             sampled[n_samples] = beams[i]
-            n_samples += phihat[beams[i]] == phihat[beams[i]]
+            angles[0, n_samples] = angle
+            n_samples += angle == angle
+            lowest_deg, highest_deg = least_deg, most_deg
+            least_deg = angle if angle < least_deg else least_deg
+            most_deg = angle if angle > most_deg else most_deg
         if growing and n_samples == before:
             continue
         one_mode = n_samples >= least
         if one_mode:
+            q = int(np.int64(0))
             if n_samples >= renew_at:
                 # the bandwidth follows the middle of the set whenever the set has grown by a half: that keeps the
                 # work proportional to the number of points, whatever the bandwidth does
                 renew_at = n_samples + n_samples // 2 + 1
                 b = _bandwidth(xyz, ahead, sampled[n_samples // 2], smallest, sigmas, noise)
                 width = b / PER_BANDWIDTH
-                _clear(hist, density, lo, hi)
-                lo, hi, before, built = int(np.int64(size + 2 * HALF)), int(np.int64(-1)), int(np.int64(0)), False
-            q = int(np.int64(0))
-            for i in range(before, n_samples):
-                q = _bin(phihat[sampled[i]], width, size)
-                hist[q] += 1
-                lo, hi = min(lo, q), max(hi, q)
                 if built:
-                    around = np.uint64(q - HALF)
-                    for j in range(np.uint64(2 * HALF + 1)):
-                        density[around + j] += WEIGHT[j]
+                    _forget(hist, lo, hi)
+                lo, hi, built = _bin(least_deg, width, size), _bin(most_deg, width, size), False
+            elif built or angle < lowest_deg or angle > highest_deg:
+                q = _bin(angle, width, size)
+                lo, hi = min(lo, q), max(hi, q)
+                hist[q] += built
             one_mode = hi - lo <= CLEAR
             if not one_mode:
                 if not built:
-                    _build(hist, density, lo, hi)
+                    _count(angles, n_samples, width, size, hist)
                     built, peak = True, int(np.int64(-1))
                 if peak >= 0:
                     # one maximum before: a second one can only arise between it and the new sample, on either side of
                     # which both parts of the density rise, or fall, together
                     i, end = min(peak, q), max(peak, q)
-                    while i < end and density[i + 1] >= density[i]:
-                        i += 1
-                    top = i
-                    while i < end and density[i + 1] <= density[i]:
-                        i += 1
-                    one_mode = i == end
-                    peak = top if one_mode else int(np.int64(-1))
+                    if i < end:
+                        here = _density_at(hist, i)
+                        rising = True
+                        top = i
+                        while i < end:
+                            there = _density_at(hist, i + 1)
+                            if there < here:
+                                rising = False
+                            elif there > here and not rising:
+                                break
+                            here = there
+                            i += 1
+                            if rising:
+                                top = i
+                        one_mode = i == end
+                        peak = top if one_mode else int(np.int64(-1))
+                    else:
+                        one_mode = True
                 if not one_mode:
+                    _build(hist, density, lo, hi)
                     n_modes = _walk(hist, density, lo, hi, tops, counts)
+                    _clear_density(density, lo, hi)
                     peak = tops[0] // 2 if n_modes == 1 else int(np.int64(-1))
                     enough = 0
                     for i in range(n_modes):
@@ -352,7 +406,8 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
             for i in range(n_points - 1):
                 beams[i] = beams[i + 1]
             n_points -= 1
-    _clear(hist, density, lo, hi)
+    if built:
+        _forget(hist, lo, hi)
     return n_points - 2 if growing else 0, b
 
 
@@ -426,18 +481,29 @@ def _extend(
 
 @helper
 def _main_angle(
-    phihat: F32, beams: I32, n_points: int, b: float, hist: I64, density: I64, tops: I64, counts: I64
+    phihat: F32,
+    beams: I32,
+    n_points: int,
+    b: float,
+    angles: F64,
+    hist: I64,
+    density: I64,
+    tops: I64,
+    counts: I64,
 ) -> float:
     """Return the main mode of the line angles of some points [deg]; ``hist`` and ``density`` are as before."""
     size = len(hist) - 2 * HALF
     width = b / PER_BANDWIDTH
-    lo, hi = int(np.int64(size + 2 * HALF)), int(np.int64(-1))
+    least_deg, most_deg = np.inf, -np.inf
+    n_samples = int(np.int64(0))
     for i in range(n_points):
-        angle = phihat[beams[i]]
-        if angle == angle:
-            q = _bin(angle, width, size)
-            hist[q] += 1
-            lo, hi = min(lo, q), max(hi, q)
+        angle = np.float64(phihat[beams[i]])
+        angles[0, n_samples] = angle
+        n_samples += angle == angle
+        least_deg = angle if angle < least_deg else least_deg
+        most_deg = angle if angle > most_deg else most_deg
+    lo, hi = _bin(least_deg, width, size), _bin(most_deg, width, size)
+    _count(angles, n_samples, width, size, hist)
     _build(hist, density, lo, hi)
     best = _main(counts, _walk(hist, density, lo, hi, tops, counts))
     _clear(hist, density, lo, hi)
@@ -466,6 +532,7 @@ def _resume(
     n_points: int,
     more: I32,
     sampled: I32,
+    angles: F64,
     hist: I64,
     density: I64,
     tops: I64,
@@ -486,7 +553,7 @@ def _resume(
     while start < end:
         n_more, b = _potential(
             surface, xyz, horizontal, phihat, ahead, end, start, first_run, least, smallest, sigmas, noise,
-            n_fit, jump, bridge, step, more, sampled, hist, density, tops, counts,
+            n_fit, jump, bridge, step, more, sampled, angles, hist, density, tops, counts,
         )  # fmt: skip
         if n_more == 0:
             break
@@ -499,7 +566,7 @@ def _resume(
         ):
             for i in range(n_more):
                 beams[n_points + i] = more[i]
-            mode = _main_angle(phihat, more, n_more, b, hist, density, tops, counts)
+            mode = _main_angle(phihat, more, n_more, b, angles, hist, density, tops, counts)
             n_points = _extend(
                 surface, xyz, horizontal, phihat, end, beams, n_points + n_more, mode, b, n_fit, guard, bridge, step
             )  # fmt: skip
@@ -515,18 +582,33 @@ def _height_bin(z: float) -> int:
 
 
 @helper
+def _reach(hist: I64, density: I64, state: I64, q: int) -> None:
+    """Clear memory as far as a sample in a coarse bin needs it."""
+    if state[_FROM] == state[_TO]:
+        state[_FROM] = state[_TO] = q - HALF
+    for i in range(q - HALF, state[_FROM]):
+        hist[i] = density[i] = 0
+    for i in range(state[_TO], q + HALF + 1):
+        hist[i] = density[i] = 0
+    state[_FROM] = min(state[_FROM], q - HALF)
+    state[_TO] = max(state[_TO], q + HALF + 1)
+
+
+@helper
 def _coarse(histogram: I32, hist: I64, density: I64, state: I64, width: int) -> None:
     """Bin the histogram of heights in an eighth of the bandwidth."""
     if state[_N] > 0:
         _clear(hist, density, state[_LO], state[_HI])
     state[_N] = 0
     state[_WIDTH] = width
+    state[_LO] = state[_FIRST] // width + HALF
+    state[_HI] = state[_LAST] // width + HALF
+    _reach(hist, density, state, state[_LO])
+    _reach(hist, density, state, state[_HI])
     for i in range(state[_FIRST], state[_LAST] + 1):
         if histogram[i] > 0:
             hist[i // width + HALF] += histogram[i]
             state[_N] += histogram[i]
-    state[_LO] = state[_FIRST] // width + HALF
-    state[_HI] = state[_LAST] // width + HALF
     _build(hist, density, state[_LO], state[_HI])
 
 
@@ -540,12 +622,18 @@ def _height_width(median: int, share: float) -> int:
 def _open_heights(histogram: I32, hist: I64, density: I64, state: I64, share: float) -> None:
     """Take a histogram of heights up: its ends, its (lower) median, its density."""
     n = int(np.int64(0))
-    for i in range(N_HEIGHTS):
-        if histogram[i] > 0:
-            if n == 0:
-                state[_FIRST] = i
-            state[_LAST] = i
-            n += histogram[i]
+    for begin in range(0, N_HEIGHTS, _AT_ONCE):
+        there = 0
+        for i in range(begin, begin + _AT_ONCE):
+            there += histogram[i]
+        if there == 0:
+            continue
+        for i in range(begin, begin + _AT_ONCE):
+            if histogram[i] > 0:
+                if n == 0:
+                    state[_FIRST] = i
+                state[_LAST] = i
+                n += histogram[i]
     if n == 0:
         return
     state[_MEDIAN] = state[_FIRST]
@@ -584,6 +672,7 @@ def _add_height(histogram: I32, hist: I64, density: I64, state: I64, new: int, s
     width = _height_width(state[_MEDIAN], share)
     if width == state[_WIDTH]:
         q = new // width + HALF
+        _reach(hist, density, state, q)
         hist[q] += 1
         _spread(density, q, int(np.int64(1)))
         state[_LO] = min(state[_LO], q)
@@ -689,8 +778,8 @@ def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
     for i in range(len(heights)):
         bins[i] = _height_bin(heights[i])
         histogram[bins[i]] += 1
-    hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
-    density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
+    hist = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
+    density = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
     tops = np.empty(N_HEIGHTS, np.int64)
     counts = np.empty(N_HEIGHTS, np.int64)
     state = np.zeros(_SLOTS, np.int64)
@@ -773,6 +862,7 @@ def potential_heights(
     counts = np.empty(size, np.int64)
     beams = np.empty(n + 1, np.int32)
     sampled = np.empty(n + 1, np.int32)
+    angles = np.empty((2, n + 1), np.float64)
     first = np.empty(n_rows, np.int32)
     last = np.empty(n_rows, np.int32)
     bandwidth = np.empty(n_rows, np.float64)
@@ -781,7 +871,7 @@ def potential_heights(
         n_points, b = _potential(
             surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], int(np.int64(n_beams[row])),
             int(np.int64(0)), first_run, least, smallest, sigmas,
-            noise, n_fit, jump, bridge, step, beams, sampled, hist, density, tops, counts,
+            noise, n_fit, jump, bridge, step, beams, sampled, angles, hist, density, tops, counts,
         )  # fmt: skip
         first[row] = last[row] = -1
         bandwidth[row] = height[row] = np.nan
@@ -893,13 +983,14 @@ def ground_rows(  # noqa: PLR0915 - as above
     counts = np.empty(max(size, N_HEIGHTS), np.int64)
     beams = np.empty(n + 1, np.int32)
     sampled = np.empty(n + 1, np.int32)
+    angles = np.empty((2, n + 1), np.float64)
     more = np.empty(n + 1, np.int32)
     heights = histogram.copy()
     queue = np.empty(len(recent) + n_rows, np.int32)
     for i in range(len(recent)):
         queue[i] = recent[i]
-    z_hist = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
-    z_density = np.zeros(N_HEIGHTS + 2 * HALF, np.int64)
+    z_hist = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
+    z_density = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
     z_state = np.zeros(_SLOTS, np.int64)
     z_state[_NEWEST] = len(recent)
     _open_heights(heights, z_hist, z_density, z_state, share)
@@ -925,7 +1016,7 @@ def ground_rows(  # noqa: PLR0915 - as above
             if accepted or z_row != z_row:
                 z_row = z_i
             if accepted:
-                mode = _main_angle(phihat[row], beams, n_points, b, hist, density, tops, counts)
+                mode = _main_angle(phihat[row], beams, n_points, b, angles, hist, density, tops, counts)
                 n_points = _extend(
                     surface[row], xyz[row], horizontal[row], phihat[row], n_valid, beams, n_points, mode, b,
                     n_fit, guard, bridge, step,
@@ -934,7 +1025,7 @@ def ground_rows(  # noqa: PLR0915 - as above
                     n_points = _resume(
                         surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, first_run,
                         least, smallest, sigmas, noise, n_fit, jump, bridge, step, guard, beams, n_points,
-                        more, sampled, hist, density, tops, counts,
+                        more, sampled, angles, hist, density, tops, counts,
                     )  # fmt: skip
                 for i in range(n_points):
                     ground[row, beams[i]] = True
@@ -942,7 +1033,7 @@ def ground_rows(  # noqa: PLR0915 - as above
             n_points, b = _potential(
                 surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid,
                 int(np.int64(beams[n_points - 1] + 1)), first_run, least, smallest, sigmas, noise, n_fit, jump, bridge,
-                step, beams, sampled, hist, density, tops, counts,
+                step, beams, sampled, angles, hist, density, tops, counts,
             )  # fmt: skip
             if n_points > 0:
                 z_i = _lowest_mean(xyz[row], beams, n_points, lowest, near)
