@@ -27,7 +27,7 @@ class NoiseParams(Params):
     )
     leaves: bool = Field(True, description="whether a lonely shot among rough ones is a leaf")
     leaf_slots: int = Field(
-        5, ge=1, le=9, description="slots of 0.25 m around it, of 9, with rough shots in its strip and those beside"
+        4, ge=1, le=9, description="slots of 0.25 m around it, of 9, with rough shots in its strip and those beside"
     )
     held: bool = Field(
         True, description="whether a lonely shot with a smooth pair, in a wall or level with the ground is part of it"
@@ -70,7 +70,7 @@ class VoteParams(Params):
 
     enabled: bool = Field(True, description="whether shots take the label of most shots around them")
     half_width_m: float = Field(1.0, gt=0, le=100, description="half width of the place that votes [m]")
-    near_m: float = Field(2.0, gt=0, le=100, description="its shots vote if this near to the side and in height [m]")
+    near_m: float = Field(1.5, gt=0, le=100, description="its shots vote if this near to the side and in height [m]")
 
 
 @stage("texture")

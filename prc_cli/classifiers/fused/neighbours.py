@@ -32,7 +32,7 @@ class CompanyParams(Params):
 class SmoothnessParams(Params):
     """When shots lie on a smooth surface (``[fused.smoothness]``)."""
 
-    noise_sigmas: float = Field(2.5, ge=0, le=100, description="tolerance, in standard deviations of the range noise")
+    noise_sigmas: float = Field(2.25, ge=0, le=100, description="tolerance, in standard deviations of the range noise")
     least_m: float = Field(0.006, ge=0, le=10, description="least tolerance [m]")
     per_metre: float = Field(0.0006, ge=0, le=1, description="what is added to it for every metre of range [m]")
     per_step: float = Field(0.1, ge=0, le=10, description="and the share of the distance of two columns")

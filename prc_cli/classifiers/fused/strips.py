@@ -43,7 +43,7 @@ class WallParams(Params):
     behind_m: float = Field(1.0, ge=0, le=100, description="so does what is seen through it, up to so far behind [m]")
     over_m: float = Field(0.3, ge=0, le=10, description="by lines of sight up to so much above its top [m]")
     before_m: float = Field(
-        1.6, ge=0, le=100, description="before a wall, up to so far, leaves must be rougher: balconies are there [m]"
+        2.0, ge=0, le=100, description="before a wall, up to so far, leaves must be rougher: balconies are there [m]"
     )
 
 
