@@ -16,9 +16,15 @@ Slots = NDArray[np.uint64]
 
 
 def fill_strips(
-    ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], beams: tuple[F32, F32], step: np.float32, figures: F32
+    range_m: F32,
+    above_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    beams: tuple[F32, F32],
+    step: np.float32,
+    figures: F32,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
     """Sort shots into strips; see :func:`prc_cli.kernels.fused_strips.fill_strips`."""
+    ranges, above = range_m, above_m
     side, height = ranges * beams[0], -(ranges * beams[1])
     near, smooth, upright, level = counts
     least, foot, rough_most, smooth_least, level_least, level_top, jump = figures
