@@ -8,9 +8,12 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -263,6 +266,53 @@ def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(OutputError, match="cannot be made"), Lock(tmp_path / "file" / ".prc"):
         pass
+
+
+@pytest.mark.parametrize("found", ["nothing", "the lock of a dead owner"])
+def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: str
+) -> None:
+    """The random fights below in all their variants of one rival that is quick while the other one is slow."""
+    until: int | None = None
+    """Steps until the rival comes; None when it has come."""
+
+    def stepped(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **named: Any) -> Any:
+            nonlocal until
+            if until is not None:
+                until -= 1
+                if until == 0:
+                    until = None
+                    come()
+            return function(*arguments, **named)
+
+        return call
+
+    def come() -> None:
+        with suppress(BusyError):
+            inside.append(stack.enter_context(Lock(folder)))
+
+    for name in ("_read", "_link", "_write", "_judge", "_chain"):
+        monkeypatch.setattr(subject, name, stepped(getattr(subject, name)))
+    for name in ("replace", "unlink"):
+        monkeypatch.setattr(Path, name, stepped(getattr(Path, name)))
+    monkeypatch.setattr(os, "fsync", lambda handle: None)
+    dead = replace(Owner.myself(), pid=dead_process())
+    for n_steps in count(1):
+        folder, inside = tmp_path / f"{n_steps}", list[Lock]()
+        if found != "nothing":
+            leave(lock_path(folder), dead)
+        with ExitStack() as stack:
+            until = n_steps
+            come()
+            if until is not None:  # there are fewer steps
+                break
+            assert len(inside) == 1, n_steps
+            assert [holder.owner for holder in holders(folder)] == [inside[0].owner]
+            inside[0].check()
+        assert os.listdir(folder) == []
+    until = None
+    assert n_steps > 5
 
 
 def fight(folder: Path, seed: int, n_lives: int, n_inherited: int, kinds: str) -> None:
