@@ -250,9 +250,13 @@ class ParallelBlocks:
             When the block is empty, too long or not as wide as the beams.
         """
         _check_shapes(range_m, next_m, self._width, self._params)
-        window = _window(self._tail, range_m, next_m)
+        window = range_m
+        # a block of forest is labelled by itself
+        if self._params.environment != "forest":
+            window = _window(self._tail, range_m, next_m)
+            self._tail = window[len(range_m) : len(range_m) + AROUND_LINES]
         job = BlockJob(self._turn, window, range_m)
-        self._turn, self._tail = self._turn + 1, window[len(range_m) : len(range_m) + AROUND_LINES]
+        self._turn += 1
         return job
 
     def classify(self, job: BlockJob) -> U8:
