@@ -724,11 +724,16 @@ def _vote_line(
         i = asking[k]
         y, z = y1[i], z1[i]
         columns = int(min(max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)), np.float32(MOST_COLUMNS)))
-        votes = np.uint32(0)
-        for j in range(max(i - columns, 0), min(i + columns + 1, m), max(columns // VOTERS, 1)):
-            votes += w0[j] if (abs(y0[j] - y) < near_m) & (abs(z0[j] - z) < near_m) else np.uint32(0)
-            votes += w1[j] if (abs(y1[j] - y) < near_m) & (abs(z1[j] - z) < near_m) else np.uint32(0)
-            votes += w2[j] if (abs(y2[j] - y) < near_m) & (abs(z2[j] - z) < near_m) else np.uint32(0)
+        votes, nothing = np.uint32(0), np.uint32(0)
+        place, last, stride = np.int64(max(i - columns, 0)), min(i + columns + 1, m), max(columns // VOTERS, 1)
+        while place < last:
+            # every vote is read, near or not, so that no branch depends on it
+            j = np.uint64(place)
+            one, two, three = w0[j], w1[j], w2[j]
+            votes += one if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
+            votes += two if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
+            votes += three if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
+            place += stride
         voted[i] = _vote(votes, labels[i])
 
 
