@@ -26,12 +26,12 @@ def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.
 
 
 @inlined
-def _note(place: int, total: np.float32, n: np.float32, profile: F32, seen: U8) -> None:
-    """Write the mean height of a place that the walk leaves; of two visits the mean."""
-    if place >= 0:
-        mean = total / n
-        profile[place] = (profile[place] + mean) * np.float32(0.5) if seen[place] else mean
-        seen[place] = 1
+def _seen_height(before: np.float32, is_seen: np.uint8, mean: np.float32) -> np.float32:
+    """Return the height of a place that the walk leaves; of two visits the mean.
+
+    It takes no arrays: handing them over for every place would cost more than all the rest of the walk.
+    """
+    return (before + mean) * np.float32(0.5) if is_seen else mean
 
 
 @helper
@@ -77,12 +77,16 @@ def _walk(
         if abs(z - last_z) <= limit or (np.float32(age[b]) < lines and abs(z - memory[b]) < near_m):
             walked[i] = True
             if b != place:
-                _note(place, total, n, profile, seen)
+                if place >= 0:
+                    profile[place] = _seen_height(profile[place], seen[place], total / n)
+                    seen[place] = 1
                 place, total, n = b, np.float32(0.0), np.float32(0.0)
             total += z
             n += np.float32(1.0)
             last_y, last_z = y, z
-    _note(place, total, n, profile, seen)
+    if place >= 0:
+        profile[place] = _seen_height(profile[place], seen[place], total / n)
+        seen[place] = 1
 
 
 @helper

@@ -302,7 +302,11 @@ def _line_runs(
             if not _goes_on(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
                 run, n, passed = run2, n2, passed2 + waiting2
                 if not _goes_on(abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep):
-                    _put_away(run2, n2, passed2, y2, z2, figures, firsts, ends)
+                    # short ones are told here: to hand arrays over for each of them would take longer than the rest
+                    if n2 >= MIN_SHOTS:
+                        _put_away(run2, n2, passed2, y2, z2, figures, firsts, ends)
+                    elif run2 >= 0:
+                        ends[run2, COUNT] = 0.0
                     run, n, passed = n_runs, 0.0, 0.0
                     y_first[n_runs], z_first[n_runs] = y, z
                     n_runs += 1
