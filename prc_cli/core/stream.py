@@ -54,7 +54,7 @@ class StreamInfo:
     fall: float = 1.0
     """Metres that the height falls a metre of range along that beam: the cosine of the lean of the scan plane."""
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
-    """The same two by scanner, where several share the input and it is known."""
+    """The same two by scanner, of those whose own was found; where there are any, it is unknown for all others."""
     assumptions: tuple[Assumption, ...] = ()
     notes: tuple[str, ...] = ()
     """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""
@@ -63,7 +63,7 @@ class StreamInfo:
 
     def down(self, scanner: int) -> tuple[float | None, float]:
         """Return the scan angle that points straight down for a scanner [rad], None if unknown, and the fall there."""
-        return self.downs.get(scanner, (self.nadir_rad, self.fall))
+        return self.downs.get(scanner, (None, 1.0)) if self.downs else (self.nadir_rad, self.fall)
 
 
 @dataclass(frozen=True, slots=True)

@@ -254,7 +254,7 @@ class _Finder:
                 why = f"{n} lines see level ground around it; give input.nadir to be exact"
                 return self._turned(angle, nadir_rad, None, f"{math.degrees(nadir_rad):.1f} deg", why)
         if xyz is None:
-            raise self._refusal(scanner, self._lacks(angle), None)
+            raise self._refusal(scanner, self._lacks(scanner, angle), None)
         if off_m is not None:
             return self._registered(scanner, angle, range_m, xyz, off_m)
         try:
@@ -302,10 +302,11 @@ class _Finder:
         shown = f"{math.degrees(fit.nadir_rad):.2f} deg{shown_lean(fit.fall)}"
         return self._turned(angle, fit.nadir_rad, off_m, shown, why, fit.fall)
 
-    def _lacks(self, angle: F64 | None) -> str:
+    def _lacks(self, scanner: int, angle: F64 | None) -> str:
         """Say what the stream has and lacks."""
+        keys = (KEY, f"{KEY} of {self._which(scanner)}")
         for one in self.info.assumptions:
-            if one.key.startswith(KEY) and one.value == "not found":
+            if one.key in keys and one.value == "not found":
                 return one.why
         if angle is not None:
             return "the stream has scan angles, but nothing says which of them points straight down"

@@ -186,11 +186,13 @@ class GridStream:
     def _spent(self) -> tuple[str, ...]:
         """Return the dimensions that only find the shots and their lines: fewer columns are cut and joined then."""
         rules = self.rules
-        spent = {"number_of_returns", rules.scanner, rules.line_dimension}
-        if self.only_ranges and rules.shot_hz is None:
-            spent.add("time")
         kept = {rules.column_dimension, "angle", "return_number"}
-        return tuple(name for name in rules.names if name in spent and name not in kept)
+        # a line or a scanner may be told by one of these, too
+        if not self.only_ranges or rules.shot_hz is not None:
+            kept.add("time")
+        if self._needs_intensity:
+            kept.add(INTENSITY)
+        return tuple(name for name in rules.names if name not in kept)
 
     def _sparse_blocks(self) -> Iterator[ScanBlock]:
         """Bring every record to its cell, whatever is missing between them."""

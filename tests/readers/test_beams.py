@@ -10,7 +10,7 @@ from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
 from prc_cli.core.types import F64
 from prc_cli.readers import beams as module
-from prc_cli.readers import open_input
+from prc_cli.readers import grid_setup, open_input
 from prc_cli.readers.beams import from_angles, with_beams
 from prc_cli.readers.nadir import NoDirectionError
 from prc_cli.readers.options import InputConfig, Layout
@@ -326,6 +326,29 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
     assert [a.key for a in found.info.assumptions if "nadir" in a.key] == [
         "input.nadir of point_source_id 3", "input.nadir of point_source_id 8",
     ]  # fmt: skip
+
+
+def test_a_scanner_met_late_does_not_take_the_down_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, one = scene()
+    one["z"] += 120.0
+    n = len(one["z"])
+    records = {name: np.concatenate([values, values]) for name, values in one.items()}
+    records["point_source_id"] = np.repeat([3, 8], n)
+    monkeypatch.setattr(grid_setup, "PROBE_RECORDS_EACH", n)
+    read = open_records(records, scanner="point_source_id", points_per_line=M)
+    assert read.info.down(3)[0] == pytest.approx(0.0, abs=1e-3)
+    assert read.info.down(8) == (None, 1.0)
+
+
+def test_a_scanner_is_refused_for_its_own_heights() -> None:
+    """The one that is met first is not the one that is named first."""
+    _, one = scene()
+    n = len(one["z"])
+    records = {name: np.concatenate([values, values]) for name, values in one.items()}
+    records["point_source_id"] = np.repeat([8, 3], n)
+    records["z"] = np.append(one["z"] * 3, np.random.default_rng(0).normal(0, 30, n))
+    with pytest.raises(InputError, match="point_source_id 8: .*the heights fall 3.00 m"):
+        with_beams(open_records(records, n, scanner="point_source_id"), InputConfig(scanner="point_source_id"))
 
 
 def test_registered_coordinates_that_do_not_fit_are_told_and_refused() -> None:

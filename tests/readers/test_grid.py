@@ -182,6 +182,20 @@ def test_intensities_that_are_ranges_or_lines_are_never_spared() -> None:
     assert np.array_equal(whole.range_m, read(open_grid(MemorySource(records), config)).range_m, equal_nan=True)
 
 
+@pytest.mark.parametrize("name", ["time", "intensity"])
+@pytest.mark.parametrize("options", [{}, {"columns": f"time:{SHOT_HZ}", "points_per_line": M}])
+def test_what_numbers_the_lines_may_be_needed_again(name: str, options: dict[str, Any]) -> None:
+    """Dimensions that find the lines are given up after that, but not what columns and blocks are made of."""
+    _, records = scene()
+    records[name] = records.pop("scan_line")
+    config = InputConfig(lines=f"dimension:{name}", **options)
+    whole = read(open_grid(MemorySource(records, 77), config))
+    alone = read(open_grid(MemorySource(records, 77), config, only_ranges=True))
+    assert np.array_equal(whole.record, alone.record)
+    told = [block.time_s if name == "time" else block.intensity for block in whole.blocks]
+    assert max(np.nanmax(lines) for lines in told if lines is not None) == N_LINES - 1
+
+
 def test_assumptions_say_what_was_taken() -> None:
     _, records = scene()
     stream = open_records(only(records, "range", "scan_line", "column"))
