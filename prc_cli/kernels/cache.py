@@ -21,7 +21,6 @@ import numba
 from numba.core.errors import NumbaError
 
 from prc_cli.core.files import cache_folder
-from prc_cli.kernels.lean import lean_compiler
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
@@ -52,15 +51,14 @@ def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
         folder = writable_cache()
         if folder is not None:
             try:
-                with _numba_cache(folder), lean_compiler():
+                with _numba_cache(folder):
                     cached: FunctionT = jit(list(signatures), cache=True, **options)(function)
                 return cached
             except NumbaError:
                 raise
             except Exception:  # a damaged, full or vanished cache, in whatever way: do without it
                 pass
-        with lean_compiler():
-            in_memory: FunctionT = jit(list(signatures), **options)(function)
+        in_memory: FunctionT = jit(list(signatures), **options)(function)
         return in_memory
 
     return compiled
