@@ -210,6 +210,7 @@ class TextSource:
         try:
             table = csv.read_csv(
                 pa.BufferReader(data),
+                # it runs for several blocks at a time already
                 csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES, use_threads=False),
                 csv.ParseOptions(delimiter=self._text.delimiter),
                 csv.ConvertOptions(column_types=wanted, include_columns=list(wanted), null_values=[""]),

@@ -57,13 +57,14 @@ class Target:
         view = memoryview(data).cast("B")
         try:
             # what begins inside a page makes the system work on it twice, and takes half as long again
-            stop = WRITE_BYTES - self._handle.tell() % WRITE_BYTES if len(view) > WRITE_BYTES else len(view)
-            for first, last in pairwise((0, *range(stop, len(view), WRITE_BYTES), len(view))):
+            head = WRITE_BYTES - self._handle.tell() % WRITE_BYTES if len(view) > WRITE_BYTES else len(view)
+            for first, last in pairwise((0, *range(head, len(view), WRITE_BYTES), len(view))):
                 self._handle.write(view[first:last])
             self._n_unflushed += len(view)
             if self._n_unflushed >= _FLUSH_BYTES:
                 stop = self._handle.tell()
-                begin_flush(self._handle, stop - self._n_unflushed, stop)
+                # after going back to a header, most of what was counted lies elsewhere
+                begin_flush(self._handle, max(0, stop - self._n_unflushed), stop)
                 self._n_unflushed = 0
             return len(view)
         except BaseException as error:
@@ -167,8 +168,10 @@ def read_points(source: Source, las: LasFile, n: int) -> Generator[U8]:
 def _read_batches(source: Source, las: LasFile, n: int) -> Generator[U8]:
     source.seek(las.point_offset)
     decompressor = _decompressor(source, las) if las.compressed else None
-    # one is in use, others wait, one is being filled; new memory every time would cost as much as reading
-    ring = [np.empty((min(n, las.n_points), las.record_length), np.uint8) for _ in range(_AHEAD + 2)]
+    # where a thread reads ahead, one is in use, others wait, one is being filled; new memory every time would cost as
+    # much as reading
+    n_buffers = _AHEAD + 2 if las.compressed else 1
+    ring = [np.empty((min(n, las.n_points), las.record_length), np.uint8) for _ in range(n_buffers)]
     for first in range(0, las.n_points, n):
         records = ring[first // n % len(ring)][: las.n_points - first]
         if decompressor is None:

@@ -653,4 +653,7 @@ def test_the_disk_begins_with_every_byte_once(tmp_path: Path, monkeypatch: pytes
         target = las_codec.Target(handle)
         for n in (10, 999, 2500, 400, 600, 5):
             target.write(bytes(n))
-    assert spans == [(0, 1009), (1009, 3509), (3509, 4509)]
+        target.write(bytes(994))
+        target.seek(0)
+        target.write(bytes(375))
+    assert spans == [(0, 1009), (1009, 3509), (3509, 4509), (0, 375)]
