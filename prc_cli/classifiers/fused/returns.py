@@ -26,6 +26,7 @@ def label_further_returns(range_m: F32, labels: U8, line: I32, column: I32, rang
 
     Examples
     --------
+    >>> import numpy as np
     >>> image = np.array([[6.0, 6.1, 20.0]], dtype=np.float32)
     >>> labels = np.array([[Label.VEGETATION, Label.VEGETATION, Label.BUILDING]], dtype=np.uint8)
     >>> own = np.zeros(2, np.int32), np.array([0, 2], np.int32), np.array([9.0, 30.0], np.float32)
