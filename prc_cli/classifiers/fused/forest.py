@@ -100,6 +100,7 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
     >>> [Label(labels[3, column]).name for column in (0, 500, 590, 600)]
     ['GROUND', 'STEM', 'MISSING', 'NOISE']
     """
+    range_m = np.ascontiguousarray(range_m)
     heights = heights_over_ground(range_m, plane, params.terrain)
     stems = find_stems(range_m, heights, plane, params.stems)
     return _draw(range_m, heights, stems, plane, params)

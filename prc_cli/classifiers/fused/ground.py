@@ -61,6 +61,19 @@ class GroundMemory:
         """Return the memory before the first line."""
         return cls(np.zeros((2, BINS), np.float32), np.full((2, BINS), NEVER, np.int32))
 
+    def nearest_m(self, lines: int) -> float | None:
+        """Return the height of the place nearest to the scanner that was seen within so many lines; None = nowhere.
+
+        A side on which a lorry hid all of the ground for longer begins anew from there, as does a line after a gap in
+        the stream: from the height of the scanner no step is small enough to reach the ground.
+
+        >>> GroundMemory.none().nearest_m(60) is None
+        True
+        """
+        is_known = self.age < lines
+        places, sides = np.nonzero(is_known.T)
+        return float(self.height_m[sides[0], places[0]]) if len(places) else None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
@@ -106,8 +119,8 @@ def follow_ground(
         least_near, params.step_m, params.slope, params.slope_reach_m, params.gap_slope, params.known_m,
         params.memory_lines, params.follow,
     ]  # fmt: skip
-    start_m = 0.0
-    if memory.age.min() >= params.memory_lines:
+    start_m = memory.nearest_m(params.memory_lines)
+    if start_m is None:
         start_m = start_height(*points_of(range_m, plane), seen, params)
     above, walked, height_m, age = kernels.walk_ground(
         range_m, plane.beams, seen.counts, (plane.left, plane.right), memory.height_m, memory.age,

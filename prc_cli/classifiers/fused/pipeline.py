@@ -4,8 +4,8 @@ Of both papers: noise is what is alone (Lehtola et al. 2019, II-B), but in space
 by its direction in the scan plane (Stamos et al. 2012, sec. 4), but over a chord instead of from shot to shot.
 docs/fused.md has the equations and the reasons.
 
-Of the stages only the walk along the ground depends on the blocks before; it is short, and taken in turns. All others
-need the block and five lines before and after it.
+Of the stages only the range noise and the walk along the ground depend on the blocks before; both are short, and taken
+in turns. All others need the block and five lines before and after it.
 """
 
 from __future__ import annotations

@@ -137,12 +137,13 @@ class Noise:
         """Look at another block, given by its ranges, (lines, M) float32 [m].
 
         What is not smooth adds to what is measured, so the least is nearest: a drive that begins beneath trees sees
-        better later. The noise is the scanner's, so it is enough to look at the blocks 0, 1, 2, 4, 8 and so on.
+        better later. The noise is the scanner's, so it is enough to look at the blocks 0, 1, 2, 4, 8 and so on, and at
+        all until one tells it: a stream may begin indoors, before the sky, or with nothing.
 
         >>> Noise(0.003, 3).after(np.empty((0, 0), np.float32), ScanPlane.of(np.zeros(0)), SensorParams())
         Noise(least_m=0.003, blocks=4)
         """
-        is_asked = self.blocks == 0 or (params.again and self.blocks & (self.blocks - 1) == 0)
+        is_asked = math.isinf(self.least_m) or (params.again and self.blocks & (self.blocks - 1) == 0)
         if params.range_noise_m != "auto" or not is_asked:
             return Noise(self.least_m, self.blocks + 1)
         measured = range_noise(*points_of(np.ascontiguousarray(window_m[::EVERY_LINE]), plane))

@@ -178,6 +178,25 @@ def test_the_ground_is_found_again_behind_a_long_car() -> None:
     assert (labels[road] == Label.GROUND).mean() > 0.98
 
 
+@pytest.mark.parametrize("hidden", ["left", "both"])
+def test_the_ground_is_found_again_after_more_lines_without_it_than_are_remembered(hidden: str) -> None:
+    """A lorry hides a side, or the stream has a gap: the walk does not begin at the height of the scanner."""
+    ranges, kind = street_lines(150)
+    left = BEAM >= 0
+    ranges[72:136, left if hidden == "left" else slice(None)] = np.nan
+    labels = classified(ranges, FusedParams(lines_per_block=70))[138:, left]
+    assert (labels[kind[138:, left] == GROUND] == Label.GROUND).mean() > 0.98
+
+
+def test_the_noise_is_measured_in_the_first_block_that_tells_it(street: tuple[F32, U8]) -> None:
+    nothing = np.full((8, len(BEAM)), np.nan, np.float32)
+    for params in (SensorParams(), SensorParams(again=False)):
+        noise = Noise()
+        for block in (nothing, nothing, nothing, street[0]):
+            noise = noise.after(block, PLANE, params)
+        assert noise.noise_m(params) == pytest.approx(0.002, rel=0.25)
+
+
 def test_any_lines_are_labelled() -> None:
     rng = np.random.default_rng(3)
     for shape in ((1, 1), (1, 7), (3, 2), (5, 40)):
@@ -200,7 +219,7 @@ def test_blocks_that_cannot_be_are_refused() -> None:
 
 
 def test_a_job_that_fails_lets_the_others_end() -> None:
-    """Beams of no length raise in every job, and nobody waits for a turn that never comes."""
+    """A window that is not in one piece raises in every job, and nobody waits for a turn that never comes."""
     blocks = ParallelBlocks(BEAM, FusedParams(lines_per_block=4))
     jobs = [blocks.begin(np.ones((4, len(BEAM)), np.float32), None) for _ in range(3)]
     broken = [type(job)(job.turn, job.window[:, :3], job.range_m) for job in jobs]
