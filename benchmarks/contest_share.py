@@ -2,8 +2,8 @@
 
     python -m benchmarks.contest_share
 
-Streets have the scanners, mounts and noises of the contest and other seeds: 9021 to 9092 for tuning, 9121 to 9132 to see
-whether it holds. Reads ../shared/data or $PRC_DATA for the first Oakland strip, which gets background.
+Streets have the scanners, mounts and noises of the contest and other seeds: 9021 to 9092 for tuning, 9121 to 9132 to
+see whether it holds. Reads ../shared/data or $PRC_DATA for the first Oakland strip, which gets background.
 """
 
 from __future__ import annotations
