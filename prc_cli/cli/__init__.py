@@ -15,6 +15,7 @@ from typing import Any
 import click
 
 from prc_cli import __version__
+from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.errors import PrcError
 from prc_cli.core.interrupts import raise_or_hold
 from prc_cli.kernels import spare_linear_algebra
@@ -113,18 +114,18 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         code = cli.main(args=arguments, prog_name="prc", standalone_mode=False)
         sys.stdout.flush()
     except PrcError as error:
-        message, code = one_line(error), error.exit_code
+        message, code = printable(str(error)), error.exit_code
     except click.ClickException as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: its message is the whole help
             error.show()
             return error.exit_code
         context = getattr(error, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
-        message, code = one_line(f"{error.format_message()}{hint}"), error.exit_code
+        message, code = printable(f"{error.format_message()}{hint}"), error.exit_code
     except MemoryError:
         message, code = "not enough memory for this input and these parameters; no output was left behind", 1
     except ImportError as error:
-        message, code = one_line(f"a package cannot be loaded ({error}); prc doctor checks the installation"), 1
+        message, code = printable(f"a package cannot be loaded ({error}); prc doctor checks the installation"), 1
     except (click.Abort, KeyboardInterrupt):
         message, code = "interrupted; no output was left behind", INTERRUPTED
     except OSError as error:
@@ -134,8 +135,6 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     else:
         return code if isinstance(code, int) else 0
     if debug:
-        from prc_cli.cli.safe import printable_lines
-
         with contextlib.suppress(OSError):
             click.echo(printable_lines(traceback.format_exc()), err=True)
     with contextlib.suppress(OSError):
@@ -168,12 +167,3 @@ def _deliver_again(dropped: sys.UnraisableHookArgs) -> None:
         timer = threading.Timer(AGAIN_S, signal.raise_signal, (number,))
     timer.daemon = True
     timer.start()
-
-
-def one_line(error: PrcError | str) -> str:
-    r"""Return a message as one printable line, whatever a file name or a cell contained.
-
-    >>> one_line(PrcError("a\nb.las", "no such file"))
-    'a\\nb.las: no such file'
-    """
-    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in str(error))

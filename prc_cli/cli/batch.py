@@ -295,7 +295,8 @@ def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | 
 
 def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
     from prc_cli.batch.run import plan_batch
-    from prc_cli.cli.batch_report import plan_dict, print_plan, say
+    from prc_cli.cli.batch_report import plan_dict, print_plan
+    from prc_cli.cli.batch_words import say
 
     _engine(options, say)  # a wrong option is as wrong here; the sample is measured on this machine
     plan, estimate = plan_batch(settings)
@@ -307,7 +308,10 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
 
 def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSummary:
     from prc_cli.batch.run import Noted, Ready, run_batch
-    from prc_cli.cli.batch_report import Bars, Final, JsonLog, PlainLines, print_end, say
+    from prc_cli.cli.batch_log import JsonLog
+    from prc_cli.cli.batch_progress import Bars, Final, PlainLines
+    from prc_cli.cli.batch_report import print_end
+    from prc_cli.cli.batch_words import say
 
     quiet, on_terminal = options["quiet"], sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     shows_bars = on_terminal and not quiet and not options["time_stamps"]

@@ -9,9 +9,9 @@ from typing import Any
 import click
 from rich.table import Table
 
-from prc_cli.cli import one_line
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import results, tally_rows
+from prc_cli.cli.safe import printable
 from prc_cli.core.errors import PrcError
 from prc_cli.inspection import Inspection, inspect
 
@@ -35,7 +35,7 @@ def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **o
         try:
             inspection = inspect(path, loaded)
         except PrcError as error:
-            click.echo(f"error: {one_line(error)}", err=True)
+            click.echo(f"error: {printable(str(error))}", err=True)
             found.append({"path": str(path), "error": str(error), "classifiable": False})
             code = max(code, error.exit_code)
             continue

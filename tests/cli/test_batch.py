@@ -26,7 +26,8 @@ from prc_cli.batch.summary import Alarm, BatchSummary, LeftOut
 from prc_cli.batch.types import PARTS_FOLDER, Done, Entry, Failed, InputPrint, Problem, Progress, Started, Task
 from prc_cli.batch.types import Run as JournalRun
 from prc_cli.cli import main
-from prc_cli.cli.batch_report import failed_words, print_status
+from prc_cli.cli.batch_report import print_status
+from prc_cli.cli.batch_words import failed_words
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
@@ -504,12 +505,12 @@ def test_bars_show_the_archive_and_every_file_in_work(monkeypatch: pytest.Monkey
 
     from rich.console import Console
 
-    from prc_cli.cli import batch_report
+    from prc_cli.cli import batch_progress
 
     screen = Console(file=io.StringIO(), force_terminal=True, width=90, markup=False, highlight=False)
-    monkeypatch.setattr(batch_report, "console", lambda: screen)
-    with batch_report.Bars() as bars:
-        final = batch_report.Final(bars)
+    monkeypatch.setattr(batch_progress, "console", lambda: screen)
+    with batch_progress.Bars() as bars:
+        final = batch_progress.Final(bars)
         final(Ready(Plan((), refused=(failed("r.laz"), failed("s.laz"))), 1, 1))
         for event in (Started("a[red]\x1b.laz", "1"), Progress("a[red]\x1b.laz", 70), Progress("unknown", 1)):
             final(event)
