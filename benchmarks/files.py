@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.drives import POINTS_PER_LINE, write_csv, write_raw
 from benchmarks.las import forget
-from benchmarks.memory import FULL_LINES, POINTS_PER_LINE, write_csv, write_raw
+from benchmarks.memory import FULL_LINES
 from prc_cli.config import load_config
 from prc_cli.core.types import U8
 from prc_cli.pipeline import classify, classify_ranges, load_classifier

@@ -22,49 +22,13 @@ from pathlib import Path
 import laspy
 import numpy as np
 
-from benchmarks.memory import POINTS_PER_LINE, write_raw
+from benchmarks.drives import POINTS_PER_LINE, write_drive, write_raw
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.pipeline import classify, load_classifier
 from prc_cli.writers.las_points import set_classes
 
 CHUNK = 1_000_000
 """Records that laspy is asked for at a time."""
-_LINES_AT_ONCE = 200
-_ANGLE_STEP_DEG = {True: 0.006, False: 1.0}
-
-
-def write_drive(path: Path, ranges: Path, point_format: int) -> None:
-    """Write the shots with a range of a raw dump as a drive; the suffix decides whether it is compressed."""
-    header = laspy.LasHeader(point_format=point_format, version="1.4")
-    header.scales, header.offsets = np.full(3, 0.001), np.array([650_000.0, 6_860_000.0, 0.0])
-    for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
-        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
-    rng = np.random.default_rng(0)
-    image = np.memmap(ranges, "<f4", "r").reshape(-1, POINTS_PER_LINE)
-    with laspy.open(path, "w", header=header) as writer:
-        for first in range(0, len(image), _LINES_AT_ONCE):
-            writer.write_points(drive_points(image[first : first + _LINES_AT_ONCE], first, header, rng))
-
-
-def drive_points(
-    image: np.ndarray, first: int, header: laspy.LasHeader, rng: np.random.Generator
-) -> laspy.ScaleAwarePointRecord:
-    """Records of some scan lines; the car makes 100 lines a second and 5 cm a line."""
-    line, column = np.indices(image.shape).reshape(2, -1)
-    found = np.isfinite(image.ravel()) & (image.ravel() > 0)
-    line, column, range_m = line[found] + first, column[found], image.ravel()[found]
-    turn = 2 * np.pi * column / POINTS_PER_LINE
-    points = laspy.ScaleAwarePointRecord.zeros(len(range_m), header=header)
-    across = range_m * np.cos(turn) * np.sqrt(0.5)
-    points.x, points.y, points.z = 650_100 + across + 0.05 * line, 6_860_100 + across, 2 + range_m * np.sin(turn)
-    points.intensity = rng.normal(2000, 150, len(range_m)).astype("u2")
-    points.return_number = points.number_of_returns = np.ones(len(range_m), "u1")
-    points.gps_time = 3e8 + line / 100 + column / (100 * POINTS_PER_LINE)
-    name = "scan_angle" if header.point_format.id >= 6 else "scan_angle_rank"
-    step_deg = _ANGLE_STEP_DEG[header.point_format.id >= 6]
-    points[name] = np.rint(np.rad2deg(turn - np.pi) / 2 / step_deg).astype("i2" if step_deg < 1 else "i1")
-    points["range"], points["scan_line"], points["column"] = range_m, line, column
-    return points
 
 
 def read_and_write(source: Path, output: Path) -> None:

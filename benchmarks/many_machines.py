@@ -20,8 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.las import write_drive
-from benchmarks.memory import POINTS_PER_LINE, write_raw
+from benchmarks.drives import POINTS_PER_LINE, write_drive, write_raw
 from prc_cli.batch.parts import join_parts, parts_folder, run_part, split
 from prc_cli.batch.types import Task
 from prc_cli.config import LoadedConfig, load_config

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.drives import POINTS_PER_LINE, write_csv, write_drive, write_raw
 from benchmarks.peak import peak_mib
 
-POINTS_PER_LINE = 2154
 FULL_LINES = (4643, 46_426)
 LIMIT_MIB = 250
 """The goal, whatever the size."""
@@ -31,33 +31,8 @@ def classify(source: Path, output: Path) -> float:
     return peak_mib(["classify", str(source), str(output), *options])
 
 
-def write_raw(path: Path, n_lines: int) -> None:
-    """Write a street of any length by repeating a simulated one."""
-    from prc_cli.simulation.settings import load_settings
-    from prc_cli.simulation.simulation import open_simulation
-
-    options = {"lines": 600, "scanner": {"points_per_line": POINTS_PER_LINE}}
-    scan = open_simulation("street", load_settings("street", options=options)).scan
-    tile = np.concatenate([block.range_m for block in scan.blocks()])
-    with path.open("wb") as handle:
-        for first in range(0, n_lines, len(tile)):
-            tile[: n_lines - first].tofile(handle)
-
-
-def write_csv(path: Path, raw: Path) -> None:
-    """Write the ranges of a raw dump as text, one a row; a missing shot is nan."""
-    ranges = np.memmap(raw, "<f4", "r")
-    with path.open("w", encoding="ascii") as handle:
-        handle.write("range\n")
-        for first in range(0, len(ranges), 1 << 20):
-            values = ranges[first : first + (1 << 20)].tolist()
-            handle.writelines(f"{value:.3f}\n" if value > 0 else "nan\n" for value in values)
-
-
 def measure(folder: Path, n_lines: int) -> Iterator[tuple[str, float]]:
     """Yield every job and its peak [MiB]; inputs are removed again."""
-    from benchmarks.las import write_drive
-
     raw, array, text = folder / "street.bin", folder / "street.npz", folder / "street.csv"
     write_raw(raw, n_lines)
     yield "raw → npy", classify(raw, folder / "labels.npy")
