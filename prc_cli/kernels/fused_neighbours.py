@@ -215,7 +215,8 @@ def _between(
 @helper
 def _pairs_in_line(ranges: F32, side: F32, height: F32, step: np.float32, figures: F32, row: U8) -> None:
     """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
-    base, per_m, gap_m, gap_steps = figures[0], figures[1], figures[2], figures[3]
+    base, per_m = figures[TOLERANCE_M], figures[TOLERANCE_PER_M]
+    gap_m, gap_steps = figures[GAP_M], figures[GAP_STEPS]
     for i in range(len(row)):
         tolerance = base + per_m * ranges[i]
         tolerance = tolerance * tolerance
@@ -238,7 +239,7 @@ def _pairs_across(
     ranges: F32, lines: tuple[F32, F32, F32, F32, F32], heights: tuple[F32, F32, F32, F32, F32], figures: F32, row: U8
 ) -> None:
     """Add the pairs of shots before and after a line that its shots lie in the middle between; all have margins."""
-    base, per_m = figures[0], figures[1]
+    base, per_m = figures[TOLERANCE_M], figures[TOLERANCE_PER_M]
     ya, yb, own_y, yd, ye = lines
     za, zb, own_z, zd, ze = heights
     for i in range(len(row)):
