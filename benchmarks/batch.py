@@ -23,10 +23,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from prc_cli.batch.run import run_batch
-from prc_cli.batch.settings import BatchSettings
-from prc_cli.batch.types import Started
-from prc_cli.pipeline import classify
+from prc_cli.jobs.batch.run import run_batch
+from prc_cli.jobs.batch.settings import BatchSettings
+from prc_cli.jobs.batch.types import Started
+from prc_cli.jobs.classify import classify
 
 FILES = 60
 LINES = 60

@@ -8,14 +8,20 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from prc_cli.batch.journal import Journal
-from prc_cli.batch.plan import Plan
-from prc_cli.batch.run import Ready
-from prc_cli.batch.summary import BatchSummary, write_summary
-from prc_cli.batch.types import OWN_FOLDER, Done, InputPrint, Started, Task
 from prc_cli.cli.batch_report import JsonLog
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
+from prc_cli.jobs.batch.journal import Journal
+from prc_cli.jobs.batch.plan import Plan
+from prc_cli.jobs.batch.run import Ready
+from prc_cli.jobs.batch.summary import BatchSummary, write_summary
+from prc_cli.jobs.batch.types import (
+    OWN_FOLDER,
+    Done,
+    InputPrint,
+    Started,
+    Task,
+)
 
 N_FILES = 10_000
 

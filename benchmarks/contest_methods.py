@@ -19,7 +19,7 @@ from prc_cli.core.config import merge
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import U8
-from prc_cli.pipeline import label_blocks, load_classifier
+from prc_cli.jobs.classify import label_blocks, load_classifier
 
 SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
 STREETS = frozenset({"street", "oakland", "kitti"})

@@ -23,7 +23,7 @@ from benchmarks import contest_peers as peers
 from benchmarks.contest_data import ROOT, Scan, Simulated
 from benchmarks.contest_judge import FOLDER, MAPPINGS, Verdict, judge
 from benchmarks.contest_methods import Method, label_scan
-from prc_cli.pipeline import KERNELS_OF
+from prc_cli.jobs.classify import KERNELS_OF
 
 Progress = Callable[[str], None]
 POINTS = "points.npz"

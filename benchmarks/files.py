@@ -25,7 +25,7 @@ from benchmarks.las import forget
 from benchmarks.memory import FULL_LINES
 from prc_cli.config import load_config
 from prc_cli.core.types import U8
-from prc_cli.pipeline import classify, classify_ranges, load_classifier
+from prc_cli.jobs.classify import classify, classify_ranges, load_classifier
 
 CHUNK_BYTES = 1 << 20
 

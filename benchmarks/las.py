@@ -24,8 +24,8 @@ import numpy as np
 
 from benchmarks.drives import POINTS_PER_LINE, write_drive, write_raw
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.pipeline import classify, load_classifier
-from prc_cli.writers.las_points import set_classes
+from prc_cli.formats.las.points import set_classes
+from prc_cli.jobs.classify import classify, load_classifier
 
 CHUNK = 1_000_000
 """Records that laspy is asked for at a time."""

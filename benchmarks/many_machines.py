@@ -21,10 +21,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.drives import POINTS_PER_LINE, write_drive, write_raw
-from prc_cli.batch.parts import join_parts, parts_folder, run_part, split
-from prc_cli.batch.types import Task
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.pipeline import classify, load_classifier
+from prc_cli.jobs.batch.parts import (
+    join_parts,
+    parts_folder,
+    run_part,
+    split,
+)
+from prc_cli.jobs.batch.types import Task
+from prc_cli.jobs.classify import classify, load_classifier
 
 BILLION = 1e9
 WORKERS = (2, 4, 8, 32)

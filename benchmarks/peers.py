@@ -20,7 +20,7 @@ from benchmarks.scaling import checkerboard, spiral
 from benchmarks.stages import street
 from prc_cli import kernels
 from prc_cli.core.types import Mask
-from prc_cli.kernels import oracle
+from prc_cli.reference.prc import stages as oracle
 
 ROUNDS = 9
 SHAPE = (99, 2154)

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.sequential_angle import DATA, HEADERLESS, KITTI, ORGANISED, headerless_layout, street_scan
 from prc_cli.core.errors import PrcError
-from prc_cli.rendering import RenderOptions, render
+from prc_cli.jobs.render import RenderOptions, render
 
 
 def main() -> None:

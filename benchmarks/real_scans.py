@@ -14,12 +14,12 @@ from pathlib import Path
 import laspy
 import numpy as np
 
-from prc_cli.comparison import evaluate
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.evaluation.reports import as_markdown
-from prc_cli.inspection import inspect
-from prc_cli.pipeline import classify
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.evaluate import evaluate
+from prc_cli.jobs.info import inspect
 from tests.profiler import jakarto, jakarto_input, placed, scanner_positions, steps_apart, write_trajectory
 
 ROOT = Path(__file__).resolve().parent.parent

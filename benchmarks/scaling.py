@@ -147,7 +147,7 @@ def draw(curves: dict[str, Points], worst: dict[str, float]) -> str:
 
 def main() -> None:
     """Print the tables; draw them where a file is named."""
-    load_kernels(frozenset({"components", "support", "surfaces"}))
+    load_kernels(frozenset({"prc.components", "prc.support", "prc.surfaces"}))
     curves, worst = measure()
     for title, points in curves.items():
         print(f"\n| {title} | " + " | ".join(short(x) for x, _ in points) + " |\n" + "|---" * (len(points) + 1) + "|")

@@ -34,7 +34,6 @@ from prc_cli.classifiers.sequential_angle.ground import GroundParams, ground, in
 from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lines
 from prc_cli.classifiers.sequential_angle.markov import HmmParams
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
-from prc_cli.comparison import evaluate
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes, Label, Surface
 from prc_cli.core.config import merge
@@ -44,11 +43,12 @@ from prc_cli.core.types import F64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
 from prc_cli.evaluation.scores import scores
-from prc_cli.pipeline import classify, label_blocks
-from prc_cli.readers.regroup import cut, join
-from prc_cli.simulated_files import Beside, simulate
+from prc_cli.jobs.classify import classify, label_blocks
+from prc_cli.jobs.evaluate import evaluate
+from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
+from prc_cli.stream.blocks import cut, join
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))

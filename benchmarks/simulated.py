@@ -23,15 +23,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.comparison import evaluate
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import scores
-from prc_cli.pipeline import classify
-from prc_cli.simulated_files import simulate
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.evaluate import evaluate
+from prc_cli.jobs.simulate import simulate
 from prc_cli.simulation.drive import SimulatedScan
 from prc_cli.simulation.forest.params import PRESETS as FORESTS
 from prc_cli.simulation.forest.reference import reference_labels

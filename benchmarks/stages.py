@@ -17,8 +17,10 @@ from prc_cli.config import load_config
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.threads import default_threads
 from prc_cli.core.types import F32
-from prc_cli.kernels import load_kernels, oracle, oracle_prc
-from prc_cli.pipeline import classify_ranges, label_blocks
+from prc_cli.jobs.classify import classify_ranges, label_blocks
+from prc_cli.kernels import load_kernels
+from prc_cli.reference.prc import method as oracle_prc
+from prc_cli.reference.prc import stages as oracle
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
 
@@ -64,7 +66,7 @@ def best_times(jobs: dict[str, tuple[Callable[[], object], int]], rounds: int) -
 
 def main() -> None:
     """Print the table."""
-    load_kernels(frozenset({"components", "support", "surfaces"}))
+    load_kernels(frozenset({"prc.components", "prc.support", "prc.surfaces"}))
     piece = street(594, 2154)
     ranges = np.tile(piece, (20, 1))  # 100 MB: more than any cache holds
     wide = np.tile(street(510, 4270), (12, 1))

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from prc_cli.jobs.classify import KERNELS_OF
 from prc_cli.kernels import KERNELS
-from prc_cli.pipeline import KERNELS_OF
 
 RUNS = 5
 LOAD = "import sys, prc_cli.kernels as k; k.spare_linear_algebra(); k.load_kernels(frozenset(sys.argv[1:]))"
@@ -27,7 +27,7 @@ LOAD = "import sys, prc_cli.kernels as k; k.spare_linear_algebra(); k.load_kerne
 ONE = """
 import sys, time
 from importlib import import_module
-import prc_cli.kernels.verticals
+import prc_cli.kernels.sequential_angle.verticals
 begin = time.process_time()
 import_module(sys.argv[1])
 print(time.process_time() - begin)
@@ -88,7 +88,7 @@ def modules(folder: Path) -> None:
         found = subprocess.run(
             [sys.executable, "-c", ONE, module], env=environment, check=True, capture_output=True, text=True
         )
-        print(f"| {module.rpartition('.')[2]} | {float(found.stdout):.2f} |")
+        print(f"| {module.removeprefix('prc_cli.kernels.')} | {float(found.stdout):.2f} |")
 
 
 def main() -> None:

@@ -15,16 +15,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from prc_cli.calibration.calibrate import calibrate
-    from prc_cli.comparison import evaluate, evaluate_all
     from prc_cli.config import load_config
-    from prc_cli.conversion import convert
-    from prc_cli.label_transfer import transfer
-    from prc_cli.pipeline import classify, classify_ranges, open_stream
-    from prc_cli.rendering import render
-    from prc_cli.simulated_files import simulate
-    from prc_cli.streaming import stream
-    from prc_cli.thinning import thin
+    from prc_cli.jobs.calibrate.calibrate import calibrate
+    from prc_cli.jobs.classify import classify, classify_ranges, open_stream
+    from prc_cli.jobs.convert import convert
+    from prc_cli.jobs.evaluate import evaluate, evaluate_all
+    from prc_cli.jobs.render import render
+    from prc_cli.jobs.simulate import simulate
+    from prc_cli.jobs.stream import stream
+    from prc_cli.jobs.thin import thin
+    from prc_cli.jobs.transfer import transfer
 
 __version__ = "0.1.0"
 __all__ = [
@@ -44,16 +44,16 @@ __all__ = [
 ]
 
 _HOME = {
-    "calibrate": "prc_cli.calibration.calibrate",
-    "convert": "prc_cli.conversion",
-    "evaluate": "prc_cli.comparison",
-    "evaluate_all": "prc_cli.comparison",
+    "calibrate": "prc_cli.jobs.calibrate.calibrate",
+    "convert": "prc_cli.jobs.convert",
+    "evaluate": "prc_cli.jobs.evaluate",
+    "evaluate_all": "prc_cli.jobs.evaluate",
     "load_config": "prc_cli.config",
-    "render": "prc_cli.rendering",
-    "simulate": "prc_cli.simulated_files",
-    "stream": "prc_cli.streaming",
-    "thin": "prc_cli.thinning",
-    "transfer": "prc_cli.label_transfer",
+    "render": "prc_cli.jobs.render",
+    "simulate": "prc_cli.jobs.simulate",
+    "stream": "prc_cli.jobs.stream",
+    "thin": "prc_cli.jobs.thin",
+    "transfer": "prc_cli.jobs.transfer",
 }
 
 
@@ -62,4 +62,4 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         message = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(message)
-    return getattr(import_module(_HOME.get(name, "prc_cli.pipeline")), name)
+    return getattr(import_module(_HOME.get(name, "prc_cli.jobs.classify")), name)

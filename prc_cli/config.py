@@ -20,8 +20,8 @@ from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
 from prc_cli.core.errors import ConfigError
-from prc_cli.readers.options import InputConfig, Layout
-from prc_cli.writers.options import OutputConfig
+from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.writing.options import OutputConfig
 
 SEQUENTIAL_ANGLE: Literal["sequential-angle"] = "sequential-angle"
 FUSED: Literal["fused"] = "fused"

@@ -10,7 +10,7 @@ import numpy as np
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.types import F64, I64
-from prc_cli.pipeline import open_stream
+from prc_cli.jobs.classify import open_stream
 
 JAKARTO_M = 5099
 JAKARTO_PERIOD_S = 5.0161e-3

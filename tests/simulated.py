@@ -8,10 +8,10 @@ import numpy as np
 
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
-from prc_cli.readers.regroup import join
 from prc_cli.simulation.drive import SimulatedScan
 from prc_cli.simulation.settings import Kind, load_settings
 from prc_cli.simulation.simulation import Simulation, open_simulation
+from prc_cli.stream.blocks import join
 
 FIELD_DEG = 125.12
 """Elevations that the static scanner covers [degrees]."""

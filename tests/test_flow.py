@@ -14,15 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import prc_cli.pipeline as pipeline
+import prc_cli.jobs.classify as pipeline
 from prc_cli.classifiers.prc.pipeline import ParallelBlocks
 from prc_cli.config import load_config
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.profile import profiling
 from prc_cli.core.stream import LabelledBlock, ScanBlock
-from prc_cli.pipeline import classify, load_classifier
-from prc_cli.readers.grid import GridStream
-from prc_cli.writers.base import StagedWriter
+from prc_cli.formats.writing.base import StagedWriter
+from prc_cli.jobs.classify import classify, load_classifier
+from prc_cli.stream.grid import GridStream
 from tests.patience import HANGS_S, wait_until
 from tests.street import POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
 
@@ -94,7 +94,7 @@ def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
     progress = None
     if where == "reader":
         monkeypatch.setattr(GridStream, "_dense_block", after(1, GridStream._dense_block, error))
-        monkeypatch.setattr("prc_cli.readers.raw_binary.CHUNK_BYTES", 4 * 20 * POINTS_PER_LINE)
+        monkeypatch.setattr("prc_cli.formats.raw_binary.read.CHUNK_BYTES", 4 * 20 * POINTS_PER_LINE)
     elif where == "classifier":
         monkeypatch.setattr(ParallelBlocks, "classify", after(2, ParallelBlocks.classify, error))
     elif where == "writer":
@@ -165,7 +165,7 @@ def test_an_input_that_vanishes_from_the_fingerprint_is_refused(
     source = write_raw(tmp_path / "drive.bin", image)
     (tmp_path / "out").mkdir()
     gone = InputError("drive.bin", "cannot be read", "check")
-    monkeypatch.setattr("prc_cli.writers.record.FingerprintBeside._read", after(0, print, gone))
+    monkeypatch.setattr("prc_cli.formats.writing.record.FingerprintBeside._read", after(0, print, gone))
     with pytest.raises(InputError, match="cannot be read"):
         classify(source, tmp_path / "out" / "labels.npy", SHORT, threads=2)
     assert os.listdir(tmp_path / "out") == []
@@ -234,7 +234,7 @@ def test_output_errors_in_the_writer_thread_are_output_errors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
 ) -> None:
     full = OSError(28, "No space left on device")
-    monkeypatch.setattr("prc_cli.writers.straight.write_all", after(1, lambda *_: None, full))
+    monkeypatch.setattr("prc_cli.formats.writing.straight.write_all", after(1, lambda *_: None, full))
     source = write_raw(tmp_path / "drive.bin", image)
     with pytest.raises(OutputError, match="the disk is full"):
         classify(source, tmp_path / "labels.npy", SHORT, threads=2)

@@ -9,12 +9,12 @@ import laspy
 import numpy as np
 import pytest
 
-from prc_cli.comparison import evaluate
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.evaluation.scores import gate_value, scores
-from prc_cli.inspection import inspect
-from prc_cli.pipeline import classify
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.evaluate import evaluate
+from prc_cli.jobs.info import inspect
 from tests.profiler import (
     JAKARTO_M,
     jakarto,

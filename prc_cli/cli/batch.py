@@ -21,10 +21,10 @@ from prc_cli.core.files import atomic_output, remove_stale
 from prc_cli.core.interrupts import raise_or_hold
 
 if TYPE_CHECKING:
-    from prc_cli.batch.run import RunEvent
-    from prc_cli.batch.settings import BatchSettings
-    from prc_cli.batch.summary import BatchSummary
-    from prc_cli.batch.types import Engine, Shard
+    from prc_cli.jobs.batch.run import RunEvent
+    from prc_cli.jobs.batch.settings import BatchSettings
+    from prc_cli.jobs.batch.summary import BatchSummary
+    from prc_cli.jobs.batch.types import Engine, Shard
 
 _COMMAND_SCHEMA = 1
 
@@ -163,10 +163,10 @@ def status(out: Path, as_json: bool) -> None:
     \b
     Example: prc batch status /classified
     """
-    from prc_cli.batch.clean import own_folder
-    from prc_cli.batch.journal import read_entries, read_runs
-    from prc_cli.batch.lock import holders
     from prc_cli.cli.batch_report import print_status, status_dict
+    from prc_cli.jobs.batch.clean import own_folder
+    from prc_cli.jobs.batch.journal import read_entries, read_runs
+    from prc_cli.jobs.batch.lock import holders
 
     folder = own_folder(out)
     entries, runs, owners = read_entries(folder), read_runs(folder), holders(folder)
@@ -191,8 +191,8 @@ def retry(out: Path, shard: str | None, **changes: Any) -> None:
       prc batch retry /classified
       prc batch retry /classified --jobs 1
     """
-    from prc_cli.batch.clean import own_folder
-    from prc_cli.batch.types import Shard
+    from prc_cli.jobs.batch.clean import own_folder
+    from prc_cli.jobs.batch.types import Shard
 
     part = None if shard is None else Shard.parse(shard)
     folder, options = _read_command(_command_path(own_folder(out), part))
@@ -222,8 +222,8 @@ def clean(out: Path, archive: Path | None, dry_run: bool, as_json: bool) -> None
       prc batch clean /classified --dry-run
       prc batch clean /classified --forget /archive
     """  # fmt: skip
-    from prc_cli.batch.clean import clean as clean_folder
     from prc_cli.cli.batch_report import print_cleaned
+    from prc_cli.jobs.batch.clean import clean as clean_folder
 
     found = clean_folder(out, archive=archive, dry_run=dry_run)
     if as_json:
@@ -247,16 +247,16 @@ def _run(options: dict[str, Any]) -> None:
         return
     summary = _run_and_tell(settings, options)
     if options["as_json"]:
-        from prc_cli.batch.summary import as_dict
+        from prc_cli.jobs.batch.summary import as_dict
 
         click.echo(json.dumps(as_dict(summary), indent=1, allow_nan=False))
     click.get_current_context().exit(summary.exit_code)
 
 
 def _settings(options: dict[str, Any]) -> BatchSettings:
-    from prc_cli.batch.reference import ReferenceSettings
-    from prc_cli.batch.settings import BatchSettings, ConfigLayers
-    from prc_cli.batch.types import Shard
+    from prc_cli.jobs.batch.reference import ReferenceSettings
+    from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
+    from prc_cli.jobs.batch.types import Shard
 
     if options["gates"] and options["reference"] is None:
         message = "--fail-under needs --reference TREE"
@@ -287,16 +287,16 @@ def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | 
                 message = f"--{name} is for --engine dask"
                 raise click.UsageError(message)
         return None
-    from prc_cli.batch.dask_engine import DaskEngine
+    from prc_cli.jobs.batch.dask_engine import DaskEngine
 
     jobs, threads = options["jobs"], options["threads"] or 1
     return DaskEngine(options["scheduler"], split_shots=options["split"], notice=notice, jobs=jobs, threads=threads)
 
 
 def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
-    from prc_cli.batch.run import plan_batch
     from prc_cli.cli.batch_report import plan_dict, print_plan
     from prc_cli.cli.batch_words import say
+    from prc_cli.jobs.batch.run import plan_batch
 
     _engine(options, say)  # a wrong option is as wrong here; the sample is measured on this machine
     plan, estimate = plan_batch(settings)
@@ -307,11 +307,11 @@ def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:
 
 
 def _run_and_tell(settings: BatchSettings, options: dict[str, Any]) -> BatchSummary:
-    from prc_cli.batch.run import Noted, Ready, run_batch
     from prc_cli.cli.batch_log import JsonLog
     from prc_cli.cli.batch_progress import Bars, Final, PlainLines
     from prc_cli.cli.batch_report import print_end
     from prc_cli.cli.batch_words import say
+    from prc_cli.jobs.batch.run import Noted, Ready, run_batch
 
     quiet, on_terminal = options["quiet"], sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
     shows_bars = on_terminal and not quiet and not options["time_stamps"]
@@ -370,7 +370,7 @@ def _command_path(folder: Path, shard: Shard | None) -> Path:
 
 def _write_command(settings: BatchSettings, options: dict[str, Any]) -> None:
     """Keep what a run was asked for beside its journal; one that cannot be kept is no reason to stop."""
-    from prc_cli.batch.types import OWN_FOLDER
+    from prc_cli.jobs.batch.types import OWN_FOLDER
 
     table = {
         "schema": _COMMAND_SCHEMA,

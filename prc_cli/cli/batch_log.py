@@ -9,10 +9,20 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli import __version__
-from prc_cli.batch.run import Again, Noted, Ready, RunEvent
-from prc_cli.batch.summary import Alarm, BatchSummary, done_dict, failed_dict
-from prc_cli.batch.types import Done, Failed, Started
 from prc_cli.cli.batch_words import now, say
+from prc_cli.jobs.batch.run import (
+    Again,
+    Noted,
+    Ready,
+    RunEvent,
+)
+from prc_cli.jobs.batch.summary import (
+    Alarm,
+    BatchSummary,
+    done_dict,
+    failed_dict,
+)
+from prc_cli.jobs.batch.types import Done, Failed, Started
 
 LOG_SCHEMA = 1
 """Version of the form of the log; keys are added without a new number, never renamed or taken away."""

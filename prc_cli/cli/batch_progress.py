@@ -9,11 +9,11 @@ from types import TracebackType
 
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from prc_cli.batch.run import Again, Ready, RunEvent
-from prc_cli.batch.types import Done, Failed, Started
-from prc_cli.batch.types import Progress as Lines
 from prc_cli.cli.batch_words import console, count_of, done_words, failed_words, now, rare_words, say
 from prc_cli.cli.safe import printable
+from prc_cli.jobs.batch.run import Again, Ready, RunEvent
+from prc_cli.jobs.batch.types import Done, Failed, Started
+from prc_cli.jobs.batch.types import Progress as Lines
 
 Hear = Callable[[RunEvent], None]
 

@@ -10,16 +10,21 @@ from typing import Any
 
 from rich.table import Table
 
-from prc_cli.batch.clean import Cleaned
-from prc_cli.batch.lock import Holder
-from prc_cli.batch.plan import Estimate, Plan
-from prc_cli.batch.summary import BatchSummary, done_dict, failed_dict
-from prc_cli.batch.types import Done, Entry, Failed, Run
 from prc_cli.cli.batch_words import about, console, count_of, duration, failed_words, minute, say, size_of
 from prc_cli.cli.report import results
 from prc_cli.cli.safe import printable
 from prc_cli.evaluation.reports import percent
 from prc_cli.evaluation.scores import CLASS_SCORES, scores
+from prc_cli.jobs.batch.clean import Cleaned
+from prc_cli.jobs.batch.lock import Holder
+from prc_cli.jobs.batch.plan import Estimate, Plan
+from prc_cli.jobs.batch.summary import BatchSummary, done_dict, failed_dict
+from prc_cli.jobs.batch.types import (
+    Done,
+    Entry,
+    Failed,
+    Run,
+)
 
 SHOWN = 20
 """Files that are listed by name at the end; all of them are in ``summary.json``."""

@@ -7,11 +7,11 @@ from datetime import UTC, datetime
 from functools import cache
 from typing import Any
 
-from prc_cli.batch.run import Again, Noted, RunEvent
-from prc_cli.batch.summary import Alarm
-from prc_cli.batch.types import Done, Failed, Problem
 from prc_cli.cli.report import SafeConsole
 from prc_cli.cli.safe import printable
+from prc_cli.jobs.batch.run import Again, Noted, RunEvent
+from prc_cli.jobs.batch.summary import Alarm
+from prc_cli.jobs.batch.types import Done, Failed, Problem
 
 
 class _Patient(SafeConsole):

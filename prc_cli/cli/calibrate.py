@@ -12,9 +12,14 @@ import click
 from click.core import ParameterSource
 from rich.table import Table
 
-from prc_cli.calibration.calibrate import Calibration, SearchOptions
-from prc_cli.calibration.calibrate import calibrate as calibrate_file
-from prc_cli.calibration.reports import (
+from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.report import console, line_progress, results
+from prc_cli.cli.safe import printable_lines
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.jobs.calibrate.calibrate import Calibration, SearchOptions
+from prc_cli.jobs.calibrate.calibrate import calibrate as calibrate_file
+from prc_cli.jobs.calibrate.reports import (
     CURVE_HEADER,
     advice_rows,
     as_json,
@@ -25,12 +30,7 @@ from prc_cli.calibration.reports import (
     judged_rows,
     sensor_rows,
 )
-from prc_cli.calibration.search import MEAN_F1, Tried
-from prc_cli.cli.options import config_from, stream_options
-from prc_cli.cli.report import console, line_progress, results
-from prc_cli.cli.safe import printable_lines
-from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 
 
 @click.command()

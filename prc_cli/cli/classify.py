@@ -17,8 +17,8 @@ from prc_cli.cli.report import compiling_note, console, line_progress, print_ass
 from prc_cli.core.classes import Label
 from prc_cli.core.profile import profiling, timed
 from prc_cli.core.threads import default_threads
-from prc_cli.pipeline import RunSummary, load_classifier
-from prc_cli.pipeline import classify as classify_file
+from prc_cli.jobs.classify import RunSummary, load_classifier
+from prc_cli.jobs.classify import classify as classify_file
 
 MANY = 0.01
 """Share of records from which on the rules for lines and columns are probably wrong."""

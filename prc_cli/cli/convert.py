@@ -11,8 +11,8 @@ import click
 
 from prc_cli.cli.options import config_from, input_options, output_options
 from prc_cli.cli.report import console, line_progress, print_assumptions
-from prc_cli.conversion import ConversionSummary
-from prc_cli.conversion import convert as convert_file
+from prc_cli.jobs.convert import ConversionSummary
+from prc_cli.jobs.convert import convert as convert_file
 
 
 @click.command()

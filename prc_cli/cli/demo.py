@@ -10,10 +10,10 @@ import click
 from prc_cli.cli.report import compiling_note, console, line_progress, print_classes
 from prc_cli.cli.report_evaluation import print_evaluation
 from prc_cli.config import load_config
-from prc_cli.demo import PARTS, run_demo
 from prc_cli.evaluation.reports import as_dict
 from prc_cli.evaluation.scores import scores
-from prc_cli.pipeline import load_classifier
+from prc_cli.jobs.classify import load_classifier
+from prc_cli.jobs.demo import PARTS, run_demo
 from prc_cli.simulation.drive import load_simulator
 
 TITLES = {"drive": "prc", "fused": "fused", "static": "sequential-angle", "walk": "prc forest"}

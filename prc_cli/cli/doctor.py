@@ -35,7 +35,7 @@ def doctor(out: Path | None, no_run: bool, as_json: bool, quiet: bool) -> None:
       prc doctor --out /archive/classified
       prc doctor --json --no-run
     """  # fmt: skip
-    from prc_cli.doctor import examine
+    from prc_cli.jobs.doctor import examine
 
     found = []
     width = 0

@@ -9,10 +9,8 @@ from typing import Any
 
 import click
 
-from prc_cli.class_pictures import class_pictures
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
-from prc_cli.comparison import EvaluateOptions, evaluate_all
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
 from prc_cli.evaluation.gates import GateResult, check_gates, parse_gate, refuse_failed
@@ -22,7 +20,9 @@ from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
 from prc_cli.evaluation.result import Evaluation
 from prc_cli.evaluation.scores import scores
-from prc_cli.readers.label_pairs import files_of
+from prc_cli.jobs.class_pictures import class_pictures
+from prc_cli.jobs.evaluate import EvaluateOptions, evaluate_all
+from prc_cli.matching.pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
 """Forms of the result by the suffix of ``--output``."""

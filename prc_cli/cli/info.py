@@ -13,7 +13,7 @@ from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.core.errors import PrcError
-from prc_cli.inspection import Inspection, inspect
+from prc_cli.jobs.info import Inspection, inspect
 
 
 @click.command()

@@ -13,8 +13,13 @@ import click
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress
 from prc_cli.core.errors import ConfigError
-from prc_cli.rendering import COLOURS, VIEWS, RenderOptions, RenderResult
-from prc_cli.rendering import render as render_file
+from prc_cli.jobs.render import (
+    COLOURS,
+    VIEWS,
+    RenderOptions,
+    RenderResult,
+)
+from prc_cli.jobs.render import render as render_file
 
 _FILE = click.Path(path_type=Path)
 

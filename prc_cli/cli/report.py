@@ -19,7 +19,7 @@ from prc_cli.core.classes import ClassCodes, Label
 
 if TYPE_CHECKING:
     from prc_cli.core.stream import Assumption, ReadTally
-    from prc_cli.pipeline import Progress, RunSummary
+    from prc_cli.jobs.classify import Progress, RunSummary
 
 
 class SafeConsole(Console):

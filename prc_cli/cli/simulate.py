@@ -17,8 +17,8 @@ from prc_cli.cli.safe import printable_lines
 from prc_cli.config import params_to_toml, parse_assignment
 from prc_cli.core.classes import Label
 from prc_cli.core.config import merge
-from prc_cli.simulated_files import Beside, SimulationSummary, check_simulation
-from prc_cli.simulated_files import simulate as simulate_file
+from prc_cli.jobs.simulate import Beside, SimulationSummary, check_simulation
+from prc_cli.jobs.simulate import simulate as simulate_file
 from prc_cli.simulation.drive import load_simulator
 from prc_cli.simulation.scanners import SCANNERS
 from prc_cli.simulation.settings import KINDS, SCENES, Kind, load_settings, preset_notes

@@ -13,9 +13,9 @@ import click
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import compiling_note, console, print_assumptions
 from prc_cli.core.classes import Label
-from prc_cli.pipeline import load_classifier
-from prc_cli.streaming import Rate
-from prc_cli.streaming import stream as label_stream
+from prc_cli.jobs.classify import load_classifier
+from prc_cli.jobs.stream import Rate
+from prc_cli.jobs.stream import stream as label_stream
 
 
 @click.command()

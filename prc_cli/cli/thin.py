@@ -12,8 +12,8 @@ from rich.table import Table
 
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import line_progress, print_assumptions, results
-from prc_cli.thinning import CLASSIFY, ThinningSummary, parse_rules
-from prc_cli.thinning import thin as thin_file
+from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
+from prc_cli.jobs.thin import thin as thin_file
 
 
 @click.command()

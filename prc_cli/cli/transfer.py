@@ -17,9 +17,9 @@ from prc_cli.cli.report import console, print_assumptions
 from prc_cli.config import load_config
 from prc_cli.core.config import read_toml
 from prc_cli.core.stream import ReadTally
-from prc_cli.label_transfer import TransferOptions, TransferSummary
-from prc_cli.label_transfer import transfer as transfer_files
-from prc_cli.readers.options import Layout
+from prc_cli.formats.options import Layout
+from prc_cli.jobs.transfer import TransferOptions, TransferSummary
+from prc_cli.jobs.transfer import transfer as transfer_files
 
 
 @click.command()

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from operator import add, attrgetter
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from prc_cli.core.laz_contexts import LazContexts
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+
+if TYPE_CHECKING:
+    from prc_cli.formats.las.contexts import LazContexts
 
 FAR_M = 20_000.0
 """No laser scanner on the ground measures so far [m]: a sign of a wrong origin, unit or coordinate system."""
@@ -124,7 +126,7 @@ class ExtraReturns:
 class ScanBlock:
     """Consecutive scan lines of one scanner.
 
-    Readers yield blocks of any number of lines (at least one); :func:`prc_cli.readers.regroup.regroup` turns
+    Readers yield blocks of any number of lines (at least one); :func:`prc_cli.stream.blocks.regroup` turns
     them into blocks of k lines with look-ahead.
     """
 

@@ -104,7 +104,8 @@ def _mark(module: str, folder: Path) -> Path:
         module, _source(module), status.st_mtime_ns, status.st_size, sys.version, numba.__version__,
         llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten(),
     )  # fmt: skip
-    return folder / f"prc-{module.rpartition('.')[2]}-{sha256(repr(known_by).encode()).hexdigest()[:16]}.compiled"
+    known = sha256(repr(known_by).encode()).hexdigest()[:16]
+    return folder / f"prc-{module.removeprefix('prc_cli.kernels.')}-{known}.compiled"
 
 
 def _source(module: str) -> Path:

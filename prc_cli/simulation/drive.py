@@ -31,7 +31,7 @@ BEHIND_M = 0.01
 INTENSITY_SCALE = np.float32(4096.0)
 """Intensity of a white wall at 10 m; it grows with the root of the power, so that near and far fit 16 bits."""
 
-KERNELS_OF_SIMULATOR = frozenset({"casting", "sensor", "shots"})
+KERNELS_OF_SIMULATOR = frozenset({"simulation"})
 """Modules of the compiled loops."""
 
 BodiesNear: TypeAlias = Callable[[float, float, float, float], Bodies]

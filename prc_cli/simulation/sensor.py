@@ -1,6 +1,6 @@
 """What a scanner makes of the surfaces its beams meet: ranges, labels, intensities and further returns.
 
-How it is thought (the loops are in :mod:`prc_cli.kernels.sensor`):
+How it is thought (the loops are in :mod:`prc_cli.kernels.simulation.sensor`):
 
 - An echo has a power, ``reflectance * cos(incidence) / range²``. Half of the echoes are found at the power of a white
   wall at the scanner's half range; the odds grow with the fourth power, so dark, grazing and far surfaces drop out.

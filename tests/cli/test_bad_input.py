@@ -13,7 +13,7 @@ import laspy
 import numpy as np
 import pytest
 
-from prc_cli.writers.base import StagedWriter
+from prc_cli.formats.writing.base import StagedWriter
 from tests.cli.test_commands import Prc, prc
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -24,7 +24,7 @@ M = ("-M", str(POINTS_PER_LINE))
 
 def las(folder: Path, name: str = "drive.las") -> Path:
     """A LAS file with ranges, lines and columns as this program writes it."""
-    from prc_cli.pipeline import classify
+    from prc_cli.jobs.classify import classify
 
     path = folder / name
     classify(write_npz(folder / "source.npz", street()), path)

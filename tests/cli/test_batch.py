@@ -16,15 +16,6 @@ import numpy as np
 import pytest
 
 import prc_cli
-from prc_cli.batch import run as run_module
-from prc_cli.batch.lock import Holder, Owner
-from prc_cli.batch.plan import Estimate, Plan, Planned
-from prc_cli.batch.reference import BatchEvaluation, Compared, ReferenceSettings
-from prc_cli.batch.run import Again, Listener, Noted, Ready
-from prc_cli.batch.settings import BatchSettings
-from prc_cli.batch.summary import Alarm, BatchSummary, LeftOut
-from prc_cli.batch.types import PARTS_FOLDER, Done, Entry, Failed, InputPrint, Problem, Progress, Started, Task
-from prc_cli.batch.types import Run as JournalRun
 from prc_cli.cli import main
 from prc_cli.cli.batch_report import print_status
 from prc_cli.cli.batch_words import failed_words
@@ -33,6 +24,30 @@ from prc_cli.core.errors import BusyError
 from prc_cli.core.files import temporary_name
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import GateResult
+from prc_cli.jobs.batch import run as run_module
+from prc_cli.jobs.batch.lock import Holder, Owner
+from prc_cli.jobs.batch.plan import Estimate, Plan, Planned
+from prc_cli.jobs.batch.reference import BatchEvaluation, Compared, ReferenceSettings
+from prc_cli.jobs.batch.run import (
+    Again,
+    Listener,
+    Noted,
+    Ready,
+)
+from prc_cli.jobs.batch.settings import BatchSettings
+from prc_cli.jobs.batch.summary import Alarm, BatchSummary, LeftOut
+from prc_cli.jobs.batch.types import (
+    PARTS_FOLDER,
+    Done,
+    Entry,
+    Failed,
+    InputPrint,
+    Problem,
+    Progress,
+    Started,
+    Task,
+)
+from prc_cli.jobs.batch.types import Run as JournalRun
 from tests.patience import HANGS_S
 from tests.street import street, write_csv, write_npz
 
@@ -176,7 +191,7 @@ def test_a_dry_run_writes_nothing_and_estimates_from_the_journal(
     assert (table["todo"], table["skipped"]) == ([], 2)
     # after an upgrade all is due, unless outputs of the old version are to be kept
     old = prc_cli.__version__
-    monkeypatch.setattr("prc_cli.batch.plan.__version__", "99")
+    monkeypatch.setattr("prc_cli.jobs.batch.plan.__version__", "99")
     assert "changed version drive.npz" in prc(*options).out
     assert "0 files to do" in prc(*options, "--keep-version", "1", "--keep-version", old).out
     # which may know keys that the old one did not

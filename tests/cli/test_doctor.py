@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from prc_cli import doctor
 from prc_cli.cli import main
 from prc_cli.core.errors import OutputError
-from prc_cli.doctor import Check, examine, file_system
-from prc_cli.writers.las_check import classes_by_laspy
+from prc_cli.formats.las.check import classes_by_laspy
+from prc_cli.jobs import doctor
+from prc_cli.jobs.doctor import Check, examine, file_system
 from tests.patience import HANGS_S
 
 
@@ -94,7 +94,7 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
         def decompress_many(self, records: object) -> None:
             pass
 
-    monkeypatch.setattr("prc_cli.writers.las_check.lazrs.LasZipDecompressor", Broken)
+    monkeypatch.setattr("prc_cli.formats.las.check.lazrs.LasZipDecompressor", Broken)
     found = checks()["LAZ"]
     assert found.status == "bad"
     assert "differ" in found.found
@@ -196,8 +196,8 @@ def test_sqlite_without_wal_is_a_warning(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_earlier_runs_are_told_with_their_versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from prc_cli.batch.journal import Journal
-    from prc_cli.batch.types import Failed, Problem
+    from prc_cli.jobs.batch.journal import Journal
+    from prc_cli.jobs.batch.types import Failed, Problem
 
     with Journal(tmp_path / ".prc") as journal:
         journal.begin_run("somebody")
@@ -234,7 +234,7 @@ def test_quiet_prints_only_what_is_not_well(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prc_cli.writers.las_check.classes_by_laspy", lambda path: {2: 1})
+    monkeypatch.setattr("prc_cli.formats.las.check.classes_by_laspy", lambda path: {2: 1})
     (found,) = [check for check in examine() if check.name == "end to end"]
     assert found.status == "bad"
     assert found.found.endswith("laspy reads other classes than were written")

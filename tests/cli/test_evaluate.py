@@ -165,7 +165,7 @@ def test_refusals_are_one_line_and_leave_nothing(
 
 @pytest.mark.data
 def test_three_strips_of_a_street_as_one_page(prc: Prc, real_data: Path, tmp_path: Path) -> None:
-    from prc_cli.comparison import evaluate
+    from prc_cli.jobs.evaluate import evaluate
 
     # the reference against itself, in the codes of this program
     names = [real_data / "oakland" / f"oakland_{strip}.csv.gz" for strip in (1, 2, 3)]

@@ -14,7 +14,7 @@ from prc_cli.classifiers.fused.pipeline import FusedParams
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.pipeline import label_blocks
+from prc_cli.jobs.classify import label_blocks
 from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
 

@@ -13,7 +13,13 @@ import pytest
 
 from prc_cli.core.classes import ClassCodes, Label
 from tests.cli.test_commands import Prc, prc
-from tests.readers.organised_files import Scan, e57_fields, ptx_scan, write_e57, write_text
+from tests.formats.organised_files import (
+    Scan,
+    e57_fields,
+    ptx_scan,
+    write_e57,
+    write_text,
+)
 from tests.simulated import HEIGHT_M, static_arrays
 
 __all__ = ["prc"]

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from tests.cli.test_commands import Prc, prc
-from tests.test_transfer import Drive, N, codes_of, write_las, write_raw
+from tests.jobs.test_transfer import (
+    Drive,
+    N,
+    codes_of,
+    write_las,
+    write_raw,
+)
 
 __all__ = ["prc"]
 

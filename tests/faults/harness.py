@@ -15,11 +15,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from prc_cli.batch.journal import read_entries
-from prc_cli.batch.types import OWN_FOLDER, Entry
 from prc_cli.config import LoadedConfig, RunConfig
-from prc_cli.pipeline import load_classifier
-from prc_cli.simulated_files import simulate
+from prc_cli.jobs.batch.journal import read_entries
+from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
+from prc_cli.jobs.classify import load_classifier
+from prc_cli.jobs.simulate import simulate
 from prc_cli.simulation.settings import load_settings
 from tests.patience import HANGS_S
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from prc_cli.batch.journal import read_runs
-from prc_cli.batch.types import OWN_FOLDER, Entry
+from prc_cli.jobs.batch.journal import read_runs
+from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
 from tests.faults import step_kills
 from tests.faults.harness import FAST, Archive, Batch, check_nothing_half, check_whole, entries, hooked, part_of, parts
 from tests.faults.kills import kill_many
@@ -151,7 +151,7 @@ def test_a_file_that_kills_every_worker_costs_itself_alone(few: Archive, archive
 
 @pytest.mark.slow
 def test_a_worker_that_hangs_is_given_up(few: Archive, tmp_path: Path) -> None:
-    """As on a network share that does not answer; tests/batch/test_local.py has the quick cases."""
+    """As on a network share that does not answer; tests/jobs/batch/test_local.py has the quick cases."""
     out = tmp_path / "out"
     code, said = run_into(few, out, FAST[2:], "--stall", "20", jobs=1).end()
     assert code == 1, said

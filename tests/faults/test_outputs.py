@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from prc_cli.batch.types import OWN_FOLDER
 from prc_cli.core.files import temporary_name
-from tests.batch.test_lock import dead_process
+from prc_cli.jobs.batch.types import OWN_FOLDER
 from tests.faults.harness import Archive, Batch, check_nothing_half, check_whole, entries, parts, tree
 from tests.faults.test_inputs import failures, resume
+from tests.jobs.batch.test_lock import dead_process
 
 
 @contextlib.contextmanager

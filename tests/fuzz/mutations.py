@@ -440,7 +440,7 @@ def inside_zstd(data: bytearray, rng: random.Random) -> bytearray:
 
 def e57_pages(data: bytearray, rng: random.Random) -> bytearray:
     """Damage behind the checksums: they are made right again."""
-    from tests.readers.organised_files import with_checksums
+    from tests.formats.organised_files import with_checksums
 
     damaged = rng.choice((flip_bits, set_bytes, set_number, set_number, fill, set_float))(data, rng)
     return bytearray(with_checksums(bytes(damaged)))
@@ -448,7 +448,7 @@ def e57_pages(data: bytearray, rng: random.Random) -> bytearray:
 
 def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
     """Another word, or a piece more than once, in the XML section; checksums and lengths right."""
-    from tests.readers.organised_files import replace_xml, xml_section
+    from tests.formats.organised_files import replace_xml, xml_section
 
     try:
         start, length = xml_section(bytes(data))

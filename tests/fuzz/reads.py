@@ -6,22 +6,16 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
-import prc_cli.readers.arrays
-import prc_cli.readers.e57
-import prc_cli.readers.grid
-import prc_cli.readers.las
-import prc_cli.readers.ptx
-import prc_cli.readers.rings
-import prc_cli.readers.text  # noqa: F401 - readers load each other late, and only what is loaded now is instrumented
 from prc_cli.config import load_config
 from prc_cli.core.config import build, read_toml
 from prc_cli.core.errors import PrcError
 from prc_cli.evaluation.mapping import load_mapping
-from prc_cli.readers import open_input, open_source
-from prc_cli.readers.labels import open_codes
-from prc_cli.readers.options import InputConfig, Layout
-from prc_cli.readers.tables import open_table
-from prc_cli.readers.trajectory import load_trajectory
+from prc_cli.formats import open_source
+from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.tables.read import open_table
+from prc_cli.stream.open import open_input
+from prc_cli.stream.trajectory import load_trajectory
 from tests.fuzz.seeds import LAYOUT, seed
 
 

@@ -202,7 +202,12 @@ def _parquet() -> bytes:
 def _e57() -> bytes:
     import tempfile
 
-    from tests.readers.organised_files import Scan, e57_fields, grid_points, write_e57
+    from tests.formats.organised_files import (
+        Scan,
+        e57_fields,
+        grid_points,
+        write_e57,
+    )
 
     fields = e57_fields(grid_points(N_LINES, M))
     scan = Scan(fields, rotation=(1.0, 0.0, 0.0, 0.0), bounds=(0, M - 1, 0, N_LINES - 1), limits=(0.0, 1.0))
@@ -211,7 +216,7 @@ def _e57() -> bytes:
 
 
 def _ptx() -> bytes:
-    from tests.readers.organised_files import grid_points, ptx_scan
+    from tests.formats.organised_files import grid_points, ptx_scan
 
     return "".join(ptx_scan(grid_points(N_LINES, M, seed)) for seed in (1, 2)).encode()
 

@@ -16,14 +16,15 @@ from prc_cli.cli import _run
 from prc_cli.config import load_config, to_toml
 from prc_cli.core.config import MAX_TOML_BYTES, read_toml
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.laz_chunks import find_run
 from prc_cli.core.stream import ScanBlock
-from prc_cli.readers import regroup, text_lines
-from prc_cli.readers.npy_rows import ArrayFile
-from prc_cli.readers.options import InputConfig
-from prc_cli.readers.ptx import PtxStream
-from prc_cli.readers.text import TextSource
-from prc_cli.readers.text_format import to_number
+from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.las.chunks import find_run
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ptx import PtxStream
+from prc_cli.formats.text import lines as text_lines
+from prc_cli.formats.text.dialect import to_number
+from prc_cli.formats.text.read import TextSource
+from prc_cli.stream import blocks as regroup
 from tests.fuzz.guard import unprintable
 from tests.fuzz.seeds import las_vlrs, seed
 

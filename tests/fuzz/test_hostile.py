@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import PrcError
-from prc_cli.readers import check_input, open_source
-from prc_cli.readers.labels import OPENERS, open_codes
-from prc_cli.readers.npy_rows import ArrayFile
+from prc_cli.formats import check_input, open_source
+from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.labels.read import OPENERS, open_codes
 from tests.fuzz.campaign import LIMIT_S, WatchedWorker
 from tests.fuzz.guard import unprintable
 from tests.fuzz.mutations import MUTATIONS, mutate

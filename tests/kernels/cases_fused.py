@@ -10,7 +10,18 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels import fused_classes, fused_ground, fused_neighbours, fused_strips
+from prc_cli.kernels.fused import (
+    classes as fused_classes,
+)
+from prc_cli.kernels.fused import (
+    ground as fused_ground,
+)
+from prc_cli.kernels.fused import (
+    neighbours as fused_neighbours,
+)
+from prc_cli.kernels.fused import (
+    strips as fused_strips,
+)
 
 AROUND, INNER = 4, 2
 

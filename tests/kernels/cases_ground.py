@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.kernels import oracle_curb
-from prc_cli.kernels.oracle_ground import histogram_of, potential_heights, to_bin
+from prc_cli.reference.sequential_angle import curb as oracle_curb
+from prc_cli.reference.sequential_angle.ground import histogram_of, potential_heights, to_bin
 
 
 def modes_case(rng: Generator) -> tuple[Any, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from prc_cli.core.types import F32, F64
-from prc_cli.kernels import stems
+from prc_cli.kernels.fused import stems
 
 RUN_FIGURES = (0.02, 0.05, 0.004, 0.0003, 1.0, 0.3, 0.1, 0.15, 0.7, 0.03)
 

@@ -161,7 +161,7 @@ import prc_cli.kernels as kernels
 
 if sys.argv[1] == "spare":
     kernels.spare_linear_algebra()
-kernels.load_kernels(frozenset({"verticals"}))
+kernels.load_kernels(frozenset({"sequential_angle.verticals"}))
 loaded = "scipy.linalg" in sys.modules
 import scipy.linalg
 

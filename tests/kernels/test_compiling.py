@@ -21,8 +21,8 @@ LOAD = """
 from prc_cli import kernels
 from prc_cli.kernels import compiling
 compiling.PATIENCE_S = 600.0
-kernels.load_kernels(frozenset({"verticals"}))
-from prc_cli.kernels.verticals import first_high_verticals
+kernels.load_kernels(frozenset({"sequential_angle.verticals"}))
+from prc_cli.kernels.sequential_angle.verticals import first_high_verticals
 print(sum(first_high_verticals.stats.cache_misses.values()))
 """
 
@@ -76,8 +76,8 @@ def test_what_takes_longest_is_compiled_first() -> None:
     modules = sorted(set(KERNELS.values()))
     ordered = compiling._largest_first(modules)
     assert sorted(ordered) == modules
-    assert ordered[0] == "prc_cli.kernels.ground"
-    assert ordered[-1] == "prc_cli.kernels.verticals"
+    assert ordered[0] == "prc_cli.kernels.sequential_angle.ground"
+    assert ordered[-1] == "prc_cli.kernels.sequential_angle.verticals"
 
 
 def test_every_module_is_compiled_by_one_process_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,8 +98,8 @@ def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatc
     monkeypatch.setattr(compiling, "_missing", lambda modules, folder: list(modules))
     monkeypatch.setattr(compiling, "default_threads", lambda: 2)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "none"))
-    assert compiling._start(tmp_path, ["prc_cli.kernels.verticals"]) is None
-    compiling.compile_missing(["prc_cli.kernels.verticals", "prc_cli.kernels.lines"])
+    assert compiling._start(tmp_path, ["prc_cli.kernels.sequential_angle.verticals"]) is None
+    compiling.compile_missing(["prc_cli.kernels.sequential_angle.verticals", "prc_cli.kernels.sequential_angle.lines"])
     assert len(list(tmp_path.glob("*.compiled"))) == 2
     assert callable(kernels.first_high_verticals)
 
@@ -107,8 +107,8 @@ def test_without_a_child_process_all_is_compiled_here(tmp_path: Path, monkeypatc
 @needs_compiler
 def test_child_process_compiles_its_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    child = compiling._start(tmp_path, ["prc_cli.kernels.verticals"])
+    child = compiling._start(tmp_path, ["prc_cli.kernels.sequential_angle.verticals"])
     assert child is not None
     assert child.wait() == 0
     assert len(list(tmp_path.glob("prc-verticals-*.compiled"))) == 1
-    assert compiling._mark("prc_cli.kernels.verticals", tmp_path).exists()
+    assert compiling._mark("prc_cli.kernels.sequential_angle.verticals", tmp_path).exists()

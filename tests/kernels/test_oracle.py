@@ -19,7 +19,9 @@ from numpy.random import Generator
 
 from prc_cli import kernels
 from prc_cli.core.types import F32, I32, Mask
-from prc_cli.kernels import KERNELS, load_kernels, oracle, oracle_prc
+from prc_cli.kernels import KERNELS, load_kernels
+from prc_cli.reference.prc import method as oracle_prc
+from prc_cli.reference.prc import stages as oracle
 from tests.kernels import (
     cases_angles,
     cases_calibration,
@@ -226,7 +228,7 @@ def test_unknown_kernel_is_an_attribute_error() -> None:
 
 @pytest.mark.parametrize("module", [oracle, oracle_prc])
 def test_oracle_knows_nothing_of_what_it_judges(module: Any) -> None:
-    allowed = ("numpy", "scipy", "skimage", "prc_cli.core", "prc_cli.kernels.oracle")
+    allowed = ("numpy", "scipy", "skimage", "prc_cli.core", "prc_cli.reference")
     standard = {"__future__", "collections", "collections.abc", "dataclasses", "math"}
     for name in imported_modules(Path(module.__file__)):
         assert name in standard or name.startswith(allowed), name

@@ -13,10 +13,15 @@ from prc_cli.kernels import KERNELS
 
 
 def twin_module(name: str) -> ModuleType:
-    """Return the module of a kernel's twin: ``oracle_X`` for ``kernels.X`` if there is one, else ``oracle``."""
-    home, _, module = KERNELS[name].rpartition(".")
-    own = f"{home}.oracle_{module}"
-    return import_module(own if find_spec(own) else f"{home}.oracle")
+    """Return the module of a kernel's twin: in the reference where a paper describes it, else in ``tests/oracles``."""
+    method, _, module = KERNELS[name].removeprefix("prc_cli.kernels.").partition(".")
+    if module == "calibration":
+        return import_module("tests.oracles.calibration")
+    if method == "prc":
+        return import_module("prc_cli.reference.prc.stages")
+    if method == "sequential_angle":
+        return import_module(f"prc_cli.reference.sequential_angle.{module}")
+    return import_module(f"tests.oracles.{module if find_spec(f'tests.oracles.{module}') else f'{method}_{module}'}")
 
 
 def twin(name: str) -> Any:

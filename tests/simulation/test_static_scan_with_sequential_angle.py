@@ -12,7 +12,7 @@ from prc_cli.core.types import F32, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import load_mapping
 from prc_cli.evaluation.scores import ClassScores, scores
-from prc_cli.pipeline import label_blocks
+from prc_cli.jobs.classify import label_blocks
 from tests.simulated import HEIGHT_M, static_scan
 
 

@@ -75,7 +75,7 @@ class VoteParams(Params):
 
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
-    """Average the smoothness around every shot; see :func:`prc_cli.kernels.fused_classes.mean_smoothness`."""
+    """Average the smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
     texture: F32 = kernels.mean_smoothness(
         range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m)
     )
@@ -92,7 +92,7 @@ def decide(
     plane: ScanPlane,
     figures: F32,
 ) -> U8:
-    """Label every shot of the lines; see :func:`prc_cli.kernels.fused_classes.fused_labels`.
+    """Label every shot of the lines; see :func:`prc_cli.kernels.fused.classes.fused_labels`.
 
     In this order: alone, unless a leaf or part of a surface: noise. A spike: noise. Rough and far below the ground:
     noise. On the ground: ground. Lonely, rough and far behind a wall: noise. Low with level surfaces: no class. Thin
@@ -149,7 +149,7 @@ def decision_figures(
 
 @stage("votes")
 def vote(labels: U8, range_m: F32, plane: ScanPlane, params: VoteParams) -> U8:
-    """Let the shots around have the last word; see :func:`prc_cli.kernels.fused_classes.vote_labels`."""
+    """Let the shots around have the last word; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
     if not params.enabled:
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(

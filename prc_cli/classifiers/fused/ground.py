@@ -95,7 +95,7 @@ def follow_ground(
     keep: int,
     params: GroundParams,
 ) -> tuple[Ground, GroundMemory]:
-    """Find the ground of consecutive lines; see :func:`prc_cli.kernels.fused_ground.walk_ground`.
+    """Find the ground of consecutive lines; see :func:`prc_cli.kernels.fused.ground.walk_ground`.
 
     Parameters
     ----------

@@ -101,7 +101,7 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) 
 
 
 def _run_figures(plane: Plane, params: StemsParams) -> F64:
-    """Return what :func:`prc_cli.kernels.stems.upright_runs` is told, in its order."""
+    """Return what :func:`prc_cli.kernels.fused.stems.upright_runs` is told, in its order."""
     gaps, opacity = params.gaps, params.opacity
     figures = (
         plane.step_rad,
@@ -120,7 +120,7 @@ def _run_figures(plane: Plane, params: StemsParams) -> F64:
 
 
 def _stem_figures(params: StemsParams) -> F64:
-    """Return what :func:`prc_cli.kernels.stems.stem_shots` is told, in its order."""
+    """Return what :func:`prc_cli.kernels.fused.stems.stem_shots` is told, in its order."""
     joining = params.joining
     figures = (
         # ranges differ by 0 at least

@@ -15,10 +15,10 @@ from prc_cli.classifiers.fused.terrain import TerrainParams, heights_over_ground
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, F64, U8
-from prc_cli.pipeline import classify_ranges
-from prc_cli.readers.regroup import join
+from prc_cli.jobs.classify import classify_ranges
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
+from prc_cli.stream.blocks import join
 
 HEIGHT_M = 2.0
 N_LINES = 12

@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from prc_cli.classifiers.fused import ground, plane
-from prc_cli.kernels import fused_classes, fused_ground, fused_neighbours, fused_strips
+from prc_cli.kernels.fused import (
+    classes as fused_classes,
+)
+from prc_cli.kernels.fused import (
+    ground as fused_ground,
+)
+from prc_cli.kernels.fused import (
+    neighbours as fused_neighbours,
+)
+from prc_cli.kernels.fused import (
+    strips as fused_strips,
+)
 
 
 def test_stages_and_loops_agree_on_what_lies_around_a_block() -> None:

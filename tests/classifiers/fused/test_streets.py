@@ -15,7 +15,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ScanBlock
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, U8
-from prc_cli.pipeline import label_blocks
+from prc_cli.jobs.classify import label_blocks
 from tests.classifiers.fused.street_lines import (
     BEAM,
     BUILDING,

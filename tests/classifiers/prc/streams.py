@@ -10,7 +10,7 @@ from numpy.random import Generator
 from prc_cli.classifiers.prc.pipeline import PrcParams, PrcResult, PrcTrace, initial_state, trace_block
 from prc_cli.classifiers.prc.surfaces import area_threshold
 from prc_cli.core.types import F32, I64, U8
-from prc_cli.kernels.oracle_prc import Settings
+from prc_cli.reference.prc.method import Settings
 
 TIGHT_LOOK_AHEAD = {1: 4, 2: 2}
 """Lines of look-ahead that suffice for very short scan lines; two for all others."""

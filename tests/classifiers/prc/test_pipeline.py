@@ -14,7 +14,7 @@ from prc_cli.classifiers.prc.pipeline import PrcParams, classify_block, initial_
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.kernels import oracle_prc
+from prc_cli.reference.prc import method as oracle_prc
 from tests.classifiers.prc.streams import random_params, random_stream, run_blocks, run_stream, to_settings
 
 

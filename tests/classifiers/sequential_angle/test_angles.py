@@ -12,8 +12,8 @@ from prc_cli.classifiers.sequential_angle.angles import AnglesParams, angle_diff
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines, split_sides, vertical_lines
 from prc_cli.core.classes import Surface
 from prc_cli.core.types import F64
-from prc_cli.kernels import angles as kernel_module
-from prc_cli.kernels import oracle_angles
+from prc_cli.kernels.sequential_angle import angles as kernel_module
+from prc_cli.reference.sequential_angle import angles as oracle_angles
 from tests.classifiers.sequential_angle.scenes import lines_of, lines_through, street_lines
 
 HELPERS: Any = kernel_module

@@ -15,7 +15,7 @@ from prc_cli.classifiers.sequential_angle.markov import UNIFORM, HmmParams, Matr
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.types import F64
-from prc_cli.kernels import markov as kernel_module
+from prc_cli.kernels.sequential_angle import markov as kernel_module
 
 HELPERS: Any = kernel_module
 """Their plain functions are called: compiled, helpers have no way in from outside."""

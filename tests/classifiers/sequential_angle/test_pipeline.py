@@ -26,9 +26,9 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
 from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, U8
+from prc_cli.jobs.classify import classify_ranges, label_blocks
 from prc_cli.kernels import KERNELS
-from prc_cli.pipeline import classify_ranges, label_blocks
-from prc_cli.readers.regroup import cut
+from prc_cli.stream.blocks import cut
 from tests.kernels.twins import twin
 from tests.simulated import static_arrays
 

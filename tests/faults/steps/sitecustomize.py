@@ -23,7 +23,7 @@ def _install(out: str, counter: str, strike_at: int, victims: str) -> None:
             return  # to read is no step
         os.write(handle, b".")
         if os.lseek(handle, 0, os.SEEK_CUR) == strike_at:
-            if victims == "all" and "prc_cli.batch.worker" in " ".join(sys.orig_argv):
+            if victims == "all" and "prc_cli.jobs.batch.worker" in " ".join(sys.orig_argv):
                 os.kill(os.getppid(), signal.SIGKILL)
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -70,7 +70,7 @@ def _is_below(out: str, argument: object) -> bool:
 if "PRC_FAULTS_STEPS" in os.environ:
     _out, _counter, _strike_at, _victims = os.environ["PRC_FAULTS_STEPS"].split("|")
     _install(_out, _counter, int(_strike_at), _victims)
-if "PRC_FAULTS_HOLD" in os.environ and "prc_cli.batch.worker" in " ".join(sys.orig_argv):
+if "PRC_FAULTS_HOLD" in os.environ and "prc_cli.jobs.batch.worker" in " ".join(sys.orig_argv):
     _release, *_paths = os.environ["PRC_FAULTS_HOLD"].split(os.pathsep)
     _hold(_release, _paths)
 if "PRC_FAULTS_CHANGE" in os.environ:

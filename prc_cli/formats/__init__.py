@@ -1,0 +1,126 @@
+"""File formats, a room each: what is read from them and what is written to them; which one takes which file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.files import suffix_of
+from prc_cli.core.stream import ScanStream
+from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout
+from prc_cli.formats.records import RecordSource
+
+
+def _raw_binary(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.formats.raw_binary.read import RawBinarySource
+
+    return RawBinarySource(path, layout if layout is not None and layout.fields else _ranges_only(layout))
+
+
+def _ranges_only(layout: Layout | None) -> Layout:
+    """Ranges alone, with what a layout without fields says of header, byte order and line length."""
+    return RANGES_ONLY if layout is None else layout.model_copy(update={"fields": RANGES_ONLY.fields})
+
+
+def _text(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.formats.text.read import TextSource
+
+    return TextSource(path, layout)
+
+
+def _uos(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.formats.text.read import TextSource
+    from prc_cli.formats.uos import uos_layout
+
+    return TextSource(path, uos_layout(layout))
+
+
+def _las(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.formats.las.read import LasSource
+
+    return LasSource(path)
+
+
+READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
+    ".bin": _raw_binary,
+    ".raw": _raw_binary,
+    ".dat": _raw_binary,
+    ".csv": _text,
+    ".csv.gz": _text,
+    ".csv.zst": _text,
+    ".txt": _text,
+    ".txt.gz": _text,
+    ".txt.zst": _text,
+    ".3d": _uos,
+    ".las": _las,
+    ".laz": _las,
+}
+"""Readers of record lists by suffix."""
+
+
+def _ptx(path: Path, config: InputConfig) -> ScanStream:
+    from prc_cli.formats.ptx import PtxStream
+
+    return PtxStream(path, config)
+
+
+def _e57(path: Path, config: InputConfig) -> ScanStream:
+    from prc_cli.formats.e57.read import E57Stream
+
+    return E57Stream(path, config)
+
+
+SCAN_READERS: dict[str, Callable[[Path, InputConfig], ScanStream]] = {".ptx": _ptx, ".e57": _e57}
+"""Readers of organised scans by suffix: they are blocks of the stream already."""
+
+ARRAY_SUFFIXES = (".npy", ".npz")
+"""Range images, which are blocks of the stream already."""
+
+LAS_SUFFIXES = (".las", ".laz")
+
+
+def check_input(path: Path) -> str:
+    """Return the suffix of a readable input file.
+
+    Raises
+    ------
+    InputError
+        When it is absent, not a file, empty, or of a suffix that no reader takes.
+    """
+    known = (*READERS, *ARRAY_SUFFIXES, *SCAN_READERS)
+    suffix = suffix_of(path)
+    if path.is_dir():
+        raise InputError(str(path), "is a folder, expected a file", "name the files in it")
+    if path.exists() and not path.is_file():
+        problem = "not a regular file, expected an archive file (it is read more than once)"
+        raise InputError(str(path), problem, "write the stream to a file first")
+    if suffix not in known:
+        found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
+        raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", "rename the file or convert it")
+    if not path.exists():
+        raise InputError(str(path), "no such file", "check the name and that the disk is mounted")
+    try:
+        with path.open("rb") as handle:
+            empty = not handle.read(1)
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read ({error.strerror})", "check its permissions") from error
+    if empty:
+        raise InputError(str(path), "the file is empty (0 bytes), expected scan data", "copy it from the archive again")
+    return suffix
+
+
+def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:
+    """Open an input as a list of records; None for range images and organised scans."""
+    suffix = check_input(path)
+    return READERS[suffix](path, layout) if suffix in READERS else None
+
+
+__all__ = [
+    "ARRAY_SUFFIXES",
+    "LAS_SUFFIXES",
+    "READERS",
+    "SCAN_READERS",
+    "check_input",
+    "open_source",
+]

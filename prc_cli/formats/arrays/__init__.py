@@ -1,0 +1,1 @@
+"""Range images as NumPy arrays (``.npy``, ``.npz``)."""

@@ -1,0 +1,329 @@
+"""Range images, ``.npy`` and ``.npz``: blocks of the stream as they are, every cell a shot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import Assumption, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.types import F32, F64
+from prc_cli.formats.arrays.rows import ArrayFile, NpyHeader, Rows
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ranges import clean_ranges
+from prc_cli.stream.order import OrderWatch
+
+CHUNK_SHOTS = 1 << 19
+"""Shots read at a time."""
+MAX_POINTS_PER_LINE = 10_000_000
+"""Longest line, as for ``input.points_per_line``."""
+
+RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
+CLASS = "class"
+"""Class codes: no part of the stream, but read by those who carry or compare them."""
+ZENITH = "zenith_deg"
+ANGLES = ("angle_deg", ZENITH)
+"""Names of the scan angles [deg]; the first one present is taken."""
+XYZ_DIMENSIONS = 3
+"""Lines, columns and axes."""
+_RECORD_LISTS = ("line", "scan_line", "column", "record")
+
+
+class ArrayStream:
+    """A range image as a :class:`prc_cli.core.stream.ScanStream`.
+
+    ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as ``range_m`` or
+    the only array of two dimensions, and, where present, ``angle_deg`` or ``zenith_deg`` (M,), ``time_s``
+    (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
+    Without an array of ranges they are the length of ``xyz``. Integers are taken as metres. A line's only time is
+    given to each of its shots.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    config : InputConfig
+        ``points_per_line``, ``partial_line``, the bounds of ranges, ``angle_start`` with ``angle_step``,
+        ``range = "dimension:NAME"`` for ranges of another name, and ``order``, which ``time_s`` is held to.
+    chunk_shots : int
+        Shots read at a time; changes memory and speed, never a value.
+    lines_at_once : int
+        Lines of which multiples are read at a time, where that is not more: blocks of so many need not be joined.
+
+    Raises
+    ------
+    ConfigError
+        When the configuration asks for what a range image cannot have.
+    InputError
+        When the file is damaged, or shapes or types are not the ones above.
+    """
+
+    def __init__(self, path: Path, config: InputConfig, chunk_shots: int = CHUNK_SHOTS, lines_at_once: int = 1) -> None:
+        _check_rules(path, config)
+        self._config = config
+        self._file = ArrayFile(path)
+        self._range, why = _find_ranges(self._file, config)
+        header = self._file.headers[self._range]
+        header.check_numbers()
+        self._n_lines, self._m, self._n_records = _find_shape(header, self._file, config)
+        self._flat = len(header.shape) == 1
+        n_lines = max(1, chunk_shots // self._m)
+        self._chunk_lines = max(1, n_lines // lines_at_once) * min(n_lines, lines_at_once)
+        self._names = self._find_beside()
+        self._angles: str | None = None
+        angle_rad, angle_why = self._find_angles()
+        assumed = [Assumption("input.range", self._range or "the array", why), *angle_why]
+        if self._is_padded:
+            missing = self._n_lines * self._m - self._n_records
+            assumed.append(Assumption("input.partial_line", "pad", f"the last line lacks {missing} shots"))
+        used = (self._range, *self._names, self._angles, CLASS)
+        if ignored := [name for name in self._file.headers if name not in used]:
+            assumed.append(Assumption("input", f"not read: {', '.join(ignored[:20])}", "they are not needed"))
+        self._info = StreamInfo(
+            path=str(path),
+            format="array",
+            points_per_line=self._m,
+            n_records=self._n_records,
+            n_lines=self._n_lines,
+            angle_rad=angle_rad,
+            line_hz=self._find_line_hz(),
+            nadir_rad=math.pi if self._angles == ZENITH else None,
+            assumptions=tuple(assumed),
+        )
+
+    @property
+    def info(self) -> StreamInfo:
+        """What is known before reading."""
+        return self._info
+
+    @property
+    def _is_padded(self) -> bool:
+        return self._n_lines * self._m != self._n_records
+
+    def _find_beside(self) -> tuple[str, ...]:
+        """Return the names of the arrays beside the ranges, their shapes and types checked."""
+        image = (self._n_lines, self._m)
+        shapes: dict[str, tuple[tuple[int, ...], ...]] = {
+            TIME: ((self._n_lines,), image),
+            XYZ: ((*image, 3),),
+            INTENSITY: (image,),
+        }
+        present = tuple(name for name in shapes if name in self._file.headers and (name != self._range or name == XYZ))
+        for name in present:
+            header = self._file.headers[name]
+            header.check_numbers()
+            if header.shape not in shapes[name]:
+                expected = " or ".join(str(shape) for shape in shapes[name])
+                problem = f"found shape {header.shape}, expected {expected}, as the ranges have it"
+                raise InputError(header.where, problem, "give it the shape of the ranges or another name")
+        return present
+
+    def _find_angles(self) -> tuple[F64 | None, list[Assumption]]:
+        """Return the scan angle of every column [rad] and where it comes from."""
+        start, step = self._config.angle_start, self._config.angle_step
+        if (start is None) != (step is None):
+            missing = "angle_step" if step is None else "angle_start"
+            raise ConfigError(f"input.{missing}", "not given, expected angle_start and angle_step together")
+        if start is not None and step is not None:
+            return np.deg2rad(start + step * np.arange(self._m, dtype=np.float64)), []
+        name = next((name for name in ANGLES if name in self._file.headers), None)
+        if name is None:
+            return None, []
+        header = self._file.headers[name]
+        header.check_numbers()
+        if header.shape != (self._m,):
+            problem = f"found shape {header.shape}, expected ({self._m},), one angle a column"
+            raise InputError(header.where, problem, "give one angle for every column of the ranges")
+        with self._file.open(name) as (rows,):
+            degrees = rows.read(self._m).astype(np.float64)
+            rows.finish()
+        if not np.isfinite(degrees).all():
+            column = int(np.flatnonzero(~np.isfinite(degrees))[0])
+            problem = f"column {column}: found {degrees[column]}, expected an angle in degrees"
+            raise InputError(header.where, problem, "give every column its angle or leave the array out")
+        self._angles = name
+        why = f"the array {name!r} is in the file, in degrees"
+        return np.deg2rad(degrees), [Assumption("input.angle_start", f"{degrees[0]:g} deg", why)]
+
+    def _find_line_hz(self) -> float | None:
+        """Return the line frequency [Hz] from the first lines' times, None if they do not tell."""
+        if TIME not in self._names:
+            return None
+        n = min(self._n_lines, self._chunk_lines, 1024)
+        with self._file.open(TIME) as (rows,):
+            times = rows.read(n).astype(np.float64)
+        # stamps as large or as close as floats can be leave no frequency, which is no reason to warn
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.diff(times if times.ndim == 1 else times[:, 0])
+            steps = steps[np.isfinite(steps) & (steps > 0)]
+            line_hz = float(1 / np.median(steps)) if len(steps) else 0.0
+        return line_hz if 0 < line_hz < np.inf else None
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged or has changed since it was opened.
+        OrderError
+            When ``time_s`` goes back and the order is not trusted.
+        """
+        watch = OrderWatch(self._info.path, self._config.order, TIME, can_sort=False)
+        names = tuple(dict.fromkeys((self._range, *self._names)))
+        with self._file.open(*names) as rows:
+            opened = dict(zip(names, rows, strict=True))
+            for first in range(0, self._n_lines, self._chunk_lines):
+                yield self._block(opened, watch, first, min(self._chunk_lines, self._n_lines - first))
+            for each in rows:
+                each.finish()
+        if TIME in self._names:
+            watch.finish()
+
+    can_seek = True
+    """Whether :meth:`lines` gives any lines without reading those before them (or, compressed, nearly so)."""
+
+    def lines(self, first_line: int, stop_line: int) -> Iterator[F32]:
+        """Read the ranges of some lines alone, cleaned as in :meth:`blocks`.
+
+        Yields
+        ------
+        (lines, M) float32, metres
+        """
+        with self._file.open(self._range) as (rows,):
+            rows.skip(first_line * (self._m if self._flat else 1))
+            for first in range(first_line, stop_line, self._chunk_lines):
+                ranges, _ = self._some_ranges(rows, first, min(self._chunk_lines, stop_line - first))
+                yield ranges
+
+    def _some_ranges(self, rows: Rows, first: int, n: int) -> tuple[F32, ReadTally]:
+        if self._range == XYZ:
+            return self._lengths(_to_float32(rows.read(n)))
+        return self._read_ranges(rows, first, n)
+
+    def _block(self, rows: dict[str, Rows], watch: OrderWatch, first: int, n: int) -> ScanBlock:
+        stored_xyz = _to_float32(rows[XYZ].read(n)) if XYZ in rows else None
+        if self._range == XYZ and stored_xyz is not None:
+            ranges, tally = self._lengths(stored_xyz)
+        else:
+            ranges, tally = self._read_ranges(rows[self._range], first, n)
+        block = ScanBlock(first, ranges, angle_rad=self._info.angle_rad, tally=tally)
+        if self._is_padded:
+            record = np.arange(first * self._m, (first + n) * self._m, dtype=np.int64)
+            record[record >= self._n_records] = -1
+            block = replace(block, record=record.reshape(n, self._m))
+        if TIME in rows:
+            times = rows[TIME].read(n).astype(np.float64)
+            record = np.arange(first, first + n, dtype=np.int64) * self._m
+            before = watch.n_back
+            watch.see(times.ravel(), record if times.ndim == 1 else None)
+            every = np.repeat(times[:, None], self._m, axis=1) if times.ndim == 1 else times
+            tally = tally + ReadTally(n_time_steps_back=watch.n_back - before)
+            block = replace(block, time_s=every, tally=tally)
+        if stored_xyz is not None:
+            stored_xyz[np.isnan(ranges)] = np.nan
+            block = replace(block, xyz_m=stored_xyz)
+        if INTENSITY in rows:
+            block = replace(block, intensity=_to_float32(rows[INTENSITY].read(n)))
+        return block
+
+    def _lengths(self, xyz: F32) -> tuple[F32, ReadTally]:
+        length = np.sqrt((xyz.astype(np.float64) ** 2).sum(axis=-1))
+        return clean_ranges(length, self._config.min_range, self._config.max_range)
+
+    def _read_ranges(self, rows: Rows, first: int, n: int) -> tuple[F32, ReadTally]:
+        shots = n if not self._flat else min(n * self._m, self._n_records - first * self._m)
+        stored = rows.read(shots)
+        ranges, tally = clean_ranges(stored, self._config.min_range, self._config.max_range)
+        if ranges.size < n * self._m:
+            padding = np.full(n * self._m - ranges.size, np.nan, np.float32)
+            ranges = np.concatenate([ranges, padding])
+        return ranges.reshape(n, self._m), tally
+
+
+def _check_rules(path: Path, config: InputConfig) -> None:
+    """Refuse rules that a range image cannot follow: its lines, columns and ranges are there already."""
+    allowed = {
+        "lines": (config.lines, ("auto", "fixed")),
+        "columns": (config.columns, ("auto", "order")),
+        "scanner": (config.scanner, ("none",)),
+        "order": (config.order, ("require", "trust")),
+    }
+    for key, (value, values) in allowed.items():
+        if value not in values:
+            problem = f"found {value!r}, expected {' or '.join(values)}: {path.name} is a range image"
+            raise ConfigError(f"input.{key}", problem, "leave the key out")
+    rule = config.range
+    if rule != "auto" and not (rule.startswith("dimension:") and path.suffix.lower() == ".npz"):
+        problem = f"found {rule!r}, expected auto, or dimension:NAME in an .npz: {path.name} is a range image"
+        raise ConfigError("input.range", problem, "leave the key out")
+
+
+def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
+    """Return the name of the array that holds the ranges, and why it is the one."""
+    if not file.is_archive:
+        return "", "it is the only array in the file"
+    shown = ", ".join(f"{name} {header.shape}" for name, header in list(file.headers.items())[:20]) or "none"
+    if config.range != "auto":
+        name = config.range.partition(":")[2]
+        if name not in file.headers:
+            raise InputError(str(file.path), f"no array {name!r}, the file has: {shown}", "check input.range")
+        return name, "input.range names it"
+    if RANGE in file.headers:
+        return RANGE, "the file has an array of this name"
+    images = [
+        name for name, header in file.headers.items() if len(header.shape) == 2 and name not in (TIME, INTENSITY, CLASS)
+    ]
+    if len(images) == 1:
+        return images[0], "it is the only array of two dimensions"
+    if not images and len(file.headers[XYZ].shape if XYZ in file.headers else ()) == XYZ_DIMENSIONS:
+        return XYZ, "the length of xyz, which is taken to be relative to the scanner"
+    problem = f"no array {RANGE!r} and not just one of two dimensions, the file has: {shown}"
+    raise InputError(str(file.path), problem, f"name the ranges {RANGE}, or set input.range to dimension:NAME")
+
+
+def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tuple[int, int, int]:
+    """Return lines, points per line and shots of the ranges."""
+    shape, wanted = header.shape, config.points_per_line
+    if header is file.headers.get(XYZ) and len(shape) == XYZ_DIMENSIONS:
+        shape = shape[:2]
+    if len(shape) not in (1, 2):
+        problem = f"found ranges of shape {shape}, expected (lines, points per line)"
+        raise InputError(header.where, problem, "save the ranges alone, one row a scan line")
+    if 0 in shape:
+        raise InputError(header.where, f"no shots, found shape {shape}", "copy it from the archive again")
+    if len(shape) == 2:
+        if wanted is not None and wanted != shape[1]:
+            problem = f"found {shape[1]} points per line, expected {wanted} as input.points_per_line says"
+            raise InputError(header.where, problem, "leave input.points_per_line out")
+        if shape[1] > MAX_POINTS_PER_LINE:
+            problem = f"found {shape[1]} points per line, expected at most {MAX_POINTS_PER_LINE}"
+            raise InputError(header.where, problem, "save one row a scan line")
+        return shape[0], shape[1], shape[0] * shape[1]
+    lists = [name for name in _RECORD_LISTS if name in file.headers and file.headers[name].shape == shape]
+    if lists:
+        problem = f"{shape[0]} records with the array {lists[0]!r} beside them, expected an image of every shot"
+        raise InputError(header.where, problem, "save the ranges as (lines, points per line), NaN where there is none")
+    if wanted is None:
+        problem = f"found {shape[0]} ranges in a row, expected (lines, points per line)"
+        raise InputError(header.where, problem, "set input.points_per_line")
+    n_lines, rest = divmod(shape[0], wanted)
+    if rest and config.partial_line == "error":
+        problem = f"{shape[0]} ranges are {n_lines} lines of {wanted} and {rest} more, expected whole lines"
+        hint = "check input.points_per_line, or set input.partial_line to pad"
+        raise InputError(header.where, problem, hint)
+    return n_lines + bool(rest), wanted, shape[0]
+
+
+def _to_float32(stored: NDArray[Any]) -> F32:
+    """Return a new float32 array; NaN where a value is not finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        values: F32 = np.array(stored, dtype=np.float32)
+    values[~np.isfinite(values)] = np.nan
+    return values

@@ -1,0 +1,200 @@
+"""E57 scans as arrays: the only module that knows pye57."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F64
+from prc_cli.formats.e57.check import check_frame
+from prc_cli.formats.organised import MAX_SCANS
+
+CHUNK_POINTS = 1 << 17
+"""Points decoded at a time."""
+
+ROW, COLUMN, RETURN, INTENSITY = "rowIndex", "columnIndex", "returnIndex", "intensity"
+CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
+SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
+CARTESIAN_STATE, SPHERICAL_STATE = "cartesianInvalidState", "sphericalInvalidState"
+
+_NOT_AS_EXPECTED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+"""What nodes of another kind than the standard has them raise on the way to a value."""
+
+
+@dataclass(frozen=True, slots=True)
+class E57Scan:
+    """What the XML section says of a scan."""
+
+    index: int
+    fields: tuple[str, ...]
+    """Names of what a point has."""
+    n_points: int
+    bounds: tuple[tuple[int, int], tuple[int, int]] | None
+    """First and last row, first and last column of the header; None without."""
+    intensity_limits: tuple[float, float] | None
+    """Least and greatest intensity of the header; None without or if they make no range."""
+    quaternion: tuple[float, float, float, float] | None
+    """Rotation of the pose, w x y z; None without a pose."""
+    translation_m: tuple[float, float, float]
+    """Position of the scanner in the file's coordinates [m]."""
+
+
+class E57File:
+    """An E57 file that is open for reading.
+
+    Raises
+    ------
+    InputError
+        When it cannot be opened, or pye57 is not installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            from pye57 import libe57
+        except ImportError:
+            problem = "reading E57 needs pye57, which is not installed"
+            raise InputError(str(path), problem, "pip install prc-cli[e57]") from None
+        self._library = libe57
+        check_frame(path)
+        with self._errors():
+            self._image = libe57.ImageFile(os.fsencode(path), "r")  # a name need not be UTF-8
+
+    def __enter__(self) -> E57File:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(self._library.E57Exception):
+            self._image.close()
+
+    @contextlib.contextmanager
+    def _errors(self, what: str = "") -> Iterator[None]:
+        """Turn the library's exceptions into one line each."""
+        try:
+            yield
+        except (self._library.E57Exception, *_NOT_AS_EXPECTED) as error:
+            text = (str(error).strip().splitlines() or [type(error).__name__])[0].strip(" *")
+            where = f"{self._path}: {what}" if what else str(self._path)
+            problem = f"the E57 structure is damaged or not as the standard has it ({text})"
+            raise InputError(where, problem, "copy it from the archive again or export it again") from error
+
+    def scans(self) -> list[E57Scan]:
+        """Return what the XML section says of every scan.
+
+        Raises
+        ------
+        InputError
+        """
+        with self._errors():
+            root = self._image.root()
+            n = root["data3D"].childCount() if root.isDefined("data3D") else 0
+        if n > MAX_SCANS:
+            raise InputError(str(self._path), f"found {n} scans, expected at most {MAX_SCANS}", "split the file")
+        size = self._path.stat().st_size
+        found = []
+        for index in range(n):
+            with self._errors(f"scan {index}"):
+                found.append(self._scan(index))
+            if found[-1].n_points > 8 * size:
+                problem = (
+                    f"found {found[-1].n_points} points in a file of {size} bytes, expected a bit a point at least"
+                )
+                raise InputError(f"{self._path}: scan {index}", problem, "export the scan again")
+        return found
+
+    def _scan(self, index: int) -> E57Scan:
+        node = self._image.root()["data3D"][index]
+        points = node["points"]
+        prototype = self._library.StructureNode(points.prototype())
+        fields = tuple(prototype.get(i).elementName() for i in range(prototype.childCount()))
+        quaternion, translation = None, (0.0, 0.0, 0.0)
+        if node.isDefined("pose"):
+            pose = node["pose"]
+            if pose.isDefined("rotation"):
+                quaternion = tuple(_value(pose["rotation"][key]) for key in "wxyz")
+            if pose.isDefined("translation"):
+                translation = tuple(_value(pose["translation"][key]) for key in "xyz")  # type: ignore[assignment]
+        return E57Scan(
+            index,
+            fields,
+            int(points.childCount()),
+            _bounds(node),
+            _limits(node),
+            quaternion,  # type: ignore[arg-type]
+            translation,
+        )
+
+    def chunks(self, scan: E57Scan, names: tuple[str, ...]) -> Iterator[dict[str, F64]]:
+        """Decode the named fields of all points of a scan, scaled to metres and radians.
+
+        Yields
+        ------
+        dict of name to (n,) float64
+            New arrays, n at most :data:`CHUNK_POINTS`.
+
+        Raises
+        ------
+        InputError
+            When the points are damaged, or fewer or more than the XML section says.
+        """
+        what = f"scan {scan.index}"
+        n_all = 0
+        with self._errors(what):
+            reader, buffers = self._reader(scan, names)
+        try:
+            while True:
+                with self._errors(f"{what}, after point {n_all}"):
+                    n = reader.read()
+                n_all += n
+                if not n or n_all > scan.n_points:
+                    break
+                yield {name: buffers[name][:n].copy() for name in names}
+        finally:
+            with contextlib.suppress(self._library.E57Exception):
+                reader.close()
+        if n_all != scan.n_points:
+            problem = f"found {n_all} points, the file's XML section says {scan.n_points}"
+            raise InputError(f"{self._path}: {what}", problem, "copy it from the archive again")
+
+    def _reader(self, scan: E57Scan, names: tuple[str, ...]) -> tuple[Any, dict[str, F64]]:
+        capacity = max(1, min(CHUNK_POINTS, scan.n_points))
+        buffers: dict[str, F64] = {name: np.zeros(capacity) for name in names}
+        wrapped = self._library.VectorSourceDestBuffer()
+        for name, values in buffers.items():
+            wrapped.append(self._library.SourceDestBuffer(self._image, name, values, capacity, True, True))
+        return self._image.root()["data3D"][scan.index]["points"].reader(wrapped), buffers
+
+
+def _value(node: Any) -> float:
+    return float(node.scaledValue()) if hasattr(node, "scaledValue") else float(node.value())
+
+
+def _bounds(node: Any) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    if not node.isDefined("indexBounds"):
+        return None
+    table = node["indexBounds"]
+    names = ("rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
+    if not all(table.isDefined(name) for name in names):
+        return None
+    values = [_value(table[name]) for name in names]
+    if not np.isfinite(values).all():
+        return None
+    row_low, row_high, column_low, column_high = (int(value) for value in values)
+    return (row_low, row_high), (column_low, column_high)
+
+
+def _limits(node: Any) -> tuple[float, float] | None:
+    if not node.isDefined("intensityLimits"):
+        return None
+    table = node["intensityLimits"]
+    if not (table.isDefined("intensityMinimum") and table.isDefined("intensityMaximum")):
+        return None
+    low, high = _value(table["intensityMinimum"]), _value(table["intensityMaximum"])
+    return (low, high) if np.isfinite(high - low) and high > low else None

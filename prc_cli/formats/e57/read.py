@@ -1,0 +1,492 @@
+"""E57, organised scans in a binary container (ASTM E2807), read with pye57.
+
+Points carry the row and the column of their cell; a cell without a point is a missing shot. The first look reads
+these two alone: how many lines and beams there are, and whether the points come column by column. If they do not
+(row by row, or in no order) they are brought together by groups of columns in a temporary file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.types import F64, I64
+from prc_cli.formats.e57.file import (
+    CARTESIAN,
+    CARTESIAN_STATE,
+    COLUMN,
+    INTENSITY,
+    RETURN,
+    ROW,
+    SPHERICAL,
+    SPHERICAL_STATE,
+    E57File,
+    E57Scan,
+)
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.organised import (
+    INTENSITY_STEPS,
+    MAX_LINES,
+    MAX_POINTS_PER_LINE,
+    Pose,
+    ScanShape,
+    check_rules,
+    check_shapes,
+    describe,
+    is_rotation,
+    lengths,
+    lines_per_block,
+    spans,
+    to_float32,
+)
+from prc_cli.formats.ranges import clean_ranges
+from prc_cli.formats.returns import choose_returns
+
+MAX_RETURNS = 64
+"""Points a cell at most, over a line: the points of a line are held in memory."""
+MAX_SPARSE = 1000
+"""Cells for every point at most: more is no image but damaged indices."""
+SPARE_CELLS = 10_000_000
+"""Cells that are allowed whatever the number of points."""
+
+_POINT = np.dtype(
+    [
+        ("line", np.int32),
+        ("row", np.int32),
+        ("record", np.int64),
+        ("xyz", np.float32, 3),
+        ("range", np.float32),
+        ("intensity", np.float32),
+        ("return", np.float32),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scan:
+    """A scan, how its cells are numbered and how its points are brought into the sensor's frame."""
+
+    table: E57Scan
+    shape: ScanShape
+    first_row: int
+    first_column: int
+    counts: I64
+    """(n_lines,) int64, points of every line."""
+    in_order: bool
+    """Whether the points come column by column."""
+    pose: Pose
+
+    @property
+    def bounds_differ(self) -> bool:
+        """Whether the header's bounds leave points out."""
+        bounds = self.table.bounds
+        if bounds is None or not self.shape.n_cells:
+            return False
+        rows = (self.first_row, self.first_row + self.shape.points_per_line - 1)
+        columns = (self.first_column, self.first_column + self.shape.n_lines - 1)
+        return bounds != (rows, columns)
+
+
+class E57Stream:
+    """An E57 file as a :class:`prc_cli.core.stream.ScanStream`.
+
+    The origin of a scan's own coordinates is the scanner; the rotation of its pose turns z up. Cells without a
+    point, points marked invalid and points at the origin are missing shots. Cells with several points are shots with
+    several returns.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    config : InputConfig
+        ``min_range``, ``max_range`` and ``return``.
+
+    Raises
+    ------
+    ConfigError
+        When the configuration asks for what an organised scan cannot have.
+    InputError
+        When pye57 is not installed, the file is damaged, or its points are not organised.
+    """
+
+    def __init__(self, path: Path, config: InputConfig) -> None:
+        check_rules(path, config)
+        self._path, self._config = path, config
+        self._scans: list[_Scan] = []
+        with E57File(path) as file:
+            tables = file.scans()
+            self._spare_cells = SPARE_CELLS
+            n_records = 0
+            for table in tables:
+                self._scans.append(self._survey(file, table, n_records))
+                n_records += table.n_points
+        shapes = [scan.shape for scan in self._scans]
+        check_shapes(path, shapes, config)
+        self._info = describe(path, "E57", shapes, self._assumptions(), self._notes())
+
+    @property
+    def info(self) -> StreamInfo:
+        """What is known before reading."""
+        return self._info
+
+    def _where(self, index: int) -> str:
+        return f"{self._path}: scan {index}"
+
+    def _survey(self, file: E57File, table: E57Scan, first_record: int) -> _Scan:
+        """Find the lines and beams of a scan from the indices of its points."""
+        pose = self._pose(table)
+        nothing = ScanShape(table.index, 0, 0, 0, first_record)
+        if not table.n_points:
+            return _Scan(table, nothing, 0, 0, np.zeros(0, np.int64), True, pose)
+        self._check_fields(table)
+        tally = _IndexTally(self._where(table.index))
+        for chunk in file.chunks(table, (ROW, COLUMN)):
+            tally.add(chunk[ROW], chunk[COLUMN])
+        (row_low, row_high), (column_low, column_high) = tally.rows, tally.columns
+        if table.bounds is not None:
+            rows, columns = table.bounds
+            larger = (rows[1] - rows[0] + 1) * (columns[1] - columns[0] + 1)
+            inside = rows[0] <= row_low <= row_high <= rows[1] and columns[0] <= column_low <= column_high <= columns[1]
+            sane = rows[1] - rows[0] < MAX_POINTS_PER_LINE and columns[1] - columns[0] < MAX_LINES
+            if inside and sane and larger <= MAX_SPARSE * table.n_points:
+                (row_low, row_high), (column_low, column_high) = table.bounds
+        shape = ScanShape(
+            table.index, column_high - column_low + 1, row_high - row_low + 1, table.n_points, first_record
+        )
+        self._spare_cells -= max(shape.n_cells - MAX_SPARSE * table.n_points, 0)
+        if self._spare_cells < 0:
+            problem = f"found {table.n_points} points in {shape.n_lines} columns x {shape.points_per_line} rows"
+            raise InputError(self._where(table.index), f"{problem}, expected a denser scan", "export the scan again")
+        counts = np.zeros(shape.n_lines, np.int64)
+        at = tally.columns[0] - column_low
+        counts[at : at + tally.columns[1] - tally.columns[0] + 1] = tally.counts()
+        if counts.max() > MAX_RETURNS * shape.points_per_line:
+            column = column_low + int(counts.argmax())
+            problem = f"found {counts.max()} points in column {column}, which has {shape.points_per_line} rows"
+            raise InputError(self._where(table.index), problem, "export the scan again")
+        return _Scan(table, shape, row_low, column_low, counts, tally.in_order, pose)
+
+    def _check_fields(self, table: E57Scan) -> None:
+        where = self._where(table.index)
+        shown = ", ".join(table.fields[:30]) or "none"
+        lacking = [name for name in (ROW, COLUMN) if name not in table.fields]
+        if lacking:
+            problem = f"no {' and no '.join(lacking)}: the points are not organised in rows and columns, found {shown}"
+            raise InputError(where, problem, "export it as a structured (gridded) E57 or PTX, with row and column")
+        if not any(set(names) <= set(table.fields) for names in (CARTESIAN, SPHERICAL)):
+            problem = f"expected {', '.join(CARTESIAN)} or {', '.join(SPHERICAL)}, found {shown}"
+            raise InputError(where, problem, "export the scan again")
+
+    def _pose(self, table: E57Scan) -> Pose:
+        if table.quaternion is None:
+            return Pose.none()
+        w, x, y, z = table.quaternion
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = float(np.sqrt(w * w + x * x + y * y + z * z))
+        if not 0.9 < length < 1.1:
+            problem = f"the pose's rotation is ({w:g}, {x:g}, {y:g}, {z:g}), expected a quaternion of length 1"
+            raise InputError(self._where(table.index), problem, "export the scan again")
+        w, x, y, z = w / length, x / length, y / length, z / length
+        turn = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        assert is_rotation(turn)
+        return Pose(turn.T.copy(), np.zeros(3))
+
+    def _assumptions(self) -> list[Assumption]:
+        full = [scan for scan in self._scans if scan.shape.n_cells]
+        turned = any(not np.array_equal(scan.pose.rotation, np.eye(3)) for scan in full)
+        how = "turned by the poses" if turned else "as they are: no pose turns them"
+        found = [Assumption("input.range", "sensor-xyz", f"the scanner is the origin of a scan; points {how}")]
+        n_scattered = sum(not scan.in_order for scan in full)
+        if n_scattered:
+            why = f"the points of {n_scattered} of {len(full)} scans do not come column by column: put in order on disk"
+            found.append(Assumption("input.columns", f"{ROW}, {COLUMN}", why))
+        else:
+            found.append(Assumption("input.columns", f"{ROW}, {COLUMN}", "the points come column by column"))
+        if any(INTENSITY in scan.table.fields and scan.table.intensity_limits for scan in full):
+            why = "the header's limits are its ends"
+            found.append(Assumption("input", "intensity: 0 to 65535 in the stream", why))
+        used = {name for scan in full for name in (ROW, COLUMN, *_used_fields(scan.table))}
+        if other := [
+            name for name in dict.fromkeys(name for scan in full for name in scan.table.fields) if name not in used
+        ]:
+            found.append(Assumption("input", f"not read: {', '.join(other[:20])}", "they are not needed"))
+        return found
+
+    def _notes(self) -> list[str]:
+        differ = [scan.shape.scanner for scan in self._scans if scan.bounds_differ]
+        if not differ:
+            return []
+        some = ", ".join(map(str, differ[:10])) + (", ..." if len(differ) > 10 else "")
+        return [f"the header's index bounds do not fit the points of scan {some}: the points' own are taken"]
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged or has changed since it was opened.
+        OutputError
+            When the temporary file cannot be written.
+        """
+        with E57File(self._path) as file:
+            for scan in self._scans:
+                if scan.shape.n_cells:
+                    yield from self._scan_blocks(file, scan)
+
+    def _scan_blocks(self, file: E57File, scan: _Scan) -> Iterator[ScanBlock]:
+        lines = lines_per_block(scan.shape.points_per_line)
+        ends = np.append(0, np.cumsum(scan.counts))
+        pieces = list(spans(scan.shape.n_lines, lines))
+        edges = ends[[first for first, _ in pieces] + [scan.shape.n_lines]]
+        tallies: list[ReadTally] = []
+        points = self._points(file, scan, tallies)
+        by_piece = _in_turn(points, edges) if scan.in_order else _scattered(points, edges, lines)
+        for (first, stop), found in zip(pieces, by_piece, strict=True):
+            if len(found) and not (found["line"].min() >= first and found["line"].max() < stop):
+                raise self._changed(scan)
+            block = self._block(scan, first, stop - first, found)
+            tally = sum(tallies, block.tally)
+            tallies.clear()
+            yield replace(block, tally=tally, is_last=stop == scan.shape.n_lines)
+
+    def _changed(self, scan: _Scan) -> InputError:
+        problem = "the points are not the ones that were found when it was opened"
+        return InputError(self._where(scan.table.index), problem, "run again when the copy is complete")
+
+    def _points(self, file: E57File, scan: _Scan, tallies: list[ReadTally]) -> Iterator[NDArray[Any]]:
+        """Yield points with their cells, in the file's order; what was refused is added to the tallies."""
+        table, shape = scan.table, scan.shape
+        cartesian = _is_cartesian(table)
+        state = CARTESIAN_STATE if cartesian else SPHERICAL_STATE
+        position = shape.first_record
+        for chunk in file.chunks(table, (ROW, COLUMN, *_used_fields(table))):
+            n = len(chunk[ROW])
+            points = np.zeros(n, _POINT)
+            line, row = chunk[COLUMN] - scan.first_column, chunk[ROW] - scan.first_row
+            if not ((line >= 0) & (line < shape.n_lines) & (row >= 0) & (row < shape.points_per_line)).all():
+                raise self._changed(scan)
+            points["line"], points["row"] = line, row
+            points["record"] = np.arange(position, position + n)
+            position += n
+            xyz, length = _coordinates(chunk, scan.pose, cartesian=cartesian)
+            if state in chunk:
+                length[chunk[state] != 0] = np.nan
+            points["range"], tally = clean_ranges(length, self._config.min_range, self._config.max_range)
+            tallies.append(tally + ReadTally(n_records=n))
+            points["xyz"] = to_float32(xyz)
+            points["intensity"] = _scaled(chunk[INTENSITY], table) if INTENSITY in chunk else np.nan
+            points["return"] = to_float32(chunk[RETURN]) if RETURN in chunk else np.nan
+            missing = np.isnan(points["range"])
+            points["xyz"][missing] = np.nan
+            points["intensity"][missing] = np.nan
+            yield points
+
+    def _block(self, scan: _Scan, first: int, n_lines: int, points: NDArray[Any]) -> ScanBlock:
+        m = scan.shape.points_per_line
+        cell = (points["line"].astype(np.int64) - first) * m + points["row"]
+        with_intensity, with_returns = INTENSITY in scan.table.fields, RETURN in scan.table.fields
+        extra, tally = ExtraReturns.none(), ReadTally()
+        if not (cell[1:] > cell[:-1]).all():
+            order = np.argsort(cell, kind="stable")
+            points, cell = points[order], cell[order]
+            starts = np.append(True, cell[1:] != cell[:-1])
+            stands = choose_returns(
+                starts,
+                points["range"],
+                points["intensity"] if with_intensity else None,
+                points["return"] if with_returns else None,
+                self._config.return_,
+            )
+            other = points[~stands]
+            extra = ExtraReturns(
+                (other["line"] - first).astype(np.int32),
+                other["row"].copy(),
+                other["range"].copy(),
+                other["record"].copy(),
+            )
+            points, cell = points[stands], cell[stands]
+            tally = ReadTally(n_extra_returns=len(other)) if with_returns else ReadTally(n_collisions=len(other))
+
+        def image(name: str, fill: float, *shape: int) -> NDArray[Any]:
+            values = np.full((n_lines * m, *shape), fill, _POINT[name].base)
+            values[cell] = points[name]
+            return values.reshape(n_lines, m, *shape)
+
+        return ScanBlock(
+            first_line=first,
+            range_m=image("range", np.nan),
+            record=image("record", -1),
+            scanner=scan.shape.scanner,
+            xyz_m=image("xyz", np.nan, 3),
+            intensity=image("intensity", np.nan) if with_intensity else None,
+            extra=extra,
+            tally=tally,
+        )
+
+
+def _is_cartesian(table: E57Scan) -> bool:
+    return set(CARTESIAN) <= set(table.fields)
+
+
+def _used_fields(table: E57Scan) -> tuple[str, ...]:
+    """Return what is read of a point beside its row and column."""
+    own, state = (CARTESIAN, CARTESIAN_STATE) if _is_cartesian(table) else (SPHERICAL, SPHERICAL_STATE)
+    return (*own, *(name for name in (state, INTENSITY, RETURN) if name in table.fields))
+
+
+class _IndexTally:
+    """Rows and columns that the points of a scan have."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self.rows = (0, -1)
+        self.columns = (0, -1)
+        self.in_order = True
+        self._counts: I64 = np.zeros(0, np.int64)
+        self._last = -np.inf
+
+    def counts(self) -> I64:
+        """Points of every column, from the first to the last that has some."""
+        return self._counts
+
+    def add(self, row: F64, column: F64) -> None:
+        """Count points.
+
+        Raises
+        ------
+        InputError
+            When the indices span more than any scanner has.
+        """
+        rows, columns = self._span(ROW, row, self.rows), self._span(COLUMN, column, self.columns)
+        for name, (low, high), limit in ((ROW, rows, MAX_POINTS_PER_LINE), (COLUMN, columns, MAX_LINES)):
+            if high - low >= limit:
+                problem = f"found {name} from {low} to {high}, expected at most {limit} of them"
+                raise InputError(self._where, problem, "export the scan again")
+        if columns != self.columns:
+            grown = np.zeros(columns[1] - columns[0] + 1, np.int64)
+            at = self.columns[0] - columns[0]
+            grown[at : at + len(self._counts)] = self._counts
+            self._counts = grown
+        self.rows, self.columns = rows, columns
+        number = column.astype(np.int64)
+        low = int(number.min())
+        found = np.bincount(number - low)
+        self._counts[low - columns[0] : low - columns[0] + len(found)] += found
+        self.in_order = self.in_order and bool(column[0] >= self._last and (column[1:] >= column[:-1]).all())
+        self._last = column[-1]
+
+    def _span(self, name: str, index: F64, before: tuple[int, int]) -> tuple[int, int]:
+        # a NaN can be one that signals
+        with np.errstate(invalid="ignore"):
+            low, high = float(index.min()), float(index.max())
+            is_whole = abs(low) < 2**52 and abs(high) < 2**52 and (index == np.rint(index)).all()
+        if not is_whole:
+            problem = f"found {name} from {low:g} to {high:g}, expected whole numbers"
+            raise InputError(self._where, problem, "export the scan again")
+        return (int(low), int(high)) if before[1] < before[0] else (min(before[0], int(low)), max(before[1], int(high)))
+
+
+def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple[F64, F64]:
+    """Return sensor-centred coordinates (n, 3) and ranges (n,) [m], NaN where a point lies at the origin."""
+    if cartesian:
+        xyz = np.stack([chunk[name] for name in CARTESIAN], axis=1)
+        length = lengths(xyz)
+        length[(xyz == 0).all(axis=1)] = np.nan
+        return pose.apply(xyz), length
+    length, azimuth, elevation = (chunk[name] for name in SPHERICAL)
+    with np.errstate(over="ignore", invalid="ignore"):
+        flat = length * np.cos(elevation)
+        xyz = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), length * np.sin(elevation)], axis=1)
+    # a range without a direction is no point
+    length = np.where(np.isfinite(azimuth) & np.isfinite(elevation) & (length != 0), length, np.nan)
+    return pose.apply(xyz), length
+
+
+def _scaled(intensity: F64, table: E57Scan) -> NDArray[np.float32]:
+    """Return intensities from 0 to 65535 by the header's limits, as they are without."""
+    if table.intensity_limits is None:
+        return to_float32(intensity)
+    low, high = table.intensity_limits
+    with np.errstate(over="ignore", invalid="ignore"):
+        return to_float32((intensity - low) / (high - low) * INTENSITY_STEPS)
+
+
+def _in_turn(points: Iterator[NDArray[Any]], edges: I64) -> Iterator[NDArray[Any]]:
+    """Cut points that come line by line at the edges, given as numbers of points."""
+    waiting, n_waiting = [np.empty(0, _POINT)], 0
+    for wanted in np.diff(edges).tolist():
+        while n_waiting < wanted:
+            waiting.append(next(points))
+            n_waiting += len(waiting[-1])
+        joined = np.concatenate(waiting)
+        waiting, n_waiting = [joined[wanted:]], n_waiting - wanted
+        yield joined[:wanted]
+    # the end of the points is judged where they are read
+    for _ in points:
+        pass
+
+
+def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterator[NDArray[Any]]:
+    """Bring points of any order together by groups of ``lines`` lines, through a temporary file.
+
+    Every group has its place in the file, for its size is known; in a group the points keep their order.
+    """
+    with _temporary_file() as handle:
+        filled = edges[:-1].copy()
+        for chunk in points:
+            group = chunk["line"] // lines
+            order = np.argsort(group, kind="stable")
+            chunk, group = chunk[order], group[order]
+            starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
+            with _disk_errors():
+                for start, stop in zip(starts, np.append(starts[1:], len(chunk)), strict=True):
+                    own = int(group[start])
+                    handle.seek(int(filled[own]) * _POINT.itemsize)
+                    handle.write(chunk[start:stop].tobytes())
+                    filled[own] += stop - start
+        if not np.array_equal(filled, edges[1:]):
+            raise InputError("E57", "the points changed while they were read", "run again when the copy is complete")
+        for first, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            with _disk_errors():
+                handle.seek(first * _POINT.itemsize)
+                raw = handle.read((stop - first) * _POINT.itemsize)
+            yield np.frombuffer(raw, _POINT)
+
+
+@contextlib.contextmanager
+def _temporary_file() -> Iterator[IO[bytes]]:
+    """Give a file without a name; it vanishes with the process, however that ends."""
+    with _disk_errors():
+        handle = tempfile.TemporaryFile(prefix="prc-e57-")  # noqa: SIM115 - closed below
+    try:
+        yield cast("IO[bytes]", handle)
+    finally:
+        with contextlib.suppress(OSError):
+            handle.close()
+
+
+@contextlib.contextmanager
+def _disk_errors() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        problem = f"the temporary file for the points of a scan failed ({error.strerror or error})"
+        raise OutputError(
+            tempfile.gettempdir(), problem, "free space there or point TMPDIR to a larger disk"
+        ) from error

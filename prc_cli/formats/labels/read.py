@@ -1,0 +1,313 @@
+"""Class codes in record order, out of any file that carries them; what evaluation compares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import open_to_read, suffix_of
+from prc_cli.core.types import F64, I64
+from prc_cli.formats.arrays.rows import ArrayFile
+
+NAMES = ("class", "label", "classification", "class_code")
+"""Names that codes have where none is given; the first one present is taken, whatever its case."""
+NO_CODE = -1
+"""Code of a record without one (an empty cell)."""
+CHUNK_RECORDS = 1 << 20
+"""Codes read at a time."""
+BUFFER_BYTES = 1 << 20
+"""Bytes of a Parquet column read at a time."""
+MAX_POINTS_PER_LINE = 10_000_000
+"""Longest row of a label image."""
+
+LABEL_BYTES = 4
+"""Bytes of a SemanticKITTI label."""
+SEMANTIC_BITS = 0xFFFF
+"""Its bits that hold the class."""
+
+_DAMAGED = (OSError, ValueError, LookupError, MemoryError)
+_WHOLE = float(1 << 53)
+
+
+class CodeSource:
+    """Class codes of one file, in record order.
+
+    Parameters
+    ----------
+    path : Path
+        File, for messages.
+    n : int or None
+        Number of records; None if only reading can tell.
+    read : callable
+        Starts reading from the first record and gives arrays of numbers.
+    missing : bool
+        Whether NaN means a record without code (text, where a cell can be empty).
+    name : str
+        Array, column or dimension that holds the codes; empty where the file holds nothing else.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        n: int | None,
+        read: Callable[[], Iterator[NDArray[Any]]],
+        *,
+        missing: bool = False,
+        name: str = "",
+    ) -> None:
+        self.path = str(path)
+        self.n = n
+        self.name = name
+        self._read = read
+        self._missing = missing
+
+    def chunks(self) -> Iterator[I64]:
+        """Yield the codes, (n,) int64; -1 = the record has none.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged or a code is no whole number, naming the record.
+        """
+        first = 0
+        for values in self._read():
+            yield self.to_codes(values, first)
+            first += len(values)
+
+    def to_codes(self, values: NDArray[Any], first: int) -> I64:
+        """Return stored numbers as codes, (n,) int64; -1 = the record has none.
+
+        Parameters
+        ----------
+        values : (n,) number
+            Of consecutive records.
+        first : int
+            Index of the first of them, for messages.
+
+        Raises
+        ------
+        InputError
+            When a code is no whole number, naming the record.
+        """
+        if values.dtype.kind == "f":
+            with np.errstate(invalid="ignore"):
+                wide = values.astype(np.float64)
+                if self._missing:
+                    wide[np.isnan(wide)] = NO_CODE
+                wrong = ~((np.abs(wide) <= _WHOLE) & (np.floor(wide) == wide))
+        else:
+            wide = values
+            # only unsigned 64-bit integers can be too large
+            wrong = values > np.iinfo(np.int64).max if values.dtype.kind == "u" else np.zeros(len(values), np.bool_)
+        if wrong.any():
+            at = int(np.flatnonzero(wrong)[0])
+            problem = f"record {first + at}: found the class code {values[at]}, expected a whole number"
+            raise InputError(self.path, problem, "name the column that holds class codes")
+        return wide.astype(np.int64)
+
+
+def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
+    """Open the class codes of a file.
+
+    Parameters
+    ----------
+    path : Path
+        ``.npy`` (any whole numbers, 1-D or 2-D), ``.npz``, ``.csv`` or ``.txt`` (``.gz``, ``.zst``),
+        ``.parquet``, ``.las``, ``.laz``, or ``.label`` (SemanticKITTI: uint32, the low 16 bits are the class).
+    dimension : str, optional
+        Array, column or dimension that holds the codes. Default: ``classification`` for LAS; elsewhere the only
+        one there is, else the first of ``class``, ``label``, ``classification``, ``class_code``.
+
+    Raises
+    ------
+    ConfigError
+        When the dimension is not in the file.
+    InputError
+        When the file cannot be read, or its suffix is none of these.
+    """
+    suffix = suffix_of(path)
+    opener = OPENERS.get(suffix)
+    if opener is None:
+        found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
+        raise InputError(str(path), f"{found}, expected one of: {' '.join(OPENERS)}", "rename the file or convert it")
+    if not path.is_file():
+        raise InputError(str(path), "no such file, expected class codes", "check the name")
+    return opener(path, dimension)
+
+
+def code_suffix_of(path: Path) -> str:
+    """Return the suffix by which a file is known to hold class codes, compression included; empty if it is not.
+
+    >>> code_suffix_of(Path("drive.1.csv.gz"))
+    '.csv.gz'
+    >>> code_suffix_of(Path("labels.npy.prc.json"))
+    ''
+    """
+    suffix = suffix_of(path)
+    return suffix if suffix in OPENERS else ""
+
+
+def _choose(path: Path, names: list[str], dimension: str | None) -> str:
+    """Return the name that holds the codes."""
+    shown = ", ".join(names[:40])
+    if dimension is not None:
+        if dimension not in names:
+            raise ConfigError(str(path), f"no dimension {dimension!r} in the file", f"it has: {shown}")
+        return dimension
+    lowered = {name.lower(): name for name in reversed(names)}
+    found = next((lowered[name] for name in NAMES if name in lowered), None)
+    if found is not None:
+        return found
+    if len(names) == 1:
+        return names[0]
+    problem = f"none of {', '.join(NAMES)} in the file, which has: {shown or 'nothing'}"
+    raise InputError(str(path), problem, "name the dimension that holds the class codes")
+
+
+def _open_arrays(path: Path, dimension: str | None) -> CodeSource:
+    file = ArrayFile(path)
+    if file.is_archive:
+        name = _choose(path, list(file.headers), dimension)
+    elif dimension is not None:
+        raise ConfigError(str(path), f"no dimension {dimension!r} in a .npy file", "leave it out")
+    else:
+        name = ""
+    header = file.headers[name]
+    header.check_numbers(expected="class codes, whole numbers")
+    shape = header.shape
+    if len(shape) not in (1, 2) or 0 in shape or max(shape[1:], default=1) > MAX_POINTS_PER_LINE:
+        problem = f"found shape {shape}, expected (records,) or (lines, points per line)"
+        raise InputError(header.where, problem, "save one class code a record, in record order")
+    row = shape[1] if len(shape) == 2 else 1
+
+    def read() -> Iterator[NDArray[Any]]:
+        each = max(1, CHUNK_RECORDS // row)
+        with file.open(name) as (rows,):
+            for first in range(0, shape[0], each):
+                yield rows.read(min(each, shape[0] - first)).ravel()
+            rows.finish()
+
+    return CodeSource(path, shape[0] * row, read, name=name)
+
+
+def _open_text(path: Path, dimension: str | None) -> CodeSource:
+    from prc_cli.formats.text.read import TextSource
+
+    source = TextSource(path)
+    name = _choose(path, list(source.dimensions), dimension)
+    # label files of this program number their records
+    numbered = {"record", "class", "name"} <= set(source.dimensions)
+
+    def read() -> Iterator[NDArray[Any]]:
+        for chunk in source.chunks((name, "record") if numbered else (name,)):
+            if numbered:
+                _check_numbers(path, np.asarray(chunk.values["record"], np.float64), chunk.first_record)
+            yield chunk.values[name]
+
+    return CodeSource(path, None, read, missing=True, name=name)
+
+
+def _check_numbers(path: Path, record: F64, first: int) -> None:
+    """Refuse label files whose rows were sorted or filtered: they are matched by order."""
+    wrong = record != np.arange(first, first + len(record))
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        problem = f"row {first + at} holds record {record[at]:g}, expected {first + at}: rows were moved or left out"
+        raise InputError(str(path), problem, "sort the rows by record, all of them")
+
+
+def _open_las(path: Path, dimension: str | None) -> CodeSource:
+    from prc_cli.formats.las.read import LasSource
+
+    source = LasSource(path)
+    name = dimension if dimension is not None else "classification"
+    if name not in source.dimensions:
+        known = ", ".join(source.dimensions)
+        raise ConfigError(str(path), f"no dimension {name!r} in the file", f"it has: {known}")
+
+    def read() -> Iterator[NDArray[Any]]:
+        return (chunk.values[name] for chunk in source.chunks((name,)))
+
+    return CodeSource(path, source.n_records, read, name=name)
+
+
+def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    damaged = "copy it from the archive again"
+    try:
+        with parquet.ParquetFile(path) as file:
+            schema, n = file.schema_arrow, file.metadata.num_rows
+    except (pa.ArrowException, *_DAMAGED) as error:
+        raise InputError(str(path), f"no whole Parquet file ({_one_line(error)})", damaged) from error
+    name = _choose(path, list(schema.names), dimension)
+    kind = schema.types[schema.names.index(name)]
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
+        problem = f"column {name!r} holds {kind}, expected class codes, whole numbers"
+        raise InputError(str(path), problem, "name the column that holds class codes")
+    if not n:
+        raise InputError(str(path), "no rows, expected a class code a record", damaged)
+
+    def read() -> Iterator[NDArray[Any]]:
+        first = 0
+        try:
+            # a row group can be the whole file: read it through a small buffer
+            with parquet.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
+                for batch in file.iter_batches(batch_size=CHUNK_RECORDS, columns=[name]):
+                    column = batch.column(0)
+                    if column.null_count:
+                        wide = pa.float64() if pa.types.is_floating(kind) else pa.int64()
+                        column = column.cast(wide).fill_null(NO_CODE)
+                    first += len(column)
+                    yield column.to_numpy(zero_copy_only=False)
+        except (pa.ArrowException, *_DAMAGED) as error:
+            problem = f"record {first} and on cannot be read ({_one_line(error)})"
+            raise InputError(str(path), problem, damaged) from error
+
+    return CodeSource(path, n, read, name=name)
+
+
+def _open_semantic(path: Path, dimension: str | None) -> CodeSource:
+    """Open the labels of SemanticKITTI: little-endian uint32, class in the low 16 bits, instance in the high ones."""
+    if dimension is not None:
+        raise ConfigError(str(path), f"no dimension {dimension!r} in a .label file", "leave it out")
+    with open_to_read(path) as handle:
+        size = handle.seek(0, 2)
+    if not size or size % LABEL_BYTES:
+        problem = f"found {size} bytes, expected {LABEL_BYTES} a record"
+        raise InputError(str(path), problem, "copy it from the archive again")
+
+    def read() -> Iterator[NDArray[Any]]:
+        with open_to_read(path) as handle:
+            left = size // LABEL_BYTES
+            while left:
+                labels = np.fromfile(handle, "<u4", min(left, CHUNK_RECORDS))
+                if not len(labels):
+                    problem = f"the file ends {left} records early"
+                    raise InputError(str(path), problem, "it was cut while being read; run again")
+                left -= len(labels)
+                yield (labels & SEMANTIC_BITS).astype(np.uint16)
+
+    return CodeSource(path, size // LABEL_BYTES, read)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:160]
+
+
+OPENERS: dict[str, Callable[[Path, str | None], CodeSource]] = {
+    ".npy": _open_arrays,
+    ".npz": _open_arrays,
+    **{f"{text}{packed}": _open_text for text in (".csv", ".txt") for packed in ("", ".gz", ".zst")},
+    ".parquet": _open_parquet,
+    ".label": _open_semantic,
+    ".las": _open_las,
+    ".laz": _open_las,
+}
+"""Readers of class codes by suffix."""

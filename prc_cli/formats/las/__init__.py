@@ -1,0 +1,1 @@
+"""LAS and LAZ: headers, points, compression, new files, and files that change in their classes alone."""

@@ -1,0 +1,276 @@
+"""LAS or LAZ from raw dumps, text and arrays: LAS 1.4, point format 6, one record per return, chronological.
+
+Coordinates are those of the input's sensor frame, or scan-plane coordinates ``x = r cos(angle)``, ``y = r sin(angle)``,
+``z = 0``; the range itself is kept bit for bit in extra bytes, with scan line and column.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli import __version__
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.errors import OutputError
+from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.formats.las.codec import (
+    LASZIP_KEY,
+    LasSink,
+    LazSink,
+    PointSink,
+    Target,
+    batch_records,
+    new_laszip_payload,
+)
+from prc_cli.formats.las.file import POINT_SIZES, STANDARD_HEADER, Header
+from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG
+from prc_cli.formats.las.vlrs import (
+    COLUMN,
+    RANGE,
+    SCAN_LINE,
+    WKT_BIT,
+    extra_bytes_vlr,
+    make_vlr,
+    record_evlr,
+)
+from prc_cli.formats.writing.base import StagedWriter, close_quietly
+from prc_cli.formats.writing.columns import asked_columns
+from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.record import RunRecord
+
+SCALE_M = 0.001
+"""Coordinate step of built files [m]."""
+
+_FIELDS: list[tuple[str, str]] = [
+    ("xyz", "(3,)<i4"),
+    ("intensity", "<u2"),
+    ("returns", "u1"),
+    ("flags", "u1"),
+    ("classification", "u1"),
+    ("user_data", "u1"),
+    ("scan_angle", "<i2"),
+    ("point_source_id", "<u2"),
+    ("gps_time", "<f8"),
+    ("range", "<f4"),
+    ("scan_line", "<u4"),
+    ("column", "<u4"),
+]
+
+
+class LasBuilder(StagedWriter):
+    """Writer of a new LAS or LAZ file; missing shots have no record.
+
+    Parameters
+    ----------
+    points_per_line : int
+        M, spreads the columns over a full turn where the input knows no angles.
+    """
+
+    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, points_per_line: int) -> None:
+        # the range is in every built file
+        columns = [column for column in asked_columns(options) if column.dimension is not RANGE]
+        super().__init__(path, codes, options, columns)
+        self._points_per_line = points_per_line
+        self._compress = path.suffix.lower() == ".laz"
+        self._by_return = np.zeros(15, np.int64)
+        self._low = np.full(3, np.iinfo(np.int64).max, np.int64)
+        self._high = np.full(3, np.iinfo(np.int64).min, np.int64)
+        self._offset_m = np.zeros(3)
+        self._n_clipped = 0
+        self._n_timeless = 0
+        self._n_timed = 0
+
+    def _start(self) -> None:
+        self._handle = self._temporary.open("w+b")
+        self._stack.callback(close_quietly, self._handle)
+
+    def _begin(self) -> None:
+        self._dtype = np.dtype([*_FIELDS, *((column.name, column.dtype) for column in self._optional)])
+        dimensions = [RANGE, SCAN_LINE, COLUMN, *(column.dimension for column in self._optional)]
+        vlrs = [extra_bytes_vlr(dimensions)]
+        n_extra = self._dtype.itemsize - POINT_SIZES[6]
+        if self._compress:
+            vlrs.append(make_vlr(LASZIP_KEY, new_laszip_payload(self.path, 6, n_extra), "laszip (lazrs)"))
+        self._header = _empty_header(self._dtype.itemsize, vlrs_size=sum(len(vlr.raw) for vlr in vlrs))
+        self._header.set("n_vlrs", len(vlrs))
+        self._header.set("point_format", 6 | (0x80 if self._compress else 0))
+        self._target = Target(self._handle)
+        self._target.write(self._header.data)
+        for vlr in vlrs:
+            self._target.write(vlr.raw)
+        sink: PointSink = LasSink(self._target)
+        self._sink = LazSink(self._target, vlrs[-1].payload) if self._compress else sink
+
+    def _add(self, block: LabelledBlock) -> None:
+        scan = block.block
+        codes = self._encode(block.labels, scan.range_m)
+        extra_codes = self._encode(block.extra_labels, scan.extra.range_m)
+        cells = {column.name: self._cells(column, block) for column in self._optional}
+        lines = max(1, batch_records(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
+        for first in range(0, scan.n_lines, lines):
+            rows = slice(first, first + lines)
+            shots = self._gather(scan, rows)
+            points = np.zeros(len(shots.line), self._dtype)
+            own = shots.extra < 0
+            points["classification"] = np.where(
+                own, codes[shots.line, shots.column], extra_codes[shots.extra] if len(scan.extra) else 0
+            )
+            for column in self._optional:
+                values = cells[column.name][shots.line, shots.column]
+                points[column.name] = np.where(own, values, column.dtype.type(column.fill))
+            self._fill(points, scan, shots)
+            self._count(points["classification"])
+            self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
+
+    def _gather(self, scan: ScanBlock, rows: slice) -> Returns:
+        """Gather the returns of some lines in the order of their records."""
+        return gather_returns(scan, rows)
+
+    def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
+        """Set everything but class and optional columns, and add to the header's counts and bounds."""
+        steps = self._steps(scan, shots)
+        points["xyz"] = steps
+        if len(steps):
+            self._low = np.minimum(self._low, steps.min(axis=0))
+            self._high = np.maximum(self._high, steps.max(axis=0))
+        points["range"] = shots.range_m
+        points["scan_line"] = _fits(self.path, "scan line", scan.first_line + shots.line, 1 << 32)
+        points["column"] = shots.column
+        points["returns"] = shots.number | (shots.count << 4)
+        points["point_source_id"] = _fits(self.path, "scanner", np.array([scan.scanner]), 1 << 16)
+        self._by_return += np.bincount(shots.number, minlength=16)[1:16]
+        if scan.angle_rad is not None:
+            turn = np.remainder(np.rad2deg(scan.angle_rad) + 180.0, 360.0) - 180.0
+            angle = np.rint(turn / SCAN_ANGLE_STEP_DEG)
+            points["scan_angle"] = np.where(np.isfinite(angle), angle, 0.0).astype(np.int16)[shots.column]
+        if scan.intensity is not None:
+            value = np.nan_to_num(scan.intensity[shots.line, shots.column], nan=0.0, posinf=65536.0, neginf=-1.0)
+            clipped = np.clip(np.rint(value), 0, 65535)
+            self._n_clipped += int(np.count_nonzero(clipped != np.rint(value)))
+            points["intensity"] = clipped.astype(np.uint16)
+        if scan.time_s is not None:
+            time = scan.time_s[shots.line, shots.column]
+            known = np.isfinite(time)
+            points["gps_time"] = np.where(known, time, 0.0)
+            self._n_timed += int(np.count_nonzero(known))
+        self._n_timeless = int(self._by_return.sum()) - self._n_timed
+
+    def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
+        """Coordinates in steps of :data:`SCALE_M`, (n, 3) int64."""
+        if scan.xyz_m is not None:
+            xyz = scan.xyz_m[shots.line, shots.column].astype(np.float64)
+            # another return of a shot lies on the same beam
+            own = scan.range_m[shots.line, shots.column].astype(np.float64)
+            ratio = np.where(shots.extra < 0, 1.0, shots.range_m / np.where(np.isnan(own), 1.0, own))
+            xyz *= ratio[:, None]
+        else:
+            xyz = np.zeros((len(shots.line), 3))
+            angle = self._angles(scan)[shots.column]
+            xyz[:, 0] = shots.range_m * np.cos(angle)
+            xyz[:, 1] = shots.range_m * np.sin(angle)
+        return self._whole_steps(xyz, scan, shots)
+
+    def _whole_steps(self, xyz: F64, scan: ScanBlock, shots: Returns) -> I64:
+        """Round coordinates to steps, (n, 3) int64; what the file cannot hold is refused."""
+        steps = np.rint((xyz - self._offset_m) / SCALE_M)
+        if not np.all(np.abs(steps) <= 2**31 - 1):  # also refuses NaN
+            bad = int(np.flatnonzero(~np.all(np.abs(steps) <= 2**31 - 1, axis=1))[0])
+            where = f"scan line {scan.first_line + int(shots.line[bad])}, column {int(shots.column[bad])}"
+            problem = f"{where}: found coordinates {xyz[bad].tolist()} m, expected finite ones within ±2147483 m"
+            raise OutputError(str(self.path), problem, "check the ranges' unit, or set [input] max_range")
+        return steps.astype(np.int64)
+
+    def _angles(self, scan: ScanBlock) -> F64:
+        if scan.angle_rad is not None:
+            self._notice("x, y are scan-plane coordinates r cos(angle), r sin(angle), z = 0: the input has no xyz")
+            return scan.angle_rad
+        self._notice(
+            f"x, y are scan-plane coordinates with {scan.points_per_line} columns spread evenly over a full turn, "
+            "z = 0: the input has neither xyz nor angles"
+        )
+        return 2.0 * np.pi * np.arange(scan.points_per_line) / scan.points_per_line
+
+    def _write(self, record: RunRecord) -> RunRecord:
+        if self._n_clipped:
+            self._notice(f"{self._n_clipped} intensities lie outside 0 to 65535 and were clipped")
+        if self._n_timed and self._n_timeless:
+            self._notice(f"{self._n_timeless} records have no time; their gps_time is 0")
+        self._sink.close()
+        record = self._completed(record)
+        header = self._header
+        header.set("evlr_start", self._target.tell())
+        header.set("n_evlrs", 1)
+        self._target.write(record_evlr(record))
+        header.set("offsets", *self._offset_m.tolist())
+        header.set("n_points", int(self._by_return.sum()))
+        header.set("by_return", *self._by_return.tolist())
+        if self._by_return.any():
+            low, high = self._low * SCALE_M + self._offset_m, self._high * SCALE_M + self._offset_m
+            header.set("bounds", high[0], low[0], high[1], low[1], high[2], low[2])
+        self._target.seek(0)
+        self._target.write(header.data)
+        self._handle.close()
+        return record
+
+
+class Returns:
+    """Returns of some lines of a block, chronological; the returns of a shot by range."""
+
+    def __init__(self, line: I64, column: I64, range_m: F32, extra: I64) -> None:
+        self.line = line
+        self.column = column
+        self.range_m = range_m
+        self.extra = extra
+        """Index into the block's extra returns, -1 = the return that stands for the shot."""
+        self.number: U8 = np.ones(len(line), np.uint8)
+        self.count: U8 = np.ones(len(line), np.uint8)
+
+
+def gather_returns(scan: ScanBlock, rows: slice) -> Returns:
+    """Gather the returns of some lines."""
+    line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
+    line += rows.start
+    found = Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64))
+    chosen = np.flatnonzero((scan.extra.line >= rows.start) & (scan.extra.line < rows.stop))
+    if not len(chosen):
+        return found
+    line = np.concatenate([line, scan.extra.line[chosen]])
+    column = np.concatenate([column, scan.extra.column[chosen]])
+    range_m = np.concatenate([found.range_m, scan.extra.range_m[chosen]])
+    extra = np.concatenate([found.extra, chosen])
+    order = np.lexsort((extra, range_m, column, line))
+    found = Returns(line[order], column[order], range_m[order], extra[order])
+    shot = found.line * scan.points_per_line + found.column
+    first = np.flatnonzero(np.concatenate(([True], shot[1:] != shot[:-1])))
+    size = np.diff(np.append(first, len(shot)))
+    rank = np.arange(len(shot)) - np.repeat(first, size)
+    # four bits each; more than 15 returns of a shot share the last number
+    found.number = np.minimum(rank + 1, 15).astype(np.uint8)
+    found.count = np.minimum(np.repeat(size, size), 15).astype(np.uint8)
+    return found
+
+
+def _empty_header(record_length: int, vlrs_size: int) -> Header:
+    data = bytearray(STANDARD_HEADER[4])
+    data[:4] = b"LASF"
+    data[24:26] = (1, 4)
+    header = Header(bytes(data))
+    # no creation date: the same run gives the same bytes
+    header.set("global_encoding", WKT_BIT)
+    header.set("system_id", b"prc-cli")
+    header.set("generating_software", f"prc-cli {__version__}".encode("ascii")[:32])
+    header.set("header_size", len(data))
+    header.set("point_offset", len(data) + vlrs_size)
+    header.set("record_length", record_length)
+    header.set("scales", SCALE_M, SCALE_M, SCALE_M)
+    return header
+
+
+def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[Any]:
+    if values.size and int(values.max()) >= limit:
+        raise OutputError(str(path), f"{what} {int(values.max())} does not fit, LAS holds 0 to {limit - 1} here")
+    return values

@@ -1,0 +1,235 @@
+"""LAS and LAZ files of every point format as records: decoded in chunks, only the dimensions asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator
+from contextlib import closing
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.threads import read_ahead
+from prc_cli.formats.las.contexts import LazContexts, contexts_of
+from prc_cli.formats.las.header import (
+    DAMAGED,
+    LasHeader,
+    find_crs,
+    find_points_per_line,
+    read_header,
+)
+from prc_cli.formats.las.layout import layers_of, read_layout
+from prc_cli.formats.las.laz import LazRecords
+from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
+
+CHUNK_RECORDS = 1 << 16
+"""Records decoded at a time."""
+CHUNK_BYTES = 64 << 20
+"""Most bytes decoded at a time; fat records make shorter chunks."""
+
+
+class LasSource:
+    """A LAS or LAZ file as a :class:`prc_cli.formats.records.RecordSource`.
+
+    What is inside decides, not the suffix. Units: ``x``, ``y``, ``z`` float64 in the file's coordinate system,
+    ``time`` float64 [s] (gps_time as stored), ``angle`` float64 [rad]; scaled extra bytes are scaled, their
+    no-data values become NaN. An extra-bytes dimension that has the name of something the point format
+    holds already is called ``extra_NAME``.
+
+    Parameters
+    ----------
+    path : Path
+        File, LAS 1.0 to 1.4, point formats 0 to 10, compressed or not.
+    chunk_records : int
+        Most records decoded at a time; changes memory and speed, never a value.
+
+    Raises
+    ------
+    InputError
+        When the file is not LAS, is cut short, holds no records, or contradicts itself.
+    """
+
+    def __init__(self, path: Path, chunk_records: int = CHUNK_RECORDS) -> None:
+        self._path = path
+        self.header: LasHeader = read_header(path)
+        self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self.header.record_bytes))
+        self._layout = read_layout(str(path), self.header)
+        self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
+        """Kept from the records that :meth:`chunks` decodes, for who writes the file again."""
+        self._spares_intensity = False
+        self._n_unread_chunks = 0
+        if self.header.compressed:
+            with path.open("rb") as handle:
+                self._n_unread_chunks = LazRecords(str(path), handle, self.header).table.n_unread
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return str(self._path)
+
+    @property
+    def format(self) -> str:
+        """``LAZ`` where the records are compressed, else ``LAS``."""
+        return "LAZ" if self.header.compressed else "LAS"
+
+    @property
+    def n_records(self) -> int:
+        """Number of records."""
+        return self.header.n_records
+
+    @property
+    def point_format(self) -> int:
+        """Point format, 0 to 10."""
+        return self.header.point_format
+
+    @property
+    def version(self) -> str:
+        """LAS version, for example ``1.4``."""
+        return "{}.{}".format(*self.header.version)
+
+    @property
+    def crs_wkt(self) -> str | None:
+        """Coordinate system: WKT, else ``EPSG:CODE`` from GeoTIFF keys, else None."""
+        return find_crs(self.header)
+
+    @property
+    def points_per_line_hint(self) -> int | None:
+        """M, where this program wrote the file and recorded it."""
+        return find_points_per_line(self.header)
+
+    @cached_property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver, standard names first; ``time`` and ``angle`` only if any is not zero.
+
+        Raises
+        ------
+        InputError
+            When the first records, which are looked at for their time and angle, cannot be decoded.
+        """
+        names = [name for name in self._layout.fields if name not in self._zero]
+        standard = [name for name in STANDARD_NAMES if name in names]
+        return tuple(standard + [name for name in names if name not in standard])
+
+    @cached_property
+    def _zero(self) -> tuple[str, ...]:
+        """Which of time and angle are all zero in the first chunk: then there are none."""
+        names = tuple(name for name in ("time", "angle") if name in self._layout.fields)
+        with closing(self._decoded(names)) as chunks:
+            first = next(chunks)
+        return tuple(name for name in names if not first.values[name].any())
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What is unusual about the file, one plain sentence each, for ``prc info``."""
+        notes = []
+        suffix = self._path.suffix.lower()
+        if suffix in (".las", ".laz") and suffix != f".{self.format.lower()}":
+            inside = "compressed" if self.header.compressed else "not compressed"
+            notes.append(f"the suffix is {suffix} but the records are {inside}: read as {self.format}")
+        if self.header.is_legacy_count:
+            notes.append("the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken")
+        if "time" in self._zero:
+            notes.append("gps_time is 0 throughout the first chunk: taken as no time")
+        if "angle" in self._zero:
+            notes.append("scan_angle is 0 throughout the first chunk: taken as no scan angle")
+        if self.header.n_unread_bytes:
+            notes.append(f"{self.header.n_unread_bytes} bytes follow the last record the header counts: not read")
+        if self._n_unread_chunks:
+            notes.append(f"{self._n_unread_chunks} LAZ chunks follow the last record the header counts: not read")
+        notes.extend(self._layout.notes)
+        return tuple(notes)
+
+    def spare_intensity(self) -> None:
+        """Decode ``intensity`` only where it may decide between returns of a shot; elsewhere it may be anything.
+
+        Noisy as it is, its layer takes a fifth of the whole decompression.
+        """
+        self._spares_intensity = True
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named dimensions from the start, in bounded memory, in the order of the file.
+
+        From the second chunk of a compressed file on, a thread decodes the next one meanwhile; who only looks at the
+        first starts none.
+
+        Raises
+        ------
+        ConfigError
+            When a name is none of :attr:`dimensions`.
+        InputError
+            When records cannot be read or decoded, naming them.
+        """
+        fields = self._layout.fields
+        unknown = [name for name in names if name not in fields]
+        if unknown:
+            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the file", f"it has: {', '.join(fields)}")
+        decoded = self._decoded(names)
+        first = next(decoded)
+        try:
+            yield first
+        except BaseException:
+            decoded.close()
+            raise
+        # what is not compressed is decoded in less time than two threads take to hand it over
+        apart = self.header.compressed and first.n < self.n_records
+        yield from read_ahead(decoded, depth=1) if apart else decoded
+
+    def _decoded(self, names: tuple[str, ...]) -> Generator[RecordChunk]:
+        """Decode one batch after the other; every dimension is copied out of its batch."""
+        fields = self._layout.fields
+        for first, raw in self._batches(names):
+            if self.laz_contexts is not None and first == self.laz_contexts.n_seen:
+                rows = np.frombuffer(raw, np.uint8).reshape(-1, self.header.record_bytes)
+                self.laz_contexts.see(first, contexts_of(rows))
+            records = np.frombuffer(raw, dtype=self._layout.dtype)
+            yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))
+
+    def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, memoryview]]:
+        """Yield the index of the first record and the records, uncompressed; valid until the next is asked for."""
+        header = self.header
+        with self._path.open("rb") as handle:
+            if header.compressed:
+                asked = [self._layout.fields[name] for name in names]
+                layers, several = layers_of(asked), None
+                if self._spares_intensity and "intensity" in names:
+                    several = layers
+                    layers = layers_of([field for field in asked if field.layer != "intensity"])
+                yield from LazRecords(self.path, handle, header).batches(self._chunk_records, layers, several)
+                return
+            handle.seek(header.data_offset)
+            # one buffer for all batches: every dimension is copied out before the next one is read
+            buffer = memoryview(bytearray(min(self._chunk_records, header.n_records) * header.record_bytes))
+            for first in range(0, header.n_records, self._chunk_records):
+                batch = buffer[: min(self._chunk_records, header.n_records - first) * header.record_bytes]
+                found = handle.readinto(batch)
+                if found < len(batch):
+                    record = first + found // header.record_bytes
+                    problem = f"the file ends at record {record}, expected {header.n_records}: it changed while read"
+                    raise InputError(self.path, problem, DAMAGED)
+                yield first, batch
+
+    def describe(self) -> dict[str, Any]:
+        """Return what the header says, ready for JSON, for ``prc info``."""
+        header = self.header
+        return {
+            "version": self.version,
+            "point_format": header.point_format,
+            "compressed": header.compressed,
+            "records": header.n_records,
+            "record_bytes": header.record_bytes,
+            "scales": list(header.scales),
+            "offsets": list(header.offsets),
+            "bounds": {"min": list(header.mins), "max": list(header.maxs)},
+            "system_id": header.system_id,
+            "generating_software": header.software,
+            "crs": self.crs_wkt,
+            "extra_bytes": list(self._layout.extra),
+            "vlrs": [
+                {"user_id": v.user_id, "record_id": v.record_id, "bytes": v.n_bytes, "description": v.description,
+                 "extended": v.extended}
+                for v in header.vlrs
+            ],
+            "notes": list(self.notes),
+        }  # fmt: skip

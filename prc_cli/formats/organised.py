@@ -1,0 +1,200 @@
+"""Organised scans, rows by columns: what PTX and E57 have in common.
+
+Every scan of the file is a scanner of the stream, every column of a scan a scan line, every row a beam.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import Assumption, StreamInfo
+from prc_cli.core.types import F32, F64
+from prc_cli.formats.options import InputConfig
+
+CHUNK_SHOTS = 1 << 18
+"""Shots of a block at most (at least a line)."""
+MAX_POINTS_PER_LINE = 10_000_000
+"""Longest line, as for ``input.points_per_line``."""
+MAX_LINES = 10_000_000
+"""Most columns of a scan: counts by column are held in memory."""
+MAX_SCANS = 1 << 16
+"""Most scans in a file: LAS tells as many apart (point_source_id)."""
+INTENSITY_STEPS = 65535.0
+"""Full scale of intensities, as LAS has them."""
+_ROTATION_TOLERANCE = 1e-3
+"""How far the axes of a pose may be from unit length and right angles: some are written with four digits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """How points of the file come into the sensor's frame: ``xyz @ rotation + offset_m``."""
+
+    rotation: F64
+    """(3, 3) float64, rows are the file's axes in a frame with z up."""
+    offset_m: F64
+    """(3,) float64, rotated coordinates of the file's origin, from the scanner [m]; zero as a rule."""
+
+    @classmethod
+    def none(cls) -> Pose:
+        """Points that are in the sensor's frame, z up, already."""
+        return cls(np.eye(3), np.zeros(3))
+
+    def apply(self, xyz: F64) -> F64:
+        """Return sensor-centred coordinates with z up.
+
+        Parameters
+        ----------
+        xyz : (n, 3) float64
+            Coordinates of the file [m].
+
+        Returns
+        -------
+        (n, 3) float64
+        """
+        placed = np.empty_like(xyz)
+        # no matrix product: its rounding depends on how many points are rotated at a time
+        with np.errstate(over="ignore", invalid="ignore"):
+            for axis in range(3):
+                a, b, c = self.rotation[:, axis]
+                placed[:, axis] = xyz[:, 0] * a + xyz[:, 1] * b + xyz[:, 2] * c + self.offset_m[axis]
+        return placed
+
+
+@dataclass(frozen=True, slots=True)
+class ScanShape:
+    """One scan of a file."""
+
+    scanner: int
+    """Index of the scan in the file."""
+    n_lines: int
+    points_per_line: int
+    n_records: int
+    first_record: int
+
+    @property
+    def n_cells(self) -> int:
+        """Shots, missing ones included."""
+        return self.n_lines * self.points_per_line
+
+
+def is_rotation(matrix: F64) -> bool:
+    """Tell whether a 3 x 3 matrix turns coordinates without stretching or mirroring them.
+
+    >>> is_rotation(np.eye(3)), is_rotation(2 * np.eye(3)), is_rotation(np.diag([1.0, 1.0, -1.0]))
+    (True, False, False)
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        product = matrix @ matrix.T
+        close = np.abs(product - np.eye(3)).max() <= _ROTATION_TOLERANCE
+        return bool(close and np.linalg.det(matrix) > 0)
+
+
+def lengths(xyz: F64) -> F64:
+    """Return the slant range of every point, (n,) float64 [m]; infinite where it is beyond all floats."""
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        length: F64 = np.sqrt(xyz[:, 0] ** 2 + xyz[:, 1] ** 2 + xyz[:, 2] ** 2)
+    return length
+
+
+def to_float32(values: F64) -> F32:
+    """Return float32; NaN where a value is not finite."""
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        rounded: F32 = values.astype(np.float32)
+    rounded[~np.isfinite(rounded)] = np.nan
+    return rounded
+
+
+def lines_per_block(points_per_line: int) -> int:
+    """Return the lines of a block.
+
+    >>> lines_per_block(1 << 10), lines_per_block(1 << 20)
+    (256, 1)
+    """
+    return max(1, CHUNK_SHOTS // points_per_line)
+
+
+def check_rules(path: Path, config: InputConfig) -> None:
+    """Refuse rules that an organised scan cannot follow: its lines, columns and ranges are there already.
+
+    Raises
+    ------
+    ConfigError
+    """
+    allowed = {
+        "lines": (config.lines, ("auto",)),
+        "columns": (config.columns, ("auto",)),
+        "range": (config.range, ("auto", "sensor-xyz")),
+        "scanner": (config.scanner, ("none",)),
+        "order": (config.order, ("require", "trust")),
+    }
+    for key, (value, values) in allowed.items():
+        if value not in values:
+            problem = f"found {value!r}, expected {' or '.join(values)}: {path.name} holds organised scans"
+            raise ConfigError(f"input.{key}", problem, "leave the key out")
+    for key in ("angle_start", "angle_step"):
+        if getattr(config, key) is not None:
+            problem = f"given, but {path.name} holds organised scans, whose angles follow from xyz"
+            raise ConfigError(f"input.{key}", problem, "leave the key out")
+
+
+def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> None:
+    """Refuse a file without shots, or with other lines than ``input.points_per_line`` says.
+
+    Raises
+    ------
+    InputError
+    """
+    if not any(shape.n_cells for shape in shapes):
+        found = "no scans" if not shapes else f"{_scans(len(shapes))} without points"
+        raise InputError(str(path), f"found {found}, expected scan data", "export it again")
+    wanted = config.points_per_line
+    for shape in shapes:
+        if wanted is not None and shape.n_cells and shape.points_per_line != wanted:
+            problem = f"found {shape.points_per_line} points per line, expected {wanted} as input.points_per_line says"
+            raise InputError(f"{path}: scan {shape.scanner}", problem, "leave input.points_per_line out")
+
+
+def describe(
+    path: Path, form: str, shapes: list[ScanShape], assumptions: list[Assumption], notes: list[str]
+) -> StreamInfo:
+    """Return what is known of the stream before it is read."""
+    full = [shape for shape in shapes if shape.n_cells]
+    sizes = ", ".join(f"{shape.n_lines} x {shape.points_per_line}" for shape in full[:5])
+    more = ", ..." if len(full) > 5 else ""
+    empty = [shape.scanner for shape in shapes if not shape.n_cells]
+    if empty:
+        some = ", ".join(map(str, empty[:10])) + (", ..." if len(empty) > 10 else "")
+        notes = [*notes, f"{_scans(len(empty))} without points left out: {some}"]
+    assumed = [
+        Assumption("input.lines", "columns of the scan", f"{_scans(len(full))} of lines x beams {sizes}{more}"),
+        Assumption("input.scanner", "one a scan", "every scan of the file has its own lines"),
+        *assumptions,
+    ]
+    return StreamInfo(
+        path=str(path),
+        format=form,
+        points_per_line=max(shape.points_per_line for shape in full),
+        n_records=sum(shape.n_records for shape in shapes),
+        n_lines=sum(shape.n_lines for shape in full),
+        assumptions=tuple(assumed),
+        notes=tuple(notes),
+    )
+
+
+def spans(n_lines: int, lines: int) -> Iterator[tuple[int, int]]:
+    """Yield first and last line + 1 of every block.
+
+    >>> list(spans(5, 2))
+    [(0, 2), (2, 4), (4, 5)]
+    """
+    for first in range(0, n_lines, lines):
+        yield first, min(first + lines, n_lines)
+
+
+def _scans(n: int) -> str:
+    return f"{n} scan" + ("s" if n != 1 else "")

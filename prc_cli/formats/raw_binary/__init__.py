@@ -1,0 +1,1 @@
+"""Raw dumps of fixed-size records."""

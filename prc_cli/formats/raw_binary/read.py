@@ -1,0 +1,165 @@
+"""Raw dumps of fixed-size records, the scanner's own or a converter's, in any numpy field layout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import open_to_read
+from prc_cli.formats.layout import decode, record_dtype
+from prc_cli.formats.options import Layout
+from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
+
+CHUNK_RECORDS = 1 << 18
+"""Records decoded at a time."""
+CHUNK_BYTES = 64 << 20
+"""Most bytes decoded at a time; fat records make shorter chunks."""
+
+
+class LayoutRecords:
+    """Records of a layout, wherever their bytes come from.
+
+    Parameters
+    ----------
+    layout : Layout
+        Header, byte order and fields.
+    path : str
+        File name, for messages.
+    """
+
+    format = "raw binary"
+    """Reader name, for messages and ``prc info``."""
+
+    def __init__(self, layout: Layout, path: str) -> None:
+        self.path = path
+        """File name, for messages."""
+        self._header_bytes = layout.header_bytes
+        self._dtype = record_dtype(layout)
+        self._fields = {item.name: item for item in layout.fields}
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that can be decoded, standard names first."""
+        standard = [name for name in STANDARD_NAMES if name in self._fields]
+        return tuple(standard + [name for name in self._fields if name not in standard])
+
+    def _check_names(self, names: tuple[str, ...]) -> None:
+        unknown = [name for name in names if name not in self._fields]
+        if unknown:
+            hint = f"the layout has: {', '.join(self.dimensions)}"
+            raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the layout", hint)
+
+    def _decoded(self, first: int, records: NDArray[Any], names: tuple[str, ...]) -> RecordChunk:
+        values = {name: decode(records[name], self._fields[name]) for name in names}
+        return RecordChunk(first, values, len(records))
+
+
+class RawBinarySource(LayoutRecords):
+    """A raw dump as a :class:`prc_cli.formats.records.RecordSource`.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+    layout : Layout
+        Its header, byte order and fields (:data:`prc_cli.formats.options.RANGES_ONLY` for float32 ranges alone).
+    chunk_records : int
+        Most records decoded at a time; changes memory and speed, never a value.
+
+    Raises
+    ------
+    ConfigError
+        When the layout contradicts itself.
+    InputError
+        When the file is empty, shorter than its header, ends after it, or ends inside a record.
+    """
+
+    def __init__(self, path: Path, layout: Layout, chunk_records: int = CHUNK_RECORDS) -> None:
+        super().__init__(layout, str(path))
+        self._path = path
+        self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self._dtype.itemsize))
+        self._n_records = self._count()
+
+    def _count(self) -> int:
+        """Return the number of records behind the header; anything but whole records is an error."""
+        with open_to_read(self._path) as handle:
+            size = handle.seek(0, 2)
+        header, each = self._header_bytes, self._dtype.itemsize
+        if not size:
+            problem = f"the file is empty (0 bytes), expected records of {each} bytes"
+            raise InputError(self.path, problem, "copy it from the archive again")
+        if size < header:
+            problem = f"found {size} bytes, fewer than the header of {header} bytes"
+            raise InputError(self.path, problem, "check layout.header_bytes")
+        if size == header:
+            problem = f"nothing follows the header of {header} bytes, expected records of {each} bytes"
+            raise InputError(self.path, problem, "check layout.header_bytes")
+        n_records, rest = divmod(size - header, each)
+        if rest:
+            problem = f"byte {size - rest} (record {n_records}): found {rest} bytes, expected a record of {each} bytes"
+            hint = "copy it from the archive again, or check layout.header_bytes, fields and record_bytes"
+            raise InputError(self.path, problem, hint)
+        return n_records
+
+    def align_chunks(self, n_records: int) -> None:
+        """Decode multiples of so many records at a time, where that is not more than otherwise.
+
+        Chunks that end where blocks of lines end need not be joined; no value depends on it.
+        """
+        self._chunk_records = max(1, self._chunk_records // n_records) * min(n_records, self._chunk_records)
+
+    @property
+    def n_records(self) -> int:
+        """Number of records, from the size of the file."""
+        return self._n_records
+
+    def chunks(self, names: tuple[str, ...], first: int = 0, stop: int | None = None) -> Iterator[RecordChunk]:
+        """Decode the named fields in bounded memory, in the order of the file: all of them, or a stretch.
+
+        Parameters
+        ----------
+        names : tuple of str
+        first, stop : int
+            First record, and the one after the last.
+
+        Raises
+        ------
+        ConfigError
+            When a name is none of :attr:`dimensions`.
+        InputError
+            When the file cannot be read or is shorter than it was when opened.
+        """
+        self._check_names(names)
+        with open_to_read(self._path) as handle:
+            handle.seek(self._header_bytes + first * self._dtype.itemsize)
+            end = self._n_records if stop is None else min(stop, self._n_records)
+            for start in range(first, end, self._chunk_records):
+                records = self._read(handle, start, min(self._chunk_records, end - start))
+                yield self._decoded(start, records, names)
+
+    def _read(self, handle: IO[bytes], first: int, wanted: int) -> NDArray[Any]:
+        try:
+            records = np.fromfile(handle, dtype=self._dtype, count=wanted)
+        except OSError as error:
+            problem = f"record {first} and on cannot be read ({error.strerror or error})"
+            raise InputError(self.path, problem, "check the disk or copy the file again") from error
+        if len(records) < wanted:
+            found = first + len(records)
+            at = self._header_bytes + found * self._dtype.itemsize
+            problem = f"byte {at} (record {found}): the file ends, expected {self._n_records} records as when opened"
+            raise InputError(self.path, problem, "it was cut while being read; wait until its writer is done")
+        return records
+
+    def describe(self) -> dict[str, Any]:
+        """Return the layout in use, ready for JSON, for ``prc info``."""
+        return {
+            "header_bytes": self._header_bytes,
+            "record_bytes": self._dtype.itemsize,
+            "records": self._n_records,
+            "fields": {name: self._dtype[name].str for name in self._fields},
+        }

@@ -1,0 +1,110 @@
+"""Streams as raw dumps: a record a shot, and beside it a configuration that reads it back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.types import F64
+from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem, StreamShape
+
+EVEN_RAD = 1e-10
+"""Angles that are this close to even steps are written as start and step [rad]."""
+
+
+def config_path(path: Path) -> Path:
+    """Return the name of the configuration beside a raw dump.
+
+    >>> config_path(Path("drive.bin")).name
+    'drive.bin.toml'
+    """
+    return path.with_name(path.name + ".toml")
+
+
+class RawStream(StagedStreamWriter):
+    """Writer of little-endian records: range; intensity, time, x, y, z, angle and class as far as there are some."""
+
+    one_scanner = "a raw dump"
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        super().__init__(path, shape)
+        self._config_temporary = self._output(config_path(path))
+        self._dtype: np.dtype[np.void] | None = None
+        self._m = 0
+        self._even: tuple[float, float] | None = None
+
+    def _start(self) -> None:
+        self._handle = self._temporary.open("wb")
+        self._stack.callback(self._handle.close)
+
+    def _open(self, item: StreamItem) -> np.dtype[np.void]:
+        """Settle the record by the first block."""
+        shape = self.shape
+        self._m, angle_rad = item.block.points_per_line, item.block.angle_rad
+        # beside registered heights every record has its angle: together they tell where down is, as in the input
+        if angle_rad is not None and not shape.registered:
+            degrees: F64 = np.rad2deg(angle_rad).round(10)
+            self._even = even_steps(degrees)
+        xyz = "<f8" if shape.registered else "<f4"
+        wanted = [
+            ("range", "<f4", True),
+            ("intensity", "<f4", shape.intensity),
+            ("time", "<f8", shape.times),
+            *((axis, xyz, shape.xyz or shape.registered) for axis in "xyz"),
+            ("angle", "<f8", shape.angles and self._even is None),
+            ("class", "<i4", shape.codes),
+        ]
+        return np.dtype([(name, kind) for name, kind, present in wanted if present])
+
+    def _add(self, item: StreamItem) -> None:
+        if self._dtype is None:
+            self._dtype = self._open(item)
+        block = item.block
+        shots = np.empty(block.range_m.shape, self._dtype)
+        shots["range"] = block.range_m
+        names = self._dtype.names or ()
+        for name, image in (("intensity", block.intensity), ("time", block.time_s), ("class", item.codes)):
+            if name in names and image is not None:
+                shots[name] = image
+        xyz = item.registered_m if item.registered_m is not None else block.xyz_m
+        if xyz is not None:
+            for index, axis in enumerate("xyz"):
+                shots[axis] = xyz[:, :, index]
+        if "angle" in names:
+            shots["angle"] = block.angle_rad
+        self._handle.write(shots.data)
+
+    def _write(self) -> None:
+        self._handle.close()
+        self._config_temporary.write_text(self._config(), encoding="utf-8")
+
+    def _config(self) -> str:
+        assert self._dtype is not None
+        lines = [f"# reads {self.path.name}: prc classify {self.path.name} OUT --config {config_path(self.path).name}"]
+        lines += ["", "[input]", 'lines = "fixed"', 'columns = "order"', 'range = "dimension:range"']
+        if self._even is not None:
+            lines += [f"angle_start = {self._even[0]!r}", f"angle_step = {self._even[1]!r}"]
+        if self.shape.nadir_rad is not None and not self.shape.registered:
+            lines += [f"nadir = {float(np.rad2deg(self.shape.nadir_rad))!r}"]
+        lines += ["", "[layout]", 'endian = "little"', f"points_per_line = {self._m}", "fields = ["]
+        for name in self._dtype.names or ():
+            unit = ', unit = "rad"' if name == "angle" else ""
+            lines.append(f'    {{ name = "{name}", type = "{self._dtype[name].str[1:]}"{unit} }},')
+        return "\n".join([*lines, "]", ""])
+
+
+def even_steps(degrees: F64) -> tuple[float, float] | None:
+    """Return start and step of angles that grow evenly, None if they do not.
+
+    >>> even_steps(np.array([10.0, 10.5, 11.0]))
+    (10.0, 0.5)
+    >>> even_steps(np.array([10.0, 10.5, 12.0]))
+    """
+    if len(degrees) < 2:
+        return None
+    step = float((degrees[-1] - degrees[0]) / (len(degrees) - 1))
+    even = degrees[0] + step * np.arange(len(degrees))
+    if step == 0 or not np.allclose(even, degrees, rtol=0.0, atol=np.rad2deg(EVEN_RAD)):
+        return None
+    return float(degrees[0]), step

@@ -1,0 +1,95 @@
+"""Inputs that are lists of records: what a file format has to offer so that the stream can be built from it.
+
+A source decodes, nothing more. Which line, column and range a record has is decided by
+:mod:`prc_cli.stream.grid`, the same way for every format.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from prc_cli.core.types import I64
+
+STANDARD_NAMES = (
+    "range", "scan_line", "column", "angle", "time", "x", "y", "z", "intensity", "return_number",
+    "number_of_returns",
+)  # fmt: skip
+"""Names that every source uses for what it has of these; any other dimension keeps its own name."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordChunk:
+    """Consecutive records of an input, decoded.
+
+    Units by standard name: ``range``, ``x``, ``y``, ``z`` float64 [m]; ``angle`` float64 [rad]; ``time``
+    float64 [s]; ``scan_line``, ``column`` float64 or integers; NaN where the input has no value.
+    """
+
+    first_record: int
+    """Index in the input of the first record."""
+    values: dict[str, NDArray[Any]]
+    """(n,) arrays by dimension name; exactly the names that were asked for."""
+    n: int
+    """Number of records."""
+    record: I64 | None = None
+    """(n,) int64 index in the input of every record; None = ``first_record + 0..n-1`` (input order)."""
+
+
+class RecordSource(Protocol):
+    """A file of records, decoded on demand."""
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+
+    @property
+    def format(self) -> str:
+        """Reader name, for messages and ``prc info``."""
+
+    @property
+    def n_records(self) -> int | None:
+        """Number of records; None if only reading can tell."""
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver, standard names first."""
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named dimensions from the start, in bounded memory, in the order of the input.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged; the message names the position, what was found and what was expected.
+        """
+
+
+@dataclass(frozen=True)
+class DerivedSource:
+    """A source that gives the records of another one in another way; subclasses say how in ``chunks``."""
+
+    source: RecordSource
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return self.source.path
+
+    @property
+    def format(self) -> str:
+        """Reader name."""
+        return self.source.format
+
+    @property
+    def n_records(self) -> int | None:
+        """Number of records; None if only reading can tell."""
+        return self.source.n_records
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that the source can deliver, standard names first."""
+        return self.source.dimensions

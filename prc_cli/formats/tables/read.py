@@ -1,0 +1,205 @@
+"""Arrays and Parquet files as lists of records, column by column: what evaluation reads beside the class codes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import suffix_of
+from prc_cli.formats import READERS
+from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.labels.read import BUFFER_BYTES
+from prc_cli.formats.records import RecordChunk, RecordSource
+
+CHUNK_RECORDS = 1 << 19
+"""Records read at a time."""
+ARRAY_NAMES = {"range_m": "range", "time_s": "time", "gps_time": "time", "line": "scan_line"}
+"""Names of arrays and Parquet columns that mean a standard name."""
+AXES = ("x", "y", "z")
+XYZ = "xyz"
+
+
+def open_table(path: Path) -> RecordSource | None:
+    """Open any file that holds columns; None for files of codes alone.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged.
+    """
+    suffix = suffix_of(path)
+    if suffix in READERS:
+        return READERS[suffix](path, None)
+    if suffix in (".npy", ".npz"):
+        return ArrayTable(path)
+    return ParquetTable(path) if suffix == ".parquet" else None
+
+
+class ArrayTable:
+    """The arrays of a ``.npy`` or ``.npz`` file as records: every cell of an image, in the order of the stream.
+
+    An array is a column where it has one number a record: (records,), or (lines, M) beside other images. ``xyz``
+    of one dimension more is three columns. An image also has ``scan_line``, its row.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged.
+    """
+
+    format = "array"
+    """Reader name."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = ArrayFile(path)
+        shapes = [header.shape for header in self._file.headers.values() if header.dtype.kind in "iuf"]
+        images = [shape for shape in shapes if len(shape) == 2 and shape[1] > 3]
+        clouds = [shape[:2] for shape in shapes if len(shape) == 3 and shape[2] == 3]
+        lists = [shape for shape in shapes if len(shape) == 1]
+        self._image: tuple[int, ...] = max([*images, *clouds] or lists or [(0,)], key=lambda shape: int(np.prod(shape)))
+        self._columns: dict[str, tuple[str, int]] = {}
+        for name, header in self._file.headers.items():
+            if header.dtype.kind not in "iuf":
+                continue
+            if header.shape == self._image:
+                self._columns.setdefault(ARRAY_NAMES.get(name, name), (name, 0))
+            elif name == XYZ and header.shape == (*self._image, 3):
+                self._columns.update({axis: (name, k) for k, axis in enumerate(AXES)})
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return str(self._file.path)
+
+    @property
+    def n_records(self) -> int:
+        """Number of records."""
+        return int(np.prod(self._image))
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver."""
+        rows = ("scan_line",) if len(self._image) == 2 and "scan_line" not in self._columns else ()
+        return (*self._columns, *rows)
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Read from the start, in bounded memory.
+
+        Raises
+        ------
+        ConfigError
+            When a name is none of :attr:`dimensions`.
+        InputError
+            When the file is damaged.
+        """
+        _check_names(self, names)
+        row = self._image[1] if len(self._image) == 2 else 1
+        each = max(1, CHUNK_RECORDS // row)
+        arrays = tuple(dict.fromkeys(self._columns[name][0] for name in names if name in self._columns))
+        with self._file.open(*arrays) as readers:
+            for first in range(0, self._image[0], each):
+                n = min(each, self._image[0] - first)
+                read = {name: rows.read(n) for name, rows in zip(arrays, readers, strict=True)}
+                values: dict[str, NDArray[Any]] = {}
+                for name in names:
+                    if name not in self._columns:
+                        values[name] = np.repeat(np.arange(first, first + n), row)
+                        continue
+                    array, axis = self._columns[name]
+                    found = read[array]
+                    values[name] = found.reshape(n * row, 3)[:, axis] if found.size == 3 * n * row else found.ravel()
+                yield RecordChunk(first * row, values, n * row)
+            for rows in readers:
+                rows.finish()
+
+
+class ParquetTable:
+    """The columns of numbers of a Parquet file as records.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Raises
+    ------
+    InputError
+        When it is no whole Parquet file.
+    """
+
+    format = "Parquet"
+    """Reader name."""
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        self._path = path
+        try:
+            with parquet.ParquetFile(path) as file:
+                schema, self.n_records = file.schema_arrow, int(file.metadata.num_rows)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _damaged(path, error) from error
+        numbers = [
+            name
+            for name, kind in zip(schema.names, schema.types, strict=True)
+            if pa.types.is_integer(kind) or pa.types.is_floating(kind)
+        ]
+        self._columns = {ARRAY_NAMES.get(name, name): name for name in reversed(numbers)}
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return str(self._path)
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver."""
+        return tuple(reversed(self._columns))
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Read from the start, in bounded memory; an empty cell is NaN.
+
+        Raises
+        ------
+        ConfigError
+            When a name is none of :attr:`dimensions`.
+        InputError
+            When the file is damaged.
+        """
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        _check_names(self, names)
+        stored = tuple(dict.fromkeys(self._columns[name] for name in names))
+        first = 0
+        try:
+            with parquet.ParquetFile(self._path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
+                for batch in file.iter_batches(batch_size=CHUNK_RECORDS, columns=list(stored)):
+                    read = {name: batch.column(name).to_numpy(zero_copy_only=False) for name in stored}
+                    yield RecordChunk(first, {name: read[self._columns[name]] for name in names}, batch.num_rows)
+                    first += batch.num_rows
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _damaged(self._path, error) from error
+
+
+def _check_names(source: RecordSource, names: tuple[str, ...]) -> None:
+    unknown = [name for name in names if name not in source.dimensions]
+    if unknown:
+        known = ", ".join(source.dimensions[:40])
+        raise ConfigError(source.path, f"no dimension {unknown[0]!r} in the file", f"it has: {known or 'none'}")
+
+
+def _damaged(path: Path, error: Exception) -> InputError:
+    text = " ".join(str(error).split())[:160]
+    return InputError(str(path), f"no whole Parquet file ({text})", "copy it from the archive again")

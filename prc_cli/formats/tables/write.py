@@ -1,0 +1,199 @@
+"""Streams as tables: one row a cell, missing shots included, one more row for every further return of a shot.
+
+``.csv`` (plain, gzip or zstd) is read back by name; numbers are the shortest text that gives the same bits again.
+``.parquet`` holds the same columns for other programs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from abc import abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import OutputError
+from prc_cli.core.types import I64
+from prc_cli.formats.writing.stream_writer import (
+    NO_CODE,
+    StagedStreamWriter,
+    StreamItem,
+    StreamShape,
+)
+
+ROWS_AT_ONCE = 1 << 17
+"""Rows that are turned into columns together."""
+ANGLE_DIGITS = 10
+"""Decimals of scan angles [deg]: finer than any encoder, and 12.5 stays 12.5."""
+
+
+def table_columns(shape: StreamShape) -> dict[str, pa.DataType]:
+    """Return names and types of the columns of a stream, in their order."""
+    angles, xyz = pa.float64(), pa.float64() if shape.registered else pa.float32()
+    wanted: list[tuple[str, bool, pa.DataType]] = [
+        ("point_source_id", shape.scanners, pa.uint32()),
+        ("line", True, pa.int64()),
+        ("column", True, pa.int32()),
+        ("return_number", shape.returns, pa.int32()),
+        ("number_of_returns", shape.returns, pa.int32()),
+        ("angle_deg", shape.angles, angles),
+        ("range_m", True, pa.float32()),
+        ("time_s", shape.times, pa.float64()),
+        *((axis, shape.xyz or shape.registered, xyz) for axis in "xyz"),
+        # without intensities the first return would stand for a shot, whichever did in the input
+        ("intensity", shape.intensity or shape.returns, pa.float32()),
+        ("class", shape.codes, pa.int32()),
+    ]
+    return {name: kind for name, present, kind in wanted if present}
+
+
+class _TableStream(StagedStreamWriter):
+    """Turns blocks into tables."""
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        super().__init__(path, shape)
+        self._columns = table_columns(shape)
+        self._schema = pa.schema(list(self._columns.items()))
+
+    def _add(self, item: StreamItem) -> None:
+        for table in self._tables(item):
+            try:
+                self._put(table)
+            except pa.ArrowException as error:
+                raise OutputError(str(self.path), f"cannot be written ({error})", "check the disk") from error
+
+    @abstractmethod
+    def _put(self, table: pa.Table) -> None: ...
+
+    def _tables(self, item: StreamItem) -> Iterator[pa.Table]:
+        lines = max(1, ROWS_AT_ONCE // item.block.points_per_line)
+        for first in range(0, item.block.n_lines, lines):
+            values = _rows(item, slice(first, min(first + lines, item.block.n_lines)))
+            yield pa.Table.from_arrays(
+                [_array(values[name], kind) for name, kind in self._columns.items()], schema=self._schema
+            )
+
+
+class CsvStream(_TableStream):
+    """Writer of text."""
+
+    def _start(self) -> None:
+        self._handle = self._temporary.open("wb")
+        self._stack.callback(self._handle.close)
+        kind = {".gz": "gzip", ".zst": "zstd"}.get(self.path.suffix.lower())
+        sink: Any = pa.PythonFile(self._handle, mode="w")
+        self._sink = sink if kind is None else pa.CompressedOutputStream(sink, kind)
+        self._stack.callback(_close, self._sink)
+        self._sink.write((",".join(self._columns) + "\n").encode())
+        options = pa.csv.WriteOptions(include_header=False, quoting_style="none")
+        self._writer = pa.csv.CSVWriter(self._sink, self._schema, write_options=options)
+        self._stack.callback(_close, self._writer)
+
+    def _put(self, table: pa.Table) -> None:
+        self._writer.write_table(table)
+
+    def _write(self) -> None:
+        self._writer.close()
+        self._sink.close()
+        self._handle.close()
+
+
+class ParquetStream(_TableStream):
+    """Writer of Parquet."""
+
+    def _start(self) -> None:
+        self._handle = self._temporary.open("wb")
+        self._stack.callback(self._handle.close)
+        self._writer = pa.parquet.ParquetWriter(self._handle, self._schema)
+        self._stack.callback(_close, self._writer)
+
+    def _put(self, table: pa.Table) -> None:
+        self._writer.write_table(table)
+
+    def _write(self) -> None:
+        self._writer.close()
+        self._handle.close()
+
+
+def _close(stream: Any) -> None:
+    """Close what Arrow would else close too late, with a complaint on stderr; a file that is given up may be broken."""
+    with contextlib.suppress(OSError, ValueError, pa.ArrowException):
+        stream.close()
+
+
+def _rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
+    """Return the columns of some lines of a block; the return that stands for a shot before its others."""
+    block = item.block
+    m, n_lines = block.points_per_line, rows.stop - rows.start
+    line = np.repeat(np.arange(rows.start, rows.stop), m)
+    column = np.tile(np.arange(m), n_lines)
+    values: dict[str, NDArray[Any]] = {
+        "line": block.first_line + line,
+        "column": column,
+        "range_m": block.range_m[rows].ravel(),
+        "point_source_id": np.full(len(line), block.scanner),
+        "return_number": np.ones(len(line), np.int32),
+        "number_of_returns": np.ones(len(line), np.int32),
+        "intensity": np.full(len(line), np.nan, np.float32),
+    }
+    if block.angle_rad is not None:
+        values["angle_deg"] = np.round(np.rad2deg(block.angle_rad), ANGLE_DIGITS)[column]
+    for name, image in (("time_s", block.time_s), ("intensity", block.intensity), ("class", item.codes)):
+        if image is not None:
+            values[name] = image[rows].ravel()
+    xyz = item.registered_m if item.registered_m is not None else block.xyz_m
+    if xyz is not None:
+        values |= {axis: xyz[rows, :, index].ravel() for index, axis in enumerate("xyz")}
+    inside = np.flatnonzero((block.extra.line >= rows.start) & (block.extra.line < rows.stop))
+    return _with_extra(values, item, rows, inside) if len(inside) else values
+
+
+def _with_extra(values: dict[str, NDArray[Any]], item: StreamItem, rows: slice, inside: I64) -> dict[str, NDArray[Any]]:
+    """Put the further returns behind the shots that they belong to."""
+    block, extra = item.block, item.block.extra
+    cell = (extra.line[inside] - rows.start).astype(np.int64) * block.points_per_line + extra.column[inside]
+    more = {name: column[cell] for name, column in values.items()}
+    more["range_m"] = extra.range_m[inside]
+    more["intensity"] = np.full(len(inside), np.nan, np.float32)
+    if item.extra_codes is not None:
+        more["class"] = item.extra_codes[inside]
+    if item.extra_registered_m is not None:
+        more |= {axis: item.extra_registered_m[inside, index] for index, axis in enumerate("xyz")}
+    elif "x" in values:
+        # another return of a shot lies on the same beam
+        with np.errstate(invalid="ignore"):
+            ratio = (extra.range_m[inside] / values["range_m"][cell]).astype(np.float64)
+        more |= {axis: (values[axis][cell] * ratio).astype(np.float32) for axis in "xyz"}
+    n_own = len(values["line"])
+    owner = np.concatenate([np.arange(n_own), cell])
+    all_values = {name: np.concatenate([column, more[name]]) for name, column in values.items()}
+    number_returns(all_values, owner)
+    order = np.argsort(owner, kind="stable")
+    return {name: column[order] for name, column in all_values.items()}
+
+
+def number_returns(values: dict[str, NDArray[Any]], owner: I64) -> None:
+    """Set return numbers by range among the rows of a cell, NaN last."""
+    order = np.lexsort((values["range_m"], owner))
+    sorted_owner = owner[order]
+    first = np.flatnonzero(np.concatenate(([True], sorted_owner[1:] != sorted_owner[:-1])))
+    size = np.diff(np.append(first, len(owner)))
+    number = np.empty(len(owner), np.int32)
+    number[order] = np.arange(len(owner)) - np.repeat(first, size) + 1
+    count = np.empty(len(owner), np.int32)
+    count[order] = np.repeat(size, size)
+    values["return_number"], values["number_of_returns"] = number, count
+
+
+def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
+    """Return a column; NaN and missing codes are empty cells."""
+    if values.dtype.kind == "f":
+        return pa.array(values, kind, mask=np.isnan(values))
+    # the kinds of whole numbers have the names that NumPy gives them
+    return pa.array(values.astype(str(kind)), kind, mask=values == NO_CODE)

@@ -1,0 +1,1 @@
+"""Text files of one record a row, plain or compressed."""

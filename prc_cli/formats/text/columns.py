@@ -1,0 +1,127 @@
+"""Which column of a text file is which dimension: the layout's fields, else the names in the header."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from prc_cli.core.errors import InputError
+from prc_cli.formats.options import Layout, LayoutField
+from prc_cli.formats.records import STANDARD_NAMES
+from prc_cli.formats.text.dialect import TextFormat, shorten
+
+ALIASES: dict[str, tuple[str, ...]] = {
+    "range": ("range", "range_m", "distance", "r"),
+    "scan_line": ("scan_line", "scanline", "line"),
+    "column": ("column", "col"),
+    "angle": ("angle", "angle_deg", "angle_rad"),
+    "time": ("time", "time_s", "gps_time", "t"),
+}
+"""Names in a header that mean a standard name, whatever their case; the first one present is taken."""
+_ANGLE_UNITS = {"angle_rad": "rad"}
+
+
+@dataclass(frozen=True, slots=True)
+class TextColumn:
+    """Where a dimension stands and how its cells become values."""
+
+    index: int
+    """Column number from 0."""
+    label: str
+    """The column as messages call it."""
+    item: LayoutField
+    """Scale, offset, missing value and unit."""
+
+
+def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[str, TextColumn]:
+    """Return the dimensions of a text file, standard names first.
+
+    A layout's fields say what they say; without fields, names in the header that mean a standard name are
+    taken for it. All other columns keep their own name, or their number where they have none. A single
+    column without a name is taken for the range.
+
+    Raises
+    ------
+    InputError
+        When a field's column is not in the file or its name stands in the header twice.
+    """
+    fields = () if layout is None else layout.fields
+    found: dict[str, TextColumn] = {}
+    for position, item in enumerate(fields):
+        index, name = _find_source(path, text, item, position)
+        found[item.name] = TextColumn(index, _label(text, index), _with_unit(item, name))
+    if not fields:
+        found.update(_by_alias(path, text))
+    if not fields and text.header_line is None and text.n_columns == 1:
+        found["range"] = TextColumn(0, "range", LayoutField(name="range"))
+    taken = {column.index for column in found.values()}
+    for index, name in enumerate(text.names):
+        own = name or str(index)
+        if index not in taken and own not in found:
+            found[own] = TextColumn(index, _label(text, index), LayoutField(name=own))
+    standard = [name for name in STANDARD_NAMES if name in found]
+    return {name: found[name] for name in (*standard, *(name for name in found if name not in standard))}
+
+
+def _with_unit(item: LayoutField, name: str) -> LayoutField:
+    """Return a field with the unit that the column's name tells, where the layout says none."""
+    unit = _ANGLE_UNITS.get(name.lower())
+    return item if item.name != "angle" or item.unit or unit is None else item.model_copy(update={"unit": unit})
+
+
+def _by_alias(path: Path, text: TextFormat) -> dict[str, TextColumn]:
+    lowered = [name.lower() for name in text.names]
+    found = {}
+    for standard in STANDARD_NAMES:
+        for alias in ALIASES.get(standard, (standard,)):
+            if alias in lowered:
+                index = lowered.index(alias)
+                _check_once(path, text, text.names[index])
+                item = _with_unit(LayoutField(name=standard), alias)
+                found[standard] = TextColumn(index, _label(text, index), item)
+                break
+    return found
+
+
+def _find_source(path: Path, text: TextFormat, item: LayoutField, position: int) -> tuple[int, str]:
+    """Return number and name of the column that a field is read from."""
+    source = item.source
+    if text.header_line is None:
+        if isinstance(source, str) and not source.isdecimal():
+            problem = f"no header row, so no column {source!r} for field {item.name!r}"
+            hint = "give the column's number from 0 as source"
+            raise InputError(str(path), problem, hint)
+        # without names the fields stand for the columns in order
+        source = position if source is None else int(source)
+    if isinstance(source, int):
+        if not 0 <= source < text.n_columns:
+            problem = f"no column {source} for field {item.name!r}, expected 0 to {text.n_columns - 1}"
+            raise InputError(str(path), problem, f"line {text.first_row} has {text.n_columns} cells{_other(text)}")
+        return source, text.names[source]
+    wanted = (source,) if source is not None else ALIASES.get(item.name, (item.name,))
+    lowered = [name.lower() for name in text.names]
+    for name in wanted:
+        if name in text.names or name.lower() in lowered:
+            index = text.names.index(name) if name in text.names else lowered.index(name.lower())
+            _check_once(path, text, text.names[index])
+            return index, text.names[index]
+    shown = ", ".join(shorten(name) for name in text.names[:20]) + (" ..." if text.n_columns > 20 else "")
+    problem = f"no column {wanted[0]!r} for field {item.name!r}, the header in line {text.header_line} has: {shown}"
+    raise InputError(str(path), problem, f"name the column as its source in [[layout.fields]]{_other(text)}")
+
+
+def _other(text: TextFormat) -> str:
+    """Return a hint at the delimiter where a row was not split at all."""
+    return f"; is {text.delimiter!r} the delimiter?" if text.n_columns == 1 else ""
+
+
+def _check_once(path: Path, text: TextFormat, name: str) -> None:
+    if text.names.count(name) > 1:
+        places = [index for index, other in enumerate(text.names) if other == name]
+        problem = f"the name {name!r} stands in columns {places[0]} and {places[1]}, expected once"
+        hint = "rename one, or give the column's number from 0 as source in [[layout.fields]]"
+        raise InputError(f"{path}: line {text.header_line}", problem, hint)
+
+
+def _label(text: TextFormat, index: int) -> str:
+    return repr(shorten(text.names[index])) if text.names[index] else f"{index} (from 0)"

@@ -1,0 +1,216 @@
+"""How a text file is written: delimiter, comments, header; and the cells of a single line."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import cast
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.options import Layout
+from prc_cli.formats.text.lines import MAX_LINE_BYTES, iter_lines, too_long
+
+MAX_COLUMNS = 10_000
+"""Most cells in a row."""
+SNIFFED_ROWS = 20
+"""Rows looked at to find the delimiter."""
+HEAD_BYTES = 1 << 16
+"""Bytes read at a time while looking at the first rows."""
+
+BLANKS = " "
+"""Delimiter that stands for any number of blanks and tabs."""
+_DELIMITERS = (";", "\t", ",")
+# nothing is tried twice: a cell may hold a million digits
+_NUMBER = re.compile(r"[+-]?(?:(?:\d++\.?\d*+|\.\d++)(?:e[+-]?\d++)?+|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class TextFormat:
+    """What the first rows of a text file say."""
+
+    delimiter: str
+    """One character; a space stands for any number of blanks and tabs."""
+    comment: bytes
+    """Lines that begin with this are skipped; empty = none."""
+    header_line: int | None
+    """Number of the line that holds the names, None without one."""
+    first_row: int
+    """Number of the first line that is a row of cells, names or numbers."""
+    names: tuple[str, ...]
+    """Names of the columns, empty strings without a header."""
+    found_delimiter: bool
+    """Whether the delimiter was found by looking."""
+
+    @property
+    def n_columns(self) -> int:
+        """Cells in a row."""
+        return len(self.names)
+
+    def stripped(self, line: bytes) -> bytes:
+        """Return a line without the blanks around it; tabs between empty cells are no blanks."""
+        return line.strip(b" \r\n" if self.delimiter == "\t" else None)
+
+    def is_row(self, line: bytes) -> bool:
+        """Whether a line is neither blank nor a comment."""
+        text = self.stripped(line)
+        return bool(text) and not (self.comment and text.startswith(self.comment))
+
+
+def find_format(path: Path, layout: Layout | None) -> TextFormat:
+    """Look at the first rows of a text file.
+
+    Parameters
+    ----------
+    path : Path
+        Text file.
+    layout : Layout, optional
+        Says what is not to be found by looking; without one the delimiter is found too.
+
+    Raises
+    ------
+    InputError
+        When there is no row of numbers, or the first row is no text that can be split into cells.
+    ConfigError
+        When the layout's delimiter is not a single byte.
+    """
+    given = layout if layout is not None else Layout()
+    if not given.delimiter.isascii() or given.delimiter in '"\r\n':
+        raise ConfigError("layout.delimiter", f"found {given.delimiter!r}, expected , ; a tab or a space")
+    draft = TextFormat(given.delimiter, given.comment.encode(), None, 0, (), layout is None)
+    rows = _first_rows(path, draft)
+    if not rows:
+        raise InputError(str(path), *_no_rows(path))
+    delimiter = _find_delimiter([text for _, text in rows]) if layout is None else given.delimiter
+    number, text = rows[0]
+    cells = split(path, number, text, delimiter)
+    if len(cells) > MAX_COLUMNS:
+        problem = f"{len(cells)} cells, expected at most {MAX_COLUMNS}"
+        raise InputError(f"{path}: line {number}", problem, "check the delimiter, or that one record stands in one row")
+    has_header = given.header if given.header is not None else any(not is_number(cell) for cell in cells)
+    if has_header and len(rows) == 1:
+        problem = f"no row follows the header in line {number}, expected a record a row"
+        raise InputError(str(path), problem, "copy it from the archive again")
+    names = tuple(cell.strip() for cell in cells) if has_header else ("",) * len(cells)
+    return TextFormat(delimiter, draft.comment, number if has_header else None, number, names, layout is None)
+
+
+def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
+    """Return number and text of the first rows, comments and blank lines left out."""
+    decoded = []
+    for number, line in islice(_rows(path, draft), SNIFFED_ROWS):
+        try:
+            decoded.append((number, line.decode("utf-8").rstrip("\r")))
+        except UnicodeDecodeError as error:
+            problem = f"byte {error.start + 1} of the line ({line[error.start]:#04x}) is not UTF-8"
+            # only the first row must be readable: it may hold the names
+            if not decoded:
+                raise InputError(f"{path}: line {number}", problem, _RECODE) from error
+            decoded.append((number, line.decode("latin-1").rstrip("\r")))
+    return decoded
+
+
+def _rows(path: Path, draft: TextFormat) -> Iterator[tuple[int, bytes]]:
+    """Yield number and bytes of the lines that are rows."""
+    # whole runs of lines are passed over at once: a file may hold a hundred million of them before its first row
+    comment = rb"(?:" + re.escape(draft.comment) + rb"[^\n]*+)?+" if draft.comment else b""
+    passed = re.compile(rb"(?:[ \t\r]*+" + comment + rb"\n)*+")
+    for block in iter_lines(path, HEAD_BYTES):
+        number, data, start = block.first, block.data, 0
+        while start < len(data):
+            end = cast("re.Match[bytes]", passed.match(data, start)).end()
+            number += data.count(b"\n", start, end)
+            start = data.find(b"\n", end) + 1 or len(data) + 1
+            line = data[end : start - 1]
+            if draft.is_row(line):
+                yield number, line
+            number += 1
+
+
+_RECODE = "convert it: iconv -f ISO-8859-1 -t UTF-8 IN > OUT"
+
+
+def _no_rows(path: Path) -> tuple[str, str]:
+    hint = "copy it from the archive again"
+    if next(iter_lines(path, HEAD_BYTES), None) is None:
+        return "the file is empty, expected a record a row", hint
+    return "only comments and blank lines, expected a record a row", hint
+
+
+def _find_delimiter(rows: list[str]) -> str:
+    """Return the first of ``;``, tab and comma that every row holds equally often, else blanks if there are any."""
+    for delimiter in _DELIMITERS:
+        counts = {row.count(delimiter) for row in rows}
+        if counts != {0} and len(counts) == 1:
+            return delimiter
+    # rows that differ: the one that the first row holds, so that the odd row is named in the error
+    for delimiter in _DELIMITERS:
+        if delimiter in rows[0]:
+            return delimiter
+    return BLANKS if all(len(row.split()) > 1 for row in rows) else ","
+
+
+def split(path: Path, number: int, text: str, delimiter: str) -> list[str]:
+    """Return the cells of a line.
+
+    Raises
+    ------
+    InputError
+        When the line is too long, holds a carriage return, or a quote that is not closed.
+    """
+    where = f"{path}: line {number}"
+    if len(text) > MAX_LINE_BYTES:
+        raise too_long(path, number)
+    if "\r" in text:
+        problem = "a carriage return inside the line, expected lines that end in LF or CR LF"
+        raise InputError(where, problem, "convert it: tr '\\r' '\\n' < IN > OUT")
+    cells = try_split(text, delimiter)
+    if cells is None:
+        problem = f"found {shorten(text)!r}, expected cells with closed quotes"
+        raise InputError(where, problem, "close the quote or leave the quotes out")
+    return cells
+
+
+def try_split(text: str, delimiter: str) -> list[str] | None:
+    """Return the cells of a line, None where a quote is not closed.
+
+    >>> try_split('1,"a, b",5"', ","), try_split('1,"a', ",")
+    (['1', 'a, b', '5"'], None)
+    """
+    if delimiter == BLANKS:
+        text = " ".join(text.split())
+    if '"' not in text:
+        return text.split(delimiter)
+    try:
+        return next(csv.reader([text], delimiter=delimiter, strict=True))
+    except csv.Error as error:
+        if "end of data" in str(error) or "field limit" in str(error):
+            return None
+    # text behind a closed quote is part of the cell, as pyarrow has it
+    return next(csv.reader([text], delimiter=delimiter))
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is empty, a decimal number, ``nan`` or ``inf`` in any case.
+
+    >>> [is_number(cell) for cell in ("", " 1.5e3 ", "NaN", "-inf", "1,5", "0x10", "1_000")]
+    [True, True, True, True, False, False, False]
+    """
+    text = cell.strip(" \t")
+    return not text or _NUMBER.fullmatch(text) is not None
+
+
+def to_number(cell: str) -> float | None:
+    """Return the number in a cell, NaN if it is empty, None if it is neither."""
+    text = cell.strip(" \t")
+    if not text:
+        return float("nan")
+    return float(text) if _NUMBER.fullmatch(text) else None
+
+
+def shorten(text: str) -> str:
+    """Return a text that fits into a message."""
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,1 @@
+"""Trajectories as files: text and SBET."""

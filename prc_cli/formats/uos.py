@@ -1,0 +1,25 @@
+"""Scans of 3DTK (``.3d``, its format "uos"): a point a row, columns x, y, z in centimetres."""
+
+from __future__ import annotations
+
+from prc_cli.formats.options import Layout, LayoutField
+
+_CENTIMETRE = 0.01
+
+UOS = Layout(
+    delimiter=" ",
+    # left-handed, y up, z forward: with y and z exchanged right-handed and z up
+    fields=(
+        LayoutField(name="x", source=0, scale=_CENTIMETRE),
+        LayoutField(name="z", source=1, scale=_CENTIMETRE),
+        LayoutField(name="y", source=2, scale=_CENTIMETRE),
+    ),
+)
+"""Points relative to the scanner in metres, z up."""
+
+
+def uos_layout(layout: Layout | None) -> Layout:
+    """Return the layout of a ``.3d`` file, with what a layout without fields says of line length and frequency."""
+    if layout is None:
+        return UOS
+    return layout if layout.fields else layout.model_copy(update={"fields": UOS.fields, "delimiter": UOS.delimiter})

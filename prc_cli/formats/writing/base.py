@@ -1,0 +1,355 @@
+"""What every writer shares: one protocol, outputs that appear whole with their run record or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from prc_cli.core.bytewise import count_bytes, recode
+from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
+from prc_cli.core.errors import OutputError
+from prc_cli.core.files import commit, output_errors, temporary_name
+from prc_cli.core.stream import LabelledBlock
+from prc_cli.core.types import I64, U8
+from prc_cli.formats.writing.columns import OptionalColumn, Values
+from prc_cli.formats.writing.options import HIGH_NOISE_CODE, OutputConfig, class_names
+from prc_cli.formats.writing.record import ClassCount, RunRecord, record_path
+from prc_cli.formats.writing.spool import Spool
+
+CHUNK_RECORDS = 400_000
+"""Records handled together when an output is written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """What was spooled of consecutive records."""
+
+    codes: U8
+    """(n,) uint8, class codes."""
+    values: dict[str, Values]
+    """(n,) arrays of the optional columns, by name."""
+
+
+class Closable(Protocol):
+    """Anything that is closed."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+class Writer(Protocol):
+    """What every writer is for those that use it: a context manager whose output exists whole or not at all."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the writer had to decide, in plain words; complete after :meth:`finish`."""
+
+    def __enter__(self) -> Self:
+        """Create the temporary files beside the output."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        """Remove every temporary file; without :meth:`finish` nothing is left."""
+
+    def finish(self, record: RunRecord) -> RunRecord:
+        """Write the output and ``<output>.prc.json``, give both their names; return the record as written.
+
+        Raises
+        ------
+        OutputError
+            When the output cannot be written whole; nothing is left then.
+        InputError
+            When the input, read again, is damaged.
+        """
+
+
+class LabelWriter(Writer, Protocol):
+    """What :func:`prc_cli.formats.label_files.open_writer` gives."""
+
+    def add(self, block: LabelledBlock) -> None:
+        """Take the labels of a block.
+
+        Raises
+        ------
+        OutputError
+            When they cannot be written (disk full) or cannot be held by the output.
+        """
+
+
+class StagedOutput(ABC):
+    """A :class:`Writer` that fills temporary files and renames them at the end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._notices: list[str] = []
+        self._files: list[tuple[Path, Path]] = []
+        self._temporary = self._output(path)
+        self._record_temporary = self._output(record_path(path))
+        self._stack = contextlib.ExitStack()
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the writer had to decide, in plain words."""
+        return tuple(self._notices)
+
+    def __enter__(self) -> Self:
+        try:
+            with output_errors(self.path):
+                for temporary, _ in self._files:
+                    self._stack.callback(remove_quietly, temporary)
+                self._start()
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None:
+        self._stack.close()
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Open temporary files; what must be closed or removed goes on ``self._stack``."""
+
+    def _output(self, path: Path) -> Path:
+        """Name a file that the writer makes; return its temporary name."""
+        self._files.append((temporary_name(path), path))
+        return self._files[-1][0]
+
+    def _notice(self, text: str) -> None:
+        if text not in self._notices:
+            self._notices.append(text)
+
+    def _commit(self) -> None:
+        """Give the files their names; take back those that this run made if a later one fails.
+
+        The output goes first, being the one that others may hold open.
+        """
+        for temporary, _ in self._files[1:]:
+            with temporary.open("rb+") as handle:
+                os.fsync(handle.fileno())
+        made: list[Path] = []
+        try:
+            for temporary, path in self._files:
+                existed = path.exists()
+                commit(temporary, path)
+                if not existed:
+                    made.append(path)
+        except BaseException:
+            for path in made:
+                remove_quietly(path)
+            raise
+
+
+class StagedWriter(StagedOutput):
+    """A :class:`LabelWriter` that is staged.
+
+    Parameters
+    ----------
+    columns : sequence of OptionalColumn
+        What is asked for and the output can hold. The first block tells what the method of the run finds; the rest is
+        left out with a notice.
+    """
+
+    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, columns: Sequence[OptionalColumn]) -> None:
+        super().__init__(path)
+        self._codes = codes
+        self._options = options
+        self._optional = tuple(columns)
+        self._settled = False
+        self._names = class_names(codes, options)
+        self._lookup = np.zeros(256, np.uint8)
+        self._lookup[: len(LABEL_NAMES)] = codes.lookup()
+        self._counts = np.zeros(256, np.int64)
+
+    def add(self, block: LabelledBlock) -> None:
+        """Take the labels of a block (see :class:`LabelWriter`)."""
+        with output_errors(self.path):
+            self._settle(block)
+            self._add(block)
+
+    def finish(self, record: RunRecord) -> RunRecord:
+        """Write and name the output (see :class:`LabelWriter`)."""
+        with output_errors(self.path):
+            self._settle(None)
+            record = self._write(record)
+            self._record_temporary.write_bytes(record.to_json())
+            self._commit()
+        return record
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Prepare for the first block; ``self._optional`` is final now."""
+
+    @abstractmethod
+    def _add(self, block: LabelledBlock) -> None: ...
+
+    @abstractmethod
+    def _write(self, record: RunRecord) -> RunRecord:
+        """Fill and close ``self._temporary``; return the completed record."""
+
+    def _spool(self, dtype: DTypeLike, fill: Any, n_records: int | None) -> Spool:
+        path = temporary_name(self.path)
+        self._stack.callback(remove_quietly, path)
+        spool = Spool(path, dtype, fill, n_records=n_records)
+        self._stack.callback(close_quietly, spool)  # runs before the removal: Windows keeps open files
+        return spool
+
+    def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
+        """Class codes of labels, same shape."""
+        if labels.size and int(labels.max()) >= len(LABEL_NAMES):
+            problem = f"found label {int(labels.max())}, expected 0 to {len(LABEL_NAMES) - 1}"
+            raise OutputError(str(self.path), problem, "this is a fault of the classifier; please report it")
+        codes = recode(labels, self._lookup)
+        beyond = self._options.high_noise_beyond
+        if beyond is not None:
+            codes[(labels == Label.NOISE) & (range_m > np.float64(beyond))] = HIGH_NOISE_CODE
+        return codes
+
+    def _settle(self, block: LabelledBlock | None) -> None:
+        """Settle the optional columns, once, by the first block; without any block all stay."""
+        if self._settled:
+            return
+        self._settled = True
+        if block is not None:
+            found = {column.name: column.of_shots(block) is not None for column in self._optional}
+            for column in self._optional:
+                if not found[column.name]:
+                    self._notice(f"output.{column.option} needs the {column.needs}; nothing was added")
+            self._optional = tuple(column for column in self._optional if found[column.name])
+        self._begin()
+
+    def _cells(self, column: OptionalColumn, block: LabelledBlock) -> Values:
+        """Values of an optional column for the cells of a block, (lines, M) of its type."""
+        values = column.of_shots(block)
+        if values is None:
+            return np.full(block.labels.shape, column.fill, column.dtype)
+        if values.size and values.dtype != column.dtype and column.dtype.kind == "u":
+            limit = np.iinfo(column.dtype).max
+            low, high = int(values.min()), int(values.max())
+            if low < 0 or high > limit:
+                problem = f"{column.what} {low if low < 0 else high} does not fit {column.dtype.name} (0 to {limit})"
+                raise OutputError(str(self.path), problem, f"set [output] {column.option} = false")
+        return values.astype(column.dtype, copy=False)
+
+    def _count(self, codes: U8) -> None:
+        self._counts += count_bytes(codes)
+
+    def _completed(self, record: RunRecord) -> RunRecord:
+        classes = tuple(
+            ClassCount(int(code), self._names.get(int(code), f"class {code}"), int(self._counts[code]))
+            for code in np.flatnonzero(self._counts)
+        )
+        return record.with_written(classes, self.notices)
+
+
+class ScatterWriter(StagedWriter):
+    """A writer whose output is in record order: labels wait in spools until all are there.
+
+    Parameters
+    ----------
+    n_records : int or None
+        Records of the input; None if only reading could tell.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        codes: ClassCodes,
+        options: OutputConfig,
+        columns: Sequence[OptionalColumn],
+        n_records: int | None,
+    ) -> None:
+        super().__init__(path, codes, options, columns)
+        self._n_records = n_records
+        self._spools: dict[str, Spool] = {}
+
+    def _start(self) -> None:
+        self._code_spool = self._spool(np.uint8, self._codes.unclassified, self._n_records)
+
+    def _begin(self) -> None:
+        for column in self._optional:
+            self._spools[column.name] = self._spool(column.dtype, column.fill, self._n_records)
+
+    def _add(self, block: LabelledBlock) -> None:
+        scan = block.block
+        codes = self._encode(block.labels, scan.range_m)
+        values = {column.name: self._cells(column, block).ravel() for column in self._optional}
+        if scan.record is None and (first := scan.first_line * scan.points_per_line) + codes.size <= self._limit:
+            self._put_run(first, codes.ravel(), values)
+        else:
+            self._put(scan.records().ravel(), codes.ravel(), values)
+        if len(scan.extra):
+            codes = self._encode(block.extra_labels, scan.extra.range_m)
+            # what has no value of its own is the fill value already
+            own = {column.name: column.of_extra(block) for column in self._optional if column.of_extra is not None}
+            self._put(scan.extra.record, codes, own)
+
+    @property
+    def _limit(self) -> int:
+        """Records there may be at most."""
+        return sys.maxsize if self._n_records is None else self._n_records
+
+    def _put_run(self, first: int, codes: U8, values: dict[str, Values]) -> None:
+        """Take consecutive records."""
+        self._code_spool.put_run(first, codes)
+        for name, column in values.items():
+            self._spools[name].put_run(first, column)
+
+    def _put(self, record: I64, codes: U8, values: dict[str, Values]) -> None:
+        keep = record >= 0
+        if self._n_records is not None and record.size and int(record.max()) >= self._n_records:
+            outside = record >= self._n_records
+            # cells that pad the last line have no record; only a shot with a label must have one
+            if np.any(outside & (codes != MISSING_CODE)):
+                problem = f"found a label for record {int(record.max())}, expected records below {self._n_records}"
+                raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
+            keep &= ~outside
+        whole = bool(keep.all())
+        record = record if whole else record[keep]
+        self._code_spool.put(record, codes if whole else codes[keep])
+        for name, column in values.items():
+            self._spools[name].put(record, column if whole else column[keep])
+
+    def _total(self, record: RunRecord) -> int:
+        """Entries of the output: the records that were read, as far as the reader could tell."""
+        n = self._n_records if self._n_records is not None else record.n_records
+        if n is None:
+            return len(self._code_spool)
+        for codes in self._code_spool.chunks(CHUNK_RECORDS, first=n):
+            if np.any(codes != MISSING_CODE):
+                problem = f"found labels for {len(self._code_spool)} records, expected {n}"
+                raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
+        return n
+
+    def _columns(self, total: int, chunk: int | None = None) -> Iterator[Columns]:
+        """Codes and optional columns in record order, in chunks."""
+        n = chunk or CHUNK_RECORDS
+        names = list(self._spools)
+        columns = [spool.chunks(n, stop=total) for spool in self._spools.values()]
+        for codes, *values in zip(self._code_spool.chunks(n, stop=total), *columns, strict=True):
+            yield Columns(codes, dict(zip(names, values, strict=True)))
+
+
+def remove_quietly(path: Path) -> None:
+    """Remove a file of ours on the way out, if it is there."""
+    with contextlib.suppress(OSError):
+        path.unlink(missing_ok=True)
+
+
+def close_quietly(handle: Closable) -> None:
+    """Close after a failure, when a full disk may refuse the last buffer."""
+    with contextlib.suppress(OSError):
+        handle.close()

@@ -1,0 +1,127 @@
+"""Values a record beside its class that ``[output]`` can ask for: one table of them for all writers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.stream import LabelledBlock, StageLabels
+from prc_cli.core.types import F32, U8
+from prc_cli.formats.las.vlrs import RANGE, ExtraDimension
+from prc_cli.formats.writing.options import OutputConfig
+
+Values: TypeAlias = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class OptionalColumn:
+    """One value a record that is written only if asked for."""
+
+    dimension: ExtraDimension
+    """What it is in LAS and LAZ."""
+    heading: str | None
+    """Its column in label tables; None = they do not hold it."""
+    option: str
+    """Key of ``[output]`` that asks for it."""
+    what: str
+    """What messages call a value."""
+    fill: float
+    """Value of records that no block holds, and of further returns where ``of_extra`` is None."""
+    of_shots: Callable[[LabelledBlock], Values | None]
+    """Values of the cells of a block, (lines, M); None where the method of the run does not find them."""
+    of_extra: Callable[[LabelledBlock], Values] | None = None
+    """Values of the further returns of a block, (n,)."""
+    keep: bool = False
+    """Whether values that a LAS input has under this name stay; they are replaced otherwise."""
+    needs: str = ""
+    """Which method finds it, where not all do."""
+
+    @property
+    def name(self) -> str:
+        """Name of the dimension."""
+        return self.dimension.name
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of a value, little-endian."""
+        return self.dimension.dtype
+
+
+def _segments(block: LabelledBlock) -> Values:
+    return np.zeros(block.labels.shape, np.uint32) if block.segments is None else block.segments
+
+
+def _stage(found: Callable[[StageLabels], Values]) -> Callable[[LabelledBlock], Values | None]:
+    return lambda block: None if block.stages is None else found(block.stages)
+
+
+def _surface(stages: StageLabels) -> U8:
+    return stages.surface
+
+
+def _dense_vegetation(stages: StageLabels) -> U8:
+    return stages.dense_vegetation.view(np.uint8)
+
+
+def _ground_height(stages: StageLabels) -> F32:
+    return stages.ground_height_m
+
+
+_SEQUENTIAL_ANGLE = "sequential-angle method"
+
+OPTIONAL_COLUMNS = (
+    OptionalColumn(
+        ExtraDimension("segment_id", 5, "segment R_b, 0 = none"), "segment", "segment_ids", "segment id", 0, _segments
+    ),
+    OptionalColumn(
+        RANGE,
+        None,
+        "range",
+        "range",
+        np.nan,
+        lambda block: block.block.range_m,
+        lambda block: block.block.extra.range_m,
+        keep=True,
+    ),
+    OptionalColumn(
+        ExtraDimension("surface", 1, "T 1, H 2, V 3, undecided 4"),
+        "surface",
+        "stages",
+        "stage",
+        0,
+        _stage(_surface),
+        needs=_SEQUENTIAL_ANGLE,
+    ),
+    OptionalColumn(
+        ExtraDimension("dense_vegetation", 1, "less sensitive test T', 1 = yes"),
+        "dense_vegetation",
+        "stages",
+        "stage",
+        0,
+        _stage(_dense_vegetation),
+        needs=_SEQUENTIAL_ANGLE,
+    ),
+    OptionalColumn(
+        ExtraDimension("ground_height", 9, "z_g, 0 = height of scanner [m]"),
+        "ground_height",
+        "stages",
+        "stage",
+        np.nan,
+        _stage(_ground_height),
+        needs=_SEQUENTIAL_ANGLE,
+    ),
+)
+"""All of them, in the order in which outputs hold them."""
+
+
+def asked_columns(options: OutputConfig) -> tuple[OptionalColumn, ...]:
+    """Return the columns that ``[output]`` asks for, in their order.
+
+    >>> [column.name for column in asked_columns(OutputConfig(segment_ids=True, stages=True))]
+    ['segment_id', 'surface', 'dense_vegetation', 'ground_height']
+    """
+    return tuple(column for column in OPTIONAL_COLUMNS if getattr(options, column.option))

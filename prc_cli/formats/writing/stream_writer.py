@@ -1,0 +1,151 @@
+"""What the writers of whole streams share: ranges, times, angles and coordinates, block by block.
+
+A stream writer takes blocks as they come and puts the file and its run record in their places at the end, both or none.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+from prc_cli.core.errors import OutputError
+from prc_cli.core.files import output_errors, temporary_name
+from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.types import F64, I32
+from prc_cli.formats.writing.base import (
+    StagedOutput,
+    Writer,
+    close_quietly,
+    remove_quietly,
+)
+from prc_cli.formats.writing.record import RunRecord
+
+NO_CODE = -1
+"""Class code of a shot without one."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamItem:
+    """A block with what its records carry beside the stream."""
+
+    block: ScanBlock
+    codes: I32 | None = None
+    """(lines, M) int32, class code of every cell, :data:`NO_CODE` = none; None where the input has no classes."""
+    extra_codes: I32 | None = None
+    """(n,) int32, class codes of ``block.extra``."""
+    registered_m: F64 | None = None
+    """(lines, M, 3) float64, coordinates as the input has them [m], NaN = none; only where ``block.xyz_m`` is None."""
+    extra_registered_m: F64 | None = None
+    """(n, 3) float64, the same for ``block.extra``."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamShape:
+    """What a stream has, known from its first block; every block has the same."""
+
+    points_per_line: int
+    """M, of the longest-lined scanner."""
+    scanners: bool
+    """Whether it may hold several scanners."""
+    returns: bool
+    """Whether the input counts the returns of a shot."""
+    angles: bool
+    times: bool
+    xyz: bool
+    """Coordinates relative to the scanner."""
+    registered: bool
+    """Coordinates of the input beside ranges that it has itself."""
+    intensity: bool
+    codes: bool
+    nadir_rad: float | None = None
+    """Scan angle that points straight down [rad], None = unknown."""
+
+    @classmethod
+    def of(cls, item: StreamItem, info: StreamInfo, *, scanners: bool, returns: bool) -> StreamShape:
+        """Return the shape of a stream from its first block."""
+        block = item.block
+        return cls(
+            points_per_line=info.points_per_line,
+            scanners=scanners,
+            returns=returns,
+            angles=block.angle_rad is not None,
+            times=block.time_s is not None,
+            xyz=block.xyz_m is not None,
+            registered=item.registered_m is not None,
+            intensity=block.intensity is not None,
+            codes=item.codes is not None,
+            nadir_rad=info.nadir_rad,
+        )
+
+
+class StreamWriter(Writer, Protocol):
+    """What :func:`prc_cli.formats.stream_files.open_stream_writer` gives."""
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What the output could not hold of the blocks so far, known to the writer alone."""
+
+    def add_item(self, item: StreamItem) -> None:
+        """Take a block.
+
+        Raises
+        ------
+        OutputError
+            When it cannot be written (disk full), or is of a kind that the output cannot hold.
+        """
+
+
+class StagedStreamWriter(StagedOutput):
+    """A :class:`StreamWriter` that is staged."""
+
+    one_scanner = ""
+    """What the output is called where it can hold a single scanner only; empty = it can hold several."""
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        super().__init__(path)
+        self.shape = shape
+        self._scanner: int | None = None
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What the output could not hold of the blocks so far."""
+        return ()
+
+    def add_item(self, item: StreamItem) -> None:
+        """Take a block (see :class:`StreamWriter`)."""
+        scanner = item.block.scanner
+        if self._scanner is None:
+            self._scanner = scanner
+        elif self.one_scanner and scanner != self._scanner:
+            problem = (
+                f"found scanners {self._scanner} and {scanner}, expected one: {self.one_scanner} holds one scanner"
+            )
+            raise OutputError(str(self.path), problem, "write .csv, .laz or .parquet, or split the input first")
+        with output_errors(self.path):
+            self._add(item)
+
+    def finish(self, record: RunRecord) -> RunRecord:
+        """Write and name the outputs (see :class:`StreamWriter`)."""
+        with output_errors(self.path):
+            self._write()
+            record = replace(record, notices=(*record.notices, *self.notices))
+            self._record_temporary.write_bytes(record.to_json())
+            self._commit()
+        return record
+
+    @abstractmethod
+    def _add(self, item: StreamItem) -> None: ...
+
+    @abstractmethod
+    def _write(self) -> None:
+        """Write what is left and close every temporary file."""
+
+    def _scratch(self) -> BinaryIO:
+        """Open a temporary file that is gone at the end."""
+        path = temporary_name(self.path)
+        self._stack.callback(remove_quietly, path)
+        handle = path.open("w+b")
+        self._stack.callback(close_quietly, handle)
+        return handle

@@ -1,0 +1,1 @@
+"""What the commands do, under the commands' names: one job reads, calls the layers below, and writes."""

@@ -1,0 +1,449 @@
+"""Which files of an archive are inputs, and where their outputs go.
+
+Names are paths relative to the archive with POSIX slashes, in the order of their bytes, the same on every machine.
+Nothing is opened but folders.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import re
+import stat
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path, PurePosixPath
+from typing import TypeAlias, TypeVar
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import suffix_of
+from prc_cli.formats import (
+    ARRAY_SUFFIXES,
+    LAS_SUFFIXES,
+    READERS,
+    SCAN_READERS,
+)
+from prc_cli.formats.label_files import SUFFIXES
+from prc_cli.jobs.batch.settings import BatchSettings
+from prc_cli.jobs.batch.summary import LeftOut
+from prc_cli.jobs.batch.types import OWN_FOLDER
+
+SAME = "same"
+FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(SUFFIXES)))
+"""Formats of outputs: ``same`` keeps LAS and LAZ what they are and writes labels alone for everything else."""
+LABELS = ".labels"
+"""Stands between the name of an input and the suffix of a file of labels alone."""
+PATIENCE_S = 60.0
+"""A file system that lists nothing for so long hangs [s]."""
+_READABLE = frozenset((*READERS, *ARRAY_SUFFIXES, *SCAN_READERS))
+_UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An input."""
+
+    name: str
+    path: Path
+    size: int
+    """Size [bytes]."""
+    mtime_ns: int
+    """Time of the last change [ns since 1970]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Discovery:
+    """What an archive holds."""
+
+    files: tuple[Found, ...]
+    """Inputs of this run, in the order of their names' bytes."""
+    left_out: tuple[LeftOut, ...]
+    """What no run takes, though somebody may think so."""
+    n_not_selected: int
+    """Inputs that patterns, times or the shard keep for other runs."""
+
+
+def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
+    """List the inputs of an archive.
+
+    Parameters
+    ----------
+    settings : BatchSettings
+        Archive, output folder, patterns, time and shard.
+    patience_s : float, seconds
+        How long the file system may take for an answer.
+
+    Returns
+    -------
+    Discovery
+        Hidden files, outputs of this program, symbolic links that lead out of the archive, and things that are no
+        regular files are left out; all but the hidden ones are told.
+
+    Raises
+    ------
+    ConfigError
+        Archive and output folder are the same, the archive lies in the output folder, or a pattern or time is wrong.
+    InputError
+        The archive cannot be listed, or the file system does not answer.
+    """
+    files: list[Found] = []
+    left_out: list[LeftOut] = []
+    n_not_selected = 0
+    since_ns = None if settings.since is None else parse_since(settings.since)
+    for item in _in_time(_select(settings, since_ns), settings.archive, patience_s):
+        if isinstance(item, LeftOut):
+            left_out.append(item)
+        elif item is None:
+            n_not_selected += 1
+        else:
+            files.append(item)
+    files.sort(key=lambda item: os.fsencode(item.name))
+    left_out.sort(key=lambda item: os.fsencode(item.name))
+    return Discovery(tuple(files), tuple(left_out), n_not_selected)
+
+
+def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | LeftOut | None]:
+    """List the archive; None stands for an input that was not selected. All that may hang is done here."""
+    archive, out = _folders(settings)
+    tells_case = _tells_case(archive)
+    include = Patterns(settings.include, tells_case=tells_case)
+    exclude = Patterns(settings.exclude, tells_case=tells_case)
+    for item in _walk(archive, out, exclude):
+        if isinstance(item, LeftOut):
+            yield item
+            continue
+        selected = (
+            (since_ns is None or item.mtime_ns >= since_ns)
+            and (not include or include.match(item.name))
+            and not exclude.match(item.name)
+            and (settings.shard is None or settings.shard.holds(item.name))
+        )
+        yield item if selected else None
+
+
+def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
+    """Refuse what makes no sense before anything is made; raises as :func:`discover`."""
+    Patterns((*settings.include, *settings.exclude))
+    output_name("a.laz", settings.to)
+    if settings.since is not None:
+        parse_since(settings.since)
+    for _ in _in_time(map(_folders, [settings]), settings.archive, patience_s):
+        pass
+
+
+def _folders(settings: BatchSettings) -> tuple[Path, Path]:
+    """Return archive and output folder, as they are called without links."""
+    archive, out = _folder(settings.archive), settings.out.resolve()
+    if archive == out or archive.is_relative_to(out):
+        problem = "the archive is the output folder or lies in it; inputs are never modified"
+        raise ConfigError(str(settings.out), problem, "choose another output folder")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(str(settings.out), "is no folder, expected one for the outputs", "choose another")
+    return archive, out
+
+
+def _folder(archive: Path) -> Path:
+    try:
+        found = archive.resolve(strict=True)
+    except (OSError, RuntimeError) as error:
+        problem = f"cannot be opened ({getattr(error, 'strerror', None) or error})"
+        raise InputError(str(archive), problem, "check the name and that the disk is mounted") from error
+    if not found.is_dir():
+        raise ConfigError(str(archive), "is no folder, expected a tree of inputs", "prc classify takes a single file")
+    return found
+
+
+def _tells_case(folder: Path) -> bool:
+    """Tell whether ``a`` and ``A`` are two files here, as on most systems they are."""
+    other = folder.with_name(folder.name.swapcase())
+    if other.name == folder.name:
+        return os.path.normcase("A") == "A"
+    try:
+        return not other.samefile(folder)
+    except OSError:
+        return True
+
+
+# -- walking ----------------------------------------------------------------------------------------------------------
+
+_Item: TypeAlias = Found | LeftOut
+_ItemT = TypeVar("_ItemT")
+
+
+def _walk(archive: Path, out: Path, exclude: Patterns) -> Iterator[_Item]:
+    """Go through all folders, deepest last; no recursion, since a hostile tree may be thousands of folders deep."""
+    waiting: list[tuple[str, Path]] = [("", archive)]
+    while waiting:
+        prefix, folder = waiting.pop()
+        try:
+            with os.scandir(folder) as listing:
+                entries = sorted(listing, key=lambda entry: os.fsencode(entry.name))
+        except OSError as error:
+            if not prefix:
+                problem = f"cannot be listed ({error.strerror or error})"
+                raise InputError(str(archive), problem, "check its permissions and that the disk is mounted") from error
+            yield LeftOut(prefix, f"folder cannot be listed ({error.strerror or error})")
+            continue
+        if prefix and any(entry.name == OWN_FOLDER for entry in entries):
+            yield LeftOut(prefix, "the output folder of another batch run")
+            continue
+        for entry in entries:
+            if entry.name.startswith("."):
+                continue
+            found = _look(entry, f"{prefix}{entry.name}", archive)
+            if not isinstance(found, str):
+                if found is not None:
+                    yield found
+            elif Path(entry.path) != out and not exclude.match(found.removesuffix("/")):
+                waiting.append((found, Path(entry.path)))
+
+
+def _look(entry: os.DirEntry[str], name: str, archive: Path) -> _Item | str | None:
+    """Return an input, why it is none, the prefix of the names in a folder, or None for what nobody asks about."""
+    try:
+        is_link = entry.is_symlink()
+        if entry.is_dir(follow_symlinks=False):
+            return f"{name}/"
+        readable = suffix_of(Path(entry.name)) in _READABLE
+        if is_link:
+            reason = _why_not_followed(entry, archive, readable=readable)
+            if reason is not None:
+                return LeftOut(name, reason)
+        if not readable:
+            return None
+        status = entry.stat()
+    except OSError as error:
+        return LeftOut(name, f"cannot be looked at ({error.strerror or error})")
+    if not stat.S_ISREG(status.st_mode):
+        return LeftOut(name, "not a regular file")
+    if PurePosixPath(entry.name).stem.endswith(LABELS):
+        return LeftOut(name, "labels that this program wrote")
+    return Found(name, Path(entry.path), status.st_size, status.st_mtime_ns)
+
+
+def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool) -> str | None:
+    """Return why a symbolic link is left out; a readable file of the archive may have a second name."""
+    try:
+        target = Path(entry.path).resolve(strict=True)
+    except (OSError, RuntimeError):
+        return "a symbolic link to nothing"
+    if not target.is_relative_to(archive):
+        return "a symbolic link that leads out of the archive"
+    if target.is_dir():
+        return "a symbolic link to a folder of the archive, whose files have their own names"
+    return None if readable else "a symbolic link"
+
+
+def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Iterator[_ItemT]:
+    """Run an iterator in a thread, and give up when it says nothing for long.
+
+    A thread that hangs in the system cannot be ended; it is a daemon, so that the program can.
+    """
+    answers: queue.SimpleQueue[tuple[_ItemT] | BaseException | None] = queue.SimpleQueue()
+
+    def run() -> None:
+        try:
+            for item in items:
+                answers.put((item,))
+        except BaseException as error:  # raised again where the items are taken
+            answers.put(error)
+        else:
+            answers.put(None)
+
+    threading.Thread(target=run, name="discovery", daemon=True).start()
+    while True:
+        try:
+            answer = answers.get(timeout=patience_s)
+        except queue.Empty:
+            problem = f"the file system has not answered for {patience_s:g} s"
+            raise InputError(str(archive), problem, "check that the disk or share is mounted and reachable") from None
+        if answer is None:
+            return
+        if isinstance(answer, BaseException):
+            raise answer
+        yield answer[0]
+
+
+# -- patterns and times -----------------------------------------------------------------------------------------------
+
+
+class Patterns:
+    """Glob patterns of names.
+
+    Parameters
+    ----------
+    patterns : iterable of str
+        ``*`` and ``?`` stand for characters other than the slash, ``[a-z]`` and ``[!a-z]`` for one of a set, ``**`` for
+        any number of folders. A pattern with a slash is compared with the whole name, one without with the last part
+        of it.
+    tells_case : bool
+        Whether ``a`` and ``A`` differ.
+
+    Examples
+    --------
+    >>> Patterns(["*.laz"]).match("2026/a/b.laz"), Patterns(["2026/*.laz"]).match("2026/a/b.laz")
+    (True, False)
+    >>> Patterns(["**/night/*"]).match("night/b.laz"), bool(Patterns([]))
+    (True, False)
+    """
+
+    def __init__(self, patterns: Iterable[str], *, tells_case: bool = True) -> None:
+        flags = re.DOTALL if tells_case else re.DOTALL | re.IGNORECASE
+        self._whole: list[re.Pattern[str]] = []
+        self._last: list[re.Pattern[str]] = []
+        for pattern in patterns:
+            text = pattern.replace(os.sep, "/").removeprefix("./").rstrip("/")
+            if not text or "\0" in text:
+                raise ConfigError("pattern", f"found {pattern!r}, expected a glob such as *.laz or night/**/*.laz")
+            compiled = re.compile(_regex(text.removeprefix("/")), flags)
+            (self._whole if "/" in text else self._last).append(compiled)
+
+    def __bool__(self) -> bool:
+        return bool(self._whole or self._last)
+
+    def match(self, name: str) -> bool:
+        """Tell whether any pattern takes a name."""
+        last = name.rpartition("/")[2]
+        return any(one.fullmatch(name) for one in self._whole) or any(one.fullmatch(last) for one in self._last)
+
+
+def _regex(pattern: str) -> str:
+    """Translate a glob; parts between slashes alone, so that no star crosses one."""
+    parts = []
+    segments = pattern.split("/")
+    for i, segment in enumerate(segments):
+        last = i == len(segments) - 1
+        if segment == "**":
+            parts.append(".+" if last else "(?:[^/]+/)*")
+        else:
+            parts.append(_segment(segment) + ("" if last else "/"))
+    return "".join(parts)
+
+
+def _segment(text: str) -> str:
+    found: list[str] = []
+    i = 0
+    while i < len(text):
+        character = text[i]
+        i += 1
+        if character == "*":
+            if not found or found[-1] != "[^/]*":  # several stars in a row are one: no exponential search
+                found.append("[^/]*")
+        elif character == "?":
+            found.append("[^/]")
+        elif character == "[" and (end := text.find("]", i + 1 + text.startswith("!", i))) > 0:
+            found.append(_set(text[i:end]))
+            i = end + 1
+        else:
+            found.append(re.escape(character))
+    return "".join(found)
+
+
+def _set(inside: str) -> str:
+    """Translate what stands between brackets."""
+    negated = inside.startswith("!")
+    inside = inside[negated:]
+    ranges = []
+    i = 0
+    while i < len(inside):
+        if i + 2 < len(inside) and inside[i + 1] == "-":
+            if inside[i] <= inside[i + 2]:
+                ranges.append(f"{re.escape(inside[i])}-{re.escape(inside[i + 2])}")
+            i += 3
+        else:
+            ranges.append(re.escape(inside[i]))
+            i += 1
+    if negated:
+        return f"[^/{''.join(ranges)}]"
+    return f"(?!/)[{''.join(ranges)}]" if ranges else r"(?!)"
+
+
+def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> int:
+    """Return the time that ``--since`` names [ns since 1970].
+
+    Parameters
+    ----------
+    text : str
+        A duration before now (``90min 12h 7d 2w``), a date or a time as ISO 8601 has them (without an offset: local
+        time), or a file, whose time of change it is.
+    now : callable
+        The clock.
+
+    Raises
+    ------
+    ConfigError
+        When it is none of these.
+
+    Examples
+    --------
+    >>> parse_since("1970-01-02T00:00:00+00:00") // 10**9
+    86400
+    """
+    found = re.fullmatch(r"([0-9]{1,9})\s*(s|min|h|d|w)", text.strip())
+    if found is not None:
+        try:
+            return _nanoseconds(now() - timedelta(seconds=int(found[1]) * _UNITS[found[2]]))
+        except OverflowError:
+            return 0
+    try:
+        return _nanoseconds(datetime.fromisoformat(text.strip()).astimezone())
+    except (ValueError, OverflowError, OSError):
+        pass
+    try:
+        if not text.strip():
+            raise ValueError
+        return Path(text).stat().st_mtime_ns
+    except (OSError, ValueError):
+        problem = f"found {text!r}, expected a duration (7d), a date (2026-01-31) or a file"
+        raise ConfigError("--since", problem, "durations end in s, min, h, d or w") from None
+
+
+def _nanoseconds(time: datetime) -> int:
+    return round(time.timestamp() * 10**6) * 1000
+
+
+# -- outputs ----------------------------------------------------------------------------------------------------------
+
+
+def output_name(name: str, to: str) -> str:
+    """Return the name of an output in its tree.
+
+    The whole name of the input stays in it, so that ``a.las``, ``a.laz`` and ``a.csv`` never meet; a LAS or LAZ file
+    that stays one keeps its name, so that the tree of outputs can stand for that of the inputs.
+
+    Parameters
+    ----------
+    name : str
+        Of the input.
+    to : str
+        One of :data:`FORMATS`.
+
+    Examples
+    --------
+    >>> [output_name(name, "same") for name in ("night/a.laz", "a.csv.gz")]
+    ['night/a.laz', 'a.csv.gz.labels.npy']
+    >>> [output_name(name, "laz") for name in ("a.laz", "a.las", "a.bin")]
+    ['a.laz', 'a.las.laz', 'a.bin.laz']
+    """
+    if to not in FORMATS:
+        raise ConfigError("--to", f"found {to!r}, expected one of: {', '.join(FORMATS)}")
+    suffix = PurePosixPath(name).suffix.lower()
+    if to == SAME:
+        return name if suffix in LAS_SUFFIXES else f"{name}{LABELS}.npy"
+    if f".{to}" in LAS_SUFFIXES:
+        return name if suffix == f".{to}" else f"{name}.{to}"
+    return f"{name}{LABELS}.{to}"
+
+
+def collisions(names: Iterable[str]) -> frozenset[str]:
+    """Return the outputs that more than one input would write, also where upper and lower case are the same.
+
+    >>> sorted(collisions(["a.las", "b.las", "A.LAS"]))
+    ['A.LAS', 'a.las']
+    """
+    names = list(names)
+    counts = Counter(name.casefold() for name in names)
+    return frozenset(name for name in names if counts[name.casefold()] > 1)

@@ -1,0 +1,535 @@
+"""What a batch run will do with every file, and what that will take."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from prc_cli import __version__
+from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, preset_table
+from prc_cli.core.config import read_toml
+from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
+from prc_cli.core.files import suffix_of
+from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
+from prc_cli.jobs.batch.discovery import (
+    Found,
+    Patterns,
+    collisions,
+    output_name,
+)
+from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
+from prc_cli.jobs.batch.summary import LeftOut
+from prc_cli.jobs.batch.types import (
+    Done,
+    Entry,
+    Failed,
+    InputPrint,
+    Problem,
+    Task,
+)
+
+Reason: TypeAlias = Literal[
+    "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing"
+]
+"""Why a file is to be done."""
+
+TRAJECTORY = "trajectory:"
+_PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
+BEGIN_S = 2.0
+"""What workers take to begin and to load the compiled loops; all of the time that a small archive takes [s]."""
+_MAX_RECORD = 1 << 24
+"""A run record is smaller [bytes]."""
+
+
+# -- what a plan is ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A file that is to be classified."""
+
+    task: Task
+    reason: Reason
+    size: int
+    """Of the input [bytes]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a plan will take."""
+
+    seconds: float | None
+    """Wall time [s]; None where nothing is known of any format in the plan."""
+    peak_mib: float | None
+    """Memory of all workers together [MiB]; None where nothing is known."""
+    sources: tuple[str, ...]
+    """Where the figures come from, a sentence a format."""
+    n_unknown: int = 0
+    """Files that are not in the figures, because nothing is known of their format."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a run will do."""
+
+    todo: tuple[Planned, ...]
+    """In the order of names."""
+    done: tuple[str, ...] = ()
+    """Names of files that are done already, with the same input, configuration and program."""
+    adopted: tuple[tuple[Task, Done], ...] = ()
+    """Outputs that no journal knew and that are what would be written."""
+    confirmed: tuple[Done, ...] = ()
+    """Done files whose input has another time but the same content; their names are in ``done`` too."""
+    refused: tuple[Failed, ...] = ()
+    """Files that cannot be begun."""
+    left_out: tuple[LeftOut, ...] = ()
+    """Things in the archive that no run takes."""
+    n_beyond_limit: int = 0
+    """Files to do that a limit leaves for another run."""
+    n_not_selected: int = 0
+    """Inputs that patterns, times or the shard keep for other runs."""
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the inputs to do [bytes]."""
+        return sum(item.size for item in self.todo)
+
+    @property
+    def n_found(self) -> int:
+        """Inputs of this run, done or not."""
+        known = len(self.done) + len(self.adopted) + len(self.refused)
+        return len(self.todo) + known + self.n_beyond_limit
+
+
+# -- configuration of every file --------------------------------------------------------------------------------------
+
+
+class BatchConfig:
+    """The configuration of every file of an archive.
+
+    The TOML file may hold ``[[override]]`` tables beside the keys of every run: ``match`` names files by patterns
+    (:class:`~prc_cli.jobs.batch.discovery.Patterns`), ``preset`` replaces the preset of the whole file, all other keys
+    are laid over its keys. Where several match, later ones win. What the command line says wins over all.
+
+    A trajectory may have placeholders: ``{name}`` and ``{stem}`` of the input, ``{folder}`` it lies in, and
+    ``{subfolder}``, the same relative to the archive.
+
+    Parameters
+    ----------
+    layers : ConfigLayers
+        Where the configuration comes from.
+
+    Raises
+    ------
+    ConfigError
+        Anything in it that makes no sense, in an override too, before any file is asked for.
+    """
+
+    def __init__(self, layers: ConfigLayers) -> None:
+        self._layers = layers
+        self._where = str(layers.path)
+        table = {} if layers.path is None else read_toml(layers.path)
+        overrides = table.pop("override", [])
+        self._preset = table.pop("preset", None)
+        self._table = self._placed(table)
+        if not isinstance(overrides, list) or not all(isinstance(item, dict) for item in overrides):
+            raise ConfigError(self._where, "override: expected tables, each beginning with [[override]]")
+        self._overrides = [self._override(number, item) for number, item in enumerate(overrides, 1)]
+        self._built: dict[tuple[int, ...], LoadedConfig] = {}
+        self._prints: dict[tuple[Path, int, int], str] = {}
+        for number in range(len(self._overrides)):
+            self._build((number,))
+        self.base = self._build(())
+        """The configuration without overrides."""
+        self.base_sha256 = config_hash(self.base.config, None)
+
+    def _override(self, number: int, table: dict[str, Any]) -> _Override:
+        where = f"{self._where}: override {number}"
+        rest = dict(table)
+        match = rest.pop("match", None)
+        patterns = [match] if isinstance(match, str) else match
+        if not isinstance(patterns, list) or not patterns or not all(isinstance(item, str) for item in patterns):
+            problem = "match: expected a pattern or a list of patterns" + (
+                "" if match is None else f", found {match!r}"
+            )
+            raise ConfigError(where, problem, 'for example match = "night/*.laz"')
+        preset = rest.pop("preset", None)
+        return _Override(where, Patterns(patterns), preset, self._placed(rest))
+
+    def _placed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Let a trajectory start at the folder of the configuration file, unless it starts at that of the input."""
+        rule = table["input"].get("range") if isinstance(table.get("input"), Mapping) else None
+        if self._layers.path is None or (isinstance(rule, str) and rule.startswith(f"{TRAJECTORY}{{folder}}")):
+            return table
+        return from_folder(table, self._layers.path.parent)
+
+    def _build(self, matching: tuple[int, ...]) -> LoadedConfig:
+        if matching not in self._built:
+            given = self._layers
+            chosen = [self._overrides[number] for number in matching]
+            named = [item.preset for item in chosen if item.preset is not None]
+            preset = given.preset if given.preset is not None else (named[-1] if named else self._preset)
+            layers: list[tuple[str, Mapping[str, Any]]] = []
+            if preset is not None:
+                layers.append((f"preset {preset}", preset_table(preset)))
+            if given.path is not None:
+                layers.append((self._where, self._table))
+            layers.extend((item.where, item.table) for item in chosen)
+            if given.options:
+                layers.append(("option", given.options))
+            files = (*([] if given.path is None else [given.path]), *given.files)
+            self._built[matching] = from_layers(layers, files)
+        return self._built[matching]
+
+    def of(self, name: str, path: Path) -> tuple[LoadedConfig, str]:
+        """Return the configuration of a file and its hash.
+
+        Parameters
+        ----------
+        name : str
+            In the archive.
+        path : Path
+            Where it is.
+
+        Raises
+        ------
+        ConfigError
+            An unknown placeholder.
+        InputError
+            When the file's trajectory cannot be read.
+        """
+        loaded = self._build(tuple(i for i, item in enumerate(self._overrides) if item.patterns.match(name)))
+        rule = loaded.config.input.range
+        if not rule.startswith(TRAJECTORY):
+            return loaded, self._hash(loaded.config, None)
+        filled = TRAJECTORY + _fill(rule.removeprefix(TRAJECTORY), name, path)
+        if filled != rule:
+            inputs = loaded.config.input.model_copy(update={"range": filled})
+            loaded = replace(loaded, config=loaded.config.model_copy(update={"input": inputs}))
+        assert loaded.trajectory is not None
+        return loaded, self._hash(loaded.config, self._print(loaded.trajectory))
+
+    def _hash(self, config: RunConfig, trajectory_sha256: str | None) -> str:
+        return self.base_sha256 if config is self.base.config else config_hash(config, trajectory_sha256)
+
+    def _print(self, path: Path) -> str:
+        """Return the hash of a trajectory, taken once a run."""
+        try:
+            status = path.stat()
+            if not path.is_file():
+                raise InputError(str(path), "not a regular file, expected a trajectory", "check [input] range")
+        except OSError as error:
+            problem = f"the trajectory cannot be read ({error.strerror or error})"
+            raise InputError(str(path), problem, "check [input] range and its placeholders") from error
+        key = (path, status.st_size, status.st_mtime_ns)
+        if key not in self._prints:
+            self._prints[key] = fingerprint(path).sha256
+        return self._prints[key]
+
+
+@dataclass(frozen=True, slots=True)
+class _Override:
+    where: str
+    patterns: Patterns
+    preset: Any
+    table: Mapping[str, Any]
+
+
+def _fill(template: str, name: str, path: Path) -> str:
+    """Put the parts of a file's name into a template; names are put in as they are, whatever characters they have."""
+    values = {
+        "name": path.name,
+        "stem": path.name.removesuffix(suffix_of_name(path.name)),
+        "folder": str(path.parent),
+        "subfolder": name.rpartition("/")[0] or ".",
+    }
+
+    def value(found: re.Match[str]) -> str:
+        if found[1] not in values:
+            known = ", ".join(f"{{{key}}}" for key in values)
+            raise ConfigError("input.range", f"unknown placeholder {found[0]!r}, expected one of: {known}")
+        return values[found[1]]
+
+    return _PLACEHOLDER.sub(value, template)
+
+
+def suffix_of_name(name: str) -> str:
+    """Return the suffix that decides the format, in the case it is written in.
+
+    >>> suffix_of_name("drive.1.CSV.gz")
+    '.CSV.gz'
+    """
+    n = len(suffix_of(Path(name)))
+    return name[len(name) - n :]
+
+
+def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
+    """Return the hash of what an output depends on: the configuration, and the content of the file that it names.
+
+    Neither folders nor the parameters of other classifiers matter.
+    """
+    table = config.of_run()
+    if trajectory_sha256 is not None:
+        table["input"]["range"] = f"{TRAJECTORY}{trajectory_sha256}"
+    return sha256(json.dumps(table, sort_keys=True, ensure_ascii=True).encode("ascii")).hexdigest()
+
+
+# -- decisions --------------------------------------------------------------------------------------------------------
+
+
+def make_plan(
+    settings: BatchSettings,
+    files: Sequence[Found],
+    config: BatchConfig,
+    known: Mapping[str, Entry],
+) -> Plan:
+    """Decide what to do with every file.
+
+    Parameters
+    ----------
+    settings : BatchSettings
+        Formats of outputs, limits and permissions.
+    files : sequence of Found
+        Inputs, in the order of their names.
+    config : BatchConfig
+        Configuration of every file.
+    known : mapping
+        Entries of the journals by name.
+
+    Returns
+    -------
+    Plan
+        Without what was left out while the archive was listed.
+    """
+    if settings.only_failed:
+        files = [item for item in files if item.name in known and known[item.name].state != "done"]
+    names = {item.name: output_name(item.name, settings.to) for item in files}
+    twice = collisions(names.values())
+    todo: list[Planned] = []
+    done: list[str] = []
+    adopted: list[tuple[Task, Done]] = []
+    confirmed: list[Done] = []
+    refused: list[Failed] = []
+    for item in files:
+        try:
+            if names[item.name] in twice:
+                raise _same_output(settings.out, names[item.name])
+            loaded, digest = config.of(item.name, item.path)
+            output = settings.out.absolute() / names[item.name]
+            task = Task(item.name, item.path, output, loaded, digest, settings.overwrite)
+            entry = known.get(item.name)
+            found = _decide(item, task, entry, settings)
+        except (PrcError, OSError) as error:
+            refused.append(Failed(item.name, InputPrint(item.size, item.mtime_ns, None), 0.0, Problem.of(error)))
+            continue
+        if isinstance(found, Planned):
+            todo.append(found)
+        elif isinstance(found, Done) and (entry is None or not entry.owns_output):
+            adopted.append((task, found))
+        else:
+            done.append(item.name)
+            if found is not None:
+                confirmed.append(found)
+    limit = len(todo) if settings.limit is None else settings.limit
+    return Plan(
+        tuple(todo[:limit]), tuple(done), tuple(adopted), tuple(confirmed), tuple(refused),
+        n_beyond_limit=max(0, len(todo) - limit),
+    )  # fmt: skip
+
+
+def _same_output(out: Path, name: str) -> OutputExistsError:
+    problem = "two inputs would write this output (upper and lower case may be the same on another disk)"
+    return OutputExistsError(str(out / name), problem, "rename one of them, or --exclude it")
+
+
+def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSettings) -> Planned | Done | None:
+    """Return what is to be done; the entry that adopts or confirms an output; None for a file that is done.
+
+    Raises
+    ------
+    OutputExistsError
+        When an output is there that is not ours, or that somebody changed.
+    """
+    written = _stat(task.output)
+    if entry is None or not entry.owns_output:
+        if written is not None and not settings.overwrite:
+            found = _adopt(item, task, written) if settings.adopt else None
+            if found is None:
+                raise _foreign(task.output, adopt=settings.adopt)
+            return found
+        return Planned(task, "new" if entry is None else "failed before", item.size)
+    reason, found = _compare(item, task, entry, written, settings)
+    if reason is None:
+        return found
+    before = entry.outcome
+    if written is not None and entry.state == "done" and isinstance(before, Done) and not settings.overwrite:
+        _check_untouched(task.output, written, before)
+    return Planned(replace(task, overwrite=True), reason, item.size)
+
+
+def _compare(
+    item: Found, task: Task, entry: Entry, written: os.stat_result | None, settings: BatchSettings
+) -> tuple[Reason | None, Done | None]:
+    """Compare a file with what the journal says of it: why it is to be done, or None and what to note."""
+    before = entry.outcome
+    if entry.state == "running" or (entry.state == "done" and not isinstance(before, Done)):
+        return "unfinished", None
+    if not isinstance(before, Done) or entry.state == "failed":
+        return "failed before", None
+    if entry.version not in (__version__, *settings.keep_versions):
+        return "changed version", None
+    # a version may have keys that another has not, so that the hash of its configuration says nothing here
+    if entry.version == __version__ and entry.config_sha256 != task.config_sha256:
+        return "changed config", None
+    if item.size != before.input.size:
+        return "changed input", None
+    if written is None:
+        return "output missing", None
+    if item.mtime_ns == before.input.mtime_ns and not settings.verify:
+        return None, None
+    if fingerprint(item.path).sha256 != before.input.sha256:
+        return "changed input", None
+    return None, replace(before, input=replace(before.input, mtime_ns=item.mtime_ns))
+
+
+def _stat(output: Path) -> os.stat_result | None:
+    try:
+        return output.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+
+
+def _foreign(output: Path, *, adopt: bool) -> OutputExistsError:
+    problem = "exists already, and no journal knows it"
+    if adopt:
+        problem += f"; {record_path(output).name} does not say that it was made of this input like this"
+    return OutputExistsError(str(output), problem, "move it away, or --overwrite" + ("" if adopt else ", or --adopt"))
+
+
+def _check_untouched(output: Path, written: os.stat_result, before: Done) -> None:
+    """Refuse to replace an output that somebody worked on."""
+    if (written.st_size, written.st_mtime_ns) != (before.output_size, before.output_mtime_ns):
+        problem = "was changed after it was written, and would have to be written again"
+        raise OutputExistsError(str(output), problem, "move it away to keep it, or --overwrite")
+
+
+def _adopt(item: Found, task: Task, written: os.stat_result) -> Done | None:
+    """Return the entry of an output whose record says that it is what would be written."""
+    try:
+        path = record_path(task.output)
+        if path.stat().st_size > _MAX_RECORD:
+            return None
+        record = json.loads(path.read_bytes())
+        trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
+        expected = RunRecord(task.config.config.of_run(), fingerprint(item.path), "", 1, trajectory=trajectory)
+        wanted = expected.as_dict()
+        if any(record[key] != wanted[key] for key in ("program", "version", "config", "input", "trajectory")):
+            return None
+        stream = record["stream"]
+        missing = ("missing", int(stream["n_missing"] or 0))
+        labels = tuple((str(count["name"]), int(count["count"])) for count in record["classes"])
+        return Done(
+            name=item.name, input=InputPrint(item.size, item.mtime_ns, wanted["input"]["sha256"]),
+            output_size=written.st_size, output_mtime_ns=written.st_mtime_ns, seconds=0.0, cpu_seconds=0.0,
+            peak_mib=None, n_lines=int(stream["n_lines"] or 0),
+            n_shots=int(stream["n_lines"] or 0) * int(stream["points_per_line"]),
+            n_records=int(stream["n_records"] or 0), labels=(missing, *labels),
+            notices=tuple(str(text) for text in record["notices"]),
+        )  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+
+
+# -- estimates --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """What files of a format took."""
+
+    seconds_per_byte: float
+    peak_mib: float | None
+    source: str
+    """Where it comes from, to be read after the name of the format."""
+
+
+def journal_rates(todo: Iterable[Planned], known: Mapping[str, Entry]) -> dict[str, Rate]:
+    """Return the rates of the formats of a plan that earlier files of the archive give, by suffix.
+
+    Files with a configuration of the plan count; where there are none, those with any.
+    """
+    todo = list(todo)
+    wanted = {item.task.config_sha256 for item in todo}
+    rates: dict[str, Rate] = {}
+    for suffix in sorted({suffix_of(item.task.source) for item in todo}):
+        ended = [
+            (entry.config_sha256 in wanted, entry.outcome)
+            for entry in known.values()
+            if isinstance(entry.outcome, Done) and suffix_of(Path(entry.name)) == suffix and entry.outcome.seconds > 0
+        ]
+        same = [outcome for is_wanted, outcome in ended if is_wanted]
+        source = f"from {{}} earlier file{{}} of this archive{'' if same else ', of another configuration'}"
+        used = same or [outcome for _, outcome in ended]
+        if used:
+            rates[suffix] = _rate(used, source.format(len(used), "" if len(used) == 1 else "s"))
+    return rates
+
+
+def _rate(outcomes: Sequence[Done], source: str) -> Rate:
+    peaks = [outcome.peak_mib for outcome in outcomes if outcome.peak_mib is not None]
+    size = sum(outcome.input.size for outcome in outcomes)
+    return Rate(sum(outcome.seconds for outcome in outcomes) / max(1, size), max(peaks, default=None), source)
+
+
+def sample_rate(outcome: Done, shown: str) -> Rate:
+    """Return the rate of a file that was classified to measure it."""
+    return _rate([outcome], f"measured on a sample of {shown}")
+
+
+def estimate(todo: Sequence[Planned], rates: Mapping[str, Rate], jobs: int) -> Estimate:
+    """Estimate what a plan takes.
+
+    Parameters
+    ----------
+    todo : sequence of Planned
+        Files, in the order they are begun.
+    rates : mapping
+        By suffix; formats that are missing are counted as unknown.
+    jobs : int
+        Files at a time.
+
+    Returns
+    -------
+    Estimate
+        Wall time as workers that always take the next file need it, with their beginning; memory of the ``jobs``
+        largest together.
+    """
+    free = [0.0] * max(1, jobs)
+    peaks: list[float] = []
+    n_unknown = 0
+    for item in todo:
+        rate = rates.get(suffix_of(item.task.source))
+        if rate is None:
+            n_unknown += 1
+            continue
+        free.sort()
+        free[0] += rate.seconds_per_byte * item.size
+        if rate.peak_mib is not None:
+            peaks.append(rate.peak_mib)
+    sources = []
+    for suffix in sorted({suffix_of(item.task.source) for item in todo}):
+        source = rates[suffix].source if suffix in rates else "nothing known"
+        sources.append(f"{suffix.removeprefix('.')}: {source}")
+    known = len(todo) - n_unknown
+    return Estimate(
+        seconds=BEGIN_S * bool(known) + max(free) if known or not todo else None,
+        peak_mib=sum(sorted(peaks)[-max(1, jobs) :]) if peaks else None,
+        sources=tuple(sources),
+        n_unknown=n_unknown,
+    )

@@ -1,0 +1,454 @@
+"""A batch run from lock to summary; reads like the algorithm."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TypeAlias
+
+from prc_cli.core.errors import BusyError, PrcError
+from prc_cli.core.files import suffix_of
+from prc_cli.core.threads import close_items
+from prc_cli.jobs.batch.discovery import check, discover, output_name
+from prc_cli.jobs.batch.drift import drift
+from prc_cli.jobs.batch.journal import Journal, read_entries
+from prc_cli.jobs.batch.local import LocalEngine, share_cores
+from prc_cli.jobs.batch.lock import Lock
+from prc_cli.jobs.batch.plan import (
+    BatchConfig,
+    Estimate,
+    Plan,
+    Planned,
+    Rate,
+    estimate,
+    journal_rates,
+    make_plan,
+    sample_rate,
+)
+from prc_cli.jobs.batch.reference import BatchEvaluation, Output, evaluate_tree
+from prc_cli.jobs.batch.settings import BatchSettings
+from prc_cli.jobs.batch.summary import (
+    Alarm,
+    BatchSummary,
+    Ended,
+    reasons_of,
+    write_summary,
+)
+from prc_cli.jobs.batch.types import (
+    OWN_FOLDER,
+    Done,
+    Engine,
+    EngineSettings,
+    Entry,
+    Event,
+    Failed,
+    Outcome,
+    Problem,
+    Task,
+)
+from prc_cli.jobs.batch.work import may_pass
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+"""Before files are tried again; twice as long every time [s]."""
+ALONE = frozenset({"killed", "memory"})
+"""Kinds of problems that a file has less often when no other is worked on."""
+EARLIER_FILES = 500
+"""Classes of files are compared with those of so many that were done last before this run."""
+SAMPLE_BYTES = 64 << 20
+"""The sample of a format is the largest file up to this size, else the smallest of all [bytes]."""
+SAMPLE_S = 60.0
+"""A sample that takes longer is given up [s]."""
+SAMPLE_FILES = 3
+"""So many files of a format may fail before nothing is known of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Noted:
+    """Something about the run that the operator should know."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The plan stands."""
+
+    plan: Plan
+    jobs: int
+    threads: int
+
+
+@dataclass(frozen=True, slots=True)
+class Again:
+    """A file that failed will be tried again in this run."""
+
+    name: str
+    problem: Problem
+
+
+RunEvent: TypeAlias = Ready | Event | Again | Alarm | Noted
+"""What a listener hears; a :class:`Failed` that is followed by :class:`Again` is not final."""
+
+Listener: TypeAlias = Callable[[RunEvent], None]
+
+
+def _nobody(event: RunEvent) -> None:
+    """Hear an event and do nothing."""
+
+
+def plan_batch(
+    settings: BatchSettings, engine: Engine | None = None, listener: Listener = _nobody
+) -> tuple[Plan, Estimate]:
+    """Say what :func:`run_batch` would do, and what it would take; nothing is written.
+
+    What a format takes is known from earlier files of the archive, else from a file that is classified, twice, into
+    a temporary folder of the system.
+
+    Raises
+    ------
+    ConfigError, InputError
+        As :func:`run_batch`; a lock is not looked at.
+    """
+    config = BatchConfig(settings.config)
+    folder = settings.out / OWN_FOLDER
+    check(settings)
+    known = {entry.name: entry for entry in read_entries(folder)} if folder.is_dir() else {}
+    plan = _plan(settings, config, known)
+    jobs, threads = share_cores(settings.jobs, settings.threads, len(plan.todo))
+    rates = journal_rates(plan.todo, known)
+    rates |= _sample(set(rates), plan.todo, engine or LocalEngine(), threads, listener)
+    return plan, estimate(plan.todo, rates, jobs)
+
+
+def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: Listener = _nobody) -> BatchSummary:
+    """Classify every file of an archive that is not done yet.
+
+    Parameters
+    ----------
+    settings : BatchSettings
+        What is asked for.
+    engine : Engine, optional
+        What runs the files; default: worker processes of this machine.
+    listener : callable
+        Hears every event, in this thread.
+
+    Returns
+    -------
+    BatchSummary
+        Written as ``summary.json`` too, while the lock is still held, also after a signal.
+
+    Raises
+    ------
+    ConfigError
+        When the configuration makes no sense, or archive and output folder lie in one another.
+    InputError
+        When the archive cannot be listed.
+    BusyError
+        When another run holds the lock, or took it.
+    OutputError
+        When the journal or the summary cannot be written.
+    KeyboardInterrupt, SystemExit
+        After the workers have stopped, and journal and summary say so.
+    """
+    config = BatchConfig(settings.config)
+    if settings.reference is not None:
+        settings.reference.check()
+    check(settings)
+    folder = settings.out / OWN_FOLDER
+    with Lock(folder, settings.shard) as lock, Journal(folder, settings.shard) as journal:
+        known = {entry.name: entry for entry in journal.entries()}
+        run = _Run(settings, engine or LocalEngine(), listener, lock, journal)
+        return run.execute(_plan(settings, config, known), config, _Earlier(known.values()))
+
+
+def _plan(settings: BatchSettings, config: BatchConfig, known: dict[str, Entry]) -> Plan:
+    found = discover(settings)
+    plan = make_plan(settings, found.files, config, known)
+    return replace(plan, left_out=found.left_out, n_not_selected=found.n_not_selected)
+
+
+class _Run:
+    """One run under its lock."""
+
+    def __init__(
+        self, settings: BatchSettings, engine: Engine, listener: Listener, lock: Lock, journal: Journal
+    ) -> None:
+        self._settings = settings
+        self._engine = engine
+        self._listener = listener
+        self._lock = lock
+        self._journal = journal
+        self._owner = str(lock.owner)
+        self._notes: list[str] = []
+        self._alarms: list[Alarm] = []
+        self._outcomes: dict[str, Outcome] = {}
+        self._running: dict[str, float] = {}
+        self._stopping = False
+        self._started, self._clock = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
+
+    def execute(self, plan: Plan, config: BatchConfig, earlier: _Earlier) -> BatchSummary:
+        """Do what is planned and say what came out."""
+        run = self._journal.begin_run(self._owner)
+        if self._lock.inherited_from is not None:
+            self._note(f"took over from a run that died: {self._lock.inherited_from}")
+        for notice in self._journal.notices:
+            self._note(notice)
+        ended: Ended = "finished"
+        evaluation: BatchEvaluation | None = None
+        stop: BaseException | None = None
+        try:
+            self._settle(plan)
+            self._classify(plan)
+            self._compare_classes(plan, earlier)
+            evaluation = self._evaluate(plan)
+            if self._stopping:
+                ended = "stopped"
+        except (KeyboardInterrupt, SystemExit) as raised:
+            ended, stop = "interrupted", raised
+            self._give_up_running()
+        except BusyError:  # the journal is somebody else's now
+            raise
+        except PrcError as error:
+            with contextlib.suppress(PrcError):  # it may be the journal itself that cannot be written
+                self._give_up_running()
+                self._journal.end_run(error.exit_code)
+            raise
+        summary = self._summarise(plan, config, run, ended, evaluation)
+        code = summary.exit_code if stop is None else _exit_code(stop)
+        self._journal.end_run(code, {"done": len(summary.done), "failed": len(summary.failed)})
+        write_summary(summary)
+        if stop is not None:
+            raise stop
+        return summary
+
+    def _settle(self, plan: Plan) -> None:
+        """Note in the journal what needs no work."""
+        for task, done in plan.adopted:
+            self._journal.start(task, self._owner)
+            self._journal.finish(done)
+        for done in plan.confirmed:
+            self._journal.finish(done)
+        if plan.adopted:
+            n = len(plan.adopted)
+            self._note(f"{n} output{'' if n == 1 else 's'} taken as done: made of the same input in the same way")
+        for failed in plan.refused:
+            entry = self._journal.entry(failed.name)
+            # a done file stays done: it may only lack its trajectory tonight
+            if entry is None or entry.state != "done":
+                self._journal.finish(failed)
+
+    def _classify(self, plan: Plan) -> None:
+        """Run the files, and those again whose problem may pass."""
+        jobs, threads = share_cores(self._settings.jobs, self._settings.threads, len(plan.todo))
+        self._listener(Ready(plan, jobs, threads))
+        for failed in plan.refused:
+            self._listener(failed)
+            self._outcomes[failed.name] = failed
+        if plan.refused and self._settings.fail_fast:
+            self._stopping = True
+        settings = EngineSettings(jobs, threads, self._settings.stall_s, self._settings.memory_limit_mib)
+        self._pass(plan.todo, settings, attempt=0)
+        attempt = 1
+        while again := self._to_try_again(plan.todo, attempt):
+            if any(not alone for _, alone in again):
+                time.sleep(min(LONGEST_PAUSE_S, PAUSE_S * 2 ** (attempt - 1)))
+            for alone in (False, True):
+                some = [item for item, is_alone in again if is_alone is alone]
+                self._pass(some, replace(settings, jobs=1) if alone else settings, attempt)
+            attempt += 1
+
+    def _to_try_again(self, todo: Sequence[Planned], attempt: int) -> list[tuple[Planned, bool]]:
+        """Return the files for another attempt, and which of them are to be alone."""
+        if self._stopping:
+            return []
+        found = []
+        for item in todo:
+            outcome = self._outcomes.get(item.task.name)
+            if isinstance(outcome, Failed) and self._may_go_on(outcome, attempt - 1):
+                # what a worker has renamed just before it died is ours
+                found.append((replace(item, task=replace(item.task, overwrite=True)), outcome.problem.kind in ALONE))
+        return found
+
+    def _may_go_on(self, failed: Failed, attempt: int) -> bool:
+        """Tell whether a file is tried again after an attempt; one that died with its worker always, once."""
+        allowed = max(self._settings.retry, 1 if failed.problem.kind == "killed" else 0)
+        return attempt < allowed and may_pass(failed.problem)
+
+    def _pass(self, items: Sequence[Planned], settings: EngineSettings, attempt: int) -> None:
+        """Run files once; whatever happens, no worker is left when this returns."""
+        if not items or self._stopping:
+            return
+        settings = replace(settings, jobs=min(settings.jobs, len(items)))
+        events = self._engine.run(self._feed(items), settings)
+        with _closed(events):
+            for event in events:
+                self._listener(event)
+                if isinstance(event, Done | Failed):
+                    self._end(event, attempt)
+
+    def _feed(self, items: Iterable[Planned]) -> Iterator[Task]:
+        """Hand out files; the journal knows of each before a worker may write anything."""
+        for item in items:
+            self._lock.check()
+            if self._stopping:
+                return
+            self._journal.start(item.task, self._owner)
+            self._running[item.task.name] = time.monotonic()
+            yield item.task
+
+    def _end(self, outcome: Outcome, attempt: int) -> None:
+        self._journal.finish(outcome)
+        self._running.pop(outcome.name, None)
+        self._outcomes[outcome.name] = outcome
+        if isinstance(outcome, Failed):
+            if self._may_go_on(outcome, attempt):
+                self._listener(Again(outcome.name, outcome.problem))
+            elif self._settings.fail_fast:
+                self._stopping = True
+
+    def _give_up_running(self) -> None:
+        """Note that files were begun and not ended, and leave no outcome of theirs."""
+        for name, begun in self._running.items():
+            problem = Problem("interrupted", name, "the run was stopped before its end", "run again")
+            self._journal.finish(Failed(name, None, time.monotonic() - begun, problem))
+            self._outcomes.pop(name, None)
+
+    def _compare_classes(self, plan: Plan, earlier: _Earlier) -> None:
+        """Raise an alarm for every file whose classes are unlike those of the archive's earlier runs."""
+        if not self._settings.drift:
+            return
+        for item in plan.todo:
+            outcome = self._outcomes.get(item.task.name)
+            if isinstance(outcome, Done):
+                sentence = drift(dict(outcome.labels), earlier.of(item.task))
+                if sentence is not None:
+                    alarm = Alarm(outcome.name, sentence)
+                    self._alarms.append(alarm)
+                    self._listener(alarm)
+
+    def _evaluate(self, plan: Plan) -> BatchEvaluation | None:
+        """Compare all outputs of the archive that are done, whichever run wrote them, with the reference."""
+        settings = self._settings
+        if settings.reference is None:
+            return None
+        names = {*plan.done, *(done.name for _, done in plan.adopted)}
+        names |= {name for name, outcome in self._outcomes.items() if isinstance(outcome, Done)}
+        self._note(f"{len(names)} outputs are compared with {settings.reference.tree}")
+        outputs = []
+        for name in sorted(names):
+            relative = output_name(name, settings.to)
+            outputs.append(Output(name, relative, settings.out / relative, settings.archive / name))
+        jobs, _ = share_cores(settings.jobs, 1, len(outputs))
+        return evaluate_tree(outputs, settings.reference, threads=jobs)
+
+    def _summarise(
+        self, plan: Plan, config: BatchConfig, run: str, ended: Ended, evaluation: BatchEvaluation | None
+    ) -> BatchSummary:
+        outcomes = [self._outcomes[name] for name in sorted(self._outcomes)]
+        n_ended = sum(item.task.name in self._outcomes for item in plan.todo)
+        return BatchSummary(
+            run=run,
+            archive=self._settings.archive,
+            out=self._settings.out,
+            started=self._started,
+            finished=datetime.now(UTC).isoformat(timespec="seconds"),
+            seconds=time.monotonic() - self._clock,
+            n_found=plan.n_found,
+            n_skipped=len(plan.done) + len(plan.adopted),
+            done=tuple(item for item in outcomes if isinstance(item, Done)),
+            failed=tuple(item for item in outcomes if isinstance(item, Failed)),
+            n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
+            reasons=reasons_of(item.reason for item in plan.todo),
+            alarms=tuple(self._alarms),
+            left_out=plan.left_out,
+            notes=tuple(self._notes),
+            ended=ended,
+            shard=self._settings.shard,
+            config_sha256=config.base_sha256,
+            evaluation=evaluation,
+        )
+
+    def _note(self, text: str) -> None:
+        self._notes.append(text)
+        self._listener(Noted(text))
+
+
+class _Earlier:
+    """The classes of files that were done before this run, by configuration."""
+
+    def __init__(self, known: Iterable[Entry]) -> None:
+        self._files: dict[str, list[tuple[str, dict[str, int]]]] = {}
+        for entry in sorted(known, key=lambda entry: (entry.finished or "", entry.name), reverse=True):
+            if entry.state == "done" and isinstance(entry.outcome, Done):
+                files = self._files.setdefault(entry.config_sha256, [])
+                if len(files) <= EARLIER_FILES:
+                    files.append((entry.name, dict(entry.outcome.labels)))
+
+    def of(self, task: Task) -> list[dict[str, int]]:
+        """Return the records by label of files of the same configuration, without the file itself."""
+        files = self._files.get(task.config_sha256, [])
+        return [labels for name, labels in files if name != task.name][:EARLIER_FILES]
+
+
+@contextlib.contextmanager
+def _closed(events: Iterator[Event]) -> Iterator[None]:
+    """Stop an engine's workers at the end, however it comes."""
+    try:
+        yield
+    finally:
+        close_items(events)
+
+
+def _exit_code(stop: BaseException) -> int:
+    if isinstance(stop, SystemExit) and isinstance(stop.code, int):
+        return stop.code
+    return INTERRUPTED
+
+
+def _sample(
+    known: set[str], todo: Sequence[Planned], engine: Engine, threads: int, listener: Listener
+) -> dict[str, Rate]:
+    """Classify a file of every format that nothing is known of into a temporary folder; return what it took."""
+    rates: dict[str, Rate] = {}
+    candidates = {
+        suffix: _candidates([item for item in todo if suffix_of(item.task.source) == suffix])
+        for suffix in sorted({suffix_of(item.task.source) for item in todo} - known)
+    }
+    while candidates := {suffix: items for suffix, items in candidates.items() if items and suffix not in rates}:
+        chosen = {suffix: items.pop(0).task for suffix, items in candidates.items()}
+        for task in chosen.values():
+            listener(Noted(f"measuring a sample: {task.name}"))
+        with tempfile.TemporaryDirectory(prefix="prc-sample-") as folder:
+            outputs = {name: Path(folder) / name / task.output.name for name, task in chosen.items()}
+            tasks = [replace(task, output=outputs[name], overwrite=True) for name, task in chosen.items()]
+            # the second time libraries are loaded and the file is in memory, as for most files of a long run
+            for done in _run_sample([task for task in tasks for _ in range(2)], engine, threads):
+                rates[suffix_of(Path(done.name))] = sample_rate(done, done.name)
+    return rates
+
+
+def _candidates(items: Sequence[Planned]) -> list[Planned]:
+    """Choose files of a format that tell something and do not take long."""
+    by_size = sorted(items, key=lambda item: item.size)
+    short = [item for item in by_size if item.size <= SAMPLE_BYTES]
+    return (short[::-1] or by_size)[:SAMPLE_FILES]
+
+
+def _run_sample(tasks: Sequence[Task], engine: Engine, threads: int) -> list[Done]:
+    end = time.monotonic() + SAMPLE_S * len(tasks)
+    outcomes = []
+    events = engine.run(iter(tasks), EngineSettings(jobs=1, threads=threads, stall_s=SAMPLE_S))
+    with _closed(events):
+        for event in events:
+            if isinstance(event, Done):
+                outcomes.append(event)
+            if time.monotonic() > end:
+                break
+    return outcomes

@@ -1,0 +1,170 @@
+"""One file in one process: every error becomes an outcome, only interrupts pass."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+from pathlib import Path
+
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import PrcError
+from prc_cli.jobs.batch.types import (
+    Done,
+    Failed,
+    InputPrint,
+    Outcome,
+    Problem,
+    Task,
+)
+from prc_cli.jobs.classify import (
+    Labeller,
+    Progress,
+    RunSummary,
+    classify,
+    load_classifier,
+)
+
+MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
+"""Kinds of problems that the file's content has no part in."""
+
+
+def run_task(
+    task: Task, *, threads: int = 1, progress: Progress | None = None, label: Labeller | None = None
+) -> Outcome:
+    """Classify one file.
+
+    Parameters
+    ----------
+    task : Task
+        The file; the folder of its output is made where it is missing.
+    threads : int
+        Threads that classify; they do not change a byte.
+    progress : callable, optional
+        Called with the number of lines that were just finished.
+    label : callable, optional
+        Labels the stream where its labels are known already in part (:mod:`prc_cli.jobs.batch.parts`).
+
+    Returns
+    -------
+    Done or Failed
+        A file that is damaged, or cannot be written, is :class:`Failed` and leaves nothing behind.
+
+    Raises
+    ------
+    KeyboardInterrupt, SystemExit
+        When a signal arrives; nothing is left behind then, either.
+    """
+    begun = time.perf_counter()
+    before: InputPrint | None = None
+    try:
+        before = stat_input(task.source)
+        task.output.parent.mkdir(parents=True, exist_ok=True)
+        load_classifier(task.config)
+        begun, cpu = time.perf_counter(), time.process_time()
+        _reset_peak()
+        source, output, config, overwrite = task.source, task.output, task.config, task.overwrite
+        summary = classify(source, output, config, overwrite=overwrite, progress=progress, threads=threads, label=label)
+        return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
+    except Exception as error:
+        return Failed(task.name, before, time.perf_counter() - begun, problem_of(error, task, before))
+
+
+def stat_input(path: Path) -> InputPrint:
+    """Return size and time of an input, without its content.
+
+    Raises
+    ------
+    OSError
+        When it cannot be looked at.
+    """
+    status = path.stat()
+    return InputPrint(status.st_size, status.st_mtime_ns, None)
+
+
+def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, cpu_seconds: float) -> Done:
+    record, counts = summary.record, summary.counts
+    written = task.output.stat()
+    return Done(
+        name=task.name,
+        input=InputPrint(record.input.size, before.mtime_ns, record.input.sha256),
+        output_size=written.st_size,
+        output_mtime_ns=written.st_mtime_ns,
+        seconds=seconds,
+        cpu_seconds=cpu_seconds,
+        peak_mib=peak_mib(),
+        n_lines=counts.n_lines,
+        n_shots=counts.n_shots,
+        n_records=record.n_records or 0,
+        labels=tuple((label.name.lower(), int(counts.labels[label])) for label in Label),
+        notices=record.notices,
+    )
+
+
+def problem_of(error: Exception, task: Task, before: InputPrint | None) -> Problem:
+    """Return why a file failed; what it cannot help, which may pass, is told from what is wrong with it."""
+    found = Problem.of(error)
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "start new thread" in str(error)):
+        hint = "fewer --jobs or threads, or a higher --memory-limit"
+        return Problem(MEMORY, task.name, f"out of memory ({found.problem})", hint)
+    if isinstance(error, OSError):
+        where = os.fsdecode(error.filename) if error.filename is not None else task.name
+        found = Problem(found.kind, where, error.strerror or str(error), "check the disk, the name and its permissions")
+    elif isinstance(error, PrcError) and isinstance(error.__cause__, OSError):
+        found = Problem(type(error.__cause__).__name__, found.where, found.problem, found.hint)
+    elif isinstance(error, ImportError):
+        found = Problem(found.kind, task.name, f"a package cannot be loaded ({error})", "prc doctor says which")
+    elif not isinstance(error, PrcError):
+        found = Problem(found.kind, task.name, f"{found.kind}: {found.problem}", "a fault of prc; please report it")
+    if before is None:
+        return found
+    try:
+        after = stat_input(task.source)
+    except OSError as gone:
+        return Problem(VANISHED, found.where, f"the input went away while it was read ({gone.strerror})", found.hint)
+    if after != before:  # whatever was found wrong with it may come from that
+        hint = "run again when the copy is complete"
+        return Problem(CHANGED, str(task.source), "changed while it was read", hint)
+    return found
+
+
+def may_pass(problem: Problem) -> bool:
+    """Tell whether trying again may help: not for damaged files and wrong configurations.
+
+    >>> may_pass(Problem("killed", "a.laz", "")), may_pass(Problem("InputError", "a.laz", "cut short"))
+    (True, False)
+    """
+    if problem.kind in ("killed", "timeout", "interrupted", MEMORY, CHANGED, VANISHED):
+        return True
+    return problem.kind in _system_errors()
+
+
+def _system_errors() -> set[str]:
+    """Return the names of the system's errors."""
+    found, waiting = {"OutputError"}, [OSError]
+    while waiting:
+        kind = waiting.pop()
+        found.add(kind.__name__)
+        waiting.extend(item for item in kind.__subclasses__() if item.__module__ == "builtins")
+    return found
+
+
+def peak_mib() -> float | None:
+    """Return the highest resident memory of this process since :func:`_reset_peak` [MiB], where the system tells."""
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024
+    try:
+        import resource
+    except ImportError:  # not on this system
+        return None
+    scale = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * scale / (1 << 20)
+
+
+def _reset_peak() -> None:
+    """Let the peak begin anew where the system can (Linux); elsewhere it is that of the process so far."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

@@ -1,0 +1,371 @@
+"""Joins the parts: one pass for curves and sensor, a second one for the search, a configuration as the result."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prc_cli.classifiers.prc.surfaces import area_threshold
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import output_errors
+from prc_cli.core.stream import FAR_M, ReadTally, ScanStream
+from prc_cli.core.types import I64
+from prc_cli.evaluation.confusion import refuse_poor_match
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.scores import scores
+from prc_cli.formats.labels.read import CodeSource, open_codes
+from prc_cli.jobs.calibrate.curves import CurveCounter, Curves
+from prc_cli.jobs.calibrate.implied import Advice, imply
+from prc_cli.jobs.calibrate.search import (
+    MEAN_F1,
+    Group,
+    Judged,
+    Searcher,
+    SearchResult,
+    Tried,
+    axes_of,
+    check_objective,
+    confusion,
+    objective_value,
+    split_groups,
+    with_values,
+)
+from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
+from prc_cli.jobs.classify import Progress, open_stream
+from prc_cli.stream.blocks import regroup
+
+SHOTS_AT_ONCE = 1 << 18
+"""Shots measured at a time; results do not depend on it, but for the few pairs of lines across two of them."""
+LEAST_LINES = 3
+"""Scan lines that a support decision needs: the shot's own and both neighbours."""
+GROUPS = 40
+"""Groups of lines that a stream is cut into for training and held-out lines, if they are not too large."""
+
+
+@dataclass(frozen=True, slots=True)
+class SearchOptions:
+    """How the search is done."""
+
+    reference: Path
+    mapping: ClassMapping | str | Path = "prc"
+    dimension: str | None = None
+    """Column or dimension that holds the reference codes."""
+    objective: str = MEAN_F1
+    training_share: float = 0.6
+    """Share of the groups of lines that the search sees."""
+    budget: int = 300
+    """Sets of parameters tried at most."""
+    seed: int = 0
+    """Draws which lines are for training."""
+    max_shots: int = 4_000_000
+    """Shots kept in memory for training and held-out lines together; longer streams are sampled by groups."""
+    keep: tuple[str, ...] = ()
+    """Keys that are not searched: they take what the sensor implies."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Everything ``prc calibrate`` prints and writes."""
+
+    path: str
+    sensor: SensorEstimate
+    curves: Curves
+    advice: tuple[Advice, ...]
+    """What is written, with the reasons."""
+    config: LoadedConfig
+    """The calibrated configuration; its sources hold the reasons."""
+    search: SearchResult | None = None
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for JSON."""
+        support = self.config.config.prc.support
+        # the published figure fixes either at 1 m
+        table: dict[str, Any] = {
+            "path": self.path,
+            "sensor": self.sensor.as_dict(),
+            "curves": self.curves.as_dict(1.0, 1.0),
+            "supported_share": _share(self.curves, support.zeta_p, support.zeta_s),
+            "advice": [
+                {"key": item.key, "before": item.before, "value": item.value, "reason": item.reason}
+                for item in self.advice
+            ],
+            "notes": list(self.notes),
+        }
+        if (found := self.search) is not None:
+            table["search"] = {
+                "objective": found.objective,
+                "values": found.values,
+                "n_trials": found.n_trials,
+                "n_training_shots": found.n_training_shots,
+                "n_held_out_shots": found.n_held_out_shots,
+                "n_training_groups": found.n_training_groups,
+                "n_held_out_groups": found.n_held_out_groups,
+                "judged": [item.as_dict(found.objective) for item in found.judged],
+            }
+        return table
+
+
+def calibrate(
+    source: Path | str,
+    config: LoadedConfig | None = None,
+    search: SearchOptions | None = None,
+    *,
+    progress: Progress | None = None,
+    tried: Tried | None = None,
+) -> Calibration:
+    """Derive parameters from a stream, and from a reference if there is one.
+
+    Parameters
+    ----------
+    source : path
+        Any readable input.
+    config : LoadedConfig, optional
+        How the stream is found, and the parameters to start from. Default: the published urban ones.
+    search : SearchOptions, optional
+        Reference and how the search is done; without it the parameters are those that the sensor implies.
+    progress : callable, optional
+        Called with the number of lines that were just read.
+    tried : callable, optional
+        Called after every trial of the search.
+
+    Returns
+    -------
+    Calibration
+
+    Raises
+    ------
+    InputError
+        When the stream is damaged, has fewer than three lines or no range; when the reference holds another number of
+        records, codes that the mapping does not list, or no scored record.
+    ConfigError
+        When the objective or a value of the search makes no sense.
+    """
+    loaded = config if config is not None else LoadedConfig(RunConfig())
+    run = loaded.config
+    prepared = None if search is None else _prepare(search, run)
+    stream = open_stream(source, loaded)
+    sensor, curves, lines, n_records = _measure(stream, run, progress)
+    advice = imply(sensor, curves, run.prc, run.sequential_angle.angles.range_noise_m)
+    found, notes = None, _notes(sensor)
+    if prepared is not None and search is not None:
+        mapping, codes = prepared
+        n_records = stream.info.n_records or n_records
+        training, held_out = _groups(stream, run, (codes, mapping), search, lines, n_records, progress)
+        found = _search(run, advice, mapping, (training, held_out), search, tried)
+        advice = _found_advice(advice, found, run)
+        notes = (*notes, *_blind(found), *_doubts(found))
+    values = {item.key: item.value for item in advice}
+    sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
+    calibrated = replace(loaded, config=with_values(run, values), sources=sources)
+    return Calibration(str(source), sensor, curves, advice, calibrated, found, notes)
+
+
+def _prepare(search: SearchOptions, config: RunConfig) -> tuple[ClassMapping, CodeSource]:
+    """Check all that can be checked before the stream is read."""
+    mapping = search.mapping if isinstance(search.mapping, ClassMapping) else load_mapping(search.mapping)
+    check_objective(search.objective, mapping)
+    axes_of(config, search.keep)
+    if not 0 < search.training_share < 1:
+        where = "--training-share"
+        raise ConfigError(where, f"found {search.training_share:g}, expected a share between 0 and 1")
+    return mapping, open_codes(search.reference, search.dimension)
+
+
+def _measure(
+    stream: ScanStream, config: RunConfig, progress: Progress | None
+) -> tuple[SensorEstimate, Curves, dict[int, int], int]:
+    """Read the stream once; also return the lines of every scanner and the number of records."""
+    meter, counter = SensorMeter(stream.info), CurveCounter(config.prc)
+    lines: dict[int, int] = {}
+    tally = ReadTally()
+    for block in regroup(stream.blocks(), max(LEAST_LINES, SHOTS_AT_ONCE // stream.info.points_per_line)):
+        meter.add(block)
+        counter.add(block)
+        lines[block.scanner] = lines.get(block.scanner, 0) + block.n_lines
+        tally = tally + block.tally
+        if progress is not None:
+            progress(block.n_lines)
+    path = stream.info.path
+    if max(lines.values(), default=0) < LEAST_LINES:
+        problem = f"found {sum(lines.values())} scan lines, expected {LEAST_LINES} or more: support needs lines around"
+        raise InputError(path, problem, "check -M and --lines, or calibrate on a longer piece")
+    if meter.n_missing == meter.n_shots:
+        problem = f"all of {meter.n_shots} shots are missing, expected ranges"
+        raise InputError(path, problem, "check --range and the layout; see prc info")
+    return meter.finish(), counter.finish(), lines, tally.n_records
+
+
+def _groups(
+    stream: ScanStream,
+    config: RunConfig,
+    reference: tuple[CodeSource, ClassMapping],
+    search: SearchOptions,
+    lines: dict[int, int],
+    n_records: int,
+    progress: Progress | None,
+) -> tuple[tuple[Group, ...], tuple[Group, ...]]:
+    """Read the stream again and keep the groups of lines that were drawn, training and held-out ones."""
+    k, m = config.prc.lines_per_block, stream.info.points_per_line
+    wanted = -(-sum(lines.values()) // (GROUPS * k)) * k
+    length = max(k, min(wanted, search.max_shots // 10 // m // k * k))
+    # a rest of less than half a group is left out
+    n_groups = sum(n // length + (2 * (n % length) >= length) for n in lines.values())
+    order = np.random.default_rng(search.seed).permutation(n_groups)
+    kept = sorted(order[: max(2, search.max_shots // (length * m))].tolist())
+    training, held_out = split_groups(len(kept), search.training_share, search.seed)
+    groups: list[Group] = []
+    with tempfile.TemporaryFile(prefix="prc-calibrate-") as spool:
+        classes = _spool(*reference, spool, n_records, stream.info.path)
+        at = 0
+        for block in regroup(stream.blocks(), length):
+            if progress is not None:
+                progress(block.n_lines)
+            if 2 * block.n_lines < length:
+                continue
+            if at in kept:
+                record = block.records().ravel()
+                truth: I64 = np.where(record >= 0, classes[np.maximum(record, 0)], -1).astype(np.int64)
+                # what the classifiers do not look at need not stay in memory
+                light = replace(
+                    block, record=None, time_s=None, intensity=None, extra=type(block.extra).none(), next_m=None,
+                    first_line=0, scanner=0, is_last=True,
+                )  # fmt: skip
+                groups.append(Group((light,), (truth,)))
+            at += 1
+        del classes
+    return tuple(groups[i] for i in training), tuple(groups[i] for i in held_out)
+
+
+def _spool(codes: CodeSource, mapping: ClassMapping, spool: Any, n_records: int, path: str) -> Any:
+    """Write the reference class of every record to a temporary file, and give it as an array on disk."""
+    n = n_scored = 0
+    for chunk in codes.chunks():
+        found = mapping.class_indices(chunk, "reference").astype("<i2")
+        n += len(found)
+        n_scored += int(np.count_nonzero(found >= 0))
+        if n <= n_records:
+            with output_errors(Path(tempfile.gettempdir()) / "prc-calibrate"):
+                spool.write(found.tobytes())
+    refuse_poor_match(n, n_records, codes.path, path)
+    if not n_scored:
+        problem = f"none of {n} records has a class that is scored, expected a reference that overlaps the stream"
+        raise InputError(codes.path, problem, "check --mapping and --reference-dimension")
+    with output_errors(Path(tempfile.gettempdir()) / "prc-calibrate"):
+        spool.flush()
+    return np.memmap(spool, "<i2", "r", shape=(n,))
+
+
+def _search(
+    config: RunConfig,
+    advice: tuple[Advice, ...],
+    mapping: ClassMapping,
+    groups: tuple[tuple[Group, ...], tuple[Group, ...]],
+    search: SearchOptions,
+    tried: Tried | None,
+) -> SearchResult:
+    training, held_out = groups
+    for name, side in (("training", training), ("held-out", held_out)):
+        if not any((truth >= 0).any() for group in side for truth in group.reference):
+            problem = f"no {name} line has a class that is scored"
+            raise InputError(str(search.reference), problem, "choose another --seed or --training-share")
+    implied = {item.key: item.value for item in advice}
+    axes = axes_of(config, search.keep)
+    kept = with_values(config, {key: implied[key] for key in search.keep if key in implied})
+    m = training[0].blocks[0].points_per_line
+    configured = {axis.key: _configured(config, axis.key, m) for axis in axes}
+    start = {key: float(implied.get(key, value)) for key, value in configured.items()}
+    searcher = Searcher(kept, mapping, training, search.objective, max(2, search.budget), axes, tried)
+    values = searcher.run((configured, start))
+    judged = []
+    for name, these in (("configured", {}), ("from the sensor", implied), ("search", {**implied, **values})):
+        other = with_values(config, these)
+        sides = [scores(confusion(side, other, mapping)) for side in groups]
+        judged.append(Judged(name, *sides))
+    return SearchResult(
+        objective=search.objective,
+        values=values,
+        n_trials=searcher.n_trials,
+        n_training_shots=sum(group.n_shots for group in training),
+        n_held_out_shots=sum(group.n_shots for group in held_out),
+        n_training_groups=len(training),
+        n_held_out_groups=len(held_out),
+        judged=tuple(judged),
+        history=tuple(searcher.history),
+    )
+
+
+def _configured(config: RunConfig, key: str, points_per_line: int) -> float:
+    value: Any = config
+    for part in key.split("."):
+        value = getattr(value, part)
+    if value == "auto":
+        k = config.prc.lines_per_block
+        return area_threshold(config.prc.surfaces, k, k, points_per_line)
+    return float(value)
+
+
+def _found_advice(advice: tuple[Advice, ...], found: SearchResult, config: RunConfig) -> tuple[Advice, ...]:
+    """Let what the search found take the place of what the sensor implies."""
+    by_key = {item.key: item for item in advice}
+    rest = tuple(item for item in advice if item.key not in found.values)
+    new = []
+    for key, value in found.values.items():
+        before = by_key[key].before if key in by_key else _configured(config, key, 1)
+        reason = f"best of {found.n_trials} trials for {found.objective} on the training lines"
+        if key in by_key:
+            reason += f"; the sensor alone implies {by_key[key].value:g}: {by_key[key].reason}"
+        new.append(Advice(key, before, value, reason))
+    return (*rest, *new)
+
+
+def _notes(sensor: SensorEstimate) -> tuple[str, ...]:
+    notes = []
+    if (middle := sensor.range_quantiles_m["50%"]) > FAR_M:
+        notes.append(
+            f"the median range is some {middle / 1000:.0f} km: beyond {FAR_M / 1000:g} km the origin of the "
+            "scanner is wrong, or the unit; see prc info, and do not use these parameters"
+        )
+    if sensor.sigma_m is None:
+        notes.append("no stretch of the stream is flat: the noise of the sensor was not measured")
+    if sensor.step_rad is None:
+        notes.append(f"the angular step was not measured: {sensor.step_source}")
+    return tuple(notes)
+
+
+def _blind(found: SearchResult) -> tuple[str, ...]:
+    """Say that nothing punishes wide thresholds where the reference knows no noise."""
+    counts = {item.name: item.n_reference for item in found.judged[0].training.classes}
+    if any(key.startswith("prc.support.") for key in found.values) and not counts.get("noise", 0):
+        return (
+            "the reference holds no noise, so nothing speaks against wide thresholds: where noise matters, "
+            "keep those of the sensor with --keep prc.support.zeta_p --keep prc.support.zeta_s",
+        )
+    return ()
+
+
+def _doubts(found: SearchResult) -> tuple[str, ...]:
+    """Say when the search did worse on held-out lines than what it started from."""
+    value = {item.name: objective_value(item.held_out, found.objective) for item in found.judged}
+    return tuple(
+        f"on the held-out lines the values {'as configured' if name == 'configured' else name} reach "
+        f"{found.objective} {value[name]:.3f}, those of the search {value['search']:.3f}: the training lines are too "
+        "few or too unlike them"
+        for name in list(value)[:-1]
+        if value[name] > value["search"]
+    )
+
+
+def _share(curves: Curves, zeta_p: float, zeta_s: float) -> float | None:
+    try:
+        return curves.share(zeta_p, zeta_s)
+    except KeyError:
+        return None
+
+
+__all__ = ["Calibration", "SearchOptions", "calibrate"]

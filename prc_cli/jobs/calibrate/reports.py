@@ -1,0 +1,239 @@
+"""A calibration as a configuration file, as Markdown and as a figure (SVG)."""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Any
+from xml.sax.saxutils import escape
+
+from prc_cli import __version__
+from prc_cli.config import to_toml
+from prc_cli.core.types import F64
+from prc_cli.jobs.calibrate.calibrate import Calibration
+from prc_cli.jobs.calibrate.search import figures
+from prc_cli.jobs.calibrate.sensor import SensorEstimate
+
+_MARK = "prc calibrate: "
+_WIDTH = 112
+
+
+def as_json(found: Calibration) -> str:
+    """Return everything as JSON, undefined figures as null."""
+    return json.dumps(_finite(found.as_dict()), indent=2, allow_nan=False)
+
+
+def as_toml(found: Calibration) -> str:
+    """Return the calibrated configuration with the reason of every value that was looked at."""
+    lines = [
+        f"# Calibrated by prc {__version__} on {_plain(found.path)}",
+        *(f"#   {name}: {value}" for name, value in sensor_rows(found.sensor)),
+    ]
+    if found.search is not None:
+        names = ("training", "held_out")
+        for judged in found.search.judged:
+            told = (f"{name.replace('_', '-')} {_objective(found, getattr(judged, name)):.3f}" for name in names)
+            lines.append(f"#   {found.search.objective} {judged.name}: {', '.join(told)}")
+    lines += [f"# note: {_plain(note)}" for note in found.notes]
+    lines.append("")
+    for line in to_toml(found.config).splitlines():
+        setting, mark, reason = line.partition(f"  # from: {_MARK}")
+        if mark:
+            lines += [f"# {part}" for part in textwrap.wrap(f"calibrated: {_plain(reason)}", _WIDTH)]
+        lines.append(setting if mark else line)
+    return "\n".join(lines) + "\n"
+
+
+def sensor_rows(sensor: SensorEstimate) -> Iterator[tuple[str, str]]:
+    """Yield what was measured, in words and with units."""
+    ranges = sensor.range_quantiles_m
+    yield "shots", f"{sensor.n_shots:,} in {sensor.n_lines:,} lines of {sensor.points_per_line:,}"
+    yield "missing", f"{sensor.missing_share:.1%}"
+    yield "range", f"median {ranges['50%']:.3g} m, 5 % to 95 %: {ranges['5%']:.3g} to {ranges['95%']:.3g} m"
+    if sensor.sigma_m is None or sensor.sigma_per_m is None:
+        yield "noise", "not measured: no flat stretch"
+    else:
+        growth = f", and {1000 * sensor.sigma_per_m:.2g} mm per metre of range" if sensor.sigma_per_m else ""
+        yield "noise", f"standard deviation about a plane {1000 * sensor.sigma_m:.2g} mm{growth}"
+    step = "not measured" if sensor.step_rad is None else f"{math.degrees(sensor.step_rad):.3g} degrees"
+    yield "angular step", f"{step}, from: {sensor.step_source}"
+    yield "rounding", "none found" if sensor.rounding_m is None else f"ranges are multiples of {sensor.rounding_m:g} m"
+    if sensor.in_line_m is not None:
+        yield "next shot", f"median range difference {sensor.in_line_m:.2g} m"
+    if sensor.across_lines_m is not None:
+        yield "next line", f"median range difference {sensor.across_lines_m:.2g} m in the same column"
+    if sensor.line_hz:
+        yield "line spacing", f"{1 / sensor.line_hz:.3g} m for every m/s of speed ({sensor.line_hz:.4g} lines a second)"
+    else:
+        yield "line spacing", "unknown: the stream holds neither times nor speed"
+
+
+def advice_rows(found: Calibration) -> Iterator[tuple[str, str, str, str]]:
+    """Yield key, value before, value and reason."""
+    for item in found.advice:
+        yield item.key, _value(item.before), _value(item.value), item.reason
+
+
+def judged_rows(found: Calibration) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return the header and the rows of the figures on training and held-out lines."""
+    if found.search is None:
+        return (), []
+    objective = found.search.objective
+    rows: list[tuple[str, str, dict[str, float | None]]] = []
+    for judged in found.search.judged:
+        rows += [
+            (judged.name, "training", figures(judged.training, objective)),
+            (judged.name, "held-out", figures(judged.held_out, objective)),
+        ]
+    names = list(dict.fromkeys(name for *_, values in rows for name in values))
+    cells = [
+        (name, side, *("-" if (v := values.get(one)) is None else f"{v:.3f}" for one in names))
+        for name, side, values in rows
+    ]
+    return ("values", "lines", *(name.replace("_", " ") for name in names)), cells
+
+
+def curve_rows(found: Calibration) -> Iterator[tuple[str, str, str, str]]:
+    """Yield threshold, share over zeta_p, share over zeta_s and share of background over d_c, three a decade."""
+    curves = found.curves
+    wanted = {float(f"{factor}e{power}") for power in range(-3, 2) for factor in (1, 2, 5)} | {100.0}
+    # thresholds are a tenth of a decade apart: the nearest one stands for 2 and 5
+    for target in sorted(wanted):
+        cells = []
+        for grid, shares in (
+            (curves.zetas_p, curves.over_zeta_p(1.0)),
+            (curves.zetas_s, curves.over_zeta_s(1.0)),
+            (curves.lengths, curves.background_share()),
+        ):
+            place = min(range(len(grid)), key=lambda i: abs(math.log(grid[i] / target)))
+            cells.append(f"{shares[place]:.1%}")
+        yield f"{target:g}", cells[0], cells[1], cells[2]
+
+
+CURVE_HEADER = (
+    "threshold [m]",
+    "supported, zeta_p (zeta_s = 1 m)",
+    "supported, zeta_s (zeta_p = 1 m)",
+    "background, d_c",
+)
+
+
+def as_markdown(found: Calibration) -> str:
+    """Return everything as Markdown tables."""
+    parts = [f"# Calibration on {_plain(found.path)}", _table(("measured", ""), list(sensor_rows(found.sensor)))]
+    parts.append(_table(("key", "before", "value", "reason"), list(advice_rows(found))))
+    header, rows = judged_rows(found)
+    if header and found.search is not None:
+        parts.append(
+            f"{found.search.n_trials} trials on {found.search.n_training_shots:,} training shots; "
+            f"{found.search.n_held_out_shots:,} shots held out."
+        )
+        parts.append(_table(header, rows))
+    parts.append(_table(CURVE_HEADER, list(curve_rows(found))))
+    parts += [f"Note: {note}" for note in found.notes]
+    return "\n\n".join(parts) + "\n"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+WIDTH, HEIGHT = 720, 440
+_LEFT, _RIGHT, _TOP, _BOTTOM = 64, 24, 48, 88
+_COLOURS = ("#0072b2", "#d55e00", "#009e73")
+
+
+def as_svg(found: Calibration) -> str:
+    """Draw the supported share over zeta_p and zeta_s (Lehtola et al. 2019, Fig. 4) and the background over d_c."""
+    curves = found.curves
+    grids = (curves.zetas_p, curves.zetas_s, curves.lengths)
+    first, last = float(min(grid[0] for grid in grids)), float(max(grid[-1] for grid in grids))
+    low, high = math.log10(first), math.log10(last)
+
+    def x(value: float) -> float:
+        return _LEFT + (math.log10(value) - low) / (high - low) * (WIDTH - _LEFT - _RIGHT)
+
+    def y(share: float) -> float:
+        return HEIGHT - _BOTTOM - share * (HEIGHT - _TOP - _BOTTOM)
+
+    def path(grid: F64, shares: F64) -> str:
+        return " ".join(f"{x(a):.1f},{y(b):.1f}" for a, b in zip(grid.tolist(), shares.tolist(), strict=True))
+
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif" '
+        'font-size="13">',
+        f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/>',
+        f'<text x="{_LEFT}" y="24" font-size="15">{escape(_plain(found.path).rsplit("/", 1)[-1])}: share of '
+        f"{curves.n_returns:,} returns</text>",
+    ]
+    for tenth in range(0, 11, 2):
+        at = y(tenth / 10)
+        parts.append(f'<line x1="{_LEFT}" x2="{WIDTH - _RIGHT}" y1="{at:.1f}" y2="{at:.1f}" stroke="#ddd"/>')
+        parts.append(f'<text x="{_LEFT - 8}" y="{at + 4:.1f}" text-anchor="end">{tenth * 10} %</text>')
+    for power in range(math.ceil(low), math.floor(high) + 1):
+        at = x(10.0**power)
+        # the last one ends at its line, so that it stays inside the frame
+        anchor = "end" if at > WIDTH - _RIGHT - 16 else "middle"
+        parts.append(f'<line x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}" stroke="#ddd"/>')
+        parts.append(f'<text x="{at:.1f}" y="{HEIGHT - _BOTTOM + 18}" text-anchor="{anchor}">{10.0**power:g}</text>')
+    middle = (_LEFT + WIDTH - _RIGHT) / 2
+    parts.append(f'<text x="{middle}" y="{HEIGHT - _BOTTOM + 36}" text-anchor="middle">threshold [m]</text>')
+    prc = found.config.config.prc
+    chosen = (("zeta_p", prc.support.zeta_p), ("zeta_s", prc.support.zeta_s), ("d_c", prc.background.d_c))
+    drawn = (
+        ("supported over zeta_p, zeta_s = 1 m", curves.zetas_p, curves.over_zeta_p(1.0), ""),
+        ("supported over zeta_s, zeta_p = 1 m", curves.zetas_s, curves.over_zeta_s(1.0), ' stroke-dasharray="7 3"'),
+        ("background over d_c", curves.lengths, curves.background_share(), ' stroke-dasharray="2 3"'),
+    )
+    for place, ((name, grid, shares, dash), colour) in enumerate(zip(drawn, _COLOURS, strict=True)):
+        line = f'fill="none" stroke="{colour}" stroke-width="2"{dash}'
+        parts.append(f'<polyline points="{path(grid, shares)}" {line}/>')
+        key, value = chosen[place]
+        parts += _chosen(
+            key, value, x(min(max(value, first), last)), place, colour, dash, inside=first <= value <= last
+        )
+        left, at = _LEFT + 8 + (place % 2) * 320, HEIGHT - 30 + (place // 2) * 20
+        parts.append(f'<line x1="{left}" x2="{left + 36}" y1="{at}" y2="{at}" {line}/>')
+        parts.append(f'<text x="{left + 44}" y="{at + 4}">{escape(name)}</text>')
+    return "\n".join([*parts, "</svg>"]) + "\n"
+
+
+def _chosen(key: str, value: float, at: float, place: int, colour: str, dash: str, *, inside: bool) -> list[str]:
+    """Mark the chosen threshold of a curve by an upright line; off the scale it is at the edge and says so."""
+    anchor, gap = ("end", -5) if at > WIDTH - 180 else ("start", 5)
+    half = (_TOP + HEIGHT - _BOTTOM) // 2
+    told = f"{key} = {value:g} m" + ("" if inside else " (off the scale)")
+    return [
+        f'<line class="chosen" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}" '
+        f'stroke="{colour}"{dash}/>',
+        # at half height, where curves are steep or far; one below the other, since thresholds often are the same
+        f'<text x="{at + gap:.1f}" y="{half + 16 * place}" text-anchor="{anchor}" fill="{colour}" '
+        f'stroke="white" stroke-width="3" paint-order="stroke">{told}</text>',
+    ]
+
+
+def _objective(found: Calibration, scores: Any) -> float:
+    name = found.search.objective if found.search is not None else ""
+    value = figures(scores, name)[name]
+    return math.nan if value is None else value
+
+
+def _value(value: float | int | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _plain(text: str) -> str:
+    """Keep a file name from ending a comment or a cell."""
+    return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

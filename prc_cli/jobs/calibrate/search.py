@@ -1,0 +1,359 @@
+"""Search for parameters that agree best with a reference, and the honest figure on lines that had no say.
+
+Training and held-out lines are contiguous groups, so that neighbours of a training shot are not held out beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from prc_cli.config import SEQUENTIAL_ANGLE, RunConfig
+from prc_cli.core.classes import Label
+from prc_cli.core.config import build, merge
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import I64
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, Scores, gate_value, scores
+from prc_cli.jobs.classify import label_blocks
+
+MEAN_F1 = "mean_f1"
+"""Objective: mean F1 over the classes that the reference holds."""
+LEAST_GAIN = 1e-4
+"""Gain from which on a set of parameters replaces the best one: less is chance, and would depend on rounding."""
+REFINEMENTS = 2
+"""Times that the steps of the grid are halved after nothing is gained at the coarse ones."""
+
+Tried = Callable[[int, float], None]
+"""Called after every trial with the number of trials and the best objective so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One parameter that is searched."""
+
+    key: str
+    grid: tuple[float, ...]
+    """Coarse values, ascending."""
+    bounds: tuple[float, float]
+    """Least and greatest value that the refinement goes to."""
+    whole: bool = False
+    """Whole numbers only."""
+
+
+ZETA_BOUNDS = (0.01, 10.0)
+"""Thresholds between which the method is stable in the paper (IV-A); a reference without noise would widen them for
+ever."""
+
+PRC_AXES = (
+    Axis("prc.background.d_c", (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6), (0.005, 10.0)),
+    Axis("prc.surfaces.area", (4.0, 8.0, 12.0, 20.0, 30.0, 60.0, 120.0, 240.0), (1.0, 5000.0)),
+    Axis("prc.support.zeta_p", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
+    Axis("prc.support.zeta_s", (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0), ZETA_BOUNDS),
+    Axis("prc.surfaces.gamma", (0.0, 1.0, 2.0, 3.0, 4.0), (0.0, 20.0), whole=True),
+)
+ANGLE_AXES = (Axis("sequential_angle.angles.range_noise_m", (0.002, 0.005, 0.01, 0.02, 0.05), (0.0005, 0.5)),)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Contiguous lines of one scanner with the reference class of every shot."""
+
+    blocks: tuple[ScanBlock, ...]
+    reference: tuple[I64, ...]
+    """Class index of every shot of every block, flat, -1 = not scored."""
+
+    @property
+    def n_shots(self) -> int:
+        """Shots in the group."""
+        return sum(block.range_m.size for block in self.blocks)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """Scores of one set of parameters on training and held-out lines."""
+
+    name: str
+    training: Scores
+    held_out: Scores
+
+    def as_dict(self, objective: str) -> dict[str, Any]:
+        """Return the figures as plain values, undefined ones as None."""
+        return {
+            "name": self.name,
+            "training": figures(self.training, objective),
+            "held_out": figures(self.held_out, objective),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class SearchResult:
+    """What the search found."""
+
+    objective: str
+    values: dict[str, float | int]
+    """Best value of every searched key."""
+    n_trials: int
+    n_training_shots: int
+    n_held_out_shots: int
+    n_training_groups: int
+    n_held_out_groups: int
+    judged: tuple[Judged, ...]
+    """As configured, as implied by the sensor, as found."""
+    history: tuple[tuple[int, float], ...] = ()
+    """Trials that gained, and the objective they reached."""
+
+
+@dataclass(slots=True)
+class Searcher:
+    """Tries parameters on training lines.
+
+    Parameters
+    ----------
+    config : RunConfig
+        All that is not searched.
+    mapping : ClassMapping
+        Which codes mean which class.
+    training : tuple of Group
+    objective : str
+        ``mean_f1`` or what :func:`prc_cli.evaluation.scores.gate_value` knows.
+    budget : int
+        Trials at most.
+    axes : tuple of Axis
+        From :func:`axes_of`.
+    tried : callable, optional
+        Told after every trial.
+    """
+
+    config: RunConfig
+    mapping: ClassMapping
+    training: tuple[Group, ...]
+    objective: str
+    budget: int
+    axes: tuple[Axis, ...]
+    tried: Tried | None = None
+    history: list[tuple[int, float]] = field(default_factory=list)
+    _known: dict[tuple[float, ...], float] = field(default_factory=dict)
+    _best: float = -math.inf
+
+    def run(self, starts: tuple[dict[str, float], ...]) -> dict[str, float | int]:
+        """Search from the best of the starts, one parameter after the other, on finer and finer steps.
+
+        d_c and A work on the same shots, so that first all their pairs are tried.
+
+        Returns
+        -------
+        dict
+            Best value of every key. Of equals the one that was tried first.
+        """
+        axes = self.axes
+        best = max(starts, key=lambda values: self._try(axes, values))
+        if axes[:2] == PRC_AXES[:2]:
+            first, second = axes[:2]
+            for one in first.grid[::2]:
+                for other in second.grid[::2]:
+                    best = self._better(axes, best, {**best, first.key: one, second.key: other})
+        grids = {axis.key: axis.grid for axis in axes}
+        for level in range(REFINEMENTS + 1):
+            best = self._descend(axes, best, grids if level == 0 else None, 2.0 ** (1.0 / 2**level))
+        return {axis.key: int(best[axis.key]) if axis.whole else best[axis.key] for axis in axes}
+
+    def _descend(
+        self,
+        axes: tuple[Axis, ...],
+        best: dict[str, float],
+        grids: dict[str, tuple[float, ...]] | None,
+        factor: float,
+    ) -> dict[str, float]:
+        """Change one parameter at a time until a whole round gains nothing."""
+        while True:
+            before = best
+            for axis in axes:
+                candidates = grids[axis.key] if grids is not None else _neighbours(axis, best[axis.key], factor)
+                for value in candidates:
+                    best = self._better(axes, best, {**best, axis.key: value})
+            if best == before or len(self._known) >= self.budget:
+                return best
+
+    def _better(self, axes: tuple[Axis, ...], best: dict[str, float], other: dict[str, float]) -> dict[str, float]:
+        return other if self._try(axes, other) > self._try(axes, best) + LEAST_GAIN else best
+
+    def _try(self, axes: tuple[Axis, ...], values: dict[str, float]) -> float:
+        point = tuple(values[axis.key] for axis in axes)
+        if point in self._known:
+            return self._known[point]
+        if len(self._known) >= self.budget:
+            return -math.inf
+        matrix = confusion(self.training, with_values(self.config, values), self.mapping)
+        value = objective_value(scores(matrix), self.objective)
+        # an undefined objective is worse than any
+        self._known[point] = -math.inf if math.isnan(value) else value
+        if self._known[point] > self._best:
+            self._best = self._known[point]
+            self.history.append((len(self._known), self._best))
+        if self.tried is not None:
+            self.tried(len(self._known), self._best)
+        return self._known[point]
+
+    @property
+    def n_trials(self) -> int:
+        """Sets of parameters that were tried."""
+        return len(self._known)
+
+
+def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
+    """Return what is searched for the configured classifier, without the keys that keep their value.
+
+    Raises
+    ------
+    ConfigError
+        When a key that is kept is not searched anyway, or nothing is left.
+
+    Examples
+    --------
+    >>> [axis.key for axis in axes_of(RunConfig(), ("prc.surfaces.gamma", "prc.surfaces.area"))]
+    ['prc.background.d_c', 'prc.support.zeta_p', 'prc.support.zeta_s']
+    """
+    axes = ANGLE_AXES if config.method == SEQUENTIAL_ANGLE else PRC_AXES
+    known = [axis.key for axis in axes]
+    where = "--keep"
+    for key in keep:
+        if key not in known:
+            raise ConfigError(where, f"found {key!r}, expected one of: {', '.join(known)}")
+    left = tuple(axis for axis in axes if axis.key not in keep)
+    if not left:
+        raise ConfigError(where, "all keys are kept, expected one or more to search", "leave out --reference")
+    return left
+
+
+def with_values(config: RunConfig, values: dict[str, Any]) -> RunConfig:
+    """Return a configuration with dotted keys replaced.
+
+    >>> with_values(RunConfig(), {"prc.surfaces.gamma": 3.0}).prc.surfaces.gamma
+    3
+    """
+    table = config.to_table()
+    for key, value in values.items():
+        nested: Any = int(value) if isinstance(value, float) and key.endswith("gamma") else value
+        for part in reversed(key.split(".")):
+            nested = {part: nested}
+        table = merge(table, nested)
+    return build(RunConfig, table, "calibration")
+
+
+def confusion(groups: tuple[Group, ...], config: RunConfig, mapping: ClassMapping) -> ConfusionMatrix:
+    """Classify groups of lines, each as a stream of its own, and compare them with their reference.
+
+    Further returns of a shot are left out.
+    """
+    names = mapping.names("reference"), mapping.names("predicted")
+    n_classes = len(names[0])
+    counts = np.zeros((len(Label), n_classes + 1), dtype=np.int64)
+    for group in groups:
+        reference = np.concatenate(group.reference)
+        done = 0
+        for item in label_blocks(iter(group.blocks), config.classifier):
+            labels = item.labels.ravel()
+            truth = reference[done : done + labels.size]
+            done += labels.size
+            cells = labels.astype(np.int64) * (n_classes + 1) + truth + 1
+            counts += np.bincount(cells, minlength=counts.size).reshape(counts.shape)
+    codes = config.classes.lookup()
+    matrix = np.zeros((n_classes, len(names[1])), dtype=np.int64)
+    ignored = int(counts[:, 0].sum())
+    for label in Label:
+        if not counts[label, 1:].any():
+            continue
+        column = int(mapping.class_indices(codes[label : label + 1], "predicted")[0])
+        if column < 0:
+            ignored += int(counts[label, 1:].sum())
+        else:
+            matrix[:, column] += counts[label, 1:]
+    return ConfusionMatrix(*names, matrix, ignored)
+
+
+def objective_value(found: Scores, objective: str) -> float:
+    """Return the figure that is maximised."""
+    if objective == MEAN_F1:
+        values = [item.f1 for item in found.classes if item.n_reference and item.name in _scored(found)]
+        return sum(values) / len(values) if values else math.nan
+    return gate_value(found, objective)
+
+
+def check_objective(objective: str, mapping: ClassMapping) -> None:
+    """Refuse an objective that no evaluation with this mapping can answer.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if objective == MEAN_F1:
+        return
+    try:
+        gate_value(scores(ConfusionMatrix.empty(mapping)), objective)
+    except ConfigError:
+        score = objective.partition(".")[0]
+        if score in CLASS_SCORES:
+            names = [f"{score}.{name}" for name in mapping.scored_names]
+        else:
+            names = [MEAN_F1, *OVERALL_SCORES, *(f"{name}.CLASS" for name in CLASS_SCORES)]
+        expected = ", ".join(names)
+        raise ConfigError("--objective", f"found score {objective!r}, expected one of: {expected}") from None
+
+
+def figures(found: Scores, objective: str) -> dict[str, float | None]:
+    """Return the objective, the overall figures and F1 by class that the reference holds."""
+    values = {
+        objective: objective_value(found, objective),
+        MEAN_F1: objective_value(found, MEAN_F1),
+        "balanced_accuracy": found.balanced_accuracy,
+        "kappa": found.kappa,
+        **{f"f1.{item.name}": item.f1 for item in found.classes if item.n_reference and item.name in _scored(found)},
+    }
+    return {name: None if math.isnan(value) else value for name, value in values.items()}
+
+
+def _scored(found: Scores) -> set[str]:
+    # classes of one side only have no F1
+    return {item.name for item in found.classes if not math.isnan(item.f1)}
+
+
+def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
+    """Return the values next to one, on whole numbers or by a factor."""
+    low, high = axis.bounds
+    near = (value - 1, value + 1) if axis.whole else (_round(value / factor), _round(value * factor))
+    return tuple(other for other in near if low <= other <= high)
+
+
+def _round(value: float) -> float:
+    """Keep three significant digits: more are not worth writing down."""
+    return float(f"{value:.3g}")
+
+
+def split_groups(n_groups: int, share: float, seed: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Draw which groups of lines are for training, at least one of either kind.
+
+    Raises
+    ------
+    InputError
+        When there are fewer than two groups.
+
+    Examples
+    --------
+    >>> training, held_out = split_groups(10, 0.5, seed=0)
+    >>> len(training), len(held_out), set(training) & set(held_out)
+    (5, 5, set())
+    """
+    if n_groups < 2:
+        where = "calibration"
+        problem = "the stream is too short to hold lines back: found one group of lines, expected two or more"
+        raise InputError(where, problem, "lower prc.lines_per_block, or leave out --reference")
+    order = np.random.default_rng(seed).permutation(n_groups)
+    n = min(n_groups - 1, max(1, round(share * n_groups)))
+    return tuple(sorted(order[:n].tolist())), tuple(sorted(order[n:].tolist()))

@@ -1,0 +1,422 @@
+"""Any readable input to any writable output: ``prc convert``.
+
+LAS and LAZ files become each other byte for byte but for the compression. Everything else goes through the stream:
+reader → blocks → writer, with the classes and the registered coordinates of the input beside it. What an output cannot
+hold is said, never dropped in silence.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import InputError
+from prc_cli.core.files import atomic_output, remove_stale, suffix_of, temporary_name
+from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
+from prc_cli.formats.arrays.read import CLASS
+from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.labels.read import NAMES, open_codes
+from prc_cli.formats.las.copy import copy_las, read_las
+from prc_cli.formats.records import RecordSource
+from prc_cli.formats.stream_files import (
+    check_stream_output,
+    open_stream_writer,
+    outputs_of,
+    stream_suffix,
+)
+from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
+from prc_cli.formats.writing.record_values import RecordValues
+from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
+from prc_cli.jobs.classify import Counts, Progress, run_record
+from prc_cli.stream.grid import GridStream
+from prc_cli.stream.open import open_input
+
+XYZ = ("x", "y", "z")
+_LAS = (".las", ".laz")
+_TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet")
+NOT_READ = "not read: "
+"""Starts the assumptions of readers about what they pass over."""
+_STREAM_NAMES = frozenset(
+    ("range", "scan_line", "column", "angle", "time", *XYZ, "intensity", "return_number", "number_of_returns")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ConversionSummary:
+    """What a conversion did."""
+
+    output: Path
+    record: RunRecord
+    """Provenance, as stored beside the output; its notices hold the losses as well."""
+    losses: tuple[str, ...]
+    """What the input has and the output cannot hold, one sentence each."""
+    n_lines: int
+    n_shots: int
+    n_returned: int
+    """Shots with a range."""
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the run record with what was lost, for JSON."""
+        return {**self.record.as_dict(), "not_kept": list(self.losses)}
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a stream turned out to have."""
+
+    counts: Counts
+    n_returned: int = 0
+    n_extra: int = 0
+    scanners: dict[int, int] = field(default_factory=dict)
+    """M by scanner."""
+
+    def add(self, block: ScanBlock) -> Facts:
+        """Return the facts with one more block."""
+        labels = self.counts.labels.copy()
+        n_missing = int(np.count_nonzero(np.isnan(block.range_m)))
+        labels[Label.MISSING] += n_missing
+        counts = replace(
+            self.counts,
+            n_lines=self.counts.n_lines + block.n_lines,
+            n_shots=self.counts.n_shots + block.range_m.size,
+            labels=labels,
+            tally=self.counts.tally + block.tally,
+        )
+        self.scanners.setdefault(block.scanner, block.points_per_line)
+        n_returned = self.n_returned + block.range_m.size - n_missing
+        return Facts(counts, n_returned, self.n_extra + len(block.extra), self.scanners)
+
+
+def convert(
+    source: Path | str,
+    output: Path | str,
+    config: LoadedConfig | RunConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> ConversionSummary:
+    """Write a file in another format; the output exists whole or not at all.
+
+    Parameters
+    ----------
+    source : path
+        Any readable input.
+    output : path
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57``.
+    config : LoadedConfig or RunConfig, optional
+        How the stream is found in the input; not needed between LAS and LAZ.
+    overwrite : bool
+        Replace an existing output.
+    progress : callable, optional
+        Called with the number of scan lines that were just finished.
+
+    Returns
+    -------
+    ConversionSummary
+
+    Raises
+    ------
+    InputError, OutputError, ConfigError
+        See :mod:`prc_cli.core.errors`; nothing is left behind.
+    """
+    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    source, output = Path(source), Path(output)
+    prepare_output(source, output, loaded, overwrite=overwrite)
+    if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in _LAS:
+        return _copy(source, output, loaded)
+    before = source.stat()
+    facts = Facts(Counts.none())
+    with open_items(source, output, loaded) as opened, open_stream_writer(output, opened.shape) as writer:
+        for item in opened.items:
+            writer.add_item(item)
+            facts = facts.add(item.block)
+            if progress is not None:
+                progress(item.block.n_lines)
+        info = opened.info
+        losses = find_losses(output, opened, facts, writer.losses)
+        record = run_record(info, facts.counts, loaded)
+        told = tuple(f"not kept: {loss}" for loss in losses)
+        record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts)))
+        record = record_of_scanners(record, facts)
+        check_unchanged(source, before.st_size, before.st_mtime_ns)
+        record = writer.finish(record)
+    return ConversionSummary(output, record, losses, facts.counts.n_lines, facts.counts.n_shots, facts.n_returned)
+
+
+def record_of_scanners(record: RunRecord, facts: Facts) -> RunRecord:
+    """Leave M out of a record that it does not hold for: scanners with lines of different lengths."""
+    return replace(record, points_per_line=0) if len(set(facts.scanners.values())) > 1 else record
+
+
+def prepare_output(
+    source: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool, more: tuple[Path, ...] = ()
+) -> None:
+    """Refuse what cannot work before anything is read, and remove what dead runs left behind."""
+    trajectory = loaded.trajectory
+    inputs = (source, *loaded.files, *more, *([] if trajectory is None else [trajectory]))
+    stream_suffix(output)
+    check_input(source)
+    check_stream_output(output, overwrite=overwrite, inputs=inputs)
+    for path in outputs_of(output):
+        remove_stale(path)
+
+
+def check_unchanged(source: Path, size: int, mtime_ns: int) -> None:
+    """Refuse an input that changed while it was read."""
+    after = source.stat()
+    if (after.st_size, after.st_mtime_ns) != (size, mtime_ns):
+        raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
+
+
+def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
+    """Change the compression of a LAS or LAZ file and nothing else."""
+    las, before = read_las(source), source.stat()
+    with atomic_output(output) as temporary:
+        notices = copy_las(las, output, temporary)
+        check_unchanged(source, before.st_size, before.st_mtime_ns)
+        record = RunRecord(
+            config=loaded.config.to_table(),
+            input=fingerprint(source),
+            format="LAZ" if las.compressed else "LAS",
+            points_per_line=0,
+            n_records=las.n_points,
+            notices=("records were copied as bytes; no stream was read", *notices),
+        )
+        with atomic_output(record_path(output)) as beside:
+            beside.write_bytes(record.to_json())
+    return ConversionSummary(output, record, (), 0, las.n_points, las.n_points)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedItems:
+    """A stream with what its records carry."""
+
+    info: StreamInfo
+    shape: StreamShape
+    items: Iterator[StreamItem]
+    source: RecordSource | None
+    stream: ScanStream
+    n_odd_codes: int = 0
+    """Class codes that are no whole numbers, or of more than 32 bits."""
+
+    @property
+    def grid(self) -> GridStream | None:
+        """The stream where its cells were found by rules; None for range images, organised scans and rings."""
+        return self.stream if isinstance(self.stream, GridStream) else None
+
+
+@contextlib.contextmanager
+def open_items(
+    source: Path,
+    output: Path,
+    loaded: LoadedConfig,
+    *,
+    blocks_of: Callable[[ScanStream], Iterator[ScanBlock]] | None = None,
+    codes: bool = True,
+    xyz: bool = True,
+) -> Iterator[OpenedItems]:
+    """Open a stream whose blocks bring along the classes and registered coordinates of their records.
+
+    What blocks do not hold is read once more and kept in a temporary file beside ``output``.
+
+    Parameters
+    ----------
+    source, output : Path
+    loaded : LoadedConfig
+    blocks_of : callable, optional
+        Gives the blocks of the stream; default: as they are.
+    codes, xyz : bool
+        Whether the classes and the registered coordinates of the input are wanted.
+    """
+    stream = open_input(source, loaded.config.input, loaded.config.layout)
+    blocks = stream.blocks() if blocks_of is None else blocks_of(stream)
+    first = next(blocks, None)
+    if first is None:
+        raise InputError(str(source), "no scan lines, expected at least one", "see prc info")
+    records = open_source(source, loaded.config.layout)
+    has = () if records is None else records.dimensions
+    class_name = next((name for name in has if codes and name.lower() in NAMES), None)
+    axes = XYZ if xyz and first.xyz_m is None and set(XYZ) <= set(has) else ()
+    with contextlib.ExitStack() as stack:
+        carried: RecordValues | None = None
+        n_odd = 0
+        if records is not None and (class_name is not None or axes):
+            carried, n_odd = _carry(records, class_name, axes, output, stack)
+        elif records is None and codes and suffix_of(source) == ".npz":
+            carried = _carry_array(source, stream.info, output, stack)
+        item = _item(first, carried)
+        scanners = loaded.config.input.scanner != "none" or stream.info.format in ("PTX", "E57")
+        returns = stream.rules.has_returns if isinstance(stream, GridStream) else stream.info.format == "E57"
+        shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
+
+        def items() -> Iterator[StreamItem]:
+            yield item
+            for block in blocks:
+                yield _item(block, carried)
+
+        yield OpenedItems(stream.info, shape, items(), records, stream, n_odd)
+
+
+def _carry(
+    records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
+) -> tuple[RecordValues, int]:
+    """Put classes and coordinates of all records into a temporary file; also count the codes that are no codes."""
+    n_odd = 0
+    fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
+    path = temporary_name(output)
+    stack.callback(lambda: path.unlink(missing_ok=True))
+    fill = (*((np.nan,) * len(xyz)), *([NO_CODE] if class_name is not None else []))
+    values = RecordValues(path, np.dtype(fields), fill)
+    stack.callback(values.close)
+    names = (*xyz, *([class_name] if class_name is not None else []))
+    for chunk in records.chunks(names):
+        rows = np.empty(chunk.n, np.dtype(fields))
+        for name in xyz:
+            rows[name] = chunk.values[name]
+        if class_name is not None:
+            given = np.asarray(chunk.values[class_name], np.float64)
+            whole = np.isfinite(given) & (given == np.floor(given)) & (np.abs(given) < 2**31)
+            n_odd += int(np.count_nonzero(~whole & ~np.isnan(given)))
+            rows["code"] = np.where(whole, given, NO_CODE)
+        values.append(rows)
+    return values, n_odd
+
+
+def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> RecordValues | None:
+    """Put the class codes of a range image into a temporary file; None where it has none."""
+    if CLASS not in ArrayFile(source).headers:
+        return None
+    found = open_codes(source, CLASS)
+    if found.n != info.n_records:
+        problem = f"the array {CLASS!r} holds {found.n} codes, expected {info.n_records}, one a shot"
+        raise InputError(str(source), problem, "give it the shape of the ranges or another name")
+    path = temporary_name(output)
+    stack.callback(lambda: path.unlink(missing_ok=True))
+    kind = np.dtype([("code", "<i4")])
+    values = RecordValues(path, kind, (NO_CODE,))
+    stack.callback(values.close)
+    for codes in found.chunks():
+        rows = np.empty(len(codes), kind)
+        rows["code"] = np.where(np.abs(codes) < 2**31, codes, NO_CODE)
+        values.append(rows)
+    return values
+
+
+def _item(block: ScanBlock, carried: RecordValues | None) -> StreamItem:
+    if carried is None:
+        return StreamItem(block)
+    own, extra = carried.get(block.records()), carried.get(block.extra.record)
+    names = own.dtype.names or ()
+    item = StreamItem(block)
+    if "code" in names:
+        item = replace(item, codes=own["code"].copy(), extra_codes=extra["code"].copy())
+    if "x" in names:
+        registered = np.stack([own[name] for name in XYZ], axis=-1)
+        registered[np.isnan(block.range_m)] = np.nan
+        item = replace(item, registered_m=registered, extra_registered_m=np.stack([extra[n] for n in XYZ], axis=-1))
+    return item
+
+
+def find_losses(output: Path, opened: OpenedItems, facts: Facts, written: tuple[str, ...] = ()) -> tuple[str, ...]:
+    """Say what the input has and the output does not hold, one sentence each, those of the writer first."""
+    n_odd = opened.n_odd_codes
+    odd = (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",) if n_odd else ()
+    return (*written, *odd, *_losses(stream_suffix(output), opened, facts))
+
+
+def _losses(suffix: str, opened: OpenedItems, facts: Facts) -> Iterator[str]:
+    shape, counts = opened.shape, facts.counts
+    n_missing = int(counts.labels[Label.MISSING])
+    if suffix in _LAS:
+        yield from _las_losses(shape, facts, n_missing)
+    if suffix == ".npy":
+        for present, what in (
+            (shape.angles, "scan angles"),
+            (shape.times, "times"),
+            (shape.xyz, "coordinates"),
+            (shape.intensity, "intensities"),
+        ):
+            if present:
+                yield what
+    if suffix in (".npy", ".npz", ".e57") and shape.registered:
+        yield "registered coordinates (x, y, z)"
+    if suffix in (".npy", ".e57") and shape.codes:
+        yield "class codes"
+    if suffix in (".npy", ".npz", ".bin"):
+        if facts.n_extra:
+            yield f"{facts.n_extra} further returns or collisions: a range image has one range a cell"
+    elif facts.n_extra and shape.intensity:
+        yield f"the intensities of {facts.n_extra} further returns, which the stream does not know"
+    if counts.tally.n_unplaced:
+        yield f"{counts.tally.n_unplaced} records that belong to no cell"
+    bad = counts.tally.n_not_finite + counts.tally.n_not_positive + counts.tally.n_beyond
+    if bad:
+        yield f"the stored ranges of {bad} shots that count as missing (not finite, not positive or out of bounds)"
+    yield from _record_losses(opened)
+
+
+def _las_losses(shape: StreamShape, facts: Facts, n_missing: int) -> Iterator[str]:
+    if n_missing:
+        times = ", and their times," if shape.times else ""
+        yield f"{n_missing} shots without return{times} have no record; lines and columns are kept as numbers"
+    if shape.angles:
+        yield "scan angles beyond steps of 0.006 deg"
+    if shape.xyz or shape.registered:
+        yield "coordinates beyond steps of 1 mm (ranges are kept bit for bit)"
+    if shape.intensity:
+        yield "intensities beyond whole numbers from 0 to 65535"
+    if len(set(facts.scanners.values())) > 1:
+        sizes = ", ".join(f"scanner {scanner}: {m}" for scanner, m in sorted(facts.scanners.items()))
+        yield f"the number of shots a line of each scanner ({sizes}); the highest column with a return is taken for it"
+
+
+def _record_losses(opened: OpenedItems) -> Iterator[str]:
+    """Name the dimensions of the input that the stream knows nothing of."""
+    for assumption in opened.info.assumptions:
+        # readers of organised scans and arrays say there what they pass over
+        if assumption.value.startswith(NOT_READ):
+            yield f"{assumption.value.removeprefix(NOT_READ)}, which the stream does not hold"
+    records = opened.source
+    if records is None:
+        return
+    known = _STREAM_NAMES | set(NAMES)
+    taken: set[str | None] = set()
+    if opened.grid is not None:
+        rules = opened.grid.rules
+        taken = {rules.line_dimension, rules.column_dimension, rules.scanner, rules.range.partition(":")[2]}
+    other = [name for name in records.dimensions if name.lower() not in known and name not in taken]
+    if other:
+        yield f"other dimensions of the records: {', '.join(other[:30])}{' ...' if len(other) > 30 else ''}"
+    if getattr(records, "crs_wkt", None):
+        yield "the coordinate system"
+    if getattr(records, "format", "").startswith("LA"):
+        yield "header, VLRs and EVLRs of the LAS file"
+
+
+def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, ...]:
+    """Say what has to be given to read the output as the same stream, where its names do not say it all."""
+    suffix, shape = stream_suffix(output), opened.shape
+    told = []
+    if suffix == ".parquet":
+        told.append("prc reads no stream from .parquet; it is for other programs")
+    if shape.scanners and len(facts.scanners) > 1 and suffix in (*_LAS, *_TABLES):
+        told.append("several scanners: read it with --scanner point_source_id")
+    if suffix == ".bin":
+        told.append(f"read it with --config {output.name}.toml")
+    directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*_LAS, *_TABLES)
+    directed = directed or suffix == ".e57"
+    if shape.nadir_rad is not None and not directed and suffix != ".bin":
+        angle = float(np.rad2deg(shape.nadir_rad))
+        lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
+        told.append(f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}")
+    return tuple(told)
+
+
+__all__ = ["ConversionSummary", "convert"]

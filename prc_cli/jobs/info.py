@@ -1,0 +1,318 @@
+"""What a file holds and whether the chosen classifier can take it: everything measured, nothing guessed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prc_cli.config import LoadedConfig
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import Assumption, ReadTally, ScanStream
+from prc_cli.core.types import F32
+from prc_cli.formats import open_source
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.stream.beams import ORGANISED, with_beams
+from prc_cli.stream.grid import open_grid
+from prc_cli.stream.open import open_input
+from prc_cli.stream.order import (
+    OrderEvidence,
+    OrderWatch,
+    RangeCorrelation,
+    range_correlation,
+)
+from prc_cli.stream.periodicity import PeriodEstimate, estimate_line_frequency, estimate_points_per_line
+
+SAMPLE_SHOTS = 4_000_000
+"""Ranges kept from the start of a file for the median, the correlation and the estimate of M."""
+
+RANDOM_ORDER = 0.7
+"""Ratio of neighbouring to random range steps from which on the order carries no spatial correlation."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamFacts:
+    """What was counted while the stream was read."""
+
+    n_lines: int
+    n_shots: int
+    n_missing: int
+    """Shots without return."""
+    scanners: tuple[int, ...]
+    range_m: tuple[float, float, float] | None
+    """Least, median (of the sample) and greatest range [m]; None if ranges are not known."""
+    line_hz: float | None
+    """Scan lines a second, from the times of the lines [Hz]."""
+    tally: ReadTally
+    correlation: RangeCorrelation | None
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """Everything ``prc info`` prints of one file."""
+
+    path: str
+    size: int
+    format: str
+    n_records: int | None
+    dimensions: tuple[str, ...]
+    points_per_line: int | None
+    period: PeriodEstimate | None
+    """Estimate of M from the ranges; None if ranges are not known."""
+    order: OrderEvidence | None
+    """Evidence from the times; None without times."""
+    facts: StreamFacts | None
+    assumptions: tuple[Assumption, ...] = ()
+    header: dict[str, Any] = field(default_factory=dict)
+    """What the file's header says (LAS, LAZ)."""
+    notes: tuple[str, ...] = ()
+    method: str = "prc"
+    """The classifier that was asked about."""
+    problem: str = ""
+    """Why it cannot classify the file as it is; empty if it can."""
+    hint: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values, undefined figures as None."""
+        table: dict[str, Any] = _plain(asdict(self))
+        table["classifiable"] = not self.problem
+        if self.order is not None:
+            table["order"]["sentence"] = self.order.sentence()
+        return table
+
+
+def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
+    """Read a file once or twice and say what it holds.
+
+    Parameters
+    ----------
+    path : Path
+        Any readable input.
+    loaded : LoadedConfig
+        How lines, columns and ranges are found, as for ``prc classify``.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged; a file that is merely not fit for the classifier is described instead.
+    """
+    return replace(_inspect(path, loaded), method=loaded.config.method)
+
+
+def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
+    source = open_source(path, loaded.config.layout)
+    stream, refusal = _try_open(path, loaded)
+    judged = loaded.config.input.order == "require"
+    if source is None:
+        if stream is None:
+            raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
+        return _describe(path, None, stream, _line_order(stream), refusal, judged=judged)
+    order = _time_order(source)
+    if stream is None:
+        inspection = _describe(
+            path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
+        )
+        if "range" in source.dimensions:
+            inspection = replace(inspection, period=estimate_points_per_line(_sample(source)))
+        return inspection
+    return _describe(path, source, stream, order, refusal, judged=judged)
+
+
+def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
+    """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them.
+
+    Where only its directions are refused the stream is there all the same, without them.
+    """
+    inputs = loaded.config.input
+    if inputs.order == "require":
+        inputs = inputs.model_copy(update={"order": "trust"})
+    try:
+        stream = open_input(path, inputs, loaded.config.layout)
+    except (InputError, ConfigError) as refusal:
+        return None, refusal
+    if not loaded.config.needs_beams:
+        return stream, None
+    try:
+        directed = with_beams(stream, inputs, from_ground=loaded.config.nadir_from_ground)
+        if stream.info.format in ORGANISED or inputs.scanner != "none":
+            # a scan met late is refused late
+            for _ in directed.blocks():
+                pass
+    except (InputError, ConfigError) as refusal:
+        return stream, refusal
+    return directed, None
+
+
+def _describe(
+    path: Path,
+    source: RecordSource | None,
+    stream: ScanStream | None,
+    order: OrderEvidence | None,
+    refusal: InputError | ConfigError | None,
+    *,
+    judged: bool,
+    with_ranges: bool = True,
+) -> Inspection:
+    """Measure a stream; its order is told in any case, and judged where ``prc classify`` would judge it."""
+    facts, sample = None, None
+    if stream is not None:
+        try:
+            facts, sample = _measure(stream, with_ranges=with_ranges)
+        except InputError:
+            # records out of order make lines that are not whole: then the order is the news, not the line
+            if order is None or order.is_chronological:
+                raise
+    problem, hint = _verdict(order, facts, refusal, judged=judged)
+    info = None if stream is None else stream.info
+    n_records = None if source is None else source.n_records
+    return Inspection(
+        path=str(path),
+        size=path.stat().st_size,
+        format=source.format if source is not None else info.format if info is not None else "",
+        n_records=n_records if n_records is not None else None if info is None else info.n_records,
+        dimensions=() if source is None else source.dimensions,
+        points_per_line=None if info is None else info.points_per_line,
+        period=None if sample is None else estimate_points_per_line(sample),
+        order=order,
+        facts=facts,
+        assumptions=() if info is None else info.assumptions,
+        header=getattr(source, "describe", dict)(),
+        notes=getattr(source, "notes", ()) if info is None else info.notes,
+        problem=problem,
+        hint=hint,
+    )
+
+
+def _verdict(
+    order: OrderEvidence | None,
+    facts: StreamFacts | None,
+    refusal: InputError | ConfigError | None,
+    *,
+    judged: bool,
+) -> tuple[str, str]:
+    if judged and order is not None and not order.is_chronological:
+        hint = "sort with --sort-by-time if every record is there, or insist with --trust-order"
+        if order.what == "time_s":  # lines of a range image are not sorted
+            hint = "insist with --trust-order"
+        return f"not in the order the shots were fired: {order.sentence()}", hint
+    if refusal is not None:
+        return refusal.problem, refusal.hint
+    correlation = None if facts is None else facts.correlation
+    if judged and order is None and correlation is not None and correlation.ratio >= RANDOM_ORDER:
+        return f"not in the order the shots were fired: {correlation.verdict}", "insist with --trust-order"
+    return "", ""
+
+
+def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32 | None]:
+    """Read a stream to its end; return the counts and the ranges at its start."""
+    n_lines = n_shots = n_missing = kept = 0
+    low, high = math.inf, -math.inf
+    scanners: set[int] = set()
+    tally = ReadTally()
+    sample: list[F32] = []
+    line_times: list[float] = []
+    for block in stream.blocks():
+        missing = np.isnan(block.range_m)
+        n_lines += block.n_lines
+        n_shots += block.range_m.size
+        n_missing += int(missing.sum())
+        scanners.add(block.scanner)
+        tally = tally + block.tally
+        if not missing.all():
+            low, high = min(low, float(np.nanmin(block.range_m))), max(high, float(np.nanmax(block.range_m)))
+        if block.scanner == min(scanners) and kept < SAMPLE_SHOTS:
+            sample.append(block.range_m.ravel()[: SAMPLE_SHOTS - kept])
+            kept += sample[-1].size
+            if block.time_s is not None:
+                line_times.extend(_first_times(block.time_s))
+    flat = np.concatenate(sample) if sample else np.empty(0, np.float32)
+    ranges = (low, float(np.nanmedian(flat)), high) if with_ranges and low <= high else None
+    times = np.asarray(line_times)
+    line_hz = stream.info.line_hz
+    if line_hz is None and np.isfinite(times).sum() > 2:
+        line_hz = estimate_line_frequency(times)
+    correlation = range_correlation(flat) if ranges is not None else None
+    facts = StreamFacts(
+        n_lines, n_shots, n_missing, tuple(sorted(scanners)), ranges, line_hz, tally, correlation
+    )  # fmt: skip
+    return facts, flat if ranges is not None else None
+
+
+def _first_times(time_s: np.ndarray) -> list[float]:
+    """First known time of every line, NaN where there is none."""
+    known = np.isfinite(time_s)
+    first = np.argmax(known, axis=1)
+    values = time_s[np.arange(len(time_s)), first]
+    return [float(value) for value in np.where(known.any(axis=1), values, np.nan)]
+
+
+def _time_order(source: RecordSource) -> OrderEvidence | None:
+    """Read the times alone, in the order of the input."""
+    if "time" not in source.dimensions:
+        return None
+    what = "gps_time" if source.format.startswith("LA") else "time"
+    watch = OrderWatch(source.path, "trust", what)
+    for chunk in source.chunks(("time",)):
+        watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
+    return watch.evidence()
+
+
+def _line_order(stream: ScanStream) -> OrderEvidence | None:
+    """Read the times of a range image's lines alone; None where it has none."""
+    watch = None
+    for block in stream.blocks():
+        if block.time_s is None:
+            return None
+        watch = watch or OrderWatch(stream.info.path, "trust", "time_s")
+        watch.see(block.time_s.ravel(), None)
+    return None if watch is None else watch.evidence()
+
+
+def _sample(source: RecordSource) -> F32:
+    """Ranges at the start of a source, missing ones as NaN."""
+    parts: list[F32] = []
+    kept = 0
+    for chunk in source.chunks(("range",)):
+        parts.append(np.asarray(chunk.values["range"], np.float32)[: SAMPLE_SHOTS - kept])
+        kept += parts[-1].size
+        if kept >= SAMPLE_SHOTS:
+            break
+    flat = np.concatenate(parts)
+    return np.where(np.isfinite(flat) & (flat > 0), flat, np.float32(np.nan))
+
+
+class _UnitRanges(DerivedSource):
+    """A source whose ranges are all 1: for finding lines where ranges are not known."""
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(("range", *self.source.dimensions)))
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        for chunk in self.source.chunks(tuple(name for name in names if name != "range")):
+            yield replace(chunk, values={**chunk.values, "range": np.ones(chunk.n)})
+
+
+def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
+    """Find the lines of an input without ranges; None if its lines cannot be found either."""
+    try:
+        return open_grid(
+            _UnitRanges(source), inputs.model_copy(update={"range": "dimension:range", "order": "trust"})
+        )  # fmt: skip
+    except (InputError, ConfigError):
+        return None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

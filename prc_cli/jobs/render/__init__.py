@@ -1,0 +1,142 @@
+"""Pictures of a scan or a cloud, joined from reader, classifier and imaging; what ``prc render`` calls."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+from prc_cli import __version__
+from prc_cli.config import LoadedConfig
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.formats import check_input
+from prc_cli.imaging.page import html_page
+from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
+from prc_cli.jobs.classify import Progress
+from prc_cli.jobs.render.options import (
+    CAPTIONS,
+    COLOURS,
+    SUFFIXES,
+    VIEWS,
+    RenderOptions,
+    RenderResult,
+)
+from prc_cli.jobs.render.scan import Drawing, describe, draw_scan
+
+
+def render(
+    source: Path | str,
+    output: Path | str,
+    config: LoadedConfig,
+    options: RenderOptions | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RenderResult:
+    """Draw a file.
+
+    Parameters
+    ----------
+    source : path
+        Any readable input.
+    output : path
+        ``.png`` (further pages as ``NAME_2.png`` and so on) or ``.html`` (one file that holds all pictures).
+    config : LoadedConfig
+        How the input is read and classified.
+    options : RenderOptions, optional
+        What is drawn; default: ranges and classes of the whole drive.
+    overwrite : bool
+        Replace existing outputs.
+    progress : callable, optional
+        Called with the number of lines that were just read.
+
+    Returns
+    -------
+    RenderResult
+
+    Raises
+    ------
+    ConfigError
+        Unknown step, view or suffix of the output; block or lines out of range.
+    InputError
+        Damaged input; labels of another length; no coordinates for a cloud.
+    OutputError
+        When it cannot be written; nothing is left behind.
+    """
+    source, output = Path(source), Path(output)
+    chosen = RenderOptions() if options is None else options
+    if output.suffix.lower() not in SUFFIXES:
+        problem = f"found the suffix {output.suffix!r}, expected one of: {' '.join(SUFFIXES)}"
+        raise ConfigError(str(output), problem, "rename the output")
+    inputs = tuple(path for path in (source, chosen.labels, chosen.reference, *config.files) if path is not None)
+    check_output(output, overwrite=overwrite, inputs=inputs)
+    remove_stale(output)
+    check_input(source)
+    with tempfile.TemporaryDirectory(prefix="prc-render-", ignore_cleanup_errors=True) as name:
+        if chosen.view == "scan":
+            drawing = draw_scan(source, config, chosen, Path(name), progress)
+            head = describe(drawing, config, chosen, source.name)
+            result = RenderResult(
+                files=(), size=(0, 0), drawn=head, steps=drawing.steps, lines=(drawing.part.first, drawing.part.stop),
+                thinned_by=drawing.thinned_by, counts=drawing.counts, n_compared=drawing.n_compared,
+                n_differing=drawing.n_differing,
+            )  # fmt: skip
+            pages, key = _pages(drawing), drawing.key
+        else:
+            from prc_cli.jobs.render.cloud import draw_cloud
+
+            panel, key, result = draw_cloud(source, config, chosen, Path(name), progress)
+            pages = [("", [panel])]
+    return _write(output, source.name, result, pages, key, max_height=chosen.height, overwrite=overwrite, inputs=inputs)
+
+
+def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
+    """Put the strips on pages, each with its heading."""
+    pages = []
+    for first in range(0, len(drawing.strips), drawing.strips_per_page):
+        strips = drawing.strips[first : first + drawing.strips_per_page]
+        panels = [panel for strip in strips for panel in strip]
+        along = [axis for axis in (strips[0][0].x, strips[0][0].y) if axis.name == "line"]
+        last = [axis for axis in (strips[-1][0].x, strips[-1][0].y) if axis.name == "line"]
+        stop = min(last[0].stop, drawing.part.stop)
+        several = len(drawing.strips) > drawing.strips_per_page
+        pages.append((f"lines {along[0].first:,.0f} to {stop - 1:,.0f}" if several else "", panels))
+    return pages
+
+
+def _write(
+    output: Path,
+    name: str,
+    result: RenderResult,
+    pages: Sequence[tuple[str, list[Panel]]],
+    key: Key,
+    *,
+    max_height: int,
+    overwrite: bool,
+    inputs: tuple[Path, ...],
+) -> RenderResult:
+    """Write the pages; all of them or none."""
+    if output.suffix.lower() == ".html":
+        text = html_page(name, result.drawn, pages, key, f"prc {__version__}")
+        with atomic_output(output) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+        width = max(panel.size[0] for _, panels in pages for panel in panels)
+        return replace(result, files=(output,), size=(width, sum(p.size[1] for _, panels in pages for p in panels)))
+    paths = [output, *(output.with_stem(f"{output.stem}_{number}") for number in range(2, len(pages) + 1))]
+    for path in paths[1:]:
+        check_output(path, overwrite=overwrite, inputs=inputs)
+    size = (0, 0)
+    single = len({(panel.x, panel.y) for _, panels in pages for panel in panels}) == 1
+    with ExitStack() as stack:
+        for path, (heading, panels) in zip(paths, pages, strict=True):
+            head = result.drawn if not heading else f"{result.drawn} · this page: {heading}"
+            image = draw_sheet(head, panels, key, columns=choose_columns(panels, max_height) if single else 1)
+            size = image.size if path is output else size
+            image.save(stack.enter_context(atomic_output(path)), format="PNG")
+    return replace(result, files=tuple(paths), size=size)
+
+
+__all__ = ["CAPTIONS", "COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render"]

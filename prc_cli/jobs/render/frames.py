@@ -1,0 +1,199 @@
+"""Images of every step of a stream, block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, initial_state, trace_block
+from prc_cli.config import LoadedConfig
+from prc_cli.core.classes import LABEL_OF_SURFACE, Label
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
+from prc_cli.core.types import F64
+from prc_cli.jobs.classify import label_blocks, open_stream
+from prc_cli.jobs.render.options import PRC_STEPS
+from prc_cli.stream.beams import with_beams
+from prc_cli.stream.blocks import regroup
+
+Plane: TypeAlias = NDArray[Any]
+
+TURN_LINES = 64
+"""Lines in which a rotation is looked for."""
+LEAST_TURN_RAD = 1e-4
+"""Smallest step of azimuth between lines that is a rotation [rad]."""
+SEGMENT_COLOURS = 1 << 30
+"""Segment ids are drawn modulo this number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Consecutive lines and the images of their steps."""
+
+    block: ScanBlock
+    planes: Mapping[str, Plane]
+    """(lines, M) by step: ranges, masks, ids, labels."""
+
+
+def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
+    """Open a stream; where the input tells where down is its blocks know it, whatever the classifier."""
+    stream = open_stream(path, loaded)
+    if loaded.config.needs_beams:
+        return stream
+    # without a vertical direction pictures simply lie on their side; damage is met again when the stream is read
+    with suppress(InputError, ConfigError):
+        return with_beams(stream, loaded.config.input)
+    return stream
+
+
+def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> Iterator[ScanBlock]:
+    """Keep the blocks of one scanner, by default of the first one met.
+
+    Raises
+    ------
+    ConfigError
+        When there is no such scanner; the message lists those there are.
+    """
+    others: set[int] = set()
+    chosen, found = station, False
+    for block in blocks:
+        if chosen is None:
+            chosen = block.scanner
+        if block.scanner == chosen:
+            found = True
+            yield block
+        else:
+            others.add(block.scanner)
+    if not found and others:
+        numbers = ", ".join(str(number) for number in sorted(others)[:20])
+        shown = f"one, number {numbers}" if len(others) == 1 else f"{len(others)}, numbers {numbers}"
+        shown += ", ..." if len(others) > 20 else ""
+        raise ConfigError("--station", f"found {station}, but {path} holds {shown}")
+
+
+def count_lines(stream: ScanStream, station: int | None, loaded: LoadedConfig) -> int:
+    """Return the lines of one scanner; reads the stream where nothing else tells."""
+    info = stream.info
+    alone = loaded.config.input.scanner == "none" and info.format not in ("PTX", "E57") and station is None
+    if info.n_lines is not None and alone:
+        return info.n_lines
+    return sum(block.n_lines for block in of_station(stream.blocks(), station, info.path))
+
+
+def frames(
+    blocks: Iterator[ScanBlock], loaded: LoadedConfig, steps: tuple[str, ...], *, classify: bool
+) -> Iterator[Frame]:
+    """Classify blocks as far as the steps need it and give the images on the way.
+
+    Parameters
+    ----------
+    blocks : iterator of ScanBlock
+        Blocks of one scanner from its first line on.
+    loaded : LoadedConfig
+        Classifier and its parameters.
+    steps : tuple of str
+        Steps that are wanted.
+    classify : bool
+        Whether any of them needs the classifier.
+
+    Yields
+    ------
+    Frame
+        ``range`` always; ``classes`` (:class:`~prc_cli.core.classes.Label`) and the steps asked for.
+    """
+    config = loaded.config
+    if not classify:
+        for block in blocks:
+            yield Frame(block, _of_block(block, steps))
+    elif isinstance(params := config.classifier, PrcParams) and set(steps) & set(PRC_STEPS):
+        yield from _traced(blocks, params, steps)
+    else:
+        for item in label_blocks(blocks, config.classifier, stages=True):
+            planes = {**_of_block(item.block, steps), "classes": item.labels}
+            if item.stages is not None:
+                planes |= _of_stages(item.block, item.stages, steps)
+            yield Frame(item.block, planes)
+
+
+def trace_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[tuple[ScanBlock, PrcTrace]]:
+    """Run PRC over the blocks of one scanner and keep the images on the way."""
+    state: PrcState | None = None
+    for block in regroup(blocks, params.lines_per_block):
+        trace = trace_block(block.range_m, block.next_m, state or initial_state(block.points_per_line), params)
+        state = trace.result.state
+        yield block, trace
+
+
+def _traced(blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ...]) -> Iterator[Frame]:
+    images: dict[str, Callable[[PrcTrace], Plane]] = {
+        "support": lambda trace: trace.supported,
+        "background": lambda trace: trace.background,
+        "segments": lambda trace: _ids(trace.components.to_segments()),
+        "surfaces": lambda trace: _ids(trace.surfaces.to_patches()),
+    }
+    for block, trace in trace_blocks(blocks, params):
+        planes = {**_of_block(block, steps), "classes": trace.result.labels}
+        planes |= {step: images[step](trace) for step in steps if step in images}
+        yield Frame(block, planes)
+
+
+def _ids(segments: NDArray[np.int64]) -> Plane:
+    """Segment ids in half the bytes: what has an id keeps one that is not 0."""
+    return np.where(segments > 0, segments % SEGMENT_COLOURS + 1, 0).astype(np.int32)
+
+
+def _of_block(block: ScanBlock, steps: tuple[str, ...]) -> dict[str, Plane]:
+    planes: dict[str, Plane] = {"range": block.range_m}
+    if "intensity" in steps:
+        if block.intensity is None:
+            where = "--steps"
+            raise ConfigError(where, "found 'intensity', but the input has none")
+        planes["intensity"] = block.intensity
+    return planes
+
+
+def _of_stages(block: ScanBlock, stages: StageLabels, steps: tuple[str, ...]) -> dict[str, Plane]:
+    seen = ~np.isnan(block.range_m)
+    images: dict[str, Callable[[], Plane]] = {
+        "coarse": lambda: np.array(LABEL_OF_SURFACE, np.uint8)[stages.surface],
+        "dense": lambda: np.where(
+            stages.dense_vegetation, Label.VEGETATION, np.where(seen, Label.UNCLASSIFIED, Label.MISSING)
+        ).astype(np.uint8),
+        "ground": lambda: np.where(seen, stages.ground_height_m, np.float32(np.nan)),
+    }
+    return {step: images[step]() for step in steps if step in images}
+
+
+def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
+    """Return the columns of a vertical line from the sky to the ground; None where lines are not such lines.
+
+    >>> upright(np.deg2rad([10.0, 90.0, 140.0])).tolist()
+    [2, 1, 0]
+    """
+    if beam_rad is None or not ((beam_rad >= 0).all() or (beam_rad <= 0).all()):
+        return None
+    return np.argsort(-np.abs(beam_rad), kind="stable")
+
+
+def turns(block: ScanBlock) -> float:
+    """Tell how a scanner turns from line to line, seen from above.
+
+    Returns
+    -------
+    float
+        Azimuth from line to line [rad]: positive anticlockwise, so that a picture begins on its right; negative
+        clockwise; 0 not at all, or not known.
+    """
+    if block.xyz_m is None or block.n_lines < 2:
+        return 0.0
+    x, y = (block.xyz_m[: TURN_LINES + 1, :, axis].astype(np.float64) for axis in (0, 1))
+    with np.errstate(invalid="ignore"):
+        step = np.arctan2(x[:-1] * y[1:] - y[:-1] * x[1:], x[:-1] * x[1:] + y[:-1] * y[1:])
+        step = step[(np.hypot(x, y)[:-1] > 0) & (np.hypot(x, y)[1:] > 0)]
+    middle = float(np.median(step)) if step.size else 0.0
+    return middle if abs(middle) > LEAST_TURN_RAD else 0.0

@@ -1,0 +1,338 @@
+"""Whole simulated scans to files: ``prc simulate``.
+
+A scene, a scanner and what carries it become a stream, some lines at a time, and the stream becomes any file that
+``prc convert`` writes, with the reference class of every shot. Memory does not grow with the length of the drive.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from prc_cli.core.classes import LABEL_NAMES, Label
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.core.threads import write_behind
+from prc_cli.core.types import F64, U8
+from prc_cli.formats.stream_files import (
+    check_stream_output,
+    open_stream_writer,
+    outputs_of,
+    stream_suffix,
+)
+from prc_cli.formats.writing.record import ClassCount, Fingerprint, RunRecord
+from prc_cli.formats.writing.straight import StraightCodes
+from prc_cli.formats.writing.stream_writer import StreamItem, StreamShape
+from prc_cli.jobs.classify import Counts, Progress
+from prc_cli.simulation.drive import SimulatedBlock
+from prc_cli.simulation.forest.scene import ForestScene
+from prc_cli.simulation.settings import Kind, Settings, StationSettings, load_settings
+from prc_cli.simulation.simulation import Simulation, open_simulation
+from prc_cli.simulation.trajectory import Trajectory
+from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write_trajectory
+
+_BESIDE = (".npy", ".bin", ".e57")
+"""Outputs whose classes cannot be held, or not compared: they stand in a file beside."""
+_LAS = (".las", ".laz")
+_REGISTERED = (*_LAS, ".csv", ".csv.gz", ".csv.zst", ".parquet")
+"""Outputs that hold registered coordinates beside the ranges."""
+_ONE_RETURN = (".npy", ".npz", ".bin")
+_SBET = (".sbet", ".out")
+_SUFFIXES: dict[str, tuple[str, ...]] = {"trajectory": (".csv", *_SBET), "labels": (".npy",), "stems": (".csv",)}
+"""What files beside the stream may end in."""
+TRAJECTORY_HZ = 200.0
+"""Positions a second of trajectories that are written."""
+STEM_MARGIN_M = 30.0
+"""Trees so far from the way are listed."""
+STEM_STEP_M = 10.0
+"""They are looked for from places so far apart [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationSummary:
+    """What a simulation wrote."""
+
+    output: Path
+    record: RunRecord
+    """Provenance, as stored beside the output: parameters, seed, version, classes."""
+    counts: Counts
+    files: tuple[Path, ...]
+    """Everything that was written, the run record included."""
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the run record with the names of the files, for JSON."""
+        return {**self.record.as_dict(), "files": [str(path) for path in self.files]}
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Files that are written beside the stream, each only if it has a name."""
+
+    trajectory: Path | None = None
+    """Where the scanner was: ``.sbet`` or ``.out`` for SBET, ``.csv``."""
+    labels: Path | None = None
+    """``.npy``: the reference class of every record of the output; there by itself where the output holds none."""
+    stems: Path | None = None
+    """``.csv``: the trees beside the way."""
+
+    def paths(self) -> tuple[Path, ...]:
+        """Return those that have a name."""
+        return tuple(path for path in (self.trajectory, self.labels, self.stems) if path is not None)
+
+
+def simulate(
+    kind: Kind,
+    output: Path | str,
+    settings: Settings | None = None,
+    *,
+    beside: Beside | None = None,
+    reference: Literal["truth", "cylinders"] = "truth",
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> SimulationSummary:
+    """Simulate a scan into a file, with the reference class of every shot; all files exist whole or not at all.
+
+    Parameters
+    ----------
+    kind : {"street", "forest", "street-scan"}
+        What is simulated.
+    output : path
+        ``.las .laz .csv .csv.gz .csv.zst .parquet .npz .npy .bin .e57``. Where there is a return, the point clouds
+        and tables hold its registered coordinates from the true pose.
+    settings : optional
+        From :func:`load_settings`.
+    beside : Beside, optional
+        Names of further files.
+    reference : {"truth", "cylinders"}
+        As :func:`open_simulation`.
+    threads : int, optional
+        Default: as many as there are cores. They do not change a byte.
+    overwrite : bool
+        Replace existing outputs.
+    progress : callable, optional
+        Called with the number of scan lines that were just finished.
+
+    Returns
+    -------
+    SimulationSummary
+
+    Raises
+    ------
+    ConfigError, OutputError
+        See :mod:`prc_cli.core.errors`; nothing is left behind.
+    """
+    output = Path(output)
+    suffix = stream_suffix(output)
+    chosen = load_settings(kind) if settings is None else settings
+    wanted = check_simulation(kind, output, beside, overwrite=overwrite)
+    frame = _frame(chosen, wanted)
+    check_frame(wanted.trajectory or output, frame)
+    for path in (*outputs_of(output), *wanted.paths()):
+        remove_stale(path)
+    is_static = chosen.scanner.is_static
+    simulation = open_simulation(
+        kind,
+        chosen,
+        reference=reference,
+        threads=threads,
+        with_xyz=is_static or suffix == ".e57",
+        with_world=not is_static and (suffix in _REGISTERED or reference == "cylinders"),
+    )
+    with contextlib.ExitStack() as stack:
+        if wanted.trajectory is not None:
+            temporary = stack.enter_context(atomic_output(wanted.trajectory))
+            platform, end_s = simulation.scan.platform, simulation.end_s
+            write_trajectory(wanted.trajectory, platform, end_s, hz=TRAJECTORY_HZ, frame=frame, into=temporary)
+        if wanted.stems is not None:
+            temporary = stack.enter_context(atomic_output(wanted.stems))
+            temporary.write_text("".join(f"{row}\n" for row in _stem_rows(simulation)), encoding="utf-8", newline="\n")
+        codes_file: StraightCodes | None = None
+        if wanted.labels is not None:
+            codes_file = StraightCodes(stack.enter_context(atomic_output(wanted.labels)))
+            stack.callback(codes_file.close)
+        record, counts = _write(simulation, output, codes_file, frame, progress)
+    return SimulationSummary(output, record, counts, (*outputs_of(output), *wanted.paths()))
+
+
+def _write(
+    simulation: Simulation, output: Path, codes_file: StraightCodes | None, frame: Frame, progress: Progress | None
+) -> tuple[RunRecord, Counts]:
+    """Simulate and write the stream, and the codes beside it."""
+    scan, suffix = simulation.scan, stream_suffix(output)
+    lookup = simulation.settings.classes.lookup()
+    counts = Counts.none()
+    shape = StreamShape(
+        points_per_line=scan.scanner.points_per_line,
+        scanners=False,
+        returns=scan.scanner.max_returns > 1 and suffix not in _ONE_RETURN,
+        angles=True,
+        times=True,
+        xyz=scan.with_xyz,
+        registered=scan.with_world and not scan.with_xyz and suffix in _REGISTERED,
+        intensity=True,
+        codes=True,
+        nadir_rad=scan.info.nadir_rad,
+    )
+    n_further = 0
+    with open_stream_writer(output, shape) as writer:
+
+        def put(found: SimulatedBlock) -> None:
+            item = _item(found, lookup, frame.origin() if shape.registered else None)
+            writer.add_item(item)
+            if codes_file is not None:
+                codes_file.append(codes_in_order(item, suffix))
+
+        with write_behind(put) as queue:
+            for found in scan.simulated():
+                queue.put(found)
+                counts = counts.add(found.labelled)
+                n_further += len(found.labelled.extra_labels)
+                if progress is not None:
+                    progress(found.labelled.block.n_lines)
+        record = _record(simulation, counts)
+        told = list(writer.losses)
+        if n_further and suffix in _ONE_RETURN:
+            told.append(f"not kept: {n_further} further returns: a range image has one range a cell")
+        if suffix == ".bin":
+            told.append(f"read it with --config {output.name}.toml")
+        if shape.registered and frame.crs:
+            told.append(f"registered coordinates are those of {frame.crs}")
+        if suffix == ".parquet":
+            told.append("prc reads no stream from .parquet; it is for other programs")
+        record = writer.finish(replace(record, notices=(*record.notices, *told)))
+        if codes_file is not None:
+            codes_file.finish()
+    return record, counts
+
+
+def _item(found: SimulatedBlock, lookup: U8, origin_m: F64 | None) -> StreamItem:
+    labelled = found.labelled
+    item = StreamItem(
+        labelled.block,
+        codes=lookup[labelled.labels].astype(np.int32),
+        extra_codes=lookup[labelled.extra_labels].astype(np.int32),
+    )
+    if origin_m is None or found.world_m is None or found.extra_world_m is None:
+        return item
+    return replace(item, registered_m=found.world_m + origin_m, extra_registered_m=found.extra_world_m + origin_m)
+
+
+def codes_in_order(item: StreamItem, suffix: str) -> U8:
+    """Return the class codes of the records that an output has, in their order, (records,) uint8; 0 = no return."""
+    assert item.codes is not None
+    assert item.extra_codes is not None
+    block = item.block
+    codes = item.codes.ravel()
+    extra = block.extra
+    if suffix in _ONE_RETURN or not len(extra):
+        found = codes if suffix not in _LAS else codes[~np.isnan(block.range_m.ravel())]
+        return found.astype(np.uint8)
+    # every return stands behind the one that stands for its shot, nearer ones first
+    cell = extra.line.astype(np.int64) * block.points_per_line + extra.column
+    own = np.flatnonzero(~np.isnan(block.range_m.ravel())) if suffix in _LAS else np.arange(len(codes))
+    owner = np.concatenate([own, cell])
+    rank = np.concatenate([np.full(len(own), -np.inf), extra.range_m if suffix in _LAS else np.zeros(len(cell))])
+    order = np.lexsort((np.arange(len(owner)), rank, owner))
+    return np.concatenate([codes[own], item.extra_codes])[order].astype(np.uint8)
+
+
+def _record(simulation: Simulation, counts: Counts) -> RunRecord:
+    settings, scan = simulation.settings, simulation.scan
+    table = {"kind": simulation.kind, **settings.model_dump(mode="json", exclude_none=True)}
+    text = json.dumps(table, sort_keys=True).encode()
+    codes = settings.classes
+    classes = tuple(
+        ClassCount(codes.code(label), LABEL_NAMES[label], int(counts.labels[label]))
+        for label in Label
+        if counts.labels[label] and label is not Label.MISSING
+    )
+    return RunRecord(
+        config={"simulation": table},
+        # there is no file: the parameters are what the output was made from
+        input=Fingerprint(scan.name, len(text), hashlib.sha256(text).hexdigest()),
+        format="simulation",
+        points_per_line=scan.scanner.points_per_line,
+        n_lines=counts.n_lines,
+        n_records=counts.n_shots,
+        n_missing=int(counts.labels[Label.MISSING]),
+        assumptions=scan.info.assumptions,
+        classes=classes,
+    )
+
+
+def _frame(settings: Settings, beside: Beside) -> Frame:
+    """Return where the world lies on earth: as it is asked for, or where an SBET needs it."""
+    asked = None if isinstance(settings, StationSettings) else settings.frame
+    if asked is not None:
+        return Frame(**asked.model_dump())
+    is_sbet = beside.trajectory is not None and beside.trajectory.suffix.lower() in _SBET
+    return Frame() if is_sbet else WORLD
+
+
+def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, overwrite: bool = False) -> Beside:
+    """Refuse outputs before any work is done.
+
+    Returns
+    -------
+    Beside
+        What is written beside the stream; the file of labels has a name where one is needed.
+
+    Raises
+    ------
+    ConfigError, OutputError, OutputExistsError
+    """
+    beside = beside or Beside()
+    if beside.labels is None and stream_suffix(output) in _BESIDE:
+        beside = replace(beside, labels=reference_path(output))
+    if beside.stems is not None and kind != "forest":
+        raise ConfigError("stems", f"asked for in a {kind}, which has none", "leave it out")
+    if beside.trajectory is not None and kind == "street-scan":
+        raise ConfigError("trajectory", "asked for of a tripod, which does not move", "leave it out")
+    for name, suffixes in _SUFFIXES.items():
+        path = getattr(beside, name)
+        if path is not None and path.suffix.lower() not in suffixes:
+            problem = f"found suffix {path.suffix!r}, expected {' or '.join(suffixes)}"
+            raise ConfigError(str(path), problem, f"write the {name} under such a name")
+    paths = [path.absolute() for path in (*outputs_of(output), *beside.paths())]
+    if len(set(paths)) < len(paths):
+        raise ConfigError(str(output), "two of the files that are to be written have one name")
+    check_stream_output(output, overwrite=overwrite)
+    for path in beside.paths():
+        check_output(path, overwrite=overwrite)
+    return beside
+
+
+def reference_path(output: Path) -> Path:
+    """Return where the reference classes of an output stand that holds none.
+
+    >>> reference_path(Path("drive.e57")).name
+    'drive_reference.npy'
+    """
+    return output.with_name(f"{output.stem}_reference.npy")
+
+
+def _stem_rows(simulation: Simulation) -> Iterator[str]:
+    """Yield the trees beside the way, each once, as lines of CSV."""
+    scene, platform = simulation.scene, simulation.scan.platform
+    assert isinstance(scene, ForestScene)
+    assert isinstance(platform, Trajectory)
+    length_m = float(platform.progress(np.array([simulation.end_s]))[0][0])
+    seen: set[bytes] = set()
+    for number, s_m in enumerate(np.arange(0.0, length_m + STEM_STEP_M, STEM_STEP_M)):
+        point, _ = scene.path_point(np.array([s_m]))
+        stems = scene.stems_near(float(point[0, 0]), float(point[0, 1]), STEM_MARGIN_M)
+        fresh = np.array([place.tobytes() not in seen for place in stems.base], np.bool_)
+        seen.update(place.tobytes() for place in stems.base)
+        rows = stems.take(fresh).rows()
+        header = next(rows)
+        if not number:
+            yield header
+        yield from rows

@@ -1,0 +1,192 @@
+"""Classification of a live stream: ranges come in through a pipe, one class code a shot goes out.
+
+A block leaves as soon as the shots are there that it needs; nothing waits in between, and nothing is read before it
+can be dealt with, so that a slow reader of the labels slows the writer of the ranges down (back-pressure).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from prc_cli.classifiers.prc import continuous
+from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.errors import ConfigError, InputError, OutputError
+from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import U8
+from prc_cli.jobs.classify import Counts, label_blocks
+from prc_cli.stream.beams import with_beams
+from prc_cli.stream.blocks import regroup
+from prc_cli.stream.grid import GridStream
+from prc_cli.stream.pipe import ByteStream, open_pipe
+
+
+class ByteSink(Protocol):
+    """What labels are written to: an unbuffered file object, such as ``sys.stdout.buffer.raw``."""
+
+    def write(self, data: memoryview, /) -> int | None:
+        """Write some of the bytes; return how many."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """How a stream went so far."""
+
+    n_lines: int
+    """Lines whose labels have left."""
+    n_shots: int
+    seconds: float
+    """Since the stream was opened [s]."""
+    line_hz: float | None
+    """Lines that the scanner makes a second [Hz], None = not known."""
+    latency_s: float
+    """From the arrival of the last bytes that labels waited for until these labels had left, longest so far [s]."""
+
+    def real_time(self, line_hz: float | None = None) -> float | None:
+        """Return how many times faster than the scanner lines came through.
+
+        Parameters
+        ----------
+        line_hz : float, optional
+            Lines a second [Hz], instead of what the stream says.
+
+        Returns
+        -------
+        float or None
+            None = line frequency not known.
+        """
+        hz = self.line_hz if line_hz is None else line_hz
+        return None if hz is None or not self.seconds else self.n_lines / self.seconds / hz
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSummary:
+    """What a finished stream held."""
+
+    rate: Rate
+    counts: Counts
+    info: StreamInfo
+
+
+def stream(
+    source: ByteStream,
+    sink: ByteSink,
+    config: LoadedConfig | RunConfig | None = None,
+    *,
+    hop: int | None = None,
+    report: Callable[[Rate], None] | None = None,
+) -> StreamSummary:
+    """Label a stream while it arrives.
+
+    Parameters
+    ----------
+    source : ByteStream
+        Records of ``config.layout`` (default: float32 ranges alone, ``input.points_per_line`` a line), unbuffered.
+    sink : ByteSink
+        Takes one byte a shot, its class code, chronological; 0 = no return.
+    config : LoadedConfig or RunConfig, optional
+        Default: the published urban parameters. A last line that is not whole is padded, and cut again.
+    hop : int, optional
+        PRC: lines that leave together, 1 to k (:func:`prc_cli.classifiers.prc.continuous.classify_lines`); default: the
+        blocks of k lines of the paper, which give the bytes of ``prc classify``.
+    report : callable, optional
+        Called with the :class:`Rate` whenever labels have left.
+
+    Returns
+    -------
+    StreamSummary
+
+    Raises
+    ------
+    InputError
+        When the stream is damaged or ends inside a record; the labels of all whole lines before have left then.
+    OutputError
+        When the reader of the labels has gone.
+    ConfigError
+        When the stream cannot be classified so, such as several scanners in it.
+    """
+    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    chosen = loaded.config
+    if chosen.input.scanner != "none":
+        problem = (
+            f"found {chosen.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"
+        )
+        raise ConfigError("input.scanner", problem, "split the stream first, or write it to a file for prc classify")
+    start = time.perf_counter()
+    pipe, opened = open_pipe(source, chosen.input.model_copy(update={"partial_line": "pad"}), chosen.layout)
+    is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
+    if not isinstance(chosen.classifier, PrcParams):
+        opened = with_beams(opened, chosen.input, from_ground=chosen.nadir_from_ground)
+    elif hop is not None and not 1 <= hop <= chosen.classifier.lines_per_block:
+        problem = f"found {hop}, expected 1 to prc.lines_per_block = {chosen.classifier.lines_per_block} lines"
+        raise ConfigError("hop", problem)
+    pipe.seal()
+    blocks = _UntilError(opened)
+    lookup = chosen.classes.lookup()
+    counts, latency = Counts.none(), 0.0
+    for item in _label(iter(blocks), loaded, hop):
+        counts = counts.add(item)
+        codes = lookup[item.labels]
+        # in a dense stream only a last line that was padded has cells without a record
+        whole = codes if not is_dense or item.block.record is None else codes[item.block.record >= 0]
+        _write(sink, whole)
+        latency = max(latency, time.perf_counter() - pipe.arrived_s)
+        if report is not None:
+            report(_rate(counts, start, opened.info, latency))
+    if blocks.error is not None:
+        raise blocks.error
+    return StreamSummary(_rate(counts, start, opened.info, latency), counts, opened.info)
+
+
+def _rate(counts: Counts, start: float, info: StreamInfo, latency: float) -> Rate:
+    return Rate(counts.n_lines, counts.n_shots, time.perf_counter() - start, info.line_hz, latency)
+
+
+def _label(blocks: Iterator[ScanBlock], loaded: LoadedConfig, hop: int | None) -> Iterator[LabelledBlock]:
+    params = loaded.config.classifier
+    if isinstance(params, PrcParams) and hop is not None:
+        return _continuous(blocks, params, hop)
+    return label_blocks(blocks, params, shots_at_once=1)
+
+
+def _continuous(blocks: Iterator[ScanBlock], params: PrcParams, hop: int) -> Iterator[LabelledBlock]:
+    """Label a few lines at a time, each in the k lines up to it."""
+    state: continuous.ContinuousState | None = None
+    for block in regroup(blocks, hop):
+        if state is None:
+            state = continuous.initial_state(block.points_per_line)
+        labels, state = continuous.classify_lines(block.range_m, block.next_m, state, params)
+        # further returns of a shot have no byte in the output
+        yield LabelledBlock(block, labels, np.empty(0, np.uint8))
+
+
+class _UntilError:
+    """The blocks up to what is wrong with the input, so that those before it are labelled all the same."""
+
+    def __init__(self, stream: ScanStream) -> None:
+        self._stream = stream
+        self.error: InputError | None = None
+
+    def __iter__(self) -> Iterator[ScanBlock]:
+        try:
+            yield from self._stream.blocks()
+        except InputError as error:
+            self.error = error
+
+
+def _write(sink: ByteSink, codes: U8) -> None:
+    """Write codes in the order of the shots."""
+    data = np.ascontiguousarray(codes).reshape(-1).data
+    while len(data):
+        try:
+            n_written = sink.write(data)
+        except OSError as error:
+            gone = isinstance(error, BrokenPipeError)
+            problem = "its reader has gone" if gone else f"cannot be written ({error.strerror or error})"
+            raise OutputError("stdout", problem, "the labels of the shots before have left") from error
+        data = data[n_written or 0 :]

@@ -1,0 +1,384 @@
+"""A reduced stream: noise dropped, chosen classes thinned out by line and column or by spacing: ``prc thin``.
+
+Shots that are dropped become shots without return. LAS and LAZ files lose their records and keep everything else byte
+for byte; other formats are written anew, as :mod:`prc_cli.jobs.convert` does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import atomic_output, suffix_of, temporary_name
+from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import I32, Mask
+from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.labels.read import open_codes
+from prc_cli.formats.las.copy import check_copied, copy_las, read_las
+from prc_cli.formats.stream_files import open_stream_writer, outputs_of, stream_suffix
+from prc_cli.formats.writing.record import RunRecord, record_path
+from prc_cli.formats.writing.record_values import RecordValues
+from prc_cli.formats.writing.spool import Spool
+from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem
+from prc_cli.jobs.classify import (
+    Counts,
+    Progress,
+    label_blocks,
+    run_record,
+)
+from prc_cli.jobs.convert import (
+    Facts,
+    OpenedItems,
+    check_unchanged,
+    find_losses,
+    how_to_read,
+    open_items,
+    prepare_output,
+    record_of_scanners,
+)
+from prc_cli.jobs.thin.rules import ThinRule, parse_rules
+from prc_cli.jobs.thin.selection import choose, without
+from prc_cli.stream.beams import with_beams
+from prc_cli.stream.grid import GridStream
+
+CLASSIFY = "classify"
+"""Labels: those that the classifier gives on the way."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClassSaving:
+    """What became of one class."""
+
+    code: int
+    """Class code, -1 = returns without one."""
+    name: str
+    n_input: int
+    """Returns of the class in the input."""
+    n_kept: int
+    n_bytes: int
+    """Bytes saved: the file's, shared out by the returns that were dropped."""
+
+    @property
+    def n_dropped(self) -> int:
+        """Returns that were dropped."""
+        return self.n_input - self.n_kept
+
+
+@dataclass(frozen=True, slots=True)
+class ThinningSummary:
+    """What thinning did."""
+
+    output: Path
+    record: RunRecord
+    classes: tuple[ClassSaving, ...]
+    rules: tuple[str, ...]
+    bytes_input: int
+    bytes_output: int
+    n_lines: int
+
+    def as_dict(self) -> dict[str, object]:
+        """Return everything as plain values, for JSON."""
+        return {
+            "record": self.record.as_dict(),
+            "classes": [{**asdict(item), "n_dropped": item.n_dropped} for item in self.classes],
+            "rules": list(self.rules),
+            "bytes": {"input": self.bytes_input, "output": self.bytes_output},
+            "n_lines": self.n_lines,
+        }
+
+
+@dataclass(slots=True)
+class _Tally:
+    """Returns by class code."""
+
+    n_input: dict[int, int] = field(default_factory=dict)
+    n_kept: dict[int, int] = field(default_factory=dict)
+
+    def add(self, codes: I32, kept: Mask) -> None:
+        """Count returns."""
+        for into, part in ((self.n_input, codes), (self.n_kept, codes[kept])):
+            for code, count in zip(*(found.tolist() for found in np.unique(part, return_counts=True)), strict=True):
+                into[code] = into.get(code, 0) + count
+
+
+def thin(
+    source: Path | str,
+    output: Path | str,
+    rules: tuple[ThinRule, ...] | None = None,
+    config: LoadedConfig | RunConfig | None = None,
+    *,
+    labels: Path | str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> ThinningSummary:
+    """Write a reduced stream; the output exists whole or not at all.
+
+    Parameters
+    ----------
+    source : path
+        Any readable input.
+    output : path
+        Any writable format. Between LAS and LAZ, records are left out and everything else stays as it is; classes are
+        those of the input, also where others decided what is dropped.
+    rules : tuple of ThinRule, optional
+        From :func:`parse_rules`; default: noise is dropped.
+    config : LoadedConfig or RunConfig, optional
+        How the stream is found, and how it is classified under ``labels = "classify"``.
+    labels : path or "classify", optional
+        A label file, one code a record; or the classifier. Default: the classes of the input.
+    overwrite : bool
+        Replace an existing output.
+    progress : callable, optional
+        Called with the number of scan lines that were just finished.
+
+    Returns
+    -------
+    ThinningSummary
+
+    Raises
+    ------
+    ConfigError
+        When there are no classes, or the lines of a LAS file could not be found again in the output.
+    InputError, OutputError
+        See :mod:`prc_cli.core.errors`; nothing is left behind.
+    """
+    loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    source, output = Path(source), Path(output)
+    rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
+    label_file = Path(labels) if labels is not None and labels != CLASSIFY else None
+    prepare_output(source, output, loaded, overwrite=overwrite, more=() if label_file is None else (label_file,))
+    run = _Run(source, output, rules, loaded, label_file, classify=labels == CLASSIFY)
+    before = source.stat()
+    if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
+        record = run.copy(progress, before.st_size, before.st_mtime_ns)
+    else:
+        record = run.write(progress, before.st_size, before.st_mtime_ns)
+    return run.summary(record)
+
+
+class _Run:
+    """One call of :func:`thin`."""
+
+    def __init__(
+        self, source: Path, output: Path, rules: tuple[ThinRule, ...], loaded: LoadedConfig, labels: Path | None,
+        *, classify: bool,
+    ) -> None:  # fmt: skip
+        self.source, self.output, self.rules, self.loaded = source, output, rules, loaded
+        self.labels, self.classify = labels, classify
+        self.tally = _Tally()
+        self.facts = Facts(Counts.none())
+
+    def copy(self, progress: Progress | None, size: int, mtime_ns: int) -> RunRecord:
+        """Leave records out of a LAS or LAZ file."""
+        las = read_las(self.source)
+        check_copied(las)
+        with contextlib.ExitStack() as stack:
+            path = temporary_name(self.output)
+            stack.callback(lambda: path.unlink(missing_ok=True))
+            stays = Spool(path, np.uint8, 1, n_records=las.n_points)
+            stack.callback(stays.close)
+            with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (opened, items):
+                hints = _check_lines(self.source, opened)
+                for item, codes, extra_codes in items:
+                    kept, kept_extra = self._choose(item, codes, extra_codes)
+                    block = item.block
+                    gone = np.concatenate(
+                        [block.records()[~kept & ~np.isnan(block.range_m)], block.extra.record[~kept_extra]]
+                    )
+                    stays.put(gone[gone >= 0], np.zeros(int((gone >= 0).sum()), np.uint8))
+                    if progress is not None:
+                        progress(block.n_lines)
+                self._check_labels(opened.info)
+                if len(set(self.facts.scanners.values())) > 1:
+                    hints = (
+                        *hints,
+                        "lines of scanners differ in length: the highest column that is left is taken for it",
+                    )
+                record = self._record(opened.info, hints)
+            temporary = stack.enter_context(atomic_output(self.output))
+            notices = copy_las(
+                las, self.output, temporary, lambda n: (part.view(np.bool_) for part in stays.chunks(n)), record
+            )
+            record = replace(record, notices=(*record.notices, *notices))
+            check_unchanged(self.source, size, mtime_ns)
+            with atomic_output(record_path(self.output)) as beside:
+                beside.write_bytes(record.to_json())
+        return record
+
+    def write(self, progress: Progress | None, size: int, mtime_ns: int) -> RunRecord:
+        """Write the stream anew without the shots that are dropped."""
+        with self._open(xyz=True) as (opened, items):
+            shape = replace(opened.shape, codes=True)
+            with open_stream_writer(self.output, shape, compress=True) as writer:
+                for item, codes, extra_codes in items:
+                    kept, kept_extra = self._choose(item, codes, extra_codes)
+                    writer.add_item(without(replace(item, codes=codes, extra_codes=extra_codes), kept, kept_extra))
+                    if progress is not None:
+                        progress(item.block.n_lines)
+                self._check_labels(opened.info)
+                opened = replace(opened, shape=shape)
+                found = find_losses(self.output, opened, self.facts, writer.losses)
+                losses = tuple(f"not kept: {loss}" for loss in found)
+                hints = (*losses, *how_to_read(self.output, opened, self.facts))
+                record = self._record(opened.info, hints)
+                check_unchanged(self.source, size, mtime_ns)
+                return writer.finish(record)
+
+    def summary(self, record: RunRecord) -> ThinningSummary:
+        """Return what was done, the bytes saved shared out by the returns dropped."""
+        names = self.loaded.config.classes.names()
+        bytes_input = self.source.stat().st_size
+        bytes_output = sum(path.stat().st_size for path in outputs_of(self.output)[:-1])
+        counts = [(code, n, self.tally.n_kept.get(code, 0)) for code, n in sorted(self.tally.n_input.items())]
+        n_dropped = sum(n - kept for _, n, kept in counts)
+        saved = bytes_input - bytes_output
+        classes = tuple(
+            ClassSaving(
+                code,
+                "none" if code == NO_CODE else names.get(code, f"class {code}"),
+                n,
+                kept,
+                round(saved * (n - kept) / n_dropped) if n_dropped else 0,
+            )
+            for code, n, kept in counts
+        )
+        rules = tuple(str(rule) for rule in self.rules)
+        n_lines = self.facts.counts.n_lines
+        return ThinningSummary(self.output, record, classes, rules, bytes_input, bytes_output, n_lines)
+
+    @contextlib.contextmanager
+    def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[tuple[StreamItem, I32, I32]]]]:
+        """Open the stream with the class codes of every block, wherever they come from."""
+        labelled: dict[int, tuple[I32, I32]] = {}
+
+        def blocks_of(stream: ScanStream) -> Iterator[ScanBlock]:
+            config = self.loaded.config
+            if not self.classify:
+                yield from stream.blocks()
+                return
+            if config.needs_beams:
+                stream = with_beams(stream, config.input, from_ground=config.nadir_from_ground)
+            lookup = config.classes.lookup().astype(np.int32)
+            lookup[Label.MISSING] = NO_CODE
+            for item in label_blocks(stream.blocks(), config.classifier):
+                labelled[id(item.block)] = lookup[item.labels], lookup[item.extra_labels]
+                yield item.block
+
+        own = self.labels is None and not self.classify
+        with contextlib.ExitStack() as stack:
+            given = None if self.labels is None else self._read_labels(self.labels, stack)
+            opened = stack.enter_context(
+                open_items(self.source, self.output, self.loaded, blocks_of=blocks_of, codes=own, xyz=xyz)
+            )
+            if own and not opened.shape.codes:
+                problem = "no class codes in the input, and none were given"
+                hint = "give --labels FILE, or --preset or --config to classify on the way"
+                raise ConfigError(str(self.source), problem, hint)
+
+            def items() -> Iterator[tuple[StreamItem, I32, I32]]:
+                for item in opened.items:
+                    self.facts = self.facts.add(item.block)
+                    if given is not None:
+                        yield item, given.get(item.block.records()), given.get(item.block.extra.record)
+                    elif self.classify:
+                        yield item, *labelled.pop(id(item.block))
+                    elif item.codes is not None and item.extra_codes is not None:
+                        yield item, item.codes, item.extra_codes
+
+            yield opened, items()
+
+    def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> RecordValues:
+        """Put the codes of a label file where they can be asked for by record."""
+        codes = open_codes(path)
+        place = temporary_name(self.output)
+        stack.callback(lambda: place.unlink(missing_ok=True))
+        values = RecordValues(place, np.dtype("<i4"), NO_CODE)
+        stack.callback(values.close)
+        for chunk in codes.chunks():
+            values.append(np.where(np.abs(chunk) < 2**31, chunk, NO_CODE).astype(np.int32))
+        self._n_labels = len(values)
+        return values
+
+    def _choose(self, item: StreamItem, codes: I32, extra_codes: I32) -> tuple[Mask, Mask]:
+        kept, kept_extra = choose(item, codes, extra_codes, self.rules)
+        there = ~np.isnan(item.block.range_m)
+        self.tally.add(codes[there], kept[there])
+        self.tally.add(extra_codes, kept_extra)
+        return kept, kept_extra
+
+    def _check_labels(self, info: StreamInfo) -> None:
+        """Refuse a label file of another length than the input."""
+        if self.labels is None:
+            return
+        n_records = info.n_records if info.n_records is not None else self.facts.counts.tally.n_records
+        if self._n_labels != n_records:
+            problem = f"found {self._n_labels} labels, expected {n_records}, one a record of {self.source.name}"
+            raise InputError(str(self.labels), problem, "give the labels of this file")
+
+    def _record(self, info: StreamInfo, hints: tuple[str, ...]) -> RunRecord:
+        """Return the run record, which says that and how shots were dropped."""
+        tally, told = self.tally, []
+        for rule in self.rules:
+            n = sum(tally.n_input.get(code, 0) for code in rule.codes)
+            n_kept = sum(tally.n_kept.get(code, 0) for code in rule.codes)
+            if n:
+                told.append(f"{rule.name}: {n - n_kept} of {n} dropped ({rule})")
+            elif rule.share != 0 or rule.name != "noise":
+                told.append(f"{rule.name}: no return has this class (code {', '.join(map(str, rule.codes))})")
+        if not sum(tally.n_kept.values()):
+            problem = f"all {sum(tally.n_input.values())} returns would be dropped, expected some to stay"
+            raise ConfigError(str(self.source), problem, "keep more: --keep noise=1, or other classes")
+        dropped = sum(tally.n_input.values()) - sum(tally.n_kept.values())
+        note = f"thinned: {dropped} of {sum(tally.n_input.values())} returns were dropped and are missing in this file"
+        record = run_record(info, self.facts.counts, self.loaded)
+        record = replace(record, notices=(*record.notices, note, *told, *hints))
+        return record_of_scanners(record, self.facts)
+
+
+def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
+    """Refuse a LAS file whose cells follow from the order of its records; say what else has to be given to read it.
+
+    Raises
+    ------
+    ConfigError
+        When records cannot be left out without moving others to another cell.
+    """
+    grid = opened.grid
+    if grid is None:
+        by = "the records around them"
+    elif grid.rules.lines == "fixed" or grid.rules.columns == "order":
+        by = "their order"
+    elif grid.rules.columns == "time" and grid.rules.line_hz is None:
+        by = "the first return of their line"
+    else:
+        return _needed(grid)
+    problem = f"the cells of shots follow from {by}, so that leaving records out would move others"
+    raise ConfigError(str(source), problem, "write .csv.gz, .npz or .parquet, which keep the cells")
+
+
+def _needed(grid: GridStream) -> tuple[str, ...]:
+    """Say which values the reader found in all records have to be given for the thinned ones."""
+    rules, told = grid.rules, []
+    config = rules.config
+    if rules.line_hz is not None and config.time_origin is None:
+        first = next(iter(grid.source.chunks(("time",)))).values["time"]
+        told.append(f"read it with --set input.time_origin={float(first[0])!r}")
+    if rules.columns == "time":
+        told.append("columns follow from the times: shots that share a stamp may move by a column")
+    if rules.columns == "angle" and (config.angle_start is None or config.angle_step is None):
+        for setup in grid.setups.values():
+            if setup.angle_grid is not None:
+                start, step = math.degrees(setup.angle_grid.start_rad), math.degrees(setup.angle_grid.step_rad)
+                told.append(f"read it with --set input.angle_start={start!r} --set input.angle_step={step!r}")
+    return tuple(dict.fromkeys(told))
+
+
+__all__ = ["CLASSIFY", "ClassSaving", "ThinRule", "ThinningSummary", "parse_rules", "thin"]

@@ -1,0 +1,786 @@
+"""The loops that weigh what was found around every shot and label it, for the fused classifier."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import Label
+from prc_cli.core.types import F32, I32, U8, Mask
+from prc_cli.kernels.cache import helper, inlined, kernel
+
+Slots = NDArray[np.uint64]
+Pairs = NDArray[np.uint32]
+
+LINES = 2
+"""Lines before and after that the texture looks at."""
+MARGIN = 4
+"""Lines of the window before and after the block."""
+MOST_SMOOTH = 8
+"""More smooth pairs than these make a shot no smoother."""
+MOST_COLUMNS = 60
+LEAST_COLUMNS = 2
+"""Half widths of a place, in columns."""
+STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
+"""As in :mod:`prc_cli.kernels.fused.strips`."""
+HALF_STRIP_M = np.float32(0.25)
+"""Width of a bin of level surfaces [m]."""
+(
+    LEAST_NEAR,
+    SPIKE_SHARE,
+    BELOW_M,
+    LEAF_SLOTS,
+    WALKED_M,
+    LEVEL_M,
+    SOIL_M,
+    LEAF_SHARE,
+    LEAF_SHARE_BEFORE_WALL,
+    BEFORE_M,
+    FRONT_M,
+    BEHIND_M,
+    OVER_M,
+    CAR_TOP_M,
+    CAR_BINS,
+    CAR_BINS_ROUGH,
+    POLE_M,
+    JUMP_M,
+    FAR_M,
+    CROWN_SLOTS,
+    OBJECT_M,
+    IS_HELD,
+    GHOST_M,
+    GHOST_NEAR,
+    N_FIGURES,
+) = range(25)
+"""Figures of the decision, in this order."""
+SPIKE_PLACE_M = np.float32(0.1)
+"""Half width of the place beside a spike [m]."""
+SPIKE_COLUMNS = 6
+_FAR_BINS = np.float32(1e6)
+LEAF_REACH = 4
+"""Slots up and down in which company of leaves is looked for."""
+CAR_REACH = 6
+"""Bins of level surface on either side that count."""
+BELOW_SMOOTH = 3
+"""Smooth pairs below the ground that are no reflection."""
+ACROSS_LINES = 4
+"""Lines before and after that tell whether a thing is thin."""
+VOTERS = 4
+"""Votes of a place in a line, on either side of a shot, where it has that many columns."""
+GAP_SHOTS = 3
+"""Shots without support that part a run, beside as many as it is long."""
+_MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
+_OPEN, _LEAF, _ODD = 255, 254, 253
+"""Marks of shots that are not decided yet, of lonely leaves among them, and of those that may be noise."""
+_BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
+_BUILDING_BIT, _VEGETATION_BIT = 10, 20
+"""Where the votes for building and vegetation begin in a word; those for no class begin at 0."""
+
+
+@helper
+def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
+    """Write what the shots of a line add to a place: themselves to the upper half of a word, their pairs to the lower.
+
+    A place has 605 shots and 4840 pairs at most, so neither half runs over.
+    """
+    for i in range(len(near)):
+        pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
+        places[i] = pairs | np.uint32(1 << 16) if np.float32(near[i]) >= least else np.uint32(0)
+
+
+@helper
+def _add_lines(lines: tuple[Pairs, Pairs, Pairs, Pairs, Pairs], sums: Pairs) -> None:
+    """Add up five lines, column by column."""
+    one, two, three, four, five = lines
+    for i in range(len(sums)):
+        sums[i] = one[i] + two[i] + three[i] + four[i] + five[i]
+
+
+@helper
+def _sum_up(values: Pairs, so_far: Pairs) -> None:
+    """Write the sums of the first 0, 1, ... columns; they may run over, their differences are right all the same."""
+    total = np.uint32(0)
+    so_far[0] = total
+    for i in range(len(values)):
+        total = np.uint32(total + values[i])
+        so_far[i + 1] = total
+
+
+@helper
+def _sum_up_three(one: Pairs, other: Pairs, third: Pairs, so_far: Pairs) -> None:
+    """Write the sums of the first 0, 1, ... columns of three lines together; as :func:`_sum_up` does."""
+    total = np.uint32(0)
+    so_far[0] = total
+    for i in range(len(one)):
+        total = np.uint32(total + (one[i] + other[i] + third[i]))
+        so_far[i + 1] = total
+
+
+@helper
+def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> None:
+    """Write the points of a line in the scan plane."""
+    sine, cosine = beams
+    for i in range(len(ranges)):
+        side[i] = ranges[i] * sine[i]
+    for i in range(len(ranges)):
+        height[i] = -(ranges[i] * cosine[i])
+
+
+@helper
+def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
+    """Write how many columns the half width of a place is, for every shot of a line; anything where it is missing."""
+    fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
+    for i in range(len(ranges)):
+        r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
+        columns[i] = np.int32(min(max(half_m / (r * step), fewest), most_of_all))
+
+
+@helper
+def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
+    """Write what the places of all shots of a line hold; on its own, because all other loops read row by row."""
+    m = len(columns)
+    for i in range(m):
+        half = columns[i]
+        first, last = max(i - int(half), 0), min(i + int(half) + 1, m)
+        sums[i] = so_far[np.uint64(last)] - so_far[np.uint64(first)]
+
+
+@helper
+def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
+    """Write the share of smooth pairs of every shot's place."""
+    for i in range(len(ranges)):
+        shots, pairs = np.int32(sums[i] >> np.uint32(16)), np.int32(sums[i] & np.uint32(0xFFFF))
+        share = np.float32(pairs) / (np.float32(MOST_SMOOTH) * np.float32(max(shots, np.int32(1))))
+        shares[i] = share if (ranges[i] == ranges[i]) & (shots > 0) else np.float32(0.0)
+
+
+@kernel("float32[:, ::1](float32[:, ::1], uint8[:, ::1], uint8[:, ::1], float32, float32, float32)")
+def mean_smoothness(
+    range_m: F32, near: U8, smooth: U8, step: np.float32, least_near: np.float32, half_m: np.float32
+) -> F32:
+    """Average how smooth the shots around a shot are: in its line and two before and after, over a width in metres.
+
+    Parameters
+    ----------
+    range_m : (lines + 4, M) float32, metres
+        NaN = missing.
+    near, smooth : (lines + 4, M) uint8
+        Near neighbours and smooth pairs.
+    step : float32, radians
+        Angle from column to column.
+    least_near : float32
+        Shots with fewer near neighbours do not count.
+    half_m : float32
+        Half of the width [m]; 2 columns at least, 60 at most.
+
+    Returns
+    -------
+    (lines, M) float32
+        0 = all rough, 1 = all smooth; 0 where there is no return.
+    """
+    n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
+    mean = np.empty((n_lines, m), np.float32)
+    room = 2 * LINES + 1
+    # lines take turns in it, each while it is near enough
+    places = np.empty((room, m), np.uint32)
+    together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
+    for k in range(n_lines + 2 * LINES):
+        _count_pairs(near[k], smooth[k], least_near, places[k % room])
+        if k < 2 * LINES:
+            continue
+        line = k - 2 * LINES
+        _add_lines((places[0], places[1], places[2], places[3], places[4]), together)
+        _sum_up(together, so_far)
+        _half_widths(range_m[line + LINES], step, half_m, MOST_COLUMNS, columns)
+        _sums_of_places(columns, so_far, together)
+        _shares(range_m[line + LINES], together, mean[line])
+    return mean
+
+
+@inlined
+def _bits(word: np.uint64) -> int:
+    """Count the bits of a word."""
+    n = 0
+    while word != np.uint64(0):
+        word &= word - np.uint64(1)
+        n += 1
+    return n
+
+
+@inlined
+def _strip(y: np.float32) -> int:
+    """Return the strip of a shot, -1 = beyond."""
+    b = int(np.floor(y / STRIP_M)) + STRIPS // 2
+    return b if 0 <= b < STRIPS else -1
+
+
+@inlined
+def _slot(above: np.float32) -> int:
+    return int(min(max(above / SLOT_M, np.float32(0.0)), np.float32(SLOTS - 1)))
+
+
+@inlined
+def _slots_around(word: np.uint64, slot: int) -> int:
+    """Count the slots with something, near a slot."""
+    low, high = max(slot - LEAF_REACH, 0), min(slot + LEAF_REACH, SLOTS - 1)
+    ones = ~np.uint64(0) >> np.uint64(SLOTS - 1 - (high - low))
+    return _bits(word & (ones << np.uint64(low)))
+
+
+@inlined
+def _is_short(ranges: F32, near: U8, heights: F32, i: int, figures: F32) -> bool:
+    """Tell whether the run of a shot along its line is short, with something far or nothing behind both of its ends."""
+    m = len(ranges)
+    least, jump, far = figures[LEAST_NEAR], figures[JUMP_M], figures[FAR_M]
+    low, high = heights[i], heights[i]
+    length = 1
+    for way in (-1, 1):
+        last, j, gap = i, i + way, 0
+        while True:
+            if j < 0 or j >= m or gap > GAP_SHOTS + length:
+                break
+            if np.float32(near[j]) < least:
+                gap += 1
+                j += way
+                continue
+            if abs(ranges[j] - ranges[last]) < jump:
+                last, gap = j, 0
+                length += 1
+                low, high = min(low, heights[j]), max(high, heights[j])
+                if high - low >= figures[POLE_M]:
+                    return False
+                j += way
+                continue
+            if ranges[j] <= ranges[last] + far:
+                return False
+            break
+    return True
+
+
+@inlined
+def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
+    """Tell whether lines close by, before and after, see nothing or something far in the direction of a shot."""
+    own = window_m[line, i]
+    before = after = 0
+    for k in range(1, ACROSS_LINES + 1):
+        if line - k >= 0 and not (window_m[line - k, i] <= own + far):
+            before = k
+            break
+    if before == 0:
+        return False
+    for k in range(1, ACROSS_LINES + 1):
+        if line + k < len(window_m) and not (window_m[line + k, i] <= own + far):
+            after = k
+            break
+    return after > 0 and before + after <= ACROSS_LINES + 1
+
+
+@helper
+def _mark_thin(window_m: F32, line: int, far: np.float32, thin: U8) -> None:
+    """Mark the shots of a line where :func:`_is_thin` may hold: lines on both sides see nothing or something far."""
+    own = window_m[line]
+    a, b, c, d = window_m[line - 4], window_m[line - 3], window_m[line - 2], window_m[line - 1]
+    for i in range(len(own)):
+        end = own[i] + far
+        thin[i] = np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
+    a, b, c, d = window_m[line + 1], window_m[line + 2], window_m[line + 3], window_m[line + 4]
+    for i in range(len(own)):
+        end = own[i] + far
+        thin[i] &= np.uint8(not ((a[i] <= end) & (b[i] <= end) & (c[i] <= end) & (d[i] <= end)))
+
+
+@inlined
+def _is_ground(
+    h: np.float32,
+    is_walked: bool,
+    up: np.uint8,
+    flat: np.uint8,
+    walked_m: np.float32,
+    level_m: np.float32,
+    soil_m: np.float32,
+) -> bool:
+    """Tell whether a shot is on the ground: walked over, or low and more level than upright."""
+    off = abs(h)
+    return bool(
+        ((off < walked_m) & is_walked) | ((off < level_m) & (flat > up)) | ((off < soil_m) & (up <= flat + np.uint8(1)))
+    )
+
+
+@helper
+def _label_plain(
+    ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, figures: F32, labels: U8
+) -> None:
+    """Label what needs no second look: nothing, what is all alone, and ground; mark the rest as open.
+
+    No branches, so that many shots are looked at at a time.
+    """
+    near, smooth, upright, level = counts
+    least, below = figures[LEAST_NEAR], figures[BELOW_M]
+    walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
+    for i in range(len(ranges)):
+        h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
+        is_ground = _is_ground(h, walked[i], up, flat, walked_m, level_m, soil_m)
+        company = np.float32(near[i])
+        is_held = (company >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
+        is_odd = (company < least) | (pairs == 0) | (h < -below)
+        code = np.uint8(_ODD) if is_odd else np.uint8(_OPEN)
+        code = np.uint8(_GROUND) if is_ground & is_held else code
+        code = np.uint8(_NOISE) if (near[i] == 0) & (company < least) else code
+        labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
+
+
+@inlined
+def _in_wall(
+    y: np.float32, z: np.float32, at: np.float32, top: np.float32, front: np.float32, far: np.float32, over: np.float32
+) -> bool:
+    """Tell whether a shot is in a wall or, seen through it, behind."""
+    behind = abs(y) - abs(at)
+    through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
+    return bool((at != np.float32(0.0)) & (behind >= -front) & (behind <= far) & (through <= top + over))
+
+
+@helper
+def _count_bins(levels: U8, counts: U8) -> None:
+    """Count, for every bin of a line, the bins around it with a level surface."""
+    n = len(levels)
+    for q in range(n):
+        counts[q] = levels[q]
+    for away in range(1, CAR_REACH + 1):
+        for q in range(n - away):
+            counts[q] += levels[q + away]
+        for q in range(n - away):
+            counts[q + away] += levels[q]
+
+
+@helper
+def _find_cars(every: Slots, levels: U8, counts: U8, figures: F32, cars: tuple[F32, F32]) -> None:
+    """Write for every bin of a line below which height a shot is of a car: a smooth one, and a rough one; 0 = none.
+
+    That is where it is level enough around, and up to the gap in what reaches above cars.
+    """
+    smooth_bins, rough_bins = figures[CAR_BINS], figures[CAR_BINS_ROUGH]
+    car_slot = int(figures[CAR_TOP_M] / SLOT_M)
+    least = min(smooth_bins, rough_bins)
+    _count_bins(levels, counts)
+    last, below = -1, np.float32(0.0)
+    for q in range(2 * STRIPS):
+        n = np.float32(counts[q])
+        if n < least:
+            cars[0][q] = cars[1][q] = np.float32(0.0)
+            continue
+        b = q // 2
+        if b != last:
+            word, last = every[b], b
+            filled = word | (word << np.uint64(1)) | (word << np.uint64(2))
+            slot = car_slot
+            while slot > 0 and (filled >> np.uint64(slot - 1)) & np.uint64(1) != np.uint64(0):
+                slot -= 1
+            below = np.float32(slot) * SLOT_M
+        cars[0][q] = below if n >= smooth_bins else np.float32(0.0)
+        cars[1][q] = below if n >= rough_bins else np.float32(0.0)
+
+
+@helper
+def _list_marked(labels: U8, least: int, most: int, shots: I32) -> int:
+    """List the shots of a line with marks from one to another, return how many there are."""
+    n = 0
+    for i in range(len(labels)):
+        shots[n] = i
+        n += (labels[i] >= least) & (labels[i] <= most)
+    return n
+
+
+@helper
+def _label_odd(
+    shots: I32,
+    points: tuple[F32, F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    rows: tuple[Slots, F32, F32],
+    spikes: tuple[I32, Pairs],
+    figures: F32,
+    labels: U8,
+) -> None:
+    """Label the shots of a line that are noise, or ground all the same; mark lonely leaves."""
+    side, height, above = points
+    near, smooth, upright, level = counts
+    rough, at, top = rows
+    columns, so_far = spikes
+    least, below, share = figures[LEAST_NEAR], figures[BELOW_M], figures[SPIKE_SHARE]
+    front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
+    foot, leaf_slots, holds = figures[OBJECT_M], figures[LEAF_SLOTS], figures[IS_HELD] > 0
+    walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
+    for k in range(len(shots)):
+        i = shots[k]
+        h, pairs = above[i], smooth[i]
+        is_leaf = False
+        if np.float32(near[i]) < least:
+            y = side[i]
+            b = _strip(y)
+            is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], front, far, over)
+            # few as they are, what is left of a far surface agrees with it
+            is_held = holds and (pairs > 0 or is_wall or abs(h) < soil_m)
+            if near[i] > 0 and b >= 0 and h > foot and not is_wall:
+                is_leaf = np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots
+            if near[i] == 0 or not (is_leaf or is_held):
+                labels[i] = _NOISE
+                continue
+        # spikes: the shots right beside are smooth, in the line and those before and after
+        half = int(columns[i])
+        place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
+        shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
+        is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
+        if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH)):
+            labels[i] = _NOISE
+        elif _is_ground(h, walked[i], upright[i], level[i], walked_m, level_m, soil_m):
+            labels[i] = _GROUND
+        elif is_leaf:
+            labels[i] = _LEAF
+
+
+@helper
+def _bins(side: F32, bins: I32) -> None:
+    """Write the bin of half a strip of every shot of a line, -1 = beyond."""
+    for i in range(len(side)):
+        q = np.int32(np.floor(min(max(side[i] / HALF_STRIP_M, -_FAR_BINS), _FAR_BINS))) + np.int32(STRIPS)
+        bins[i] = q if (q >= 0) & (q < 2 * STRIPS) else np.int32(-1)
+
+
+@helper
+def _look_up(
+    shots: I32, bins: I32, walls: tuple[F32, F32, F32], cars: tuple[F32, F32], found: tuple[F32, F32, F32, F32, F32]
+) -> None:
+    """Write what there is to know of the strips of some shots of a line; by itself, as all else reads row by row."""
+    at, top, ahead = walls
+    own_at, own_top, own_ahead, below, rough_below = found
+    for k in range(len(shots)):
+        i = np.uint64(shots[k])
+        q = np.uint64(max(bins[i], np.int32(0)))
+        b = q >> np.uint64(1)
+        own_at[i], own_top[i], own_ahead[i] = at[b], top[b], ahead[b]
+        below[i], rough_below[i] = cars[0][q], cars[1][q]
+
+
+@helper
+def _label_things(
+    points: tuple[F32, F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    soft: F32,
+    bins: I32,
+    found: tuple[F32, F32, F32, F32, F32],
+    figures: F32,
+    labels: U8,
+    poles: U8,
+) -> None:
+    """Label shots of a line that are neither alone nor ground; mark those that may be poles.
+
+    No branches, so that many shots are looked at at a time.
+    """
+    side, height, above = points
+    near, _, _, level = counts
+    at, top, ahead, car_below, rough_below = found
+    leaf_share, share_before = figures[LEAF_SHARE], figures[LEAF_SHARE_BEFORE_WALL]
+    front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
+    before_m, foot, poles_wanted = figures[BEFORE_M], figures[OBJECT_M], figures[POLE_M] > 0
+    ghost_m, ghost_near = figures[GHOST_M], figures[GHOST_NEAR]
+    nothing = np.float32(0.0)
+    for i in range(len(labels)):
+        y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
+        is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
+        is_wall = _in_wall(y, z, at[i], end, front, far, over)
+        before = abs(ahead[i]) - abs(y)
+        is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
+        is_soft = texture < (share_before if is_before else leaf_share)
+        is_rough = is_soft & (not (is_wall & is_here))
+        is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
+        label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
+        label = np.uint8(_OTHER) if is_car else label
+        is_behind = (wall != nothing) & (abs(y) - wall > ghost_m) & (z * wall <= end * abs(y))
+        is_ghost = is_behind & (np.float32(near[i]) < ghost_near) & is_rough & is_here
+        label = np.uint8(_NOISE) if is_ghost else label
+        is_open = labels[i] >= np.uint8(_ODD)
+        labels[i] = label if is_open else labels[i]
+        may_be_pole = is_open & is_here & (not is_wall) & (level[i] == 0) & (h > foot) & (texture >= leaf_share)
+        poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_car) & (not is_ghost))
+
+
+@helper
+def _label_poles(
+    shots: I32,
+    window_m: F32,
+    line: int,
+    near: U8,
+    points: tuple[F32, F32, F32],
+    thin: U8,
+    rough: Slots,
+    figures: F32,
+    labels: U8,
+) -> None:
+    """Label the shots among some of a line that are on poles and trunks."""
+    ranges = window_m[line]
+    side, height, above = points
+    m = len(ranges)
+    least, jump, high_m = figures[LEAST_NEAR], figures[JUMP_M], figures[POLE_M]
+    end, low, high = 0, np.float32(0.0), np.float32(0.0)
+    for k in range(len(shots)):
+        i = shots[k]
+        if np.float32(near[i]) < least:
+            low = high = height[i]
+        elif i >= end:
+            # the shots around that go on without a gap: where they are high, so is the run of each that is far from
+            # the lowest or highest of them, and there is no need to follow it
+            first = i
+            low = high = height[i]
+            while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
+                first -= 1
+                low, high = min(low, height[first]), max(high, height[first])
+            end = i + 1
+            while end < m and np.float32(near[end]) >= least and abs(ranges[end] - ranges[end - 1]) < jump:
+                low, high = min(low, height[end]), max(high, height[end])
+                end += 1
+        own = height[i]
+        is_high = (high - own >= high_m) | (own - low >= high_m)
+        is_short = not is_high and _is_short(ranges, near, height, i, figures)
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, figures[FAR_M])):
+            crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
+            labels[i] = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
+
+
+@kernel(
+    "uint8[:, ::1](float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), boolean[:, ::1], float32[:, ::1],"
+    " UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 3), uint8[:, ::1], UniTuple(float32[::1], 2), float32,"
+    " float32[::1])"
+)
+def fused_labels(
+    window_m: F32,
+    above_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    texture: F32,
+    slots: tuple[Slots, Slots],
+    walls: tuple[F32, F32, F32],
+    levels: U8,
+    beams: tuple[F32, F32],
+    step: np.float32,
+    figures: F32,
+) -> U8:
+    """Label every shot of consecutive lines.
+
+    Parameters
+    ----------
+    window_m : (lines + 8, M) float32, metres
+        Ranges of these lines and of four before and after; NaN = missing.
+    above_m : (lines + 4, M) float32, metres
+        Height above the ground, of these lines and two before and after.
+    counts : tuple of (lines + 4, M) uint8
+        Near neighbours, smooth pairs, upright and level chords.
+    walked : (lines + 4, M) bool
+        Shots that the walk along the ground went over.
+    texture : (lines, M) float32
+        Of :func:`mean_smoothness`.
+    slots : tuple of (lines, STRIPS) uint64
+        Of all and of rough shots, widened.
+    walls : tuple of (lines, STRIPS) float32, metres
+        Of :func:`prc_cli.kernels.fused.strips.find_walls`.
+    levels : (lines, 2 STRIPS) uint8
+        Widened.
+    beams : tuple of (M,) float32
+        Sine and cosine of every column's beam from straight down.
+    step : float32, radians
+        Angle from column to column.
+    figures : (N_FIGURES,) float32
+        In the order of the constants above.
+
+    Returns
+    -------
+    (lines, M) uint8
+        :class:`prc_cli.core.classes.Label`.
+    """
+    n_lines, m = texture.shape
+    near, smooth, upright, level = counts
+    labels = np.empty((n_lines, m), np.uint8)
+    shots, marks = np.empty(m + 1, np.int32), np.empty(m, np.uint8)
+    bin_counts, cars = (
+        np.empty(2 * STRIPS, np.uint8),
+        (np.empty(2 * STRIPS, np.float32), np.empty(2 * STRIPS, np.float32)),
+    )
+    columns, bins, so_far = np.empty(m, np.int32), np.empty(m, np.int32), np.empty(m + 1, np.uint32)
+    found = (
+        np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32), np.zeros(m, np.float32),
+        np.zeros(m, np.float32),
+    )  # fmt: skip
+    side, height, thin = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
+    # lines take turns in it, each while it is near enough
+    pairs = np.empty((3, m), np.uint32)
+    for line in range(2):
+        _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], figures[LEAST_NEAR], pairs[line])
+    for line in range(n_lines):
+        k, row = line + LINES, labels[line]
+        own, ranges = (near[k], smooth[k], upright[k], level[k]), window_m[line + MARGIN]
+        _lay_out(ranges, beams, side, height)
+        place = side, height, above_m[k]
+        rows = walls[0][line], walls[1][line], walls[2][line]
+        rough = slots[1][line]
+        _label_plain(ranges, place[2], own, walked[k], figures, row)
+        n = _list_marked(row, _ODD, _ODD, shots)
+        _count_pairs(near[k + 1], smooth[k + 1], figures[LEAST_NEAR], pairs[(line + 2) % 3])
+        _sum_up_three(pairs[0], pairs[1], pairs[2], so_far)
+        _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
+        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (columns, so_far), figures, row)
+        n = _list_marked(row, _ODD, _OPEN, shots)
+        _find_cars(slots[0][line], levels[line], bin_counts, figures, cars)
+        _bins(place[0], bins)
+        _look_up(shots[:n], bins, rows, cars, found)
+        _label_things(place, own, texture[line], bins, found, figures, row, marks)
+        n = _list_marked(marks, 1, 1, shots)
+        _mark_thin(window_m, line + MARGIN, figures[FAR_M], thin)
+        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, figures, row)
+    return labels
+
+
+@inlined
+def _differs(label: np.uint8, own: np.uint8) -> bool:
+    """Tell whether a label is another one; nothing and noise are none."""
+    return bool((label != own) & (label != _MISSING) & (label != _NOISE))
+
+
+@helper
+def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
+    """Mark the shots that some shot a few columns away, or one of the lines beside, has another label than."""
+    m = len(own)
+    for i in range(m):
+        label = own[i]
+        votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+        unsettled[i] = votes & (_differs(before[i], label) | _differs(after[i], label))
+    if m <= VOTERS:
+        first, last = own[0], own[m - 1]
+        for i in range(m):
+            label = own[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            unsettled[i] |= votes & (_differs(first, label) | _differs(last, label))
+        return
+    for way in range(2):
+        # a shot and that VOTERS columns on, asked from both ends; beyond the ends the outermost one is asked
+        asker = own[: m - VOTERS] if way == 0 else own[VOTERS:]
+        asked = own[VOTERS:] if way == 0 else own[: m - VOTERS]
+        marks = unsettled[: m - VOTERS] if way == 0 else unsettled[VOTERS:]
+        for i in range(m - VOTERS):
+            label = asker[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            marks[i] |= votes & _differs(asked[i], label)
+        end = own[m - 1] if way == 0 else own[0]
+        for k in range(VOTERS):
+            i = m - VOTERS + k if way == 0 else k
+            label = own[i]
+            votes = (label != _MISSING) & (label != _NOISE) & (label != _GROUND)
+            unsettled[i] |= votes & _differs(end, label)
+
+
+@helper
+def _weigh(labels: U8, weights: Pairs) -> None:
+    """Give every shot its vote: each of the three labels has a part of the word of its own."""
+    for i in range(len(labels)):
+        label = labels[i]
+        building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
+        vegetation = np.uint32(1 << _VEGETATION_BIT) if label == _VEGETATION else np.uint32(0)
+        weights[i] = building | vegetation | np.uint32(label == _OTHER)
+
+
+@inlined
+def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
+    """Return the label that has most votes; the own one where several do."""
+    part = np.uint32((1 << _BUILDING_BIT) - 1)
+    other = votes & part
+    building, vegetation = (votes >> np.uint32(_BUILDING_BIT)) & part, votes >> np.uint32(_VEGETATION_BIT)
+    most = max(max(other, building), vegetation)
+    mine = other if own == _OTHER else (building if own == _BUILDING else vegetation)
+    if mine == most:
+        return own
+    if other == most:
+        return np.uint8(_OTHER)
+    return np.uint8(_BUILDING) if building == most else np.uint8(_VEGETATION)
+
+
+@helper
+def _vote_line(
+    labels: U8,
+    ranges: F32,
+    lines: tuple[tuple[F32, F32, Pairs], tuple[F32, F32, Pairs], tuple[F32, F32, Pairs]],
+    unsettled: U8,
+    asking: I32,
+    step: np.float32,
+    half_m: np.float32,
+    near_m: np.float32,
+    voted: U8,
+) -> None:
+    """Count the votes around the unsettled shots of a line: those of shots that are near in space."""
+    m = len(ranges)
+    (y0, z0, w0), (y1, z1, w1), (y2, z2, w2) = lines
+    n = 0
+    for i in range(m):
+        asking[n] = i
+        n += unsettled[i]
+    for k in range(n):
+        i = asking[k]
+        y, z = y1[i], z1[i]
+        columns = int(min(max(half_m / (ranges[i] * step), np.float32(LEAST_COLUMNS)), np.float32(MOST_COLUMNS)))
+        votes, nothing = np.uint32(0), np.uint32(0)
+        place, last, stride = np.int64(max(i - columns, 0)), min(i + columns + 1, m), max(columns // VOTERS, 1)
+        while place < last:
+            # every vote is read, near or not, so that no branch depends on it
+            j = np.uint64(place)
+            one, two, three = w0[j], w1[j], w2[j]
+            votes += one if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
+            votes += two if max(abs(y1[j] - y), abs(z1[j] - z)) < near_m else nothing
+            votes += three if max(abs(y2[j] - y), abs(z2[j] - z)) < near_m else nothing
+            place += stride
+        voted[i] = _vote(votes, labels[i])
+
+
+@kernel("uint8[:, ::1](uint8[:, ::1], float32[:, ::1], UniTuple(float32[::1], 2), float32, float32, float32)")
+def vote_labels(
+    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
+) -> U8:
+    """Let every shot that is neither ground nor noise take the label of most of the shots around it.
+
+    Where neither the shots four columns to both sides nor those of the lines before and after have another one, it
+    keeps its own; noise has no say.
+
+    Parameters
+    ----------
+    labels : (lines + 2, M) uint8
+        :class:`prc_cli.core.classes.Label` of the block and a line before and after.
+    range_m : (lines + 2, M) float32, metres
+    beams : tuple of (M,) float32
+        Sine and cosine of every column's beam from straight down.
+    step : float32, radians
+        Angle from column to column.
+    half_m : float32
+        Half width of the place [m]; 2 columns at least, 60 at most.
+    near_m : float32
+        Shots of the place count if they are this near to the side and in height, each [m].
+
+    Returns
+    -------
+    (lines, M) uint8
+    """
+    n_lines, m = labels.shape[0] - 2, labels.shape[1]
+    voted = np.empty((n_lines, m), np.uint8)
+    unsettled, asking = np.empty(m, np.uint8), np.empty(m + 1, np.int32)
+    # lines take turns in these, each while it is near enough
+    weights = np.empty((3, m), np.uint32)
+    side, height = np.empty((3, m), np.float32), np.empty((3, m), np.float32)
+    for line in range(n_lines + 2):
+        c = line % 3
+        _weigh(labels[line], weights[c])
+        _lay_out(range_m[line], beams, side[c], height[c])
+        if line < 2:
+            continue
+        own, row = labels[line - 1], voted[line - 2]
+        for i in range(m):
+            row[i] = own[i]
+        _mark_unsettled(labels[line - 2], own, labels[line], unsettled)
+        a, b = (line - 2) % 3, (line - 1) % 3
+        lines = (side[a], height[a], weights[a]), (side[b], height[b], weights[b]), (side[c], height[c], weights[c])
+        _vote_line(own, range_m[line - 1], lines, unsettled, asking, step, half_m, near_m, row)
+    return voted

@@ -1,0 +1,130 @@
+"""Loops of the calibration: thresholds from which on a shot is supported, or background (Lehtola et al. 2019)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I64
+from prc_cli.kernels.cache import helper, kernel
+
+
+@helper
+def _keep_smallest(smallest: F32, differences: F32) -> None:
+    """Let differences take their place among the k smallest of every shot, (k, n) ascending; spoils ``differences``.
+
+    Loops over shots inside, so that the compiler turns them into vector instructions.
+    """
+    for j in range(len(smallest)):
+        row = smallest[j]
+        for h in range(len(differences)):
+            kept, new = row[h], differences[h]
+            row[h] = kept if kept < new else new
+            differences[h] = new if kept < new else kept
+
+
+@helper
+def _first_above(limits: F64, value: float) -> int:
+    """Return the place of the first limit above a value, the number of limits if there is none."""
+    # halves without a branch that the processor could mispredict
+    low, left = 0, len(limits)
+    while left > 0:
+        half = (left + 1) // 2
+        low += half * (value >= limits[low + half - 1])
+        left -= half
+    return low
+
+
+@kernel("int64[:, ::1](float32[::1], int64, int64, float64[::1], float64[::1], int64, int64)")
+def support_histogram(
+    window: F32, n_lines: int, n_columns: int, zetas_p: F64, zetas_s: F64, min_in_slice: int, min_adjacent: int
+) -> I64:
+    """Count returns by the first pair of thresholds that supports them.
+
+    A shot is supported when its k-th smallest range difference in the line is below zeta_p and that to adjacent lines
+    below zeta_s (eqs. 4 to 8): two numbers a shot answer for all thresholds.
+
+    Parameters
+    ----------
+    window : (reach + n_lines * n_columns + reach,) float32, metres
+        As in :func:`prc_cli.kernels.prc.support.support_mask`.
+    n_lines, n_columns : int
+        Shape of the block.
+    zetas_p, zetas_s : (P,), (Q,) float64, metres
+        Ascending thresholds.
+    min_in_slice, min_adjacent : int
+        Neighbours that must agree, of 8 and of 6.
+
+    Returns
+    -------
+    (P + 1, Q + 1) int64
+        Cell (p, q): returns for which ``zetas_p[p]`` and ``zetas_s[q]`` are the first thresholds that are wide enough;
+        the last row and column hold those that no threshold supports.
+    """
+    reach = max(n_columns + 1, 4)
+    counts = np.zeros((len(zetas_p) + 1, len(zetas_s) + 1), np.int64)
+    nowhere = np.float32(np.inf)
+    near = np.empty((min_in_slice, n_columns), np.float32)
+    beside = np.empty((min_adjacent, n_columns), np.float32)
+    differences = np.empty(n_columns, np.float32)
+    in_slice = np.full(n_columns, -1.0, np.float32)
+    adjacent = np.full(n_columns, -1.0, np.float32)
+    others = np.array([-n_columns - 1, -n_columns, -n_columns + 1, n_columns - 1, n_columns, n_columns + 1])
+    for line in range(n_lines):
+        i = reach + line * n_columns
+        own = window[i : i + n_columns]
+        near[:] = nowhere
+        beside[:] = nowhere
+        for place in range(-4, 5 + len(others)):
+            shift = place if place < 5 else others[place - 5]
+            if shift == 0:  # with one shot a line, i + M - 1 is i itself: a shot does not support itself
+                continue
+            neighbour = window[i + shift : i + shift + n_columns]
+            for h in range(n_columns):
+                difference = abs(own[h] - neighbour[h])
+                differences[h] = difference if difference < nowhere else nowhere
+            _keep_smallest(near if place < 5 else beside, differences)
+        if min_in_slice:
+            in_slice[:] = near[min_in_slice - 1]
+        if min_adjacent:
+            adjacent[:] = beside[min_adjacent - 1]
+        for h in range(n_columns):
+            if not np.isnan(own[h]):
+                p = _first_above(zetas_p, np.float64(in_slice[h]))
+                counts[p, _first_above(zetas_s, np.float64(adjacent[h]))] += 1
+    return counts
+
+
+@kernel("int64[::1](float32[::1], int64, int64, float64[::1], float64)")
+def bend_histogram(window: F32, n_lines: int, n_columns: int, lengths: F64, alpha: float) -> I64:
+    """Count returns by the first length d_c at which they are no longer extended background (eq. 9, centred).
+
+    A shot between neighbours a and b is marked when its bend ``|r - (a + b) / 2|`` is at least
+    ``(1/2 - alpha) * max(|b - a|, d_c)``: never when the first of the two asks for more, else up to one d_c.
+
+    Parameters
+    ----------
+    window : (reach + n_lines * n_columns + reach,) float32, metres
+        As in :func:`prc_cli.kernels.prc.support.support_mask`.
+    n_lines, n_columns : int
+        Shape of the block.
+    lengths : (D,) float64, metres
+        Ascending values of d_c.
+    alpha : float
+        Tolerance ratio.
+
+    Returns
+    -------
+    (D + 1,) int64
+        Cell d: returns between two returns that are marked at ``lengths[:d]`` and not from ``lengths[d]`` on.
+    """
+    reach = max(n_columns + 1, 4)
+    slack = 0.5 - alpha
+    limits = slack * lengths
+    counts = np.zeros(len(lengths) + 1, np.int64)
+    for i in range(reach, reach + n_lines * n_columns):
+        r, a, b = np.float64(window[i]), np.float64(window[i - 1]), np.float64(window[i + 1])
+        bend = abs(r - (a + b) / 2.0)
+        if np.isnan(bend):
+            continue
+        counts[_first_above(limits, bend) if bend >= slack * abs(b - a) else 0] += 1
+    return counts

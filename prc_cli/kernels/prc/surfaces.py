@@ -1,0 +1,171 @@
+"""Loops that grow the non-smooth surfaces and draw the classes (Lehtola et al. 2019, II-E and II-F)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.types import F32, I32, I64, U8, Mask
+from prc_cli.kernels.cache import kernel
+
+
+@kernel("boolean[:, ::1](boolean[:, ::1], int32[:, ::1], boolean[::1])")
+def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
+    """Mark the supported shots of some components.
+
+    Parameters
+    ----------
+    supported : (n_lines, n_columns) bool
+    components : (n_lines, n_columns) int32
+        0 to n.
+    wanted : (n + 1,) bool
+        By component.
+
+    Returns
+    -------
+    (n_lines, n_columns) bool
+    """
+    n_lines, n_columns = supported.shape
+    selected = np.empty((n_lines, n_columns), np.bool_)
+    for line in range(n_lines):
+        row, inside, component = selected[line], supported[line], components[line]
+        for h in range(n_columns):
+            row[h] = inside[h] & wanted[component[h]]
+    return selected
+
+
+@kernel("boolean[:, ::1](boolean[:, ::1], int64)")
+def dilate(image: Mask, iterations: int) -> Mask:
+    """Dilate a binary image with the 4-neighbour cross; outside the image is background.
+
+    Parameters
+    ----------
+    image : (n_lines, n_columns) bool
+    iterations : int
+        Times to dilate; 0 gives a copy.
+
+    Returns
+    -------
+    (n_lines, n_columns) bool
+    """
+    n_lines, n_columns = image.shape
+    last = n_columns - 1
+    grown = image.copy()
+    before = np.empty_like(image)
+    for _ in range(iterations):
+        grown, before = before, grown
+        for line in range(n_lines):
+            row = grown[line]
+            own = before[line]
+            up = before[max(line - 1, 0)]
+            down = before[min(line + 1, n_lines - 1)]
+            for h in range(n_columns):
+                row[h] = own[h] | up[h] | down[h]
+            for h in range(last):
+                row[h] |= own[h + 1]
+            for h in range(last):
+                row[h + 1] |= own[h]
+    return grown
+
+
+@kernel("int64[::1](boolean[:, ::1], boolean[:, ::1], int32[:, ::1], int64)")
+def count_covered(supported: Mask, covered: Mask, components: I32, n_components: int) -> I64:
+    """Count the supported shots of every component that lie under another image.
+
+    Parameters
+    ----------
+    supported, covered : (n_lines, n_columns) bool
+    components : (n_lines, n_columns) int32
+        0 to ``n_components``.
+    n_components : int
+
+    Returns
+    -------
+    (n_components + 1,) int64
+        The first entry counts shots in no component.
+    """
+    n_lines, n_columns = supported.shape
+    counts = np.zeros(n_components + 1, np.int64)
+    n_words = n_columns // 8
+    for line in range(n_lines):
+        inside, over, component = supported[line], covered[line], components[line]
+        words = over[: 8 * n_words].view(np.int64)
+        for word in range(n_words):
+            if words[word] == 0:  # as nearly everywhere: eight shots at once
+                continue
+            for h in range(8 * word, 8 * word + 8):
+                counts[component[h]] += inside[h] & over[h]
+        for h in range(8 * n_words, n_columns):
+            counts[component[h]] += inside[h] & over[h]
+    return counts
+
+
+@kernel("uint8[:, ::1](float32[::1], boolean[:, ::1], boolean[:, ::1], int32[:, ::1], uint8[::1], uint8[::1])")
+def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
+    """Draw labels by component where nothing covers them.
+
+    Parameters
+    ----------
+    window : (reach + n_lines * n_columns + reach,) float32, metres
+        As in :func:`prc_cli.kernels.prc.support.support_mask`.
+    supported, covered : (n_lines, n_columns) bool
+    components : (n_lines, n_columns) int32
+        0 to n.
+    label_of : (n + 1,) uint8
+        Label of every component.
+    others : (3,) uint8
+        Labels of missing shots, of shots that are not supported, of supported shots that are covered.
+
+    Returns
+    -------
+    (n_lines, n_columns) uint8
+    """
+    missing, noise, cover = others[0], others[1], others[2]
+    n_lines, n_columns = supported.shape
+    reach = max(n_columns + 1, 4)
+    labels = np.empty((n_lines, n_columns), np.uint8)
+    for line in range(n_lines):
+        row, inside, over, component = labels[line], supported[line], covered[line], components[line]
+        ranges = window[reach + line * n_columns : reach + (line + 1) * n_columns]
+        for h in range(n_columns):
+            row[h] = label_of[component[h]]
+        for h in range(n_columns):
+            label = cover if over[h] else row[h]
+            other = noise if ranges[h] == ranges[h] else missing
+            row[h] = label if inside[h] else other
+    return labels
+
+
+@kernel("uint8[:, ::1](float32[::1], boolean[:, ::1], boolean[:, ::1], boolean[::1], boolean, uint8[::1])")
+def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8) -> U8:
+    """Draw labels of what is covered and what is not, and another one in some columns.
+
+    Parameters
+    ----------
+    window : (reach + n_lines * n_columns + reach,) float32, metres
+        As in :func:`prc_cli.kernels.prc.support.support_mask`.
+    supported, covered : (n_lines, n_columns) bool
+    columns : (n_columns,) bool
+        Columns that have a label of their own.
+    noise_too : bool
+        Shots with a range that are not supported have it too.
+    labels_of : (5,) uint8
+        Labels of missing shots, of noise, of the columns, of supported shots that are covered, of all others.
+
+    Returns
+    -------
+    (n_lines, n_columns) uint8
+    """
+    n_lines, n_columns = supported.shape
+    reach = max(n_columns + 1, 4)
+    missing, noise, marked, cover, free = labels_of[0], labels_of[1], labels_of[2], labels_of[3], labels_of[4]
+    labels = np.empty((n_lines, n_columns), np.uint8)
+    for line in range(n_lines):
+        row, inside, over = labels[line], supported[line], covered[line]
+        ranges = window[reach + line * n_columns : reach + (line + 1) * n_columns]
+        for h in range(n_columns):
+            label = cover if over[h] else free
+            label = marked if columns[h] else label
+            other = marked if columns[h] & noise_too else noise
+            other = other if ranges[h] == ranges[h] else missing
+            row[h] = label if inside[h] else other
+    return labels

@@ -1,0 +1,229 @@
+"""Records of an input by a key (time, record index, any integer dimension), with their class: one side of a match."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F64, I64, U8, Mask
+from prc_cli.formats.labels.read import NO_CODE, CodeSource
+from prc_cli.formats.records import DerivedSource, RecordChunk
+from prc_cli.stream.sorting import sorted_by_time
+
+KEY, SAME, CODE = "time", "same", "code"
+"""What chunks of :class:`KeyedSource` hold: the key (called time, for :func:`sorted_by_time` sorts by it), what must
+be equal beside it, and the class code."""
+MISSING = 0
+"""Code of a shot without return in label files."""
+MAX_SAME = 3
+"""Numbers of 16 bits that are packed into the one that must be equal."""
+_LIMIT_16 = 1 << 16
+_EXACT = float(1 << 53)
+"""Whole numbers up to here are exact in float64."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeyRule:
+    """What a record is found by."""
+
+    kind: str
+    """``time``, ``dimension``, ``record`` (index in the input) or ``rank`` (index among the records with a class)."""
+    dimension: str = "time"
+    """Dimension that holds the key, for the first two kinds."""
+    same: tuple[str, ...] = ()
+    """Integer dimensions (0 to 65535) that must be equal beside the key, such as ``return_number``; at most three."""
+    offset: float = 0.0
+    """Added to the key [s for times]."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dimensions that the rule reads."""
+        return (*((self.dimension,) if self.kind in ("time", "dimension") else ()), *self.same)
+
+
+@dataclass(frozen=True)
+class KeyedSource(DerivedSource):
+    """The records of a source that have a class, each with key, ``same`` and code.
+
+    Chunks hold any of :data:`KEY` (float64), :data:`SAME` (int64), :data:`CODE` (uint8) and the dimensions of the
+    source. Records without a class (an empty cell; code 0 in label files, a shot without return) are left out.
+    """
+
+    rule: KeyRule
+    codes: CodeSource | None = None
+    """Class codes from a file of their own, in record order; None = a dimension of the source."""
+    code_dimension: str = "classification"
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver."""
+        return (KEY, SAME, CODE, *self.source.dimensions)
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode; every chunk carries ``record``.
+
+        Raises
+        ------
+        InputError
+            As the source does; when labels and records differ in number, a key is not finite (a time) or no whole
+            number (a dimension), or a code does not fit a LAS class.
+        """
+        carried = tuple(name for name in names if name not in (KEY, SAME, CODE))
+        own = () if self.codes is not None else (self.code_dimension,)
+        wanted = tuple(dict.fromkeys((*self.rule.names, *own, *carried)))
+        codes = None if self.codes is None else _CodeReader(self.codes, self.source.path)
+        n_kept = n_read = 0
+        for chunk in self.source.chunks(wanted):
+            first = chunk.first_record
+            record = np.arange(first, first + chunk.n, dtype=np.int64) if chunk.record is None else chunk.record
+            if codes is not None:
+                found = codes.take(chunk.n)
+                keep = (found != MISSING) & (found != NO_CODE)
+            else:
+                found = np.asarray(chunk.values[self.code_dimension])
+                keep = np.ones(chunk.n, np.bool_)
+            whole = bool(keep.all())
+            chosen: Mask | slice = slice(None) if whole else keep
+            record, found = record[chosen], found[chosen]
+            values = {name: np.asarray(chunk.values[name])[chosen] for name in wanted}
+            found_codes = self._to_codes(found, record)
+            out: dict[str, NDArray[Any]] = {name: values[name] for name in carried}
+            out[KEY] = self._keys(values, record, n_kept)
+            out[SAME] = self._same(values, record)
+            out[CODE] = found_codes
+            yield RecordChunk(n_kept, {name: out[name] for name in names}, len(record), record)
+            n_kept += len(record)
+            n_read += chunk.n
+        if codes is not None:
+            codes.finish(n_read)
+
+    def _to_codes(self, codes: NDArray[Any], record: I64) -> U8:
+        with np.errstate(invalid="ignore"):
+            wrong = ~((codes >= 0) & (codes <= 255) & (np.floor(codes) == codes))
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            where = self.path if self.codes is None else self.codes.path
+            problem = f"record {record[at]}: found the class code {codes[at]}, expected 0 to 255 as LAS holds them"
+            raise InputError(where, problem, "name the dimension with LAS class codes: --dimension NAME")
+        return codes.astype(np.uint8)
+
+    def _keys(self, values: dict[str, NDArray[Any]], record: I64, n_before: int) -> F64:
+        rule = self.rule
+        if rule.kind == "record":
+            return record.astype(np.float64)
+        if rule.kind == "rank":
+            return np.arange(n_before, n_before + len(record), dtype=np.float64)
+        stored = values[rule.dimension]
+        key = stored.astype(np.float64)
+        if rule.kind == "time":
+            wrong = ~np.isfinite(key)
+            expected = "a finite time"
+        else:
+            with np.errstate(invalid="ignore"):
+                wrong = ~((np.abs(key) < _EXACT) & (np.floor(key) == key))
+            expected = "a whole number below 2^53"
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
+            raise InputError(self.path, problem, "leave such points out, or match by something else with --by")
+        return key + rule.offset if rule.offset else key
+
+    def _same(self, values: dict[str, NDArray[Any]], record: I64) -> I64:
+        packed = np.zeros(len(record), np.int64)
+        for name in self.rule.same:
+            stored = values[name]
+            with np.errstate(invalid="ignore"):
+                wrong = ~((stored >= 0) & (stored < _LIMIT_16) & (np.floor(stored) == stored))
+            if wrong.any():
+                at = int(np.argmax(wrong))
+                problem = f"record {record[at]}: found {name} {stored[at]}, expected a whole number from 0 to 65535"
+                hint = "--ignore-return" if name == "return_number" else f"leave out --same {name}"
+                raise InputError(self.path, problem, hint)
+            packed = (packed << 16) | stored.astype(np.int64)
+        return packed
+
+
+class _CodeReader:
+    """Codes of a label file in steps of the records they belong to."""
+
+    def __init__(self, codes: CodeSource, records: str) -> None:
+        self._path = codes.path
+        self._records = records
+        self._chunks = codes.chunks()
+        self._rest: I64 = np.empty(0, np.int64)
+        self._n = 0
+
+    def take(self, n: int) -> I64:
+        """Return the next ``n`` codes."""
+        parts, held = [self._rest], len(self._rest)
+        while held < n:
+            chunk = next(self._chunks, None)
+            if chunk is None:
+                problem = f"found {self._n + held} class codes, expected one for every record of {self._records}"
+                raise InputError(self._path, f"{problem}, which has more", "name the input that was classified")
+            parts.append(chunk)
+            held += len(chunk)
+        codes = np.concatenate(parts) if len(parts) > 1 else parts[0]
+        self._rest = codes[n:]
+        self._n += n
+        return codes[:n]
+
+    def finish(self, n_records: int) -> None:
+        """Refuse codes that are left over."""
+        n_left = len(self._rest) + sum(len(chunk) for chunk in self._chunks)
+        if n_left:
+            problem = f"found {self._n + n_left} class codes, expected {n_records} as {self._records} has records"
+            raise InputError(self._path, problem, "name the input that was classified")
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What one reading of the keys tells."""
+
+    n_records: int
+    """Records with a class."""
+    n_read: int
+    """Records of the input, up to the last one with a class."""
+    low: float
+    high: float
+    """Bounds of the key; NaN without records."""
+    in_order: bool
+    """Whether the keys never go back."""
+
+    @property
+    def all_equal(self) -> bool:
+        """Whether there is one key for several records."""
+        return self.n_records > 1 and self.low == self.high
+
+
+def survey(source: KeyedSource) -> Survey:
+    """Read all keys and codes once.
+
+    Raises
+    ------
+    InputError
+        As :meth:`KeyedSource.chunks` does: what is wrong with a side is known before any work is done.
+    """
+    n = n_read = 0
+    low, high, last, in_order = np.inf, -np.inf, -np.inf, True
+    for chunk in source.chunks((KEY, SAME, CODE)):
+        key = chunk.values[KEY]
+        if not len(key):
+            continue
+        assert chunk.record is not None
+        n += len(key)
+        n_read = max(n_read, int(chunk.record[-1]) + 1)
+        in_order = in_order and bool(key[0] >= last) and bool(np.all(key[1:] >= key[:-1]))
+        last = float(key[-1])
+        low, high = min(low, float(key.min())), max(high, float(key.max()))
+    return Survey(n, n_read, low if n else np.nan, high if n else np.nan, in_order)
+
+
+def in_key_order(source: KeyedSource, found: Survey, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+    """Yield the records by ascending key, of equal keys in record order; sorts on disk only what is not in order."""
+    return (source if found.in_order else sorted_by_time(source)).chunks(names)

@@ -1,0 +1,108 @@
+"""Which predicted file belongs to which reference file, where whole folders are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from prc_cli.core.errors import InputError
+from prc_cli.formats.labels.read import code_suffix_of
+
+_SHOWN = 4
+
+
+def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False) -> tuple[tuple[Path, Path], ...]:
+    """Pair two files, or the files of two folders that have the same name but for the suffix.
+
+    Files of a folder that cannot hold class codes, by their suffix, are left alone; folders inside it too.
+
+    Parameters
+    ----------
+    predicted, reference : Path
+        Two files or two folders.
+    allow_missing : bool
+        Leave out files without a partner instead of refusing them.
+
+    Returns
+    -------
+    tuple of (predicted, reference)
+        By name.
+
+    Raises
+    ------
+    InputError
+        A file against a folder; an empty folder; files without partner, or two of one name on one side.
+    """
+    if not (predicted.is_dir() or reference.is_dir()):
+        return ((predicted, reference),)
+    for side, other in ((predicted, reference), (reference, predicted)):
+        if not side.is_dir():
+            problem = f"a file against the folder {other}" if side.exists() else "no such folder"
+            raise InputError(
+                str(side), problem, "give two files or two folders, or match by time, dimension or nearest"
+            )
+    left, right = _by_name(predicted), _by_name(reference)
+    if allow_missing and left.keys() & right.keys():
+        return tuple((left[name], right[name]) for name in sorted(left.keys() & right.keys()))
+    for folder, other, lonely in (
+        (predicted, reference, left.keys() - right.keys()),
+        (reference, predicted, right.keys() - left.keys()),
+    ):
+        if lonely:
+            have = "file has" if len(lonely) == 1 else "files have"
+            problem = f"{len(lonely)} {have} no partner in {other}: {_listed(lonely)}"
+            raise InputError(str(folder), problem, "give partners the same name but for the suffix, or use --pair")
+    return tuple((left[name], right[name]) for name in sorted(left))
+
+
+def files_of(paths: Iterable[Path]) -> list[Path]:
+    """Return files as they are, and in place of a folder those in it that can hold class codes.
+
+    Raises
+    ------
+    InputError
+        When a folder holds none.
+    """
+    found: list[Path] = []
+    for path in paths:
+        inside = list(_label_files(path)) if path.is_dir() else [path]
+        if not inside:
+            raise InputError(str(path), "no files with class codes in it", "check the name of the folder")
+        found += inside
+    return found
+
+
+def stem_of(path: Path) -> str:
+    """Return the name without the suffix, compression included.
+
+    >>> stem_of(Path("drive_1.csv.gz"))
+    'drive_1'
+    """
+    return path.name[: len(path.name) - len(code_suffix_of(path))]
+
+
+def _by_name(folder: Path) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in _label_files(folder):
+        name = stem_of(path)
+        if name in found:
+            problem = f"{found[name].name} and {path.name} have one name, expected one file of class codes each"
+            raise InputError(str(folder), problem, "move one of them away, or use --pair")
+        found[name] = path
+    if not found:
+        raise InputError(str(folder), "no files with class codes in it", "check the name of the folder")
+    return found
+
+
+def _label_files(folder: Path) -> Iterator[Path]:
+    try:
+        paths = sorted(folder.iterdir())
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror or error})"
+        raise InputError(str(folder), problem, "check the name and its permissions") from error
+    return (path for path in paths if path.is_file() and code_suffix_of(path) and not path.name.startswith("."))
+
+
+def _listed(names: Iterable[str]) -> str:
+    known = sorted(names)
+    return ", ".join(known[:_SHOWN]) + (", ..." if len(known) > _SHOWN else "")

@@ -1,0 +1,338 @@
+"""One side of an evaluation: class codes of one or several files, with what they are matched and split by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import F64, I64
+from prc_cli.formats.labels.read import CodeSource, open_codes
+from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.formats.tables.read import open_table
+
+Columns: TypeAlias = dict[str, NDArray[Any]]
+
+KEY = "time"
+"""What the records are matched by, whatever it is; the name that :func:`prc_cli.stream.sorting.sorted_by_time`
+sorts by."""
+CODE, FILE, ROW = "code", "file", "row"
+"""Class code, index of the file, index of the record in it: int64, every side has them."""
+RETURN, RANGE, LINE, SCANNER = "return", "range", "line", "scanner"
+"""What a side may have: return number, range [m], scan line, scanner id; -1 (NaN for ranges) = not known."""
+AXES = ("x", "y", "z")
+RECORD = "record"
+"""Name of the record index, which files without such a column have too, but for LAS."""
+UNKNOWN = -1
+SCANNER_NAMES = ("scanner", "point_source_id", "scanner_channel")
+"""Dimensions that tell scanners apart; the first one present is taken."""
+_NAMES = {RETURN: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES}
+_WHOLE = float(1 << 53)
+_INDEX = ""
+_MAX_ID = 1 << 31
+
+
+@dataclass(frozen=True, slots=True)
+class SideFile:
+    """The files that one file of a side is read from."""
+
+    codes: CodeSource
+    table: RecordSource | None
+    """The same file, if it holds more than codes."""
+    points: RecordSource | None
+    """The points that labels alone belong to, record by record."""
+
+    @classmethod
+    def open(cls, path: Path, dimension: str | None, points: Path | None) -> SideFile:
+        """Open a file and the points it belongs to.
+
+        Raises
+        ------
+        ConfigError
+            When the dimension is not in the file.
+        InputError
+            When a file cannot be read or holds no codes or no columns.
+        """
+        codes = open_codes(path, dimension)
+        table = open_table(path)
+        beside = None
+        if points is not None:
+            if not points.is_file():
+                raise InputError(str(points), "no such file, expected the points of the labels", "check the name")
+            beside = open_table(points)
+            if beside is None:
+                problem = "unknown suffix, expected points: LAS, LAZ, text, .npz or .parquet"
+                raise InputError(str(points), problem, "name the input of the run")
+        return cls(codes, table, beside)
+
+    @property
+    def sources(self) -> tuple[RecordSource, ...]:
+        """Whatever holds columns, the file itself first."""
+        return tuple(source for source in (self.table, self.points) if source is not None)
+
+    def find(self, names: tuple[str, ...]) -> tuple[RecordSource, str] | None:
+        """Return where the first of some dimensions stands, and its name there."""
+        for source in self.sources:
+            for name in names:
+                if name in source.dimensions:
+                    return source, name
+        return None
+
+    @property
+    def is_las(self) -> bool:
+        """Whether any of the files is LAS, whose records have been through other hands."""
+        return isinstance(self.table, LasSource)
+
+    @property
+    def crs(self) -> str | None:
+        """Coordinate system of the coordinates, None where the file does not say."""
+        found = self.find(("x",))
+        return found[0].crs_wkt if found is not None and isinstance(found[0], LasSource) else None
+
+
+@dataclass(slots=True)
+class SideTally:
+    """What one reading of a side met."""
+
+    n_records: int = 0
+    n_not_finite: int = 0
+    """Records left out because a key or a coordinate is NaN or infinite."""
+    low: float = np.inf
+    high: float = -np.inf
+    """Bounds of the key."""
+
+    @property
+    def n_usable(self) -> int:
+        """Records that can find a partner."""
+        return self.n_records - self.n_not_finite
+
+
+@dataclass(frozen=True)
+class Side:
+    """The records of one or several files, as a source of :data:`KEY`, :data:`CODE` and what else it has.
+
+    Chunks of :meth:`chunks` carry ``record``, the index in all files together; records without a finite key are
+    left out and counted in ``tally``, which begins anew with every reading.
+
+    Parameters
+    ----------
+    files : sequence of SideFile
+        One after the other.
+    key : str
+        ``order`` (no key), ``time``, ``dimension:NAME``, or ``x``, ``y``, ``z``: then records need all three.
+    points_per_line : int, optional
+        M, for lines of dense streams: record // M.
+    """
+
+    files: Sequence[SideFile]
+    key: str = "order"
+    points_per_line: int | None = None
+    tally: SideTally = field(default_factory=SideTally)
+
+    @property
+    def path(self) -> str:
+        """First file, for messages."""
+        more = f" and {len(self.files) - 1} more" if len(self.files) > 1 else ""
+        return f"{self.files[0].codes.path}{more}"
+
+    @property
+    def format(self) -> str:
+        """Reader name."""
+        return "class codes"
+
+    @property
+    def n_records(self) -> int | None:
+        """Only reading can tell."""
+        return None
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        """Names that :meth:`chunks` can deliver."""
+        names = [name for name in (RETURN, RANGE, LINE, SCANNER) if all(self._place(file, name) for file in self.files)]
+        key = [] if self.key == "order" else [KEY]
+        axes = AXES if all(file.find((axis,)) for file in self.files for axis in AXES) else ()
+        return (*key, CODE, FILE, ROW, *names, *axes)
+
+    def check(self) -> None:
+        """Refuse files without the key.
+
+        Raises
+        ------
+        ConfigError
+            Naming the file and what it has.
+        """
+        for file in self.files:
+            for name in self._key_names():
+                if self._place(file, name) is None:
+                    has = ", ".join(dict.fromkeys(name for source in file.sources for name in source.dimensions[:30]))
+                    problem = f"no {name!r} to match by in the file, which has: {has or 'class codes alone'}"
+                    hint = "name the points that the labels belong to, or match by something else"
+                    raise ConfigError(file.codes.path, problem, hint)
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Read all files from the first record on.
+
+        Raises
+        ------
+        InputError
+            When a file is damaged, an id is no whole number, or labels and points differ in number.
+        """
+        for item in fields(SideTally):
+            setattr(self.tally, item.name, item.default)
+        first = 0
+        for index, file in enumerate(self.files):
+            n_before = first
+            for columns, row in self._read(file, names):
+                n = len(row)
+                values = {**columns, ROW: row, FILE: np.full(n, index, np.int64)}
+                self.tally.n_records += n
+                record = np.arange(first, first + n)
+                first += n
+                finite = self._finite(values, n)
+                if not finite.all():
+                    self.tally.n_not_finite += n - int(np.count_nonzero(finite))
+                    values = {name: found[finite] for name, found in values.items()}
+                    record = record[finite]
+                if KEY in values and len(record):
+                    self.tally.low = min(self.tally.low, float(values[KEY].min()))
+                    self.tally.high = max(self.tally.high, float(values[KEY].max()))
+                yield RecordChunk(first - n, {name: values[name] for name in names}, len(record), record)
+            if first == n_before:
+                raise InputError(file.codes.path, "no records, expected class codes", "check the file")
+
+    def _finite(self, values: Columns, n: int) -> NDArray[np.bool_]:
+        finite = np.ones(n, np.bool_)
+        checked = () if self.key == "order" else (KEY, *AXES) if self.key in AXES else (KEY,)
+        for name in checked:
+            if name in values:
+                finite &= np.isfinite(values[name])
+        return finite
+
+    def _key_names(self) -> tuple[str, ...]:
+        if self.key in AXES:
+            return AXES
+        return () if self.key == "order" else (self.key.removeprefix("dimension:"),)
+
+    def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
+        """Return where a column of a side stands in a file; None as the source = it is counted."""
+        if name == LINE and self.points_per_line is not None:
+            return file.find(_NAMES[LINE]) or (None, _INDEX)
+        found = file.find(_NAMES.get(name, (name,)))
+        if found is None and name == RECORD and self.key == f"dimension:{RECORD}" and not file.is_las:
+            return None, _INDEX
+        return found
+
+    def _read(self, file: SideFile, names: tuple[str, ...]) -> Iterator[tuple[Columns, I64]]:
+        """Yield the columns of one file but for :data:`FILE` and :data:`ROW`, and the latter."""
+        key = self._key_names()[-1] if self.key not in ("order", *AXES) else self.key
+        wanted = {name: key if name == KEY else name for name in names if name not in (CODE, FILE, ROW)}
+        if self.key in AXES:
+            wanted |= {axis: axis for axis in AXES}
+        places = {name: self._place(file, source_name) for name, source_name in wanted.items()}
+        asked: dict[int, list[str]] = {}
+        for place in places.values():
+            if place is not None and place[0] is not None:
+                asked.setdefault(file.sources.index(place[0]), []).append(place[1])
+        streams, codes_stand_in = _streams(file, asked)
+        row = 0
+        for parts in _in_step(streams, file):
+            n = len(next(iter(parts[0].values())))
+            if codes_stand_in is None:
+                codes = parts[0][CODE]
+            else:
+                codes = file.codes.to_codes(parts[codes_stand_in][file.codes.name], row)
+            index = np.arange(row, row + n, dtype=np.int64)
+            values: Columns = {CODE: codes}
+            for name, place in places.items():
+                if place is None or place[0] is None:
+                    found: NDArray[Any] = self._counted(name, index)
+                else:
+                    k = list(asked).index(file.sources.index(place[0])) + (codes_stand_in is None)
+                    found = parts[k][place[1]]
+                values[name] = self._typed(file, name, found, row)
+            yield values, index
+            row += n
+
+    def _counted(self, name: str, index: I64) -> I64:
+        return index // self.points_per_line if name == LINE and self.points_per_line else index
+
+    def _typed(self, file: SideFile, name: str, found: NDArray[Any], first: int) -> NDArray[Any]:
+        if name in AXES or name == RANGE or (name == KEY and not self.key.startswith("dimension:")):
+            return np.asarray(found, np.float64)
+        if name == KEY:
+            return self._ids(file, found, first)
+        return _whole(found)
+
+    def _ids(self, file: SideFile, found: NDArray[Any], first: int) -> F64:
+        """Return ids as float64, in which they must be exact."""
+        with np.errstate(invalid="ignore"):
+            wide = found.astype(np.float64)
+            wrong = (np.abs(wide) >= _WHOLE) | (np.isfinite(wide) & (np.floor(wide) != wide))
+        if wrong.any():
+            at = int(np.argmax(wrong))
+            problem = f"record {first + at}: found {self.key} {found[at]}, expected a whole number below 2^53"
+            raise InputError(file.codes.path, problem, "match by a dimension of whole numbers")
+        return wide
+
+
+def _whole(found: NDArray[Any]) -> I64:
+    """Return whole numbers as int64, -1 where a value is none or beyond what an id or a line can be."""
+    with np.errstate(invalid="ignore"):
+        wide = found.astype(np.float64)
+        known = (wide >= 0) & (wide < _MAX_ID)
+    return np.where(known, wide, UNKNOWN).astype(np.int64)
+
+
+def _streams(file: SideFile, asked: dict[int, list[str]]) -> tuple[list[Iterator[Columns]], int | None]:
+    """Return what has to be read side by side, and which of it holds the stored codes.
+
+    Codes that stand beside columns of the same file are read with these, once; otherwise they come first, checked
+    and converted.
+    """
+    streams: list[Iterator[Columns]] = []
+    stand_in: int | None = None
+    for k, (source, names) in enumerate(asked.items()):
+        table = file.sources[source]
+        own = table is file.table and file.codes.name in table.dimensions
+        read = tuple(dict.fromkeys([*names, file.codes.name] if own else names))
+        if own:
+            stand_in = k
+        streams.append(chunk.values for chunk in table.chunks(read))
+    if stand_in is None:
+        streams.insert(0, ({CODE: codes} for codes in file.codes.chunks()))
+    return streams, stand_in
+
+
+def _in_step(streams: list[Iterator[Columns]], file: SideFile) -> Iterator[list[Columns]]:
+    """Walk streams of the same records in equal steps; refuse different lengths."""
+    rest: list[Columns] = [{} for _ in streams]
+    seen = [0] * len(streams)
+    while True:
+        for k, stream in enumerate(streams):
+            while not _length(rest[k]):
+                chunk = next(stream, None)
+                if chunk is None:
+                    break
+                rest[k] = chunk
+                seen[k] += _length(chunk)
+        n = min(_length(columns) for columns in rest)
+        if not n:
+            break
+        yield [{name: values[:n] for name, values in columns.items()} for columns in rest]
+        rest = [{name: values[n:] for name, values in columns.items()} for columns in rest]
+    for k, stream in enumerate(streams):
+        seen[k] += sum(_length(chunk) for chunk in stream)
+    if len(set(seen)) > 1:
+        points = file.points.path if file.points is not None else "its own columns"
+        problem = f"{seen[0]} class codes, but {points} holds {seen[-1]} records; expected a code for every record"
+        raise InputError(file.codes.path, problem, "name the input that was classified")
+
+
+def _length(columns: Columns) -> int:
+    return len(next(iter(columns.values()))) if columns else 0

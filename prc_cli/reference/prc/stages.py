@@ -1,0 +1,173 @@
+"""Slow and obvious twins of the kernels, from NumPy, SciPy and scikit-image alone.
+
+Same names, arguments and results as the kernels, none of their code. Tests compare them bit for bit; nothing else
+uses this module. The whole method, written from the paper, is in :mod:`prc_cli.reference.prc.method`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from skimage import measure
+
+from prc_cli.core.types import F32, I32, I64, U8, Mask
+
+CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
+"""A pixel and its four neighbours."""
+
+
+def support_mask(
+    window: F32, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
+) -> Mask:
+    """Mark shots that enough neighbours agree with; see :func:`prc_cli.kernels.prc.support.support_mask`."""
+    m = n_columns
+    shot = np.arange(n_lines * m) + max(m + 1, 4)
+    ranges = window[shot]
+
+    def count_agreeing(shifts: tuple[int, ...], zeta: float) -> NDArray[np.int64]:
+        differences = [np.abs(ranges - window[shot + shift]) for shift in shifts if shift != 0]
+        count: NDArray[np.int64] = np.sum([d.astype(np.float64) < np.float64(zeta) for d in differences], axis=0)
+        return count
+
+    in_slice = count_agreeing((-4, -3, -2, -1, 1, 2, 3, 4), zeta_p)
+    adjacent = count_agreeing((-m - 1, -m, -m + 1, m - 1, m, m + 1), zeta_s)
+    mask: Mask = (in_slice >= min_in_slice) & (adjacent >= min_adjacent) & ~np.isnan(ranges)
+    return mask.reshape(n_lines, m)
+
+
+def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: float) -> Mask:
+    """Mark abrupt changes of range; see :func:`prc_cli.kernels.prc.support.background_mask`."""
+    n_lines, n_columns = supported.shape
+    reach = max(n_columns + 1, 4)
+    mask = np.zeros((n_lines, n_columns), dtype=bool)
+    for line, column in zip(*np.nonzero(supported), strict=True):
+        i = reach + line * n_columns + column
+        before, here, after = (float(window[j]) for j in (i - 1, i, i + 1))
+        if np.isnan(before) or np.isnan(after):
+            continue
+        mask[line, column] = is_intersection(
+            before, here, after, ("centred", "literal", "abs", "guard")[form], alpha, d_c
+        )
+    return mask
+
+
+def is_intersection(before: float, here: float, after: float, form: str, alpha: float, d_c: float) -> bool:
+    """Tell whether eq. 9, or another reading of it, does not hold for three successive ranges."""
+    if form == "literal":
+        return not alpha < (here - before) / max(after - before, d_c) < 1.0 - alpha
+    if form == "abs":
+        return not alpha < abs(here - before) / max(abs(after - before), d_c) < 1.0 - alpha
+    if form == "guard" and abs(after - before) < d_c:
+        return False
+    middle = (before + after) / 2.0
+    return abs(here - middle) >= (0.5 - alpha) * max(abs(after - before), d_c)
+
+
+def label_components(image: Mask) -> tuple[I32, int]:
+    """Find 4-connected components; see :func:`prc_cli.kernels.prc.components.label_components`."""
+    label: Callable[..., I32] = measure.label
+    labels = label(image, connectivity=1)
+    found, first_pixel = np.unique(labels, return_index=True)
+    in_raster_order = [one for _, one in sorted(zip(first_pixel, found, strict=True)) if one != 0]
+    renumbered = np.zeros(image.shape, dtype=np.int32)
+    for number, one in enumerate(in_raster_order, start=1):
+        renumbered[labels == one] = number
+    return renumbered, len(in_raster_order)
+
+
+def fill_holes(components: I32, holes: Mask) -> I32:
+    """Give holes their neighbours' most frequent component, of equals the smallest; without a neighbour 0."""
+    framed = np.pad(components, 1)
+    filled = components.copy()
+    for line, column in zip(*np.nonzero(holes), strict=True):
+        around = framed[line : line + 3, column : column + 3].ravel().tolist()
+        del around[4]
+        votes = Counter(label for label in around if label != 0)
+        if votes:
+            filled[line, column] = min(votes, key=lambda label: (-votes[label], label))
+    return filled
+
+
+def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
+    """Connect and fill; see :func:`prc_cli.kernels.prc.components.join_and_fill`."""
+    joined, n_components = label_components(np.logical_and(supported, ~background))
+    filled = fill_holes(joined, background)
+    return filled, np.array([0, *(np.sum(filled == c) for c in range(1, n_components + 1))], dtype=np.int64)
+
+
+def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
+    """Carry labels over by votes; see :func:`prc_cli.kernels.prc.components.carry_labels`."""
+    votes = Counter(zip(first_line.tolist(), last_line.tolist(), strict=True))
+    labels = [0] * (n_components + 1)
+    for c in range(1, n_components + 1):
+        won = [(-count, old) for (new, old), count in votes.items() if new == c and old != 0 and count >= min_votes]
+        labels[c] = min(won, default=(0, 0))[1]
+    return np.array(labels, dtype=np.int64)
+
+
+def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
+    """Mark shots of some components; see :func:`prc_cli.kernels.prc.surfaces.select_components`."""
+    selected: Mask = np.logical_and(np.take(wanted, components), supported)
+    return selected
+
+
+def count_covered(supported: Mask, covered: Mask, components: I32, n_components: int) -> I64:
+    """Count shots under an image; see :func:`prc_cli.kernels.prc.surfaces.count_covered`."""
+    under = components[np.logical_and(supported, covered)]
+    return np.bincount(under, minlength=n_components + 1).astype(np.int64)
+
+
+def draw_components(window: F32, supported: Mask, covered: Mask, components: I32, label_of: U8, others: U8) -> U8:
+    """Draw labels by component; see :func:`prc_cli.kernels.prc.surfaces.draw_components`."""
+    labels = np.where(covered, others[2], np.take(label_of, components))
+    labels[~supported] = others[1]
+    labels[~supported & np.isnan(_inside(window, supported))] = others[0]
+    return labels
+
+
+def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noise_too: bool, labels_of: U8) -> U8:
+    """Draw labels by cover and column; see :func:`prc_cli.kernels.prc.surfaces.draw_columns`."""
+    missing, noise, marked, cover, free = labels_of
+    labels = np.full(supported.shape, noise)
+    if noise_too:
+        labels[:, columns] = marked
+    labels[np.isnan(_inside(window, supported))] = missing
+    labels[supported] = free
+    labels[np.logical_and(supported, covered)] = cover
+    labels[np.logical_and(supported, columns[None, :])] = marked
+    return labels
+
+
+def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
+    """Make ranges out of bounds missing; see :func:`prc_cli.kernels.prc.support.clean_ranges`."""
+    cleaned = np.full_like(ranges, np.nan)
+    counts = [0, 0, 0]
+    for i, value in enumerate(ranges.tolist()):
+        if float(low) < value <= float(high):
+            cleaned[i] = ranges[i]
+        elif math.isinf(value):
+            counts[0] += 1
+        elif value <= 0:
+            counts[1] += 1
+        elif value > 0:
+            counts[2] += 1
+    return cleaned, counts[0], counts[1], counts[2]
+
+
+def _inside(window: F32, image: Mask) -> F32:
+    """Cut the block out of its window."""
+    reach = max(image.shape[1] + 1, 4)
+    return window[reach : reach + image.size].reshape(image.shape)
+
+
+def dilate(image: Mask, iterations: int) -> Mask:
+    """Dilate with the cross; see :func:`prc_cli.kernels.prc.surfaces.dilate`."""
+    if iterations == 0:  # which SciPy takes as "until nothing changes"
+        return image.copy()
+    grown: Mask = ndimage.binary_dilation(image, structure=CROSS, iterations=iterations)
+    return grown

@@ -1,0 +1,1 @@
+"""Stamos et al. (2012) in plain NumPy and SciPy."""

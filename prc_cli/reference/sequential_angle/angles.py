@@ -1,0 +1,79 @@
+"""Slow and obvious twins of the angle kernels: from vectors and their products, shot by shot."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import Surface
+from prc_cli.core.types import F32, F64, I32, U8
+
+
+def signed_angles(
+    range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, depth_m: float, max_beams: int
+) -> tuple[F32, I32]:
+    """Measure signed angles; see :func:`prc_cli.kernels.sequential_angle.angles.signed_angles`."""
+    signed_deg = np.full(range_m.shape, np.nan, np.float32)
+    ahead = np.full(range_m.shape, -1, np.int32)
+    for row in range(len(range_m)):
+        valid = [k for k in range(n_beams[row]) if np.isfinite(range_m[row, k])]
+        points = {k: xyz_m[row, k].astype(np.float64) for k in valid}
+
+        ranges = range_m[row].astype(np.float64)
+
+        def first_far(
+            here: int, others: list[int], points: dict[int, F64] = points, ranges: F64 = ranges
+        ) -> int | None:
+            for other in others[:max_beams]:
+                chord = points[other] - points[here]
+                depth = ranges[other] - ranges[here]
+                counted = float(chord @ chord)
+                if depth_m > 0:
+                    counted += max(abs(depth) - depth_m, 0.0) ** 2 - depth**2
+                if chord.any() and counted >= min_chord_m**2:
+                    return other
+            return None
+
+        for i, k in enumerate(valid):
+            after = first_far(k, valid[i + 1 :])
+            before = first_far(k, valid[:i][::-1])
+            if after is None:
+                continue
+            chord = points[after] - points[k]
+            angle = np.degrees(np.arctan2(np.hypot(chord[0], chord[1]), chord[2]))
+            turned_back = before is not None and np.dot(chord, points[k] - points[before]) < 0
+            signed_deg[row, k] = -angle if turned_back else angle
+            ahead[row, k] = after
+    return signed_deg, ahead
+
+
+def angle_differences(signed_deg: F32) -> F32:
+    """Subtract successive angles; see :func:`prc_cli.kernels.sequential_angle.angles.angle_differences`."""
+    differences = np.full_like(signed_deg, np.nan)
+    for row, angles in enumerate(signed_deg):
+        there = np.flatnonzero(~np.isnan(angles))
+        differences[row, there] = np.diff(angles[there], prepend=angles[there][:1])
+    return differences
+
+
+def line_angles(range_m: F32, ahead: I32, surface: U8, beam_rad: F64) -> F32:
+    """Measure line angles; see :func:`prc_cli.kernels.sequential_angle.angles.line_angles`."""
+    found = np.full(range_m.shape, np.nan, np.float32)
+    for row, k in zip(*np.nonzero((surface == Surface.HORIZONTAL) & (ahead >= 0)), strict=True):
+        side = beam_rad[row % len(beam_rad)]
+        j = ahead[row, k]
+        phi = angle_at_first(side[k], side[j], float(range_m[row, k]), float(range_m[row, j]))
+        found[row, k] = np.degrees(phi + side[k])
+    return found
+
+
+def angle_at_first(first_rad: float, second_rad: float, first_m: float, second_m: float) -> float:
+    """Return the angle between the chord of two shots and the beam to the first one, from their places [rad]."""
+    first = place(first_rad, first_m)
+    chord = place(second_rad, second_m) - first
+    return float(np.arctan2(abs(first[0] * chord[1] - first[1] * chord[0]), first @ chord))
+
+
+def place(beam_rad: float, range_m: float) -> NDArray[np.float64]:
+    """Return a shot in the plane of its line, (2,) float64 [m]; the beam turns from the first axis to the second."""
+    return range_m * np.array([np.cos(beam_rad), np.sin(beam_rad)])

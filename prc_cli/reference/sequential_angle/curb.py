@@ -1,0 +1,218 @@
+"""Slow and obvious twins of the curb kernels, written from the paper (Stamos et al. 2012, sec. 6).
+
+Regions are sets of points here, and grow by whole lines. Tests compare; nothing else uses this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+
+MISSING, VERTICAL = 0, 3
+
+
+def possible_curbs(
+    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, reach: int, under: float, height: float
+) -> tuple[Mask, I32]:
+    """Find possible curb points; see :func:`prc_cli.kernels.sequential_angle.curb.possible_curbs`."""
+    beam = np.full(len(surface), -1, dtype=np.int32)
+    for row in range(len(surface)):
+        on_ground = np.flatnonzero(ground[row])
+        if not len(on_ground):
+            continue
+        valid = np.flatnonzero(surface[row] != MISSING)
+        ranges = range_m[row].astype(np.float64)
+        for k in valid[valid > on_ground[-1]]:
+            if float(xyz[row, k, 2]) > float(z_g[row]) + height:
+                break
+            if surface[row, k] == VERTICAL:
+                before = valid[valid <= k][-1 - reach :]
+                if not ranges[before].max() - ranges[k] > under:
+                    beam[row] = k
+                    break
+    return beam >= 0, beam
+
+
+@dataclass(eq=False)
+class Region:
+    """A region of vertical points of one side."""
+
+    side: int
+    points: set[tuple[int, int]] = field(default_factory=set)
+    """Line and beam."""
+    low: float = np.inf
+    high: float = -np.inf
+    possible: bool = False
+    fate: str = "open"
+    """Or "high", "rejected", "curb"."""
+
+    @property
+    def first(self) -> int:
+        """First line."""
+        return min(line for line, _ in self.points)
+
+    @property
+    def last(self) -> int:
+        """Last line."""
+        return max(line for line, _ in self.points)
+
+
+FATES = {1: "high", 2: "rejected", 3: "curb"}
+
+
+class Growing:
+    """All regions, and the rules for curbs."""
+
+    def __init__(
+        self, n_sides: int, carried: I32, regions: I32, extents: F32, rules: tuple[float, float, int, float, int, bool]
+    ) -> None:
+        self.reach, self.t_curb, self.min_lines, self.curvature, self.max_lines, self.by_line = rules
+        known = [
+            Region(int(side), low=float(low), high=float(high), possible=bool(possible))
+            for (side, _, _, possible), (low, high) in zip(regions, extents, strict=True)
+        ]
+        self.of: dict[tuple[int, int, int], Region] = {}
+        """Region of every vertical point, by side, line and beam."""
+        for row, k in zip(*np.nonzero(carried), strict=True):
+            side, line, label = int(row) % n_sides, int(row) // n_sides, int(carried[row, k])
+            region = known[label - 4] if label >= 4 else Region(side, fate=FATES[label])
+            region.points.add((line, int(k)))
+            self.of[side, line, int(k)] = region
+
+    def open(self, side: int) -> list[Region]:
+        """Return the undecided regions of a side."""
+        found = {id(region): region for (of, _, _), region in self.of.items() if of == side and region.fate == "open"}
+        return list(found.values())
+
+    def add_row(self, side: int, line: int, beams: list[int], here: F64, above: F64, possible: int) -> None:
+        """Add the vertical points of a row."""
+
+        def near(one: F64, other: F64) -> bool:
+            x, y, z = one - other
+            return bool(x * x + y * y + z * z < self.reach * self.reach)
+
+        group_of: dict[int, set[int]] = {}
+        touched: dict[int, list[Region]] = {}
+        for k in beams:
+            group = group_of[k - 1] if k - 1 in group_of and near(here[k], here[k - 1]) else set()
+            group.add(k)
+            group_of[k] = group
+            touched[k] = [
+                self.of[side, line - 1, j]
+                for j in (k - 1, k, k + 1)
+                if (side, line - 1, j) in self.of and near(here[k], above[j])
+            ]
+            touched[k] = [region for region in touched[k] if region.fate in ("open", "high")]
+        while True:  # join stretches that touch the same region, until nothing changes
+            pairs = [
+                (group_of[k], group_of[m])
+                for k in beams
+                for m in beams
+                if group_of[k] is not group_of[m] and any(region in touched[m] for region in touched[k])
+            ]
+            if not pairs:
+                break
+            one, other = pairs[0]
+            one |= other
+            for k in other:
+                group_of[k] = one
+        for group in {id(group): group for group in group_of.values()}.values():
+            joined = Region(side, {(line, k) for k in group}, possible=possible in group)
+            z = [float(here[k, 2]) for k in group]
+            joined.low, joined.high = min(z), max(z)
+            for region in {id(region): region for k in group for region in touched[k]}.values():
+                joined.points |= region.points
+                joined.possible |= region.possible
+                if region.fate == "high":
+                    joined.fate = "high"
+                if not self.by_line:
+                    joined.low, joined.high = min(joined.low, region.low), max(joined.high, region.high)
+            if joined.high - joined.low > self.t_curb:
+                joined.fate = "high"
+            for at, k in joined.points:
+                self.of[side, at, k] = joined
+
+    def decide(self, region: Region, signed: F64) -> None:
+        """Decide what a complete region is; ``signed`` holds the angles of its side by line."""
+        region.fate = "rejected"
+        if not region.possible:
+            return
+        changes = [
+            abs(signed[line, k] - signed[line, k - 1]) for line, k in region.points if (line, k - 1) in region.points
+        ]
+        changes = [change for change in changes if not np.isnan(change)]
+        many = region.last - region.first + 1 >= self.min_lines
+        if many or (changes and np.median(changes) < self.curvature):
+            region.fate = "curb"
+
+
+def connect_verticals(
+    surface: U8,
+    xyz: F32,
+    signed: F32,
+    possible: I32,
+    n_sides: int,
+    carried: I32,
+    n_given: int,
+    above_xyz: F32,
+    above_signed: F32,
+    regions: I32,
+    extents: F32,
+    reach: float,
+    t_curb: float,
+    min_lines: int,
+    curvature: float,
+    max_lines: int,
+    by_line: bool,
+    last: bool,
+) -> tuple[Mask, I32, int, I32, F32]:
+    """Connect vertical points; see :func:`prc_cli.kernels.sequential_angle.curb.connect_verticals`."""
+    rules = (reach, t_curb, min_lines, curvature, max_lines, by_line)
+    growing = Growing(n_sides, carried, regions, extents, rules)
+    n = surface.shape[1]
+    n_before, n_new = len(carried) // n_sides, len(surface) // n_sides
+    n_lines = n_before + n_new
+    points = np.concatenate([above_xyz, xyz]).astype(np.float64).reshape(n_new + 1, n_sides, n, 3)
+    angles = np.full((n_lines + min_lines, n_sides, n), np.nan)
+    known = np.concatenate([above_signed, signed]).reshape(-1, n_sides, n)
+    if len(known):
+        angles[-len(known) :] = known
+    angles = angles[min_lines:]
+    for row in range(len(surface)):
+        side, new = row % n_sides, row // n_sides
+        line = n_before + new
+        beams = np.flatnonzero(surface[row] == VERTICAL).tolist()
+        growing.add_row(side, line, beams, points[new + 1, side], points[new, side], int(possible[row]))
+        for region in growing.open(side):
+            if region.last < line or line - region.first + 1 >= max_lines:
+                growing.decide(region, angles[:, side])
+    undecided = [region for side in range(n_sides) for region in growing.open(side)]
+    if last:
+        for region in undecided:
+            growing.decide(region, angles[:, region.side])
+        undecided = []
+    first_open = min([region.first for region in undecided], default=n_lines)
+
+    curb = np.zeros(((first_open - n_given) * n_sides, n), dtype=bool)
+    begin = min(first_open, n_lines - 1)
+    left = np.zeros(((n_lines - begin) * n_sides, n), dtype=np.int32)
+    order: list[Region] = []
+    for side, line, k in sorted(growing.of, key=lambda key: (key[1], key[0], key[2])):
+        region = growing.of[side, line, k]
+        if n_given <= line < first_open:
+            curb[(line - n_given) * n_sides + side, k] = region.fate == "curb"
+        if line >= begin:
+            if region.fate == "open" and region not in order:
+                order.append(region)
+            number = 4 + order.index(region) if region.fate == "open" else {v: i for i, v in FATES.items()}[region.fate]
+            left[(line - begin) * n_sides + side, k] = number
+    return (
+        curb,
+        left,
+        n_lines - begin if first_open == n_lines else 0,
+        np.array([[r.side, r.first - begin, r.last - begin, r.possible] for r in order], np.int32).reshape(-1, 4),
+        np.array([[r.low, r.high] for r in order], np.float32).reshape(-1, 2),
+    )

@@ -1,0 +1,163 @@
+"""Twins of :mod:`prc_cli.kernels.sequential_angle.dividers`, from NumPy alone, written from the paper."""
+
+from __future__ import annotations
+
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+
+H, V = 2, 3
+"""Surface codes."""
+
+
+def change_angle(points: F64, j: int, chord_m: float, reach: int) -> float:
+    """Return the signed angle at point j of (n, 3) points with the vertical [deg]; NaN = no chord."""
+    distances = np.sqrt(((points - points[j]) ** 2).sum(axis=1))
+    far = [i for i in range(len(points)) if distances[i] >= chord_m and distances[i] > 0]
+    after = [i for i in far if j < i <= j + reach]
+    before = [i for i in far if j - reach <= i < j]
+    if not after:
+        return np.nan
+    chord = points[min(after)] - points[j]
+    angle = float(np.degrees(np.arccos(np.clip(chord[2] / distances[min(after)], -1, 1))))
+    turns_back = bool(before) and float(np.sum(chord * (points[j] - points[max(before)]))) < 0
+    return -angle if turns_back else angle
+
+
+def is_something_under(ranges: F64, j: int, n_before: int, threshold_m: float) -> bool:
+    """Tell whether something under point j lies behind it (TestUnder of the paper)."""
+    return bool(max(ranges[max(0, j - n_before) : j + 1]) - ranges[j] > threshold_m)
+
+
+def is_jump(points: F64, j: int, separation_m: float) -> bool:
+    """Tell whether the next point is far away and not back towards the scanner."""
+    step = points[j + 1] - points[j]
+    return bool(np.sum(step[:2] * points[j, :2]) > 0 and np.sqrt(np.sum(step**2)) > separation_m)
+
+
+def is_flat(distance: F64, height: F64, residual_m: float, slope: float) -> bool:
+    """Tell whether a straight line through the heights fits and is not steep."""
+    gradient, offset = np.polyfit(distance - distance[0], height - height[0], 1)
+    residual = height - height[0] - gradient * (distance - distance[0]) - offset
+    return bool(abs(gradient) <= slope and np.sqrt(np.mean(residual**2)) <= residual_m)
+
+
+def flat_stretch(
+    distance: F64, height: F64, length_m: float, residual_m: float, slope: float
+) -> tuple[int, int] | None:
+    """Find points K to L of a horizontal run that are long and flat; None = there are none."""
+    last = 0
+    for first in range(len(distance)):
+        far = [i for i in range(max(first, last), len(distance)) if distance[i] - distance[first] >= length_m]
+        if not far:
+            continue
+        last = far[0]
+        stop = last + 1
+        if is_flat(distance[first:stop], height[first:stop], residual_m, slope):
+            while stop < len(distance) and is_flat(
+                distance[first : stop + 1], height[first : stop + 1], residual_m, slope
+            ):
+                stop += 1
+            return first, stop - 1
+    return None
+
+
+def runs(codes: list[int], wanted: int) -> list[tuple[int, int]]:
+    """Return first and last position of the runs of a code."""
+    grouped = [(code, [i for i, _ in run]) for code, run in groupby(enumerate(codes), key=lambda item: item[1])]
+    return [(positions[0], positions[-1]) for code, positions in grouped if code == wanted]
+
+
+def car_intervals(
+    surface: U8,
+    range_m: F32,
+    xyz_m: F32,
+    horizontal_m: F32,
+    signed_deg: F32,
+    n_beams: I32,
+    triggered: Mask,
+    ground_m: F32,
+    height_m: float,
+    sudden_from_deg: float,
+    sudden_to_deg: float,
+    chord_m: float,
+    chord_reach: int,
+    under_points: int,
+    under_m: float,
+    separation_m: float,
+    flat_length_m: float,
+    flat_residual_m: float,
+    flat_slope: float,
+) -> I32:
+    """Cut triggered rows into intervals; see :func:`prc_cli.kernels.sequential_angle.dividers.car_intervals`."""
+    found: list[tuple[int, int, int]] = []
+    for row in range(len(n_beams)):
+        if not triggered[row] or np.isnan(ground_m[row]):
+            continue
+        beams = [k for k in range(n_beams[row]) if not np.isnan(range_m[row, k])]
+        limit = float(ground_m[row]) + height_m
+        ends = [i for i, k in enumerate(beams) if surface[row, k] not in (H, V) or float(xyz_m[row, k, 2]) > limit]
+        beams = beams[: ends[0]] if ends else beams
+        codes = [int(surface[row, k]) for k in beams]
+        points = xyz_m[row, beams].astype(np.float64).reshape(-1, 3)
+        ranges = range_m[row, beams].astype(np.float64)
+        distance = horizontal_m[row, beams].astype(np.float64)
+
+        changes = [j for j in range(1, len(beams)) if codes[j - 1 : j + 1] == [H, V]]
+        angles = {j: change_angle(points, j, chord_m, chord_reach) if chord_m > 0 else np.nan for j in changes}
+        angles = {j: float(signed_deg[row, beams[j]]) if np.isnan(angle) else angle for j, angle in angles.items()}
+        first_dividers = [
+            j
+            for j in changes
+            if angles[j] < sudden_from_deg
+            or angles[j] > sudden_to_deg
+            or is_something_under(ranges, j, under_points, under_m)
+        ]
+        last_dividers = [j for j in range(len(beams)) if j + 1 == len(beams) or is_jump(points, j, separation_m)]
+
+        start = 1
+        while dividers := [j for j in first_dividers if j >= start]:
+            t1 = dividers[0]
+            start = len(beams)
+            while t1 < len(beams):
+                t2 = min(j for j in last_dividers if j >= t1)
+                stretches = []
+                for first, last in runs(codes[t1 : t2 + 1], H):
+                    part = slice(t1 + first, t1 + last + 1)
+                    stretch = flat_stretch(distance[part], points[part, 2], flat_length_m, flat_residual_m, flat_slope)
+                    if stretch:
+                        stretches.append((t1 + first + stretch[0], t1 + first + stretch[1]))
+                if stretches:
+                    found.append((row, beams[t1], beams[stretches[0][0]]))
+                    start = stretches[0][1] + 1
+                    break
+                found.append((row, beams[t1], beams[t2]))
+                t1 = t2 + 1
+    return np.array(found, np.int32).reshape(-1, 3)
+
+
+def cut_verticals(
+    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, extent_m: float, break_m: float
+) -> I32:
+    """Take long vertical runs out; see :func:`prc_cli.kernels.sequential_angle.dividers.cut_verticals`."""
+    left: list[tuple[int, int, int]] = []
+    for row, first, last in intervals.tolist():
+        beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
+        codes = [int(surface[row, k]) for k in beams]
+        distance = horizontal_m[row, beams].astype(np.float64)
+        # the same number as far as nothing breaks
+        part = np.cumsum([0] + [abs(b - a) > break_m for a, b in pairwise(distance)])
+        keep = [k <= last for k in beams]
+        vertical = [
+            run
+            for one in set(part.tolist())
+            for run in runs([code if here == one else -1 for code, here in zip(codes, part, strict=True)], V)
+        ]
+        for begin, end in vertical:
+            heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
+            if heights.max() - heights.min() >= extent_m:
+                keep[begin : end + 1] = [False] * (end + 1 - begin)
+        left += [(row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)]
+    return np.array(left, np.int32).reshape(-1, 3)

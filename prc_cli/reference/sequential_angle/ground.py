@@ -1,0 +1,389 @@
+"""Slow and obvious twins of the ground kernels, written from the paper (Stamos et al. 2012, sec. 5).
+
+Every density is computed anew from all samples, every set of points is a list. Tests compare; nothing else uses this.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import groupby
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+
+EIGHTHS = 8
+HORIZONTAL, MISSING = 2, 0
+
+
+def weight(bins_away: int) -> int:
+    """Return the Gaussian kernel, a bin being an eighth of a bandwidth, as a whole number; zero beyond 43 bins."""
+    away = abs(bins_away) / EIGHTHS
+    return round(2**20 * math.exp(-away * away / 2)) if abs(bins_away) <= 43 else 0
+
+
+WEIGHTS = np.array([weight(away) for away in range(-43, 44)])
+
+
+def grid_modes(samples: list[int]) -> list[tuple[float, int]]:
+    """Return place (in bins) and number of samples of every mode of binned samples, rising."""
+    if not samples:
+        return []
+    lowest = min(samples)
+    histogram = np.bincount(np.array(samples) - lowest)
+    density = np.convolve(histogram, WEIGHTS)[43:-43].tolist()
+    # stretches of equal density, and those of them that are higher, or lower, than what is beside them
+    stretches: list[tuple[int, int, int]] = []
+    for value, group in groupby(enumerate(density), key=lambda pair: pair[1]):
+        places = [place for place, _ in group]
+        stretches.append((places[0] + lowest, places[-1] + lowest, value))
+    values = [-1, *(value for _, _, value in stretches), -1]
+    highs = [s for i, s in enumerate(stretches, 1) if values[i - 1] < values[i] > values[i + 1]]
+    floors = [s for i, s in enumerate(stretches, 1) if values[i - 1] > values[i] < values[i + 1]]
+    parts = [min(samples) - 1, *(last for _, last, _ in floors), max(samples)]
+    modes: list[list[tuple[float, int, int]]] = []
+    for (first, last, value), after, up_to in zip(highs, parts[:-1], parts[1:], strict=True):
+        mode = ((first + last) / 2, value, sum(after < sample <= up_to for sample in samples))
+        if modes and mode[0] - modes[-1][-1][0] < EIGHTHS / 2:
+            modes[-1].append(mode)
+        else:
+            modes.append([mode])
+    return [
+        (max(group, key=lambda mode: (mode[1], -mode[0]))[0], sum(count for _, _, count in group)) for group in modes
+    ]
+
+
+def main_mode(modes: list[tuple[float, int]]) -> tuple[float, int]:
+    """Return the mode with most samples, of equals the lowest."""
+    return max(modes, key=lambda mode: (mode[1], -mode[0]))
+
+
+def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
+    """Find modes; see :func:`prc_cli.kernels.sequential_angle.ground.find_modes`."""
+    width = bandwidth / EIGHTHS
+    modes = [mode for mode in grid_modes(np.floor(values / width).astype(int).tolist()) if mode[1] > 0]
+    return (
+        np.array([(place + 0.5) * width for place, _ in modes], dtype=np.float64),
+        np.array([count for _, count in modes], dtype=np.int64),
+    )
+
+
+def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
+    """Find the main mode of heights; see :func:`prc_cli.kernels.sequential_angle.ground.main_height`."""
+    bins = [to_bin(height) for height in heights]
+    return *main_bin(bins, share), np.array(bins, dtype=np.int32), histogram_of(bins)
+
+
+def histogram_of(bins: list[int]) -> I32:
+    """Count bins."""
+    return np.bincount(np.array(bins, dtype=np.int64), minlength=185_000).astype(np.int32)
+
+
+def main_bin(heights: list[int], share: float) -> tuple[int, float]:
+    """Return the number of binned heights in their main mode, and its place [m]."""
+    if not heights:
+        return 0, math.nan
+    median = sorted(heights)[(len(heights) - 1) // 2]
+    width = max(1, math.ceil(share * abs(median + 0.5 - 155_000) / EIGHTHS))
+    place, count = main_mode(grid_modes([height // width for height in heights]))
+    centre = math.floor((place + 0.5) * width)
+    for _ in range(20):
+        moment = mass = 0
+        for height in heights:
+            bins, rest = divmod(abs(height - centre), width)
+            between = (weight(bins) * (width - rest) + weight(bins + 1) * rest) // width
+            moment += between * (height - centre)
+            mass += between
+        shift = moment / mass if mass else 0.0
+        step = math.floor(shift + 0.5)
+        if step == 0:
+            return count, (centre + 0.5 + shift) / 500 - 310
+        centre += step
+    return count, (centre + 0.5) / 500 - 310
+
+
+class Row:
+    """One row, and the rules for potential ground."""
+
+    def __init__(
+        self,
+        surface: U8,
+        xyz: F32,
+        phihat: F32,
+        ahead: I32,
+        n: int,
+        rules: tuple[int, int, int, float, float, float],
+        horizontal: F32,
+        n_fit: int,
+        jump: float,
+        near: int,
+        bridge: int,
+        step: float,
+    ) -> None:
+        self.surface: list[int] = surface[:n].tolist()
+        self.xyz = xyz.astype(np.float64)
+        self.phihat = phihat.astype(np.float64)
+        self.ahead = ahead
+        self.horizontal, self.n_fit, self.jump = horizontal.astype(np.float64), n_fit, jump
+        self.near, self.bridge, self.step = near, bridge, step
+        self.first_run, self.lowest, self.least, self.smallest, self.sigmas, self.noise = rules
+
+    def bandwidth(self, beam: int) -> float:
+        """Return the bandwidth for line angles at a beam [deg]."""
+        here = self.xyz[beam]
+        chord = self.xyz[self.ahead[beam]] - here
+        sine_by_ranges = np.sqrt(np.sum(np.cross(here, chord) ** 2))
+        with np.errstate(all="ignore"):
+            sigma = (
+                57.29577951308232 * 1.4142135623730951 * self.noise * sine_by_ranges
+                / (np.sum(chord**2) * np.sqrt(np.sum(here**2)))
+            )  # fmt: skip
+        b = float(np.fmax(self.smallest, self.sigmas * sigma))
+        return min(b, 180.0)
+
+    def bins(self, beams: list[int], b: float) -> list[int]:
+        """Bin line angles."""
+        last = math.ceil(360.0 * EIGHTHS / self.smallest)
+        angles = [self.phihat[beam] for beam in beams if not np.isnan(self.phihat[beam])]
+        return [min(max(math.floor(angle / (b / EIGHTHS)), 0), last) for angle in angles]
+
+    def sampled(self, beams: list[int]) -> list[int]:
+        """Return the beams that have a line angle."""
+        return [beam for beam in beams if not np.isnan(self.phihat[beam])]
+
+    def valid(self, after: int) -> list[int]:
+        """Return the beams behind one that are not missing."""
+        return [beam for beam, s in enumerate(self.surface) if beam > after and s != MISSING]
+
+    def behind(self, points: list[int], after: int) -> int | None:
+        """Return the next beam of a surface, where there is one; a few that are not horizontal are passed over."""
+        valid = self.valid(after)
+        passed = next((i for i, beam in enumerate(valid) if self.surface[beam] == HORIZONTAL), len(valid))
+        two = valid[passed : passed + 2]
+        if passed == 0:
+            return valid[0] if valid else None
+        if passed > self.bridge or len(two) < 2:
+            return None
+        on_line = all(
+            self.surface[beam] == HORIZONTAL and self.fits(points, beam, self.horizontal, self.n_fit, self.step)
+            for beam in two
+        )
+        return two[0] if on_line else None
+
+    def jumps(self, before: list[int], beam: int) -> bool:
+        """Tell whether a point lies at another height than the points before it."""
+        rise = abs(self.xyz[beam, 2] - self.xyz[before[-1], 2])
+        return bool(rise > self.jump) and not self.fits(before, beam, self.horizontal, self.n_fit, self.jump)
+
+    def potential(self, start: int) -> tuple[list[int], float]:
+        """Return the first potential ground from a beam on and the bandwidth at its end (part a)."""
+        points: list[int] = []
+        last = start - 1
+        while True:
+            beam = self.behind(points, last) if points else None
+            if beam is None:  # a new run
+                later = [k for k in self.valid(last) if self.surface[k] == HORIZONTAL]
+                if not later:
+                    return [], math.nan
+                points, beam = [], later[0]
+            points = [beam] if points and self.jumps(points, beam) else [*points, beam]
+            last = beam
+            if len(points) == self.first_run:
+                found, b = self.one_line(points)
+                if found:
+                    return found, b
+                points = points[1:]
+
+    def one_line(self, points: list[int]) -> tuple[list[int], float]:
+        """Return the points whose line angles have one mode, beginning with the given ones."""
+        first, size, b = True, 0, math.nan
+        while True:
+            sampled = self.sampled(points[:-1])
+            one = len(sampled) >= self.least
+            if one:
+                if size == 0 or len(sampled) >= size + size // 2 + 1:
+                    size = len(sampled)
+                    b = self.bandwidth(sampled[size // 2])
+                modes = grid_modes(self.bins(sampled, b))
+                one = sum(count >= self.least for _, count in modes) == 1
+            if first and not one:
+                return [], b
+            first = False
+            beam = self.behind(points, points[-1])
+            if not one or beam is None or self.jumps(points, beam):
+                return points[:-2], b
+            points = [*points, beam]
+
+    def height(self, beams: list[int]) -> float:
+        """Return the mean of the lowest points."""
+        heights = sorted(float(self.xyz[beam, 2]) for beam in (beams[: self.near] if self.near else beams))
+        heights = heights[: self.lowest]
+        return float(np.cumsum(heights)[-1] / len(heights))
+
+    def mode(self, beams: list[int], b: float) -> float:
+        """Return the main mode of line angles [deg]."""
+        place, _ = main_mode(grid_modes(self.bins(beams, b)))
+        return (place + 0.5) * (b / EIGHTHS)
+
+    def fits(self, beams: list[int], beam: int, horizontal: F64, n_fit: int, guard: float) -> bool:
+        """Tell whether a point lies on the local line."""
+        last = beams[-n_fit:]
+        x, z = horizontal[last], self.xyz[last, 2]
+        mean_x, mean_z = np.cumsum(x)[-1] / len(x), np.cumsum(z)[-1] / len(z)
+        sxx = np.cumsum((x - mean_x) ** 2)[-1]
+        slope = np.cumsum((x - mean_x) * (z - mean_z))[-1] / (sxx + len(x) * guard * guard)
+        return bool(abs(self.xyz[beam, 2] - (mean_z + slope * (horizontal[beam] - mean_x))) <= guard)
+
+    def grown(
+        self, beams: list[int], found: list[int], b: float, horizontal: F64, n_fit: int, guard: float
+    ) -> list[int]:
+        """Add potential ground to the ground so far, and grow it over the horizontal points that follow."""
+        mode = self.mode(found, b)
+        grown = beams + found
+        while (beam := self.behind(grown, grown[-1])) is not None:
+            collinear = np.isnan(self.phihat[beam]) or abs(self.phihat[beam] - mode) <= b
+            if not collinear or not self.fits(grown, beam, horizontal, n_fit, guard):
+                break
+            grown.append(beam)
+        return grown
+
+    def rest(self, after: int) -> list[int]:
+        """Return the labels up to where too many points behind a beam are not horizontal."""
+        behind = self.valid(after)
+        for horizontal, group in groupby(behind, key=lambda beam: self.surface[beam] == HORIZONTAL):
+            beams = list(group)
+            if not horizontal and len(beams) > self.bridge:
+                return self.surface[: beams[0]]
+        return self.surface
+
+
+def is_near(z: float, z_g: float, tolerance: float, tolerance_m: float) -> bool:
+    """Tell whether a height agrees with that of the ground."""
+    return abs(z - z_g) < tolerance * abs(z_g) or abs(z - z_g) < tolerance_m
+
+
+def potential_heights(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    phihat: F32,
+    ahead: I32,
+    n_beams: I32,
+    first_run: int,
+    lowest: int,
+    least: int,
+    smallest: float,
+    sigmas: float,
+    noise: float,
+    n_fit: int,
+    jump: float,
+    near: int,
+    bridge: int,
+    step: float,
+) -> tuple[I32, I32, F64, F64]:
+    """Find potential ground; see :func:`prc_cli.kernels.sequential_angle.ground.potential_heights`."""
+    rules = (first_run, lowest, least, smallest, sigmas, noise)
+    first, last = np.full((2, len(surface)), -1, dtype=np.int32)
+    bandwidth, height = np.full((2, len(surface)), np.nan)
+    for i in range(len(surface)):
+        row = Row(
+            surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump, near, bridge, step
+        )
+        beams, b = row.potential(0)
+        if beams:
+            first[i], last[i] = beams[0], beams[-1]
+            bandwidth[i], height[i] = b, row.height(beams)
+    return first, last, bandwidth, height
+
+
+def ground_rows(
+    surface: U8,
+    xyz: F32,
+    horizontal: F32,
+    phihat: F32,
+    ahead: I32,
+    n_beams: I32,
+    first: I32,
+    last: I32,
+    bandwidth: F64,
+    height: F64,
+    first_run: int,
+    lowest: int,
+    least: int,
+    smallest: float,
+    sigmas: float,
+    noise: float,
+    n_fit: int,
+    jump: float,
+    near: int,
+    bridge: int,
+    step: float,
+    histogram: I32,
+    recent: I32,
+    z_g: float,
+    n_counted: int,
+    n_start: int,
+    n_least: int,
+    memory: int,
+    share: float,
+    count_all: bool,
+    renew_all: bool,
+    tolerance: float,
+    tolerance_m: float,
+    guard: float,
+    resume: bool,
+) -> tuple[Mask, F32, I32, I32, float]:
+    """Verify and grow ground; see :func:`prc_cli.kernels.sequential_angle.ground.ground_rows`."""
+    rules = (first_run, lowest, least, smallest, sigmas, noise)
+    ground = np.zeros(surface.shape, dtype=bool)
+    z_rows = np.full(len(surface), np.nan, dtype=np.float32)
+    heights = (recent if memory else np.repeat(np.arange(len(histogram)), histogram)).tolist()
+    for i in range(len(surface)):
+        row = Row(
+            surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump, near, bridge, step
+        )
+        to_count = i >= n_counted
+        z_row = math.nan
+        accepted = False
+        beams = [k for k in np.flatnonzero(surface[i] == HORIZONTAL).tolist() if first[i] <= k <= last[i]]
+        b, z_i = float(bandwidth[i]), float(height[i])
+        while beams and not accepted:
+            if to_count and len(heights) < n_start:
+                heights = [*heights, to_bin(z_i)][-memory:]
+                to_count = False
+                if len(heights) >= n_least or not math.isnan(z_g):
+                    z_g = main_bin(heights, share)[1]
+            accepted = is_near(z_i, z_g, tolerance, tolerance_m)
+            z_row = z_i if accepted or math.isnan(z_row) else z_row
+            if accepted:
+                ground[i, grown_row(row, beams, b, horizontal[i].astype(np.float64), n_fit, guard, resume)] = True
+            else:
+                beams, b = row.potential(beams[-1] + 1)
+                z_i = row.height(beams) if beams else math.nan
+        if to_count and not math.isnan(z_row) and (accepted or count_all):
+            heights = [*heights, to_bin(z_row)][-memory:]
+            if accepted or renew_all:
+                z_g = main_bin(heights, share)[1]
+        z_rows[i] = z_g
+    return ground, z_rows, histogram_of(heights), np.array(heights if memory else [], dtype=np.int32), z_g
+
+
+def grown_row(row: Row, beams: list[int], b: float, x: F64, n_fit: int, guard: float, resume: bool) -> list[int]:
+    """Grow potential ground, and look for more of it in the rest of its run."""
+    points = row.grown([], beams, b, x, n_fit, guard)
+    row.surface = row.rest(points[-1])
+    more, b = row.potential(points[-1] + 1) if resume else ([], b)
+    while more:
+        start = more[-1] + 1
+        between = [k for k in row.valid(points[-1]) if k < more[0]]
+        whole = all(row.surface[k] == HORIZONTAL for k in between)
+        if row.fits(points, more[0], x, n_fit, guard if whole else min(guard, row.step)):
+            points = row.grown(points, more, b, x, n_fit, guard)
+            start = points[-1] + 1
+        more, b = row.potential(start)
+    return points
+
+
+def to_bin(z: float) -> int:
+    """Return the bin of 2 mm that a height counts in."""
+    return int(np.clip(np.floor((z + 310.0) * 500.0), 0, 184_999))

@@ -1,0 +1,37 @@
+"""Slow twins of :mod:`prc_cli.kernels.sequential_angle.labels`, from whole arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.classes import Label, Surface
+from prc_cli.core.types import F32, I32, U8, Mask
+
+
+def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_m: F32, low_m: F32) -> Mask:
+    """Mark the returns of intervals; see :func:`prc_cli.kernels.sequential_angle.labels.mark_cars`."""
+    inside = np.zeros(surface.shape, np.bool_)
+    for row, first, last in intervals.tolist():
+        inside[row, first : last + 1] = True
+    on_ground = np.logical_and(np.less(xyz_m[..., 2], low_m[:, None]), surface == Surface.HORIZONTAL)
+    near = np.less_equal(horizontal_m, limit_m[:, None])
+    marked: Mask = inside & near & ~on_ground
+    return marked
+
+
+def combine_classes(surface: U8, ground: Mask, car: Mask, horizontal_m: F32, curb: Mask, label_of: U8) -> U8:
+    """Combine layers; see :func:`prc_cli.kernels.sequential_angle.labels.combine_classes`."""
+    labels: U8 = np.take(label_of, surface)
+    labels[ground] = Label.GROUND
+    for row, here in enumerate(curb):
+        nearest = min(horizontal_m[row, here].tolist(), default=np.inf)
+        behind = [bool(distance > nearest) for distance in horizontal_m[row].tolist()]
+        labels[row, np.logical_and(car[row], np.logical_not(behind))] = Label.CAR
+    labels[curb] = Label.CURB
+    return labels
+
+
+def mark_beyond(range_m: F32, labels: U8) -> tuple[U8, int]:
+    """Mark returns beyond the reach; see :func:`prc_cli.kernels.sequential_angle.labels.mark_beyond`."""
+    beyond = np.logical_and(labels == Label.MISSING, ~np.isnan(range_m))
+    return np.where(beyond, np.uint8(Label.UNCLASSIFIED), labels), int(np.count_nonzero(beyond))

@@ -1,0 +1,36 @@
+"""Slow and obvious twin of :mod:`prc_cli.kernels.sequential_angle.suspicious`, from NumPy alone."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from prc_cli.core.types import F64, I32, U8, Mask
+
+STATE = {2: "H", 3: "V", 0: "M"}
+"""State of the chain by surface code; all other codes end it."""
+
+
+def first_triggers(
+    surface: U8, n_beams: I32, increments: F64, threshold: float, closed_gaps_only: bool
+) -> tuple[Mask, I32]:
+    """Find the first trigger of every row; see :func:`prc_cli.kernels.sequential_angle.suspicious.first_triggers`."""
+    beams = []
+    for codes, n in zip(surface, n_beams, strict=True):
+        returns = np.flatnonzero(codes[:n])
+        beams.append(-1)
+        if len(returns) == 0:
+            continue
+        first = int(returns[0])
+        last = int(returns[-1]) if closed_gaps_only else int(n) - 1
+        states = "".join(STATE.get(int(code), "x") for code in codes[first : last + 1]).partition("x")[0]
+        steps = [float(increments["HVM".index(a), "HVM".index(b)]) for a, b in pairwise(states)]
+        total = 0.0
+        for position, step in enumerate(steps, start=1):
+            total = total + step if total + step > 0 else 0.0
+            if total > threshold:
+                beams[-1] = first + position
+                break
+    beam = np.array(beams, np.int32).reshape(len(n_beams))
+    return beam >= 0, beam

@@ -1,0 +1,113 @@
+"""GPS seconds of the week begin again on Saturday at midnight: times that go on where the order is trusted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prc_cli.core.types import F64, Mask
+from prc_cli.formats.records import DerivedSource, RecordChunk
+
+WEEK_S = 604_800.0
+TOLERANCE = 0.01
+"""Share of a week that the step back may differ: pauses, and clocks that are a little off."""
+ADDED, STEPS = "week added", "week steps"
+"""What chunks hold beside their dimensions: where a week was added (n,), and how often a week ended in them (1,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class WeekState:
+    """What the next chunk must know of the times before it."""
+
+    last_s: float = math.nan
+    """Last known time, as stored [s]."""
+    end_s: float | None = None
+    """Time as stored at which the week ended [s]; None = not yet."""
+
+
+def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
+    """Add a week to the times after the first step back of about a week.
+
+    From there on each time is taken to lie within half a week of the end of the week: scanners that share a file
+    and do not change week at the same record stay together.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Times in the order of the input [s]; NaN and infinite stay as they are.
+    state : WeekState
+
+    Returns
+    -------
+    time_s : (n,) float64
+    added : (n,) bool
+        Where a week was added.
+    state : WeekState
+
+    Examples
+    --------
+    >>> unwrap_week(np.array([604799.5, 0.5, 1.5]), WeekState())[0]
+    array([604799.5, 604800.5, 604801.5])
+    """
+    position = np.flatnonzero(np.isfinite(time_s))
+    added: Mask = np.zeros(len(time_s), np.bool_)
+    if not len(position):
+        return time_s, added, state
+    seen = time_s[position]
+    begin = 0
+    if state.end_s is None:
+        before = np.concatenate(([state.last_s], seen[:-1]))
+        with np.errstate(over="ignore"):
+            ends = np.abs(before - seen - WEEK_S) <= TOLERANCE * WEEK_S
+        if not ends.any():
+            return time_s, added, replace(state, last_s=float(seen[-1]))
+        begin = int(np.argmax(ends))
+        state = replace(state, end_s=float(before[begin]))
+    end_s = math.inf if state.end_s is None else state.end_s
+    added[position[begin:]] = seen[begin:] < end_s - WEEK_S / 2
+    return np.where(added, time_s + WEEK_S, time_s), added, replace(state, last_s=float(seen[-1]))
+
+
+class WeekSource(DerivedSource):
+    """A source whose times go on over the end of a week; see :func:`unwrap_week`."""
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode; chunks of a later week hold :data:`ADDED` beside, the one in which it ends :data:`STEPS`."""
+        state = WeekState()
+        for chunk in self.source.chunks(names):
+            if "time" not in names:
+                yield chunk
+                continue
+            had_ended = state.end_s is not None
+            time_s, added, state = unwrap_week(np.asarray(chunk.values["time"], np.float64), state)
+            if state.end_s is None:
+                yield chunk
+                continue
+            values = {**chunk.values, "time": time_s, ADDED: added, STEPS: np.array([0 if had_ended else 1])}
+            yield replace(chunk, values=values)
+
+
+def times_of_trajectory(chunk: RecordChunk, first_s: float) -> F64:
+    """Return the times by which a trajectory is asked, (n,) [s].
+
+    Parameters
+    ----------
+    chunk : RecordChunk
+        From :class:`WeekSource`.
+    first_s : float
+        First time of the trajectory [s]; one that begins later than a time as stored goes on over the week.
+    """
+    time_s = np.asarray(chunk.values["time"], np.float64)
+    added = chunk.values.get(ADDED)
+    if added is None:
+        return time_s
+    stored = np.where(added, time_s - WEEK_S, time_s)
+    return np.where(stored >= first_s, stored, time_s)
+
+
+def week_steps(chunk: RecordChunk) -> int:
+    """Return how many steps back of a week were taken out of a chunk."""
+    return int(chunk.values[STEPS][0]) if STEPS in chunk.values else 0

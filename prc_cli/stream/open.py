@@ -1,0 +1,73 @@
+"""An archive becomes a stream: which format reads the file, and which rules find its lines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from prc_cli.core.files import suffix_of
+from prc_cli.core.stream import ScanStream
+from prc_cli.formats import SCAN_READERS, open_source
+from prc_cli.formats.options import InputConfig, Layout
+
+
+def open_input(
+    path: Path,
+    config: InputConfig,
+    layout: Layout | None = None,
+    *,
+    lines_at_once: int = 1,
+    geometry: bool = True,
+    only_ranges: bool = False,
+) -> ScanStream:
+    """Open an input file as a stream of blocks.
+
+    Parameters
+    ----------
+    path : Path
+        Input file.
+    config : InputConfig
+        How lines, columns and ranges are found.
+    layout : Layout, optional
+        Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
+    lines_at_once : int
+        Lines that are used together: files whose lines are known beforehand are best read in multiples of them.
+    geometry : bool
+        Find the angles of the columns and where down is; who needs nothing but ranges saves reading the first records
+        for them.
+    only_ranges : bool
+        Times and intensities of the shots may be left out of the blocks; coordinates stay.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged or does not hold what the configuration asks for.
+    """
+    source = open_source(path, layout)
+    if layout is not None and config.points_per_line is None and layout.points_per_line is not None:
+        config = config.model_copy(update={"points_per_line": layout.points_per_line})
+    if source is None and (scans := SCAN_READERS.get(suffix_of(path))) is not None:
+        return scans(path, config)
+    if source is None:
+        from prc_cli.formats.arrays.read import ArrayStream
+
+        return ArrayStream(path, config, lines_at_once=lines_at_once)
+    align_chunks = getattr(source, "align_chunks", None)
+    if align_chunks is not None and config.points_per_line is not None:
+        align_chunks(config.points_per_line * lines_at_once)
+    if config.lines == "rings":
+        from prc_cli.stream.rings import open_rings
+
+        rings = open_rings(source, config)
+        return replace(rings, info=replace(rings.info, notes=tuple(getattr(source, "notes", ()))))
+    from prc_cli.stream.elevation import has_lines_by_elevation, tell_elevation, with_elevation
+    from prc_cli.stream.grid import open_grid
+
+    line_rule, by_elevation = config.lines, has_lines_by_elevation(config)
+    if by_elevation:
+        source, config = with_elevation(source, config)
+    line_hz = None if layout is None else layout.line_frequency
+    stream = open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
+    if by_elevation:
+        stream = tell_elevation(stream, line_rule)
+    return replace(stream, info=replace(stream.info, notes=tuple(getattr(source, "notes", ()))))

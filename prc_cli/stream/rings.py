@@ -1,0 +1,415 @@
+"""Frames of scanners with many rings (``input.lines = rings``): x, y, z ring after ring, to vertical lines.
+
+A spinning scanner with one laser a ring writes frames that hold one ring after the other, each over the whole turn,
+without what was not returned. Vertical lines are cells of azimuth, their columns are the rings from low to high.
+The shots of a ring were fired one after the other, so they take one cell each: along every ring the cells rise
+strictly and follow the azimuth as closely as they can (isotonic regression), which keeps neighbours apart where the
+rotation is uneven and leaves cells empty where shots are missing.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.types import F32, F64, I64, Mask
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ranges import clean_ranges
+from prc_cli.formats.records import RecordSource
+from prc_cli.stream.down import wrap
+from prc_cli.stream.ranges import measure_ranges, open_ranges
+
+MAX_RECORDS = 10_000_000
+"""Records of a frame, which is held in memory (about 130 bytes a record at most)."""
+MAX_RINGS = 4096
+"""Rings of a frame; more turns are no rings."""
+MAX_EMPTY = 64
+"""Cells a record at most: finer steps of azimuth make a frame of nothing but missing shots."""
+SPARE_CELLS = 1 << 20
+"""Cells that are always allowed."""
+BLOCK_LINES = 512
+"""Lines of a block."""
+BACKWARD_RAD = math.radians(20.0)
+"""Steps back of up to this are shots out of order; larger ones are the long way round."""
+MAX_RING_ORDER_RAD = math.radians(0.5)
+"""Rings may lie this much against the order of the others."""
+MIN_RING = 0.01
+"""Share of the middle ring that the first and last one must have: less are shots across the border."""
+WINDOW = 64
+"""Neighbours that the step of azimuth is measured over."""
+NEIGHBOUR = 1.5
+"""Steps of less than so many medians are from neighbour to neighbour."""
+DENSEST = 25.0
+"""Percentile of the windows that gives the step: cells must be fine enough where shots are close together."""
+
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class RingStream:
+    """A frame as a :class:`prc_cli.core.stream.ScanStream`; see :func:`open_rings`."""
+
+    info: StreamInfo
+    image: _Image
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Yield the frame, lines in the order of azimuth."""
+        image = self.image
+        n_lines = len(image.range_m)
+        for first in range(0, n_lines, BLOCK_LINES):
+            part = slice(first, min(first + BLOCK_LINES, n_lines))
+            low, high = np.searchsorted(image.extra_line, (part.start, part.stop))
+            mine = slice(int(low), int(high))
+            yield ScanBlock(
+                first_line=first,
+                range_m=image.range_m[part].copy(),
+                record=image.record[part].copy(),
+                xyz_m=image.xyz_m[part].copy(),
+                intensity=None if image.intensity is None else image.intensity[part].copy(),
+                extra=ExtraReturns(
+                    (image.extra_line[mine] - first).astype(np.int32),
+                    image.extra_column[mine].astype(np.int32),
+                    image.extra_range_m[mine],
+                    image.extra_record[mine],
+                ),
+                tally=image.tally if first == 0 else ReadTally(),
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class _Image:
+    """The whole frame."""
+
+    range_m: F32
+    record: I64
+    xyz_m: F32
+    intensity: F32 | None
+    extra_line: I64
+    extra_column: I64
+    extra_range_m: F32
+    extra_record: I64
+    tally: ReadTally
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """Records of a frame that have a direction, in the order of the file."""
+
+    record: I64
+    range_m: F32
+    xyz_m: F32
+    intensity: F32 | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Turns:
+    """Rings of a frame."""
+
+    ring: I64
+    """(n,) int64, from 0 in the order of the file."""
+    along_rad: F64
+    """(n,) float64, azimuth from where rings begin, in the sense of rotation, 0 to a turn [rad]."""
+    cut_rad: float
+    """Azimuth where rings begin [rad]."""
+    way: float
+    """1 = anticlockwise seen from above."""
+
+
+def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
+    """Read a frame whole and bring it into vertical lines.
+
+    Parameters
+    ----------
+    source : RecordSource
+        Records with x, y and z, ring after ring.
+    config : InputConfig
+        ``points_per_line`` = number of rings and ``azimuth_step`` (both found if not given), ``range`` =
+        ``sensor-xyz`` or ``origin:X,Y,Z``, bounds of the ranges.
+
+    Raises
+    ------
+    ConfigError
+        When other keys contradict ``lines = rings``.
+    InputError
+        When the frame is too large, has no coordinates, or its records do not run ring after ring.
+    """
+    _check_rules(config)
+    frame, n_records, tally = _read(source, config)
+    if len(frame.record) < 2:
+        raise InputError(
+            source.path, f"{len(frame.record)} records have a range, too few for rings", "check the layout"
+        )
+    turns = _find_turns(frame, source.path)
+    n_rings, column = _columns(frame, turns, config.points_per_line, source.path)
+    step = math.radians(config.azimuth_step) if config.azimuth_step is not None else _find_step(turns)
+    n_lines = max(round(_TURN / step), 1) if step > 0 else 0
+    if not n_lines or n_lines * n_rings > MAX_EMPTY * n_records + SPARE_CELLS:
+        problem = f"{n_rings} rings of one shot every {math.degrees(step):.3g} deg are far more cells than records"
+        raise InputError(source.path, problem, "give input.azimuth_step")
+    line, in_order = _lines(turns, n_rings, n_lines)
+    image = _fill(frame, line, column, in_order, (n_lines, n_rings), tally)
+    info = StreamInfo(
+        path=source.path,
+        format=source.format,
+        points_per_line=n_rings,
+        n_records=source.n_records if source.n_records is not None else n_records,
+        n_lines=n_lines,
+        assumptions=_assumptions(turns, n_rings, n_lines, config, int(np.count_nonzero(~in_order))),
+    )
+    return RingStream(info, image)
+
+
+def _check_rules(config: InputConfig) -> None:
+    allowed = (
+        ("columns", config.columns in ("auto", "order"), "auto or order"),
+        ("range", config.range in ("auto", "sensor-xyz") or config.range.startswith("origin:"),
+         "sensor-xyz or origin:X,Y,Z"),
+        ("scanner", config.scanner == "none", "none"),
+        ("order", config.order != "sort-time", "require or trust"),
+    )  # fmt: skip
+    for key, is_allowed, expected in allowed:
+        if not is_allowed:
+            problem = f"found {getattr(config, key)!r}, expected {expected} where lines = rings"
+            raise ConfigError(f"input.{key}", problem, "leave the key out")
+
+
+def _read(source: RecordSource, config: InputConfig) -> tuple[_Frame, int, ReadTally]:
+    """Read the records that have a range; count the others."""
+    rule = "sensor-xyz" if config.range == "auto" else config.range
+    ranges = open_ranges(rule, source.dimensions, source.path, config, crs_wkt=None)
+    names = (*ranges.names, *(("intensity",) if "intensity" in source.dimensions else ()))
+    parts: list[_Frame] = []
+    tally, n_records = ReadTally(), 0
+    for chunk in source.chunks(names):
+        n_records += chunk.n
+        if n_records > MAX_RECORDS:
+            problem = f"more than {MAX_RECORDS} records, expected one frame: it is held in memory"
+            raise InputError(source.path, problem, "cut the file into frames")
+        found, xyz = measure_ranges(chunk.values, ranges)
+        range_m, cleaned = clean_ranges(found, config.min_range, config.max_range)
+        tally += cleaned
+        if xyz is None:
+            continue
+        # straight up or down there is no azimuth
+        use = np.isfinite(range_m) & ((xyz[:, 0] != 0) | (xyz[:, 1] != 0))
+        record = chunk.first_record + np.flatnonzero(use) if chunk.record is None else chunk.record[use]
+        intensity = np.asarray(chunk.values["intensity"], np.float32)[use] if "intensity" in names else None
+        parts.append(_Frame(record, range_m[use], xyz[use], intensity))
+    if not parts:
+        raise InputError(source.path, "no records, expected a frame", "copy it from the archive again")
+    frame = _Frame(
+        np.concatenate([part.record for part in parts]),
+        np.concatenate([part.range_m for part in parts]),
+        np.concatenate([part.xyz_m for part in parts]),
+        np.concatenate([part.intensity for part in parts if part.intensity is not None])
+        if parts[0].intensity is not None
+        else None,
+    )
+    tally += ReadTally(n_records=n_records, n_unplaced=n_records - len(frame.record))
+    return frame, n_records, tally
+
+
+def _elevation(frame: _Frame) -> F64:
+    xyz = frame.xyz_m.astype(np.float64)
+    elevation: F64 = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
+    return elevation
+
+
+def _find_turns(frame: _Frame, path: str) -> _Turns:
+    """Find where rings begin: the azimuth that leaves the least spread of elevation within them.
+
+    Raises
+    ------
+    InputError
+        When the records do not turn around the scanner several times.
+    """
+    azimuth = np.arctan2(frame.xyz_m[:, 1].astype(np.float64), frame.xyz_m[:, 0].astype(np.float64))
+    step = wrap(np.diff(azimuth))
+    way = math.copysign(1.0, float(np.sign(step).sum()))
+    step *= way
+    step[step < -BACKWARD_RAD] += _TURN
+    along = way * azimuth[0] + np.concatenate([[0.0], np.cumsum(step)])
+    n_turns = (along[-1] - along[0]) / _TURN
+    if not 1.0 < n_turns < min(MAX_RINGS, len(along) / 2):
+        problem = f"the records turn {n_turns:.1f} times around the scanner, expected ring after ring"
+        raise InputError(path, problem, "check x, y, z and their order, or find lines in another way: --lines")
+    elevation = _elevation(frame)
+    best: tuple[float, _Turns] | None = None
+    for cut in _cuts(along, float(np.median(step[step > 0]))):
+        ring, within = _cut_turns(along - cut)
+        n = np.bincount(ring)
+        total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
+        spread = float((square - total**2 / np.maximum(n, 1)).sum())
+        if best is None or spread < best[0]:
+            best = (spread, _Turns(ring, within, float(wrap(np.array([way * cut]))[0]), way))
+    if best is None:
+        raise InputError(path, "no ring begins", "check x, y, z")
+    return best[1]
+
+
+def _cut_turns(along: F64) -> tuple[I64, F64]:
+    """Return ring and azimuth within it of shots whose rings begin at multiples of a turn."""
+    turn = np.floor(along / _TURN)
+    # shots out of order around the cut belong to the ring that has begun
+    ring: I64 = np.maximum.accumulate(turn - turn[0]).astype(np.int64)
+    within: F64 = np.remainder(along, _TURN)
+    n = np.bincount(ring)
+    few = MIN_RING * float(np.median(n))
+    # the same at both ends of the frame, where there is no ring for them
+    if n[-1] < few:
+        last = ring == len(n) - 1
+        ring[last], within[last] = len(n) - 2, np.nextafter(_TURN, 0)
+    if n[0] < few:
+        within[ring == 0] = 0.0
+        ring = np.maximum(ring - 1, 0)
+    return ring, within
+
+
+def _cuts(along: F64, step: float) -> Iterator[float]:
+    """Yield azimuths where rings may begin, in the sense of rotation: axes, the first shot, gaps."""
+    yield from (0.0, math.pi, math.pi / 2, -math.pi / 2, along[0] - step / 2)
+    n_bins = 360
+    seen = np.bincount((np.remainder(along, _TURN) / _TURN * n_bins).astype(np.int64) % n_bins, minlength=n_bins) > 0
+    empty = np.flatnonzero(~seen)
+    if len(empty):
+        # the middle of the longest gap
+        doubled = np.flatnonzero(np.concatenate([seen, seen]))
+        gap = int(np.argmax(np.diff(doubled)))
+        yield float((doubled[gap] + doubled[gap + 1] + 1) / 2 / n_bins * _TURN)
+
+
+def _columns(frame: _Frame, turns: _Turns, wanted: int | None, path: str) -> tuple[int, I64]:
+    """Return the number of rings, and every record's, counted from the lowest."""
+    n_rings = int(turns.ring[-1]) + 1
+    if wanted is not None and n_rings != wanted:
+        problem = f"found {n_rings} rings, expected {wanted} as input.points_per_line says"
+        raise InputError(path, problem, "leave input.points_per_line out, or check that every ring is there")
+    elevation = _elevation(frame)
+    borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
+    middle = np.array([np.median(elevation[a:b]) for a, b in pairwise(borders)])
+    way = 1 if middle[-1] >= middle[0] else -1
+    back = way * np.diff(middle)
+    if (back < -MAX_RING_ORDER_RAD).any():
+        at = int(np.argmin(back))
+        problem = (
+            f"ring {at + 1} lies at {math.degrees(middle[at + 1]):.2f} deg of elevation after one at "
+            f"{math.degrees(middle[at]):.2f} deg, expected rings from top to bottom or from bottom to top"
+        )
+        raise InputError(path, problem, "check that the file holds one frame, ring after ring")
+    return n_rings, turns.ring if way > 0 else n_rings - 1 - turns.ring
+
+
+def _find_step(turns: _Turns) -> float:
+    """Return the step of azimuth from shot to shot where they are close together [rad]."""
+    step = np.diff(turns.along_rad)
+    step[np.diff(turns.ring) > 0] = np.inf
+    ahead = step[(step > 0) & np.isfinite(step)]
+    if not len(ahead):
+        return 0.0
+    limit = NEIGHBOUR * float(np.median(ahead))
+    near = (step >= 0) & (step < limit)
+    total = np.cumsum(np.concatenate([[0.0], np.where(near, step, 0.0)]))
+    count = np.cumsum(np.concatenate([[0], near]))
+    whole = count[WINDOW:] - count[:-WINDOW] == WINDOW
+    if not whole.any():
+        return float(np.mean(ahead[ahead < limit]))
+    return float(np.percentile((total[WINDOW:] - total[:-WINDOW])[whole] / WINDOW, DENSEST))
+
+
+def _lines(turns: _Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
+    """Return the line of every record, and which of them follow the order of azimuth along their ring."""
+    from scipy.optimize import isotonic_regression  # here: it takes longer to load than a small file to classify
+
+    place = turns.along_rad / _TURN * n_lines
+    line = np.minimum(place.astype(np.int64), n_lines - 1)
+    in_order: Mask = np.ones(len(place), np.bool_)
+    borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
+    for a, b in pairwise(borders):
+        along = place[a:b]
+        if np.any(along[1:] < along[:-1]):
+            in_order[a:b] = _longest_rise(along)
+        own = a + np.flatnonzero(in_order[a:b])
+        # strictly rising cells are a function that does not fall beside the ordinal
+        ordinal = np.arange(len(own))
+        line[own] = np.rint(isotonic_regression(place[own] - 0.5 - ordinal).x).astype(np.int64) + ordinal
+    return np.clip(line, 0, n_lines - 1), in_order
+
+
+def _longest_rise(values: F64) -> Mask:
+    """Mark the longest subsequence that does not fall (patience sorting).
+
+    >>> _longest_rise(np.array([1.0, 2.0, 9.0, 3.0, 3.0])).tolist()
+    [True, True, False, True, True]
+    """
+    tops: list[float] = []
+    at: list[int] = []
+    before = np.full(len(values), -1, np.int64)
+    for i, value in enumerate(values.tolist()):
+        pile = bisect_right(tops, value)
+        if pile == len(tops):
+            tops.append(value)
+            at.append(i)
+        else:
+            tops[pile], at[pile] = value, i
+        before[i] = at[pile - 1] if pile else -1
+    marked: Mask = np.zeros(len(values), np.bool_)
+    i = at[-1] if at else -1
+    while i >= 0:
+        marked[i] = True
+        i = int(before[i])
+    return marked
+
+
+def _fill(frame: _Frame, line: I64, column: I64, in_order: Mask, shape: tuple[int, int], tally: ReadTally) -> _Image:
+    """Bring every record into its cell; those in the order of their ring come first, then the order of the file."""
+    n_cells = shape[0] * shape[1]
+    cell = line * shape[1] + column
+    first = np.concatenate([np.flatnonzero(in_order), np.flatnonzero(~in_order)])
+    _, where = np.unique(cell[first], return_index=True)
+    own = first[where]
+    other = np.setdiff1d(np.arange(len(cell)), own)
+    other = other[np.argsort(line[other], kind="stable")]
+    range_m: F32 = np.full(n_cells, np.nan, np.float32)
+    record: I64 = np.full(n_cells, -1, np.int64)
+    xyz_m: F32 = np.full((n_cells, 3), np.nan, np.float32)
+    range_m[cell[own]], record[cell[own]], xyz_m[cell[own]] = frame.range_m[own], frame.record[own], frame.xyz_m[own]
+    intensity: F32 | None = None
+    if frame.intensity is not None:
+        intensity = np.full(n_cells, np.nan, np.float32)
+        intensity[cell[own]] = frame.intensity[own]
+        intensity = intensity.reshape(shape)
+    return _Image(
+        range_m.reshape(shape),
+        record.reshape(shape),
+        xyz_m.reshape(*shape, 3),
+        intensity,
+        line[other],
+        column[other],
+        frame.range_m[other],
+        frame.record[other],
+        tally + ReadTally(n_collisions=len(other)),
+    )
+
+
+def _assumptions(
+    turns: _Turns, n_rings: int, n_lines: int, config: InputConfig, n_out_of_order: int
+) -> tuple[Assumption, ...]:
+    sense = "anticlockwise" if turns.way > 0 else "clockwise"
+    value = f"rings that begin at azimuth {math.degrees(turns.cut_rad):.2f} deg and turn {sense}"
+    why = f"least spread of elevation within rings; {n_out_of_order} records do not follow the azimuth of their ring"
+    taken = [Assumption("input.lines", value, why)]
+    if config.range == "auto":
+        taken.append(Assumption("input.range", "sensor-xyz", "rings turn around the origin of x, y, z"))
+    if config.points_per_line is None:
+        taken.append(Assumption("input.points_per_line", str(n_rings), "turns of the records around the scanner"))
+    if config.azimuth_step is None:
+        value = f"{360 / n_lines:.4f} deg ({n_lines} lines)"
+        taken.append(Assumption("input.azimuth_step", value, "from shot to shot where they are closest together"))
+    return tuple(taken)

@@ -1,0 +1,369 @@
+"""Range images: shapes, what stands beside the ranges, and every way an array can be wrong."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError, InputError, OrderError, PrcError
+from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
+from prc_cli.formats.arrays.read import ArrayStream
+from prc_cli.formats.options import InputConfig
+from prc_cli.stream.blocks import join
+
+AUTO = InputConfig()
+
+
+def image(n_lines: int = 7, m: int = 5) -> np.ndarray[Any, Any]:
+    ranges = np.random.default_rng(2).uniform(1, 90, (n_lines, m)).astype(np.float32)
+    ranges[1, 2] = np.nan
+    return ranges
+
+
+def config(**keys: Any) -> InputConfig:
+    return InputConfig(**keys)
+
+
+def whole(stream: ScanStream) -> ScanBlock:
+    """The stream as one block; a typed parameter, so that mypy holds ArrayStream to the protocol."""
+    blocks = list(stream.blocks())
+    assert [block.first_line for block in blocks] == list(np.cumsum([0] + [b.n_lines for b in blocks])[:-1])
+    assert all(b.range_m.flags.c_contiguous and b.range_m.dtype == np.float32 for b in blocks)
+    return join(blocks)
+
+
+def save(folder: Path, array: np.ndarray[Any, Any], name: str = "scan.npy") -> Path:
+    path = folder / name
+    np.save(path, array)
+    return path
+
+
+def save_npz(folder: Path, *, compressed: bool = True, **arrays: Any) -> Path:
+    path = folder / "scan.npz"
+    (np.savez_compressed if compressed else np.savez)(path, **arrays)
+    return path
+
+
+def refused(path: Path, given: InputConfig = AUTO) -> str:
+    """The error of opening and reading, always one line, without the folder."""
+    with pytest.raises(PrcError) as caught:
+        whole(ArrayStream(path, given))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message.replace(f"{path.parent}/", "")
+
+
+@pytest.mark.parametrize("chunk", [1, 11, 1 << 19])
+def test_a_plain_image(tmp_path: Path, chunk: int) -> None:
+    stream = ArrayStream(save(tmp_path, image()), AUTO, chunk)
+    info = stream.info
+    assert (info.points_per_line, info.n_records, info.n_lines, info.format) == (5, 35, 7, "array")
+    assert info.angle_rad is None
+    assert info.line_hz is None
+    for _ in range(2):
+        block = whole(stream)
+        np.testing.assert_array_equal(block.range_m, image())
+        assert block.record is None
+        assert block.tally == ReadTally()
+
+
+@pytest.mark.parametrize("dtype", ["<f4", ">f4", "<f8", "f2", ">i2", "u1", "<u8"])
+def test_every_number_type(tmp_path: Path, dtype: str) -> None:
+    given = np.arange(12).reshape(4, 3).astype(dtype)
+    block = whole(ArrayStream(save(tmp_path, given), AUTO))
+    expected = given.astype(np.float32)
+    expected[0, 0] = np.nan
+    np.testing.assert_array_equal(block.range_m, expected)
+    assert block.tally == ReadTally(n_not_positive=1)
+
+
+@pytest.mark.parametrize("chunk", [1, 6, 1 << 19])
+def test_bad_ranges_are_counted_once_whatever_the_chunks(tmp_path: Path, chunk: int) -> None:
+    given = np.array([[1, -1, np.inf], [0, np.nan, 1e300], [200, 0.5, 3]])
+    block = whole(ArrayStream(save(tmp_path, given), config(min_range=1.0, max_range=100.0), chunk))
+    assert block.tally == ReadTally(n_not_finite=2, n_not_positive=2, n_beyond=3)
+    assert np.count_nonzero(~np.isnan(block.range_m)) == 1
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 1 << 19])
+def test_fortran_order_in_a_npy(tmp_path: Path, chunk: int) -> None:
+    path = save(tmp_path, np.asfortranarray(image()))
+    assert b"'fortran_order': True" in path.read_bytes()
+    np.testing.assert_array_equal(whole(ArrayStream(path, AUTO, chunk)).range_m, image())
+
+
+def test_fortran_order_in_an_npz_is_refused(tmp_path: Path) -> None:
+    message = refused(save_npz(tmp_path, range_m=np.asfortranarray(image())))
+    assert message.startswith("scan.npz: range_m: found an array in Fortran order")
+    assert "ascontiguousarray" in message
+
+
+@pytest.mark.parametrize("chunk", [1, 6, 1 << 19])
+@pytest.mark.parametrize("n", [12, 13, 2])
+def test_ranges_in_a_row(tmp_path: Path, chunk: int, n: int) -> None:
+    given = np.arange(1, n + 1, dtype=np.float32)
+    stream = ArrayStream(save(tmp_path, given), config(points_per_line=4, partial_line="pad"), chunk)
+    n_lines = -(-n // 4)
+    assert (stream.info.n_lines, stream.info.n_records) == (n_lines, n)
+    block = whole(stream)
+    np.testing.assert_array_equal(block.range_m.ravel()[:n], given)
+    assert np.isnan(block.range_m.ravel()[n:]).all()
+    padding = [-1] * (4 * n_lines - n)
+    np.testing.assert_array_equal(block.records().ravel(), [*range(n), *padding])
+    assert [a.key for a in stream.info.assumptions].count("input.partial_line") == bool(padding)
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+@pytest.mark.parametrize("chunk", [1, 11, 1 << 19])
+@pytest.mark.parametrize("angles", ["angle_deg", "zenith_deg"])
+def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk: int, angles: str) -> None:
+    rng = np.random.default_rng(5)
+    ranges = image()
+    ranges[0, 0] = -4
+    xyz = rng.normal(size=(7, 5, 3))
+    xyz[3, 3, 1] = 1e300
+    intensity = rng.integers(0, 65535, (7, 5))
+    arrays = {"xyz": xyz, "intensity": intensity, "range_m": ranges, "time_s": 100 + np.arange(7) * 0.02}
+    degrees = np.linspace(-90, 90, 5)
+    path = save_npz(tmp_path, compressed=compressed, **arrays, **{angles: degrees}, note=np.array("x"))
+    stream = ArrayStream(path, AUTO, chunk)
+    assert stream.info.angle_rad is not None
+    np.testing.assert_array_equal(stream.info.angle_rad, np.deg2rad(degrees))
+    # a chunk of one line does not show how far lines are apart
+    assert stream.info.line_hz == (pytest.approx(50) if chunk > 9 else None)
+    assert any(a.value == "not read: note" for a in stream.info.assumptions)
+    block = whole(stream)
+    expected = ranges.copy()
+    expected[0, 0] = np.nan
+    np.testing.assert_array_equal(block.range_m, expected)
+    assert block.time_s is not None
+    np.testing.assert_array_equal(block.time_s, np.repeat(arrays["time_s"][:, None], 5, axis=1))
+    assert block.xyz_m is not None
+    gone = np.isnan(expected)[:, :, None] | (np.abs(xyz) > 1e30)
+    np.testing.assert_array_equal(block.xyz_m, np.where(gone, np.nan, xyz.clip(-9, 9)).astype(np.float32))
+    assert block.intensity is not None
+    np.testing.assert_array_equal(block.intensity, intensity.astype(np.float32))
+
+
+def test_the_only_image_is_taken_whatever_its_name(tmp_path: Path) -> None:
+    stream = ArrayStream(save_npz(tmp_path, depth=image(), angle_deg=np.arange(5.0)), AUTO)
+    assert stream.info.assumptions[0].value == "depth"
+    assert "only array of two dimensions" in stream.info.assumptions[0].why
+    named = ArrayStream(save_npz(tmp_path, a=image(), b=image() + 1), config(range="dimension:b"))
+    np.testing.assert_array_equal(whole(named).range_m, image() + 1)
+
+
+def test_angles_from_the_configuration(tmp_path: Path) -> None:
+    path = save_npz(tmp_path, range_m=image(), angle_deg=np.zeros(5))
+    stream = ArrayStream(path, config(angle_start=10, angle_step=-2))
+    assert stream.info.angle_rad is not None
+    np.testing.assert_allclose(np.rad2deg(stream.info.angle_rad), [10, 8, 6, 4, 2])
+    assert any(a.value == "not read: angle_deg" for a in stream.info.assumptions)
+    with pytest.raises(ConfigError, match="input.angle_start: not given, expected angle_start and angle_step together"):
+        ArrayStream(path, config(angle_step=1))
+
+
+def test_times_that_go_back(tmp_path: Path) -> None:
+    path = save_npz(tmp_path, range_m=image(), time_s=np.array([0, 1, 2, 1.5, 3, 2.9, 4]))
+    with pytest.raises(OrderError, match="time_s"):
+        whole(ArrayStream(path, AUTO))
+    trusted = whole(ArrayStream(path, config(order="trust"), 10))
+    assert trusted.tally == ReadTally(n_time_steps_back=2)
+
+
+def test_the_refusal_of_an_image_does_not_advise_what_it_refuses(tmp_path: Path) -> None:
+    path = save_npz(tmp_path, range_m=image(3), time_s=np.array([3.0, 2.0, 1.0]))
+    message = refused(path)
+    assert "time_s decreases in 100.0 % of 2 steps" in message
+    assert "--trust-order" in message
+    assert "sort-by-time" not in message
+
+
+@pytest.mark.parametrize("times", [[1e300, -1.7e308, 1.7e308], [0.0, 5e-324, 1e-323], [-1.7e308, 1.7e308, 1e300]])
+def test_times_as_large_or_close_as_floats_can_be(tmp_path: Path, times: list[float]) -> None:
+    path = save_npz(tmp_path, range_m=image(3), time_s=np.array(times))
+    stream = ArrayStream(path, config(order="trust"))
+    assert stream.info.line_hz is None or 0 < stream.info.line_hz < np.inf
+    np.testing.assert_array_equal(whole(stream).time_s[:, 0], times)  # type: ignore[index]
+
+
+def test_a_time_for_every_shot(tmp_path: Path) -> None:
+    times = np.arange(35.0).reshape(7, 5)
+    stream = ArrayStream(save_npz(tmp_path, range_m=image(), time_s=times), AUTO)
+    np.testing.assert_array_equal(whole(stream).time_s, times)
+    assert stream.info.line_hz == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("array", "found"),
+    [
+        (np.ones((2, 3), complex), "scan.npy: found an array of complex numbers, expected floats or integers"),
+        (np.array([["a", "b"]]), "found an array of text, expected floats or integers"),
+        (np.array([[None, 1]], object), "found an array of Python objects, expected floats or integers"),
+        (np.ones((2, 3), bool), "found an array of true/false values, expected floats or integers"),
+        (np.zeros((2, 3), [("range", "f4"), ("t", "f8")]), "found an array of records with the fields range, t"),
+        (np.ones((2, 3, 4)), "found ranges of shape (2, 3, 4), expected (lines, points per line)"),
+        (np.float32(3), "found ranges of shape (), expected (lines, points per line)"),
+        (np.ones((0, 3)), "no shots, found shape (0, 3)"),
+        (np.ones((3, 0)), "no shots, found shape (3, 0)"),
+        (np.ones(6), "found 6 ranges in a row, expected (lines, points per line); set input.points_per_line"),
+    ],
+)
+def test_arrays_that_are_no_range_image(tmp_path: Path, array: Any, found: str) -> None:
+    assert found in refused(save(tmp_path, array))
+    name = "range_m"
+    assert found.removeprefix("scan.npy: ") in refused(save_npz(tmp_path, **{name: array}))
+
+
+def test_points_per_line_must_fit(tmp_path: Path) -> None:
+    path = save(tmp_path, np.ones(13, np.float32))
+    found = refused(path, config(points_per_line=4))
+    assert "13 ranges are 3 lines of 4 and 1 more, expected whole lines; check input.points_per_line" in found
+    found = refused(save(tmp_path, image()), config(points_per_line=7))
+    assert "found 5 points per line, expected 7 as input.points_per_line says" in found
+
+
+@pytest.mark.parametrize(
+    ("beside", "found"),
+    [
+        ({"angle_deg": np.zeros(4)}, "angle_deg: found shape (4,), expected (5,), one angle a column"),
+        ({"angle_deg": np.array([0, 1, np.nan, 3, 4])}, "angle_deg: column 2: found nan, expected an angle in degrees"),
+        ({"angle_deg": np.array(["a"] * 5)}, "angle_deg: found an array of text"),
+        ({"time_s": np.zeros(6)}, "time_s: found shape (6,), expected (7,) or (7, 5), as the ranges have it"),
+        ({"xyz": np.zeros((7, 5, 2))}, "xyz: found shape (7, 5, 2), expected (7, 5, 3), as the ranges have it"),
+        ({"intensity": np.zeros((5, 7))}, "intensity: found shape (5, 7), expected (7, 5), as the ranges have it"),
+        ({"intensity": np.zeros((7, 5), object)}, "intensity: found an array of Python objects"),
+    ],
+)
+def test_arrays_that_do_not_fit_the_ranges(tmp_path: Path, beside: dict[str, Any], found: str) -> None:
+    assert refused(save_npz(tmp_path, range_m=image(), **beside)).startswith(f"scan.npz: {found}")
+
+
+def test_an_archive_without_one_image(tmp_path: Path) -> None:
+    found = refused(save_npz(tmp_path, a=image(), b=image()))
+    assert "no array 'range_m' and not just one of two dimensions, the file has: a (7, 5), b (7, 5)" in found
+    found = refused(save_npz(tmp_path, a=image()), config(range="dimension:c"))
+    assert "no array 'c', the file has: a (7, 5)" in found
+    found = refused(save_npz(tmp_path, range_m=np.ones(6), line=np.ones(6)), config(points_per_line=3))
+    assert "6 records with the array 'line' beside them, expected an image of every shot" in found
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"lines": "angle-wrap"},
+        {"columns": "angle"},
+        {"scanner": "user_data"},
+        {"order": "sort-time"},
+        {"range": "sensor-xyz"},
+        {"range": "dimension:range"},
+    ],
+)
+def test_rules_that_an_image_cannot_follow(tmp_path: Path, keys: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=f"input.{next(iter(keys))}: found .* scan.npy is a range image; leave"):
+        ArrayStream(save(tmp_path, image()), config(**keys))
+
+
+# --- damaged files
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda raw: b"", "scan.npy: no npy header (EOF: reading magic string"),
+        (lambda raw: b"PK\3\4" + raw, "no npy header (the magic string is not correct"),
+        (lambda raw: raw[:50], "no npy header (EOF: reading array header"),
+        (lambda raw: raw[:-3], "found 137 bytes of numbers, expected 140 for shape (7, 5)"),
+        (lambda raw: raw + b"\0", "found 141 bytes of numbers, expected 140 for shape (7, 5)"),
+        (lambda raw: raw.replace(b"(7, 5)", b"(-7,5)"), "found shape (-7, 5), expected no negative size"),
+        (lambda raw: raw.replace(b"(7, 5), }", b"(99999999999, 99999999999), }", 1), "scan.npy: "),
+        (lambda raw: raw.replace(b"'<f4'", b"'<q9'"), "no npy header (descr is not a valid dtype descriptor"),
+        (lambda raw: raw.replace(b"'<f4'", b"import"), "no npy header ("),
+        (lambda raw: raw.replace(b"'<f4'", b"(((((").replace(b"}", b"\xbe"), "no npy header ("),
+        (lambda raw: raw[:6] + b"\3\0" + raw[8:], "found npy format 3.0, expected 1.0 or 2.0"),
+    ],
+)
+def test_damaged_npy(tmp_path: Path, change: Any, found: str) -> None:
+    path = save(tmp_path, image())
+    path.write_bytes(change(path.read_bytes()))
+    assert found in refused(path)
+
+
+def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
+    path = save(tmp_path, np.ones((40_000, 5), np.float32))
+    blocks = ArrayStream(path, AUTO, 5000).blocks()
+    next(blocks)
+    path.write_bytes(path.read_bytes()[:-100_000])
+    with pytest.raises(InputError, match=r"the numbers end in row 35000, expected 40000 rows"):
+        list(blocks)
+
+
+def test_a_file_that_changes_between_opening_and_reading(tmp_path: Path) -> None:
+    path = save(tmp_path, image())
+    stream = ArrayStream(path, AUTO)
+    save(tmp_path, image(8))
+    with pytest.raises(InputError, match="the array has changed since the file was opened"):
+        whole(stream)
+
+
+def big_npz(folder: Path, compressed: bool) -> bytes:
+    rng = np.random.default_rng(1)
+    return save_npz(
+        folder, compressed=compressed, range_m=rng.uniform(1, 9, (5000, 40)).astype(np.float32)
+    ).read_bytes()
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_damaged_archives(tmp_path: Path, compressed: bool) -> None:
+    raw = big_npz(tmp_path, compressed)
+    path = tmp_path / "scan.npz"
+    for broken in (raw[: len(raw) // 2], b"", b"1,2,3\n", raw[:-10]):
+        path.write_bytes(broken)
+        assert refused(path).startswith("scan.npz: not a whole npz archive, which is a zip file (")
+    flipped = bytearray(raw)
+    flipped[len(raw) // 2] ^= 0xFF
+    path.write_bytes(flipped)
+    assert refused(path).startswith("scan.npz: range_m: ")
+
+
+def test_an_archive_whose_member_does_not_hold_what_its_header_says(tmp_path: Path) -> None:
+    content = io.BytesIO()
+    np.save(content, image())
+    for change, found in (
+        (content.getvalue()[:-4], "range_m: found 136 bytes of numbers, expected 140 for shape (7, 5)"),
+        (content.getvalue() + b"1", "range_m: found 141 bytes of numbers, expected 140"),
+        (b"text", "range_m: no npy header (EOF: reading magic string"),
+    ):
+        with zipfile.ZipFile(tmp_path / "scan.npz", "w") as archive:
+            archive.writestr("range_m.npy", change)
+        assert found in refused(tmp_path / "scan.npz")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_compression_that_numpy_does_not_write(tmp_path: Path, method: int) -> None:
+    content = io.BytesIO()
+    np.save(content, image())
+    with zipfile.ZipFile(tmp_path / "scan.npz", "w", method) as archive:
+        archive.writestr("range_m.npy", content.getvalue())
+    assert "range_m: found compression method" in refused(tmp_path / "scan.npz")
+
+
+def test_an_absent_file(tmp_path: Path) -> None:
+    assert "cannot be read (No such file" in refused(tmp_path / "absent.npy")
+    assert "cannot be read (No such file" in refused(tmp_path / "absent.npz")
+
+
+@pytest.mark.data
+def test_a_real_scan(real_data: Path) -> None:
+    path = real_data / "forest" / "tls_park.npz"
+    stream = ArrayStream(path, AUTO)
+    assert (stream.info.n_lines, stream.info.points_per_line) == (581, 2089)
+    with np.load(path) as arrays:
+        np.testing.assert_array_equal(whole(stream).range_m, arrays["range_m"])
+        assert stream.info.angle_rad is not None
+        np.testing.assert_allclose(np.rad2deg(stream.info.angle_rad), arrays["zenith_deg"], rtol=1e-6)

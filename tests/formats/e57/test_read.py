@@ -1,0 +1,443 @@
+"""E57: cells by their indices in any order, poses, states, returns, and damaged files that must not crash."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.stream import ReadTally
+from prc_cli.formats.e57 import check as e57_check
+from prc_cli.formats.e57 import file as e57_file
+from prc_cli.formats.e57 import read as e57
+from prc_cli.formats.e57.read import E57Stream
+from prc_cli.formats.options import InputConfig
+from prc_cli.jobs.classify import classify
+from prc_cli.stream.open import open_input
+from tests.formats.organised_files import (
+    Array,
+    Scan,
+    e57_fields,
+    grid_points,
+    reordered,
+    replace_xml,
+    turn_x,
+    with_checksums,
+    write_e57,
+    xml_section,
+)
+from tests.formats.test_ptx import equal, expected, scans_of
+from tests.patience import HANGS_S
+
+AUTO = InputConfig()
+
+
+def refused(path: Path, given: InputConfig = AUTO) -> str:
+    """The error of opening and reading, always one line, without the folder."""
+    with pytest.raises(PrcError) as caught:
+        scans_of(E57Stream(path, given))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message.replace(f"{path.parent}/", "")
+
+
+def row_major(points: Array) -> Array:
+    """Order of the points that are there, rows outermost."""
+    there = points[..., :3].any(axis=-1)
+    fields = e57_fields(points)
+    order: Array = np.lexsort((fields["columnIndex"], fields["rowIndex"]))
+    assert len(order) == there.sum()
+    return order
+
+
+def orders(points: Array) -> dict[str, Array]:
+    n = int(points[..., :3].any(axis=-1).sum())
+    mixed = np.random.default_rng(5).permutation(n)
+    columns = e57_fields(points)["columnIndex"]
+    return {
+        "column by column": np.arange(n),
+        "row by row": row_major(points),
+        "no order": mixed,
+        "rows of a column in no order": mixed[np.argsort(columns[mixed], kind="stable")],
+        "backwards": np.arange(n)[::-1],
+    }
+
+
+def test_any_order_gives_the_same_lines(tmp_path: Path) -> None:
+    points = grid_points(9, 7)
+    ranges, xyz = expected(points)
+    for name, order in orders(points).items():
+        fields = reordered(e57_fields(points), order)
+        stream = open_input(write_e57(tmp_path / "a.E57", [Scan(fields)]), AUTO)
+        (block,) = scans_of(stream)
+        assert (stream.info.format, stream.info.n_lines, stream.info.points_per_line) == ("E57", 9, 7)
+        assert equal(block.range_m, ranges), name
+        assert block.xyz_m is not None
+        assert equal(block.xyz_m, xyz)
+        record = np.full((9, 7), -1)
+        record[fields["columnIndex"], fields["rowIndex"]] = np.arange(len(order))
+        assert equal(block.record, record), name
+        assert equal(block.intensity, np.where(np.isnan(ranges), np.nan, points[..., 3].astype(np.float32)))
+        assert block.tally == ReadTally(n_records=len(order))
+        on_disk = any("put in order on disk" in item.why for item in stream.info.assumptions)
+        assert on_disk != (name in ("column by column", "rows of a column in no order"))
+
+
+@pytest.mark.parametrize("shots", [1, 20, 70])
+@pytest.mark.parametrize("chunk", [3, 17])
+def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, chunk: int) -> None:
+    points, other = grid_points(9, 7), grid_points(4, 12, 2)
+    fields = [reordered(e57_fields(points), order) for order in orders(points).values()]
+    scans = [Scan(item, rotation=(0.8, 0.6, 0, 0)) for item in (*fields, e57_fields(other))]
+    path = write_e57(tmp_path / "a.e57", scans)
+    whole = scans_of(E57Stream(path, AUTO))
+    monkeypatch.setattr("prc_cli.formats.organised.CHUNK_SHOTS", shots)
+    monkeypatch.setattr(e57_file, "CHUNK_POINTS", chunk)
+    for block, one in zip(scans_of(E57Stream(path, AUTO)), whole, strict=True):
+        assert equal(block.range_m, one.range_m)
+        assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
+        assert equal(block.record, one.record)  # type: ignore[arg-type]
+        assert block.tally == one.tally
+
+
+def test_several_scans_with_their_own_sizes_poses_and_offsets(tmp_path: Path) -> None:
+    first, second = grid_points(5, 4), grid_points(3, 11, 2)
+    half = np.deg2rad(75 / 2)
+    path = write_e57(
+        tmp_path / "a.e57",
+        [
+            Scan(e57_fields(first), rotation=(1, 0, 0, 0), translation=(5e5, 6e6, 80.0)),
+            Scan(e57_fields(second, 100, 3000), rotation=(np.cos(half), np.sin(half), 0, 0)),
+        ],
+    )
+    stream = E57Stream(path, AUTO)
+    one, two = scans_of(stream)
+    assert equal(one.xyz_m, expected(first)[1])  # type: ignore[arg-type]
+    assert equal(two.range_m, expected(second)[0])
+    np.testing.assert_allclose(two.xyz_m, expected(second)[1] @ turn_x(75).T, atol=1e-4)  # type: ignore[arg-type]
+    n_first = len(e57_fields(first)["rowIndex"])
+    assert two.records().max() == stream.info.n_records - 1  # type: ignore[operator]
+    assert two.records()[two.records() >= 0].min() == n_first
+    assert stream.info.points_per_line == 11
+
+
+def test_bounds_of_the_header_add_missing_cells_if_they_fit(tmp_path: Path) -> None:
+    points = grid_points(5, 4, missing=0)
+    ranges = expected(points)[0]
+    path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(points, 2, 1), bounds=(0, 7, 0, 6))])
+    (block,) = scans_of(E57Stream(path, AUTO))
+    assert block.range_m.shape == (7, 8)
+    assert equal(block.range_m[1:6, 2:6], ranges)
+    assert np.isfinite(block.range_m).sum() == 20
+    for wrong in ((0, 3, 0, 4), (0, 2**60, 0, 7), (0, 9_000_000, 0, 9_000_000), (9, 3, 9, 2)):
+        stream = E57Stream(write_e57(tmp_path / "b.e57", [Scan(e57_fields(points, 2, 1), bounds=wrong)]), AUTO)
+        (block,) = scans_of(stream)
+        assert equal(block.range_m, ranges)
+        assert "index bounds do not fit" in stream.info.notes[0]
+
+
+def test_points_marked_invalid_at_the_origin_or_not_finite_are_missing(tmp_path: Path) -> None:
+    points = grid_points(2, 5, missing=0)
+    fields = e57_fields(points)
+    fields["cartesianInvalidState"] = np.array([0, 1, 2, 0, 0, 0, 0, 0, 0, 0])
+    for name in ("cartesianX", "cartesianY", "cartesianZ"):
+        fields[name][3] = 0.0
+    fields["cartesianX"][4:7] = (np.nan, np.inf, 1e300)
+    (block,) = scans_of(E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), InputConfig(min_range=0.5)))
+    ranges = expected(points)[0].ravel()
+    ranges[1:7] = np.nan
+    assert equal(block.range_m.ravel(), ranges)
+    assert block.xyz_m is not None
+    assert np.isnan(block.xyz_m.reshape(-1, 3)[1:7]).all()
+    assert block.records().ravel().tolist() == list(range(10))
+    assert block.tally.n_not_finite == 2
+
+
+def test_spherical_points(tmp_path: Path) -> None:
+    points = grid_points(6, 5)
+    fields = e57_fields(points)
+    x, y, z = (fields.pop(name) for name in ("cartesianX", "cartesianY", "cartesianZ"))
+    fields["sphericalRange"] = np.sqrt(x**2 + y**2 + z**2)
+    fields["sphericalAzimuth"] = np.arctan2(y, x)
+    fields["sphericalElevation"] = np.arctan2(z, np.hypot(x, y))
+    fields["sphericalInvalidState"] = (np.arange(len(x)) == 2).astype(int)
+    fields["sphericalAzimuth"][4] = np.nan
+    (block,) = scans_of(E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), AUTO))
+    ranges, xyz = expected(points)
+    for lost in (2, 4):
+        ranges[fields["columnIndex"][lost], fields["rowIndex"][lost]] = np.nan
+    assert equal(block.range_m, ranges)
+    xyz[np.isnan(ranges)] = np.nan
+    np.testing.assert_allclose(block.xyz_m, xyz, atol=1e-5)  # type: ignore[arg-type]
+
+
+def test_scaled_coordinates_and_intensity_limits(tmp_path: Path) -> None:
+    points = grid_points(6, 5)
+    fields = e57_fields(points)
+    fields["intensity"] = fields["intensity"] * 40 - 20
+    scan = Scan(fields, scaled=dict.fromkeys(("cartesianX", "cartesianY", "cartesianZ"), 1e-4), limits=(-20.0, 20.0))
+    stream = E57Stream(write_e57(tmp_path / "a.e57", [scan]), AUTO)
+    (block,) = scans_of(stream)
+    np.testing.assert_allclose(block.range_m, expected(points)[0], atol=2e-4)
+    full = np.where(np.isnan(expected(points)[0]), np.nan, points[..., 3] * 65535)
+    np.testing.assert_allclose(block.intensity, full, atol=0.02)  # type: ignore[arg-type]
+    assert any("0 to 65535" in item.value for item in stream.info.assumptions)
+
+
+@pytest.mark.parametrize(("rule", "chosen"), [("first", 1), ("last", 2), ("strongest", 0)])
+def test_several_points_of_a_cell_are_returns_of_a_shot(tmp_path: Path, rule: Any, chosen: int) -> None:
+    fields = {
+        "cartesianX": np.array([5.0, 4.0, 9.0, 3.0]),
+        "cartesianY": np.zeros(4),
+        "cartesianZ": np.zeros(4),
+        "intensity": np.array([0.9, 0.1, 0.2, 0.3]),
+        "rowIndex": np.array([1, 1, 1, 0]),
+        "columnIndex": np.array([0, 0, 0, 1]),
+        "returnIndex": np.array([1, 0, 2, 0]),
+    }
+    (block,) = scans_of(E57Stream(write_e57(tmp_path / "a.e57", [Scan(fields)]), InputConfig(**{"return": rule})))
+    assert block.records().tolist() == [[-1, chosen], [3, -1]]
+    assert sorted(block.extra.record.tolist()) == sorted({0, 1, 2} - {chosen})
+    assert block.extra.column.tolist() == [1, 1]
+    assert block.extra.line.tolist() == [0, 0]
+    assert (block.tally.n_extra_returns, block.tally.n_collisions) == (2, 0)
+    del fields["returnIndex"]
+    (block,) = scans_of(E57Stream(write_e57(tmp_path / "b.e57", [Scan(fields)]), AUTO))
+    assert (block.tally.n_extra_returns, block.tally.n_collisions) == (0, 2)
+
+
+def test_scans_without_points_are_left_out_and_told(tmp_path: Path) -> None:
+    empty = Scan(reordered(e57_fields(grid_points(2, 2)), np.arange(0)))
+    stream = E57Stream(write_e57(tmp_path / "a.e57", [empty, Scan(e57_fields(grid_points(3, 3)))]), AUTO)
+    (block,) = scans_of(stream)
+    assert block.scanner == 1
+    assert "left out: 0" in stream.info.notes[0]
+    assert "1 scan without points" in refused(write_e57(tmp_path / "b.e57", [empty]))
+    assert "found no scans" in refused(write_e57(tmp_path / "c.e57", []))
+
+
+def without(*names: str, **other: Array) -> dict[str, Array]:
+    fields = e57_fields(grid_points(3, 3, missing=0))
+    return {**{name: values for name, values in fields.items() if name not in names}, **other}
+
+
+@pytest.mark.parametrize(
+    ("scan", "parts"),
+    {
+        "no indices": (Scan(without("rowIndex", "columnIndex")), ("scan 0", "no rowIndex and no columnIndex")),
+        "no column": (Scan(without("columnIndex")), ("no columnIndex", "not organised")),
+        "no coordinates": (Scan(without("cartesianX")), ("expected cartesianX",)),
+        "half an index": (Scan(without(rowIndex=np.arange(9) / 2)), ("rowIndex from 0 to 4", "whole numbers")),
+        "no index": (Scan(without(rowIndex=np.full(9, np.nan))), ("rowIndex from nan", "whole numbers")),
+        "huge rows": (Scan(without(rowIndex=np.arange(9) * 10**14)), ("rowIndex from 0 to 8", "at most 10000000")),
+        "huge columns": (Scan(without(columnIndex=np.arange(9) * 10**8)), ("columnIndex from 0 to 8", "at most")),
+        "huge scan": (
+            Scan(without(columnIndex=np.arange(9) * 10**6, rowIndex=np.arange(9) * 10**6)),
+            ("found 9 points in 8000001 columns x 8000001 rows", "denser"),
+        ),
+        "crowded cells": (
+            Scan({name: np.repeat(values, 50)[:430] for name, values in without(rowIndex=np.zeros(9, int)).items()}),
+            ("found 150 points in column 0", "1 rows"),
+        ),
+        "no rotation": (Scan(without(), rotation=(0, 0, 0, 0)), ("scan 0", "quaternion")),
+        "rotation too long": (Scan(without(), rotation=(1e200, 0, 0, 0)), ("quaternion",)),
+    }.values(),
+)  # fmt: skip
+def test_scans_that_are_no_images_are_refused(tmp_path: Path, scan: Scan, parts: tuple[str, ...]) -> None:
+    message = refused(write_e57(tmp_path / "a.e57", [scan]))
+    for part in parts:
+        assert part in message
+
+
+@pytest.fixture(scope="module")
+def raw(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A file of two scans, one in order and one not."""
+    first, second = e57_fields(grid_points(9, 7)), e57_fields(grid_points(20, 15, 2), 5, 7)
+    first["cartesianInvalidState"] = np.zeros(len(first["rowIndex"]), int)
+    mixed = np.random.default_rng(0).permutation(len(second["rowIndex"]))
+    scans = [
+        Scan(first, rotation=(1, 0, 0, 0), bounds=(0, 6, 0, 8), limits=(0.0, 1.0)),
+        Scan(reordered(second, mixed), scaled={"cartesianX": 1e-4}),
+    ]
+    return write_e57(tmp_path_factory.mktemp("e57") / "a.e57", scans).read_bytes()
+
+
+def put(folder: Path, data: bytes) -> Path:
+    path = folder / "a.e57"
+    path.write_bytes(data)
+    return path
+
+
+def test_frames_that_are_damaged(tmp_path: Path, raw: bytes) -> None:
+    start, length = xml_section(raw)
+    header = bytearray(raw)
+
+    def changed(form: str, at: int, *values: int) -> bytes:
+        made = bytearray(header)
+        struct.pack_into(form, made, at, *values)
+        return with_checksums(bytes(made))
+
+    cases = {
+        b"LASF" + raw[4:]: "expected the signature b'ASTM-E57'",
+        raw[:20]: "ends after 20 bytes",
+        raw[:3000]: "3000 bytes, its header says",
+        raw + b"\0" * 1024: "its header says",
+        changed("<I", 8, 2): "found E57 version 2.0",
+        changed("<Q", 40, 2048): "pages of 2048 bytes",
+        changed("<Q", 24, 2**63): "XML section",
+        changed("<Q", 24, 0): "XML section",
+        changed("<Q", 32, 2**62): "XML section of",
+        changed("<Q", 32, 0): "XML section of 0 bytes",
+        changed("<Q", 32, length - 9): "XML section is damaged",
+        raw[: start + 5] + b"\0" + raw[start + 6 :]: "damaged",
+        raw[:100] + b"\xff" + raw[101:]: "checksum mismatch",
+        replace_xml(raw, b'recordCount="', b'recordCount="1'): "found",
+        replace_xml(raw, b'recordCount="', b'recordCount="100000000'): "expected a bit a point",
+        replace_xml(raw, b"data3D", b"data4D"): "found no scans",
+        replace_xml(raw, b"points", b"pointz"): "scan 0: the E57 structure is damaged",
+        replace_xml(raw, b"<e57Root", b"<!DOCTYPE a [<!ENTITY b 'c'>]><e57Root"): "a document type declaration",
+        replace_xml(raw, b"</data3D>", b"<a>" * 70 + b"</a>" * 70 + b"</data3D>"): "64",
+        replace_xml(raw, b"UTF-8", b"UTF-7"): "the encoding 'UTF-7', expected UTF-8",
+    }
+    for data, part in cases.items():
+        assert part in refused(put(tmp_path, data))
+
+
+def test_large_xml_sections_are_refused(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(e57_check, "MAX_ELEMENTS", 30)
+    assert "more than 30 elements" in refused(put(tmp_path, raw))
+    monkeypatch.setattr(e57_check, "MAX_XML_BYTES", 1000)
+    assert "expected at most 1000" in refused(put(tmp_path, raw))
+
+
+def test_pye57_that_is_not_installed_is_named(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pye57", None)
+    message = refused(put(tmp_path, raw))
+    assert message == "a.e57: reading E57 needs pye57, which is not installed; pip install prc-cli[e57]"
+
+
+def test_a_file_that_changes_while_it_is_read_is_an_error(tmp_path: Path) -> None:
+    path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(grid_points(5, 4, missing=0)))])
+    stream = E57Stream(path, AUTO)
+    for other in (grid_points(5, 9, missing=0), grid_points(2, 2, missing=0), grid_points(4, 5, missing=0)):
+        write_e57(path, [Scan(e57_fields(other))])
+        with pytest.raises(PrcError):
+            scans_of(stream)
+
+
+def test_a_temporary_file_that_cannot_be_made_is_told(
+    tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(**_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(e57.tempfile, "TemporaryFile", full)
+    assert "No space left" in refused(put(tmp_path, raw))
+
+
+_CHILD = """
+import resource, sys
+from pathlib import Path
+resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+from prc_cli.core.errors import PrcError
+from prc_cli.readers import open_input
+from prc_cli.formats.options import InputConfig
+for name in sys.stdin.read().split():
+    try:
+        n = sum(block.n_lines for block in open_input(Path(name), InputConfig()).blocks())
+        print(name, "read", n, flush=True)
+    except PrcError as error:
+        print(name, "refused", "LINES" if chr(10) in str(error) else "", flush=True)
+"""
+
+
+def _mutated(raw: bytes, seed: int) -> bytes:
+    """The file cut short, with wrong bytes behind right checksums, or with other numbers in its XML section."""
+    rng = np.random.default_rng(seed)
+    kind = seed % 4
+    data = bytearray(raw)
+    if kind == 0:
+        data = data[: rng.integers(1, len(data))]
+        if len(data) > 48 and rng.integers(2):
+            struct.pack_into("<Q", data, 16, len(data))
+        return with_checksums(bytes(data))
+    if kind == 1:
+        for _ in range(4):
+            data[rng.integers(8, 170)] = rng.choice([0, 1, 128, 255])
+        return with_checksums(bytes(data))
+    if kind == 2:
+        data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        return bytes(data)
+    numbers = [b'maximum="', b'minimum="', b'recordCount="', b'fileOffset="', b'scale="', b">", b'type="']
+    values = [b"-1", b"0", b"nan", b"9223372036854775807", b"1e308", b"Float", b"Vector", b"4096"]
+    return replace_xml(raw, numbers[rng.integers(7)], numbers[rng.integers(7)] + values[rng.integers(8)])
+
+
+@pytest.mark.skipif(os.name != "posix", reason="memory is bounded with POSIX limits")
+def test_no_damage_ends_the_interpreter_hangs_or_takes_the_memory(tmp_path: Path, raw: bytes) -> None:
+    names = []
+    for seed in range(400):
+        path = tmp_path / f"{seed}.e57"
+        path.write_bytes(_mutated(raw, seed))
+        names.append(str(path))
+    done = subprocess.run(
+        [sys.executable, "-c", _CHILD], input="\n".join(names), capture_output=True, text=True, timeout=HANGS_S
+    )
+    assert done.returncode == 0, [*done.stdout.splitlines()[-1:], done.stderr[-2000:]]
+    lines = done.stdout.splitlines()
+    assert len(lines) == len(names)
+    assert not any("LINES" in line for line in lines)
+    n_read = sum(" read " in line for line in lines)
+    assert 10 < n_read < 200
+
+
+def test_rules_of_record_lists_are_refused(tmp_path: Path, raw: bytes) -> None:
+    path = put(tmp_path, raw)
+    with pytest.raises(ConfigError, match="organised scans"):
+        E57Stream(path, InputConfig(lines="angle-wrap"))
+    assert "expected 7 as" in refused(path, InputConfig(points_per_line=7))
+
+
+def test_las_and_labels_out(tmp_path: Path) -> None:
+    import laspy
+
+    points = grid_points(20, 15)
+    fields = reordered(e57_fields(points, keep_missing=True), np.random.default_rng(1).permutation(300))
+    path = write_e57(tmp_path / "a.e57", [Scan(fields), Scan(e57_fields(grid_points(4, 30, 3)))])
+    classify(path, tmp_path / "a.las")
+    cloud = laspy.read(tmp_path / "a.las")
+    there = expected(points)[0]
+    own = np.asarray(cloud.point_source_id) == 0
+    assert own.sum() == np.isfinite(there).sum()
+    at = np.asarray(cloud["scan_line"])[own], np.asarray(cloud["column"])[own]
+    np.testing.assert_allclose(cloud.xyz[own], points[at][:, :3], atol=0.0006)
+    classify(path, tmp_path / "a.npy")
+    labels = np.load(tmp_path / "a.npy")
+    assert len(labels) == 300 + len(e57_fields(grid_points(4, 30, 3))["rowIndex"])
+    missing = np.isnan(there[fields["columnIndex"], fields["rowIndex"]])
+    assert np.array_equal(labels[:300] == 0, missing)
+
+
+@pytest.mark.data
+def test_a_real_scan(real_data: Path) -> None:
+    stream = open_input(real_data / "organised" / "pumpA.e57", AUTO)
+    assert any(item.value == "not read: colorRed, colorGreen, colorBlue" for item in stream.info.assumptions)
+    (block,) = scans_of(stream)
+    assert block.range_m.shape == (345, 1074)
+    assert np.isfinite(block.range_m).sum() == stream.info.n_records == 155201
+    # the ends that the file's header says
+    assert np.nanmin(block.range_m) == pytest.approx(1.983619, abs=1e-5)
+    assert np.nanmax(block.range_m) == pytest.approx(5.429336, abs=1e-5)
+    assert block.xyz_m is not None
+    # vertical lines: along a column the elevation rises, the azimuth stays
+    elevation = np.arcsin(block.xyz_m[..., 2] / block.range_m)
+    assert np.nanmedian(np.diff(elevation, axis=1)) > 0
+    azimuth = np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0])
+    assert np.nanmedian(np.abs(np.diff(azimuth, axis=1))) < 1e-3

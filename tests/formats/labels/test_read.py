@@ -1,0 +1,218 @@
+"""Class codes out of every file that carries them."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from prc_cli.core.errors import ConfigError, InputError, PrcError
+from prc_cli.formats.labels.read import open_codes
+
+CODES = [2, 2, 7, 0, 64, 5]
+
+
+def read(path: Path, dimension: str | None = None) -> list[int]:
+    source = open_codes(path, dimension)
+    assert source.path == str(path)
+    chunks = list(source.chunks())
+    assert all(chunk.dtype == np.int64 and chunk.ndim == 1 for chunk in chunks)
+    codes = np.concatenate(chunks)
+    assert source.n in (None, len(codes))
+    np.testing.assert_array_equal(np.concatenate(list(source.chunks())), codes)
+    return [int(code) for code in codes]
+
+
+def refused(path: Path, dimension: str | None = None) -> str:
+    with pytest.raises(PrcError) as caught:
+        read(path, dimension)
+    assert "\n" not in str(caught.value)
+    return str(caught.value).replace(f"{path.parent}/", "")
+
+
+def write_parquet(path: Path, **columns: Any) -> Path:
+    parquet.write_table(pa.table(columns), path)
+    return path
+
+
+@pytest.mark.parametrize("dtype", ["u1", "<i2", ">i4", "i8", "u8", "f4"])
+@pytest.mark.parametrize("shape", [(6,), (2, 3)])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_npy(tmp_path: Path, dtype: str, shape: tuple[int, ...], order: Any) -> None:
+    path = tmp_path / "codes.npy"
+    np.save(path, np.asarray(np.array(CODES, dtype).reshape(shape), order=order))
+    assert open_codes(path).n == 6
+    assert read(path) == CODES
+
+
+@pytest.mark.parametrize(
+    ("names", "asked"),
+    [(["other", "label"], None), (["label", "class"], "label"), (["whatever"], None), (["x", "Class", "label"], None)],
+)
+def test_npz(tmp_path: Path, names: list[str], asked: str | None) -> None:
+    path = tmp_path / "codes.npz"
+    wanted = asked or next((name for name in names if name.lower() in ("class", "label")), names[0])
+    arrays: dict[str, Any] = {name: CODES if name == wanted else [9] for name in names}
+    np.savez(path, **arrays)
+    assert read(path, asked) == CODES
+
+
+@pytest.mark.parametrize("packed", ["", ".gz"])
+@pytest.mark.parametrize(
+    ("header", "asked"),
+    [("record,class,name", None), ("record,Label,name", None), ("class,mine,name", "mine")],
+)
+def test_text(tmp_path: Path, header: str, asked: str | None, packed: str) -> None:
+    rows = "".join(f"{k},{code},GROUND\n" for k, code in enumerate(CODES))
+    path = tmp_path / f"codes.csv{packed}"
+    content = f"{header}\n{rows}".encode()
+    path.write_bytes(gzip.compress(content, mtime=0) if packed else content)
+    assert read(path, asked) == CODES
+
+
+@pytest.mark.parametrize("header", ["", "mine\n"])
+def test_text_of_a_single_column(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "codes.txt"
+    path.write_text(header + "".join(f"{code}\n" for code in CODES))
+    assert read(path) == CODES
+
+
+def test_an_empty_cell_is_no_code(tmp_path: Path) -> None:
+    path = tmp_path / "codes.csv"
+    path.write_text("record,label\n0,2\n1,\n2,7.0\n")
+    assert read(path) == [2, -1, 7]
+
+
+@pytest.mark.parametrize("kind", [pa.uint8(), pa.int64(), pa.uint64(), pa.float32()])
+def test_parquet(tmp_path: Path, kind: Any) -> None:
+    path = write_parquet(tmp_path / "codes.parquet", record=range(6), **{"class": pa.array(CODES, kind)})
+    assert open_codes(path).n == 6
+    assert read(path) == CODES
+    gaps = write_parquet(tmp_path / "gaps.parquet", mine=pa.array([2, None, 7], kind))
+    assert read(gaps) == [2, -1, 7]
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"codes{suffix}"
+    las = laspy.create(point_format=6, file_version="1.4")
+    las.x = np.arange(6.0)
+    las.classification = CODES
+    las.user_data = CODES[::-1]
+    las.write(path)
+    assert open_codes(path).n == 6
+    assert read(path) == CODES
+    assert read(path, "user_data") == CODES[::-1]
+    with pytest.raises(ConfigError, match="no dimension 'label' in the file; it has: "):
+        open_codes(path, "label")
+
+
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        ([1, 2.5], "record 1: found the class code 2.5, expected a whole number"),
+        ([1, 2, np.nan], "record 2: found the class code nan, expected a whole number"),
+        ([np.inf], "record 0: found the class code inf"),
+        ([1e300], "record 0: found the class code 1e+300"),
+        (np.array([3, 2**63], np.uint64), "record 1: found the class code 9223372036854775808"),
+        (np.array([True]), "found an array of true/false values, expected class codes, whole numbers"),
+        (np.ones((1, 1, 1)), "found shape (1, 1, 1), expected (records,) or (lines, points per line)"),
+        (np.ones(0), "found shape (0,), expected (records,)"),
+    ],
+)
+def test_arrays_that_are_no_codes(tmp_path: Path, values: Any, found: str) -> None:
+    path = tmp_path / "codes.npy"
+    np.save(path, np.asarray(values))
+    assert refused(path).startswith(f"codes.npy: {found}")
+
+
+def test_the_record_of_a_wrong_code_is_counted_over_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prc_cli.formats.labels.read.CHUNK_RECORDS", 4)
+    path = tmp_path / "codes.npy"
+    np.save(path, np.array([1, 2, 3, 4, 5, 6, 7.5, 8.5]))
+    assert "record 6: found the class code 7.5" in refused(path)
+
+
+def test_text_that_holds_no_codes(tmp_path: Path) -> None:
+    path = tmp_path / "codes.csv"
+    path.write_text("record,class\n0,2\n1,2.5\n")
+    assert "record 1: found the class code 2.5, expected a whole number" in refused(path)
+    path.write_text("record,class\n0,2\n1,ground\n")
+    assert "line 3: column 'class': found 'ground', expected a number" in refused(path)
+    path.write_text("record,x\n0,2\n")
+    assert "none of class, label, classification, class_code in the file, which has: x, record" in refused(path)
+    assert "no dimension 'mine' in the file; it has: x, record" in refused(path, "mine")
+
+
+def test_parquet_that_holds_no_codes(tmp_path: Path) -> None:
+    path = write_parquet(tmp_path / "codes.parquet", name=["a"])
+    assert "column 'name' holds string, expected class codes, whole numbers" in refused(path)
+    write_parquet(path, label=pa.array([], pa.int8()))
+    assert "no rows, expected a class code a record" in refused(path)
+    write_parquet(path, label=pa.array([1.0, float("nan")]))
+    assert "record 1: found the class code nan" in refused(path)
+    write_parquet(path, label=range(100_000))
+    raw = path.read_bytes()
+    path.write_bytes(raw[: len(raw) // 2])
+    assert "no whole Parquet file (" in refused(path)
+    path.write_bytes(raw[:1000] + bytes(5000) + raw[6000:])
+    assert "codes.parquet: " in refused(path)
+
+
+def test_names_that_lead_nowhere(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unknown suffix '.shp', expected one of: .npy .npz .csv"):
+        open_codes(tmp_path / "codes.shp")
+    with pytest.raises(InputError, match="no such file, expected class codes"):
+        open_codes(tmp_path / "codes.npy")
+    np.save(tmp_path / "codes.npy", CODES)
+    with pytest.raises(ConfigError, match="no dimension 'label' in a .npy file; leave it out"):
+        open_codes(tmp_path / "codes.npy", "label")
+    np.savez(tmp_path / "codes.npz", a=CODES, b=CODES)
+    assert "none of class, label, classification, class_code in the file, which has: a, b" in refused(
+        tmp_path / "codes.npz"
+    )
+
+
+@pytest.mark.data
+def test_real_labels(real_data: Path) -> None:
+    codes = read(real_data / "oakland" / "oakland_1.csv.gz")
+    assert len(codes) == 389 * 229
+    assert {1200, 1300, -1} <= set(codes)
+
+
+def test_rows_of_a_label_file_must_be_in_record_order(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_text("record,class,name\n0,2,ground\n1,6,building\n2,7,noise\n")
+    assert np.concatenate(list(open_codes(path).chunks())).tolist() == [2, 6, 7]
+    path.write_text("record,class,name\n0,2,ground\n2,7,noise\n1,6,building\n")
+    with pytest.raises(InputError, match="row 1 holds record 2, expected 1: rows were moved or left out"):
+        list(open_codes(path).chunks())
+
+
+def test_semantic_kitti_labels(tmp_path: Path) -> None:
+    path = tmp_path / "000000.label"
+    labels = np.array([40, 252 | 7 << 16, 0, 65_535 << 16 | 99], "<u4")
+    labels.tofile(path)
+    assert open_codes(path).n == 4
+    # the high bits number the objects
+    assert read(path) == [40, 252, 0, 99]
+    assert "no dimension 'class' in a .label file" in refused(path, "class")
+    path.write_bytes(labels.tobytes()[:-1])
+    assert refused(path) == "000000.label: found 15 bytes, expected 4 a record; copy it from the archive again"
+    path.write_bytes(b"")
+    assert "found 0 bytes" in refused(path)
+
+
+def test_semantic_kitti_labels_cut_while_read(tmp_path: Path) -> None:
+    path = tmp_path / "000000.label"
+    np.zeros(100, "<u4").tofile(path)
+    source = open_codes(path)
+    np.zeros(60, "<u4").tofile(path)
+    with pytest.raises(InputError, match="the file ends 40 records early"):
+        list(source.chunks())

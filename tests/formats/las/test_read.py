@@ -1,0 +1,710 @@
+from __future__ import annotations
+
+import json
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from laspy.point.dims import COMPOSED_FIELDS
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.las.layout import RECORD_COLUMNS, bits_of
+from prc_cli.formats.las.read import LasSource
+from prc_cli.stream.order import OrderWatch
+
+VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
+ANGLE = {True: ("scan_angle", 0.006), False: ("scan_angle_rank", 1.0)}
+
+
+def make(path: Path, point_format: int = 6, n: int = 200, **kwargs: Any) -> laspy.LasData:
+    """Write a file with every dimension filled at random; returns what laspy holds."""
+    version = kwargs.pop("version", VERSION[point_format])
+    header = laspy.LasHeader(point_format=point_format, version=version)
+    header.scales, header.offsets = np.array([0.001, 0.002, 0.01]), np.array([1000.0, -5.0, 0.5])
+    for extra in kwargs.pop("extra", ()):
+        header.add_extra_dim(extra)
+    for vlr in kwargs.pop("vlrs", ()):
+        header.vlrs.append(vlr)
+    las = laspy.LasData(header)
+    rng = np.random.default_rng(point_format)
+    las.points = laspy.ScaleAwarePointRecord.zeros(n, header=header)
+    raw = las.points.array.view(np.uint8)
+    raw[:] = rng.integers(0, 256, raw.size, dtype=np.uint8)
+    for name in las.points.array.dtype.names:
+        if las.points.array.dtype[name].kind == "f":
+            las.points.array[name] = rng.normal(size=las.points.array[name].shape)
+    if "gps_time" in header.point_format.dimension_names:
+        las.gps_time = np.arange(n) * 1e-3 + 5e5
+    for name, values in kwargs.items():
+        las[name] = values
+    las.evlrs = laspy.vlrs.vlrlist.VLRList() if version == "1.4" else None
+    las.write(path)
+    return las
+
+
+def read(source: LasSource, name: str) -> np.ndarray[Any, Any]:
+    chunks = list(source.chunks((name,)))
+    assert [chunk.first_record for chunk in chunks] == list(np.cumsum([0] + [chunk.n for chunk in chunks])[:-1])
+    return np.concatenate([chunk.values[name] for chunk in chunks])
+
+
+def expected(las: laspy.LasData, name: str) -> np.ndarray[Any, Any]:
+    """What laspy says, in the units of this program."""
+    if name == "angle":
+        field, step = ANGLE[las.header.point_format.id >= 6]
+        return np.radians(np.asarray(las[field], np.float64) * step)
+    return np.asarray(las[{"time": "gps_time"}.get(name, name)])
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("point_format", range(11))
+def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int, suffix: str) -> None:
+    path = tmp_path / f"drive.{suffix}"
+    make(path, point_format, extra=[laspy.ExtraBytesParams("range", "f4"), laspy.ExtraBytesParams("column", "u2")])
+    las = laspy.read(path)
+    source = LasSource(path)
+    assert (source.n_records, source.point_format, source.version) == (200, point_format, VERSION[point_format])
+    assert source.format == suffix.upper()
+    own = {"X", "Y", "Z", "gps_time", "scan_angle", "scan_angle_rank"}
+    names = set(las.header.point_format.dimension_names) - own | {"x", "y", "z", "angle"}
+    assert set(source.dimensions) == names | ({"time"} if point_format not in (0, 2) else set())
+    for name in source.dimensions:
+        values = read(source, name)
+        if name == "angle":
+            np.testing.assert_allclose(values, expected(las, name), rtol=1e-15)
+        else:
+            np.testing.assert_array_equal(values, expected(las, name), err_msg=name)
+        if name in ("range", "x", "y", "z", "time", "angle"):
+            assert values.dtype == np.float64
+    both = next(iter(source.chunks(("column", "x"))))
+    assert set(both.values) == {"column", "x"}
+    assert both.record is None
+
+
+@pytest.mark.parametrize("point_format", range(11))
+def test_records_are_laid_out_as_laspy_has_them(point_format: int) -> None:
+    assert list(RECORD_COLUMNS[point_format]) == laspy.PointFormat(point_format).dtype().descr
+    theirs = {
+        name: {part.name: int(part.mask) for part in parts} for name, parts in COMPOSED_FIELDS[point_format].items()
+    }
+    assert {name: list(parts.items()) for name, parts in bits_of(point_format).items()} == {
+        name: list(parts.items()) for name, parts in theirs.items()
+    }
+
+
+def test_standard_names_come_first_and_keep_the_names_of_extra_bytes(tmp_path: Path) -> None:
+    extra = [laspy.ExtraBytesParams(name, "u4") for name in ("scan_line", "weather", "column", "range")]
+    make(tmp_path / "a.las", 1, extra=extra)
+    dimensions = LasSource(tmp_path / "a.las").dimensions
+    assert dimensions[:11] == (
+        "range", "scan_line", "column", "angle", "time", "x", "y", "z", "intensity", "return_number",
+        "number_of_returns",
+    )  # fmt: skip
+    assert "weather" in dimensions
+
+
+@pytest.mark.parametrize(("suffix", "point_format"), [("las", 3), ("laz", 3), ("laz", 7)])
+def test_chunk_size_changes_nothing(tmp_path: Path, suffix: str, point_format: int) -> None:
+    path = tmp_path / f"drive.{suffix}"
+    las = make(path, point_format, n=120_001)  # three LAZ chunks, the last not full
+    for chunk_records in (1 << 20, 100_000, 50_000, 49_999, 120_001, 33_333):
+        source = LasSource(path, chunk_records)
+        np.testing.assert_array_equal(read(source, "time"), las.gps_time, err_msg=str(chunk_records))
+        np.testing.assert_array_equal(read(source, "red"), las.red)
+        assert max(chunk.n for chunk in source.chunks(("x",))) <= chunk_records
+
+
+@pytest.mark.parametrize("first_pair", [0, 3, 60_000, 120_000, None])
+def test_spared_intensity_is_there_wherever_it_may_decide(tmp_path: Path, first_pair: int | None) -> None:
+    n = 120_001
+    number = np.ones(n, np.uint8)
+    if first_pair is not None:
+        number[first_pair : first_pair + 1] = 2
+        number[first_pair + 700 :: 31] = 15
+    las = make(tmp_path / "drive.laz", 6, n=n, return_number=np.minimum(number, 1), number_of_returns=number)
+    source, plain = LasSource(tmp_path / "drive.laz", 33_333), LasSource(tmp_path / "drive.laz", 33_333)
+    source.spare_intensity()
+    names = ("time", "number_of_returns", "intensity")
+    chunks = list(source.chunks(names))
+    found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
+    np.testing.assert_array_equal(found["time"], las.gps_time)
+    np.testing.assert_array_equal(found["number_of_returns"], number)
+    np.testing.assert_array_equal(found["intensity"][number > 1], np.asarray(las.intensity)[number > 1])
+    if first_pair is None:
+        assert np.any(found["intensity"] != np.asarray(las.intensity))  # it was not decoded
+    assert source.laz_contexts is not None
+    assert plain.laz_contexts is not None
+    np.testing.assert_array_equal(read(plain, "intensity"), las.intensity)
+    kept = (np.concatenate(list(one.laz_contexts.take(n))) for one in (source, plain) if one.laz_contexts is not None)
+    np.testing.assert_array_equal(next(kept), next(kept))
+
+
+def test_a_source_can_be_read_twice_at_once(tmp_path: Path) -> None:
+    make(tmp_path / "a.laz", 6, n=1000)
+    source = LasSource(tmp_path / "a.laz", 300)
+    pairs = zip(source.chunks(("x",)), source.chunks(("x",)), strict=True)
+    assert all(np.array_equal(a.values["x"], b.values["x"]) for a, b in pairs)
+
+
+def test_scaled_extra_bytes_and_no_data(tmp_path: Path) -> None:
+    n = 5
+    extra = [
+        laspy.ExtraBytesParams("range", "u2", scales=[0.005], offsets=[1.0], no_data=[0]),
+        laspy.ExtraBytesParams("scan_line", "i4", no_data=[-1]),
+        laspy.ExtraBytesParams("plain", "i2"),
+        laspy.ExtraBytesParams("normal", "3f4"),
+        laspy.ExtraBytesParams("gauge", "f4", no_data=[-9999.25]),
+    ]
+    las = make(tmp_path / "a.las", 6, n=n, extra=extra)
+    las.points.array["range"] = [0, 1, 200, 65535, 0]
+    las.points.array["scan_line"] = [-1, 0, 1, 2, -1]
+    las.points.array["gauge"] = [-9999.25, 1, 2, 3, 4]
+    las.write(tmp_path / "a.las")
+    source = LasSource(tmp_path / "a.las")
+    np.testing.assert_array_equal(read(source, "range"), [np.nan, 1.005, 2.0, 328.675, np.nan])
+    np.testing.assert_array_equal(read(source, "scan_line"), [np.nan, 0, 1, 2, np.nan])
+    np.testing.assert_array_equal(read(source, "gauge"), [np.nan, 1, 2, 3, 4])
+    assert read(source, "plain").dtype == np.int16
+    assert "normal" not in source.dimensions  # three numbers a record
+    assert {"name": "normal", "type": "3f4", "description": "", "scaled": False} in source.describe()["extra_bytes"]
+
+
+def test_extra_bytes_named_as_the_point_format_are_renamed(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1, n=3, extra=[laspy.ExtraBytesParams("Intensity", "u2"), laspy.ExtraBytesParams("angl", "f4")])
+    raw = path.read_bytes().replace(b"Intensity", b"intensity").replace(b"angl\0", b"angle")
+    path.write_bytes(raw)
+    source = LasSource(path)
+    assert {"intensity", "extra_intensity", "angle", "extra_angle"} <= set(source.dimensions)
+    assert not np.array_equal(read(source, "intensity"), read(source, "extra_intensity"))
+
+
+def test_time_of_zeros_is_no_time(tmp_path: Path) -> None:
+    make(tmp_path / "a.las", 1, gps_time=np.zeros(200))
+    source = LasSource(tmp_path / "a.las")
+    assert "time" not in source.dimensions
+    assert source.notes == ("gps_time is 0 throughout the first chunk: taken as no time",)
+    make(tmp_path / "b.las", 1, gps_time=np.eye(1, 200, 199)[0])
+    assert "time" in LasSource(tmp_path / "b.las").dimensions
+
+
+def test_scan_angles_of_zeros_are_none(tmp_path: Path) -> None:
+    las = make(tmp_path / "a.las")
+    assert "angle" in LasSource(tmp_path / "a.las").dimensions
+    las.scan_angle = np.zeros(len(las.points), np.int16)
+    las.write(tmp_path / "b.las")
+    source = LasSource(tmp_path / "b.las")
+    assert "angle" not in source.dimensions
+    assert "scan_angle is 0 throughout the first chunk: taken as no scan angle" in source.notes
+
+
+def test_the_content_decides_not_the_suffix(tmp_path: Path) -> None:
+    las = make(tmp_path / "a.laz", 3)
+    wrong = (tmp_path / "a.laz").rename(tmp_path / "b.las")
+    source = LasSource(wrong)
+    assert source.format == "LAZ"
+    assert source.notes == ("the suffix is .las but the records are compressed: read as LAZ",)
+    np.testing.assert_array_equal(read(source, "x"), las.x)
+    make(tmp_path / "c.las", 3)
+    source = LasSource((tmp_path / "c.las").rename(tmp_path / "c.laz"))
+    assert source.notes == ("the suffix is .laz but the records are not compressed: read as LAS",)
+    np.testing.assert_array_equal(read(source, "x"), las.x)
+
+
+def test_oldest_version(tmp_path: Path) -> None:
+    las = make(tmp_path / "a.las", 1)
+    raw = bytearray((tmp_path / "a.las").read_bytes())
+    raw[25] = 0
+    (tmp_path / "a.las").write_bytes(raw)
+    source = LasSource(tmp_path / "a.las")
+    assert source.version == "1.0"
+    np.testing.assert_array_equal(read(source, "time"), las.gps_time)
+
+
+WKT = 'PROJCS["WGS 84 / UTM zone 35N",GEOGCS["WGS 84"]]'
+
+
+def test_crs_from_wkt_and_from_geotiff_keys(tmp_path: Path) -> None:
+    keys = struct.pack("<16H", 1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32635, 2048, 0, 1, 4326)
+    geotiff = laspy.VLR("LASF_Projection", 34735, "", keys)
+    user_defined = laspy.VLR("LASF_Projection", 34735, "", keys.replace(b"\x7b\x7f", b"\xff\x7f"))
+    wkt = laspy.VLR("LASF_Projection", 2112, "", WKT.encode() + b"\0")
+    for vlrs, crs in [([], None), ([geotiff], "EPSG:32635"), ([user_defined], None), ([geotiff, wkt], WKT)]:
+        make(tmp_path / "a.las", 1, vlrs=vlrs)
+        assert LasSource(tmp_path / "a.las").crs_wkt == crs
+
+
+def test_points_per_line_from_our_provenance(tmp_path: Path) -> None:
+    for content, m in [
+        (json.dumps({"stream": {"points_per_line": 2154}}).encode(), 2154),
+        (b'{"stream": {"points_per_line": "many"}}', None),
+        (b'{"stream": {"points_per_line": true}}', None),
+        (b"not json", None),
+        (b"[1]", None),
+        (b"\xff\xfe", None),
+    ]:
+        make(tmp_path / "a.las", 1, vlrs=[laspy.VLR("prc-cli", 1, "", content)])
+        assert LasSource(tmp_path / "a.las").points_per_line_hint == m
+
+
+def test_description_is_json(tmp_path: Path) -> None:
+    make(tmp_path / "a.laz", 6, extra=[laspy.ExtraBytesParams("range", "f4", "slant range")])
+    told = LasSource(tmp_path / "a.laz").describe()
+    assert json.loads(json.dumps(told)) == told
+    assert (told["version"], told["point_format"], told["records"], told["record_bytes"]) == ("1.4", 6, 200, 34)
+    assert told["scales"] == [0.001, 0.002, 0.01]
+    assert told["extra_bytes"] == [{"name": "range", "type": "f4", "description": "slant range", "scaled": False}]
+    assert [vlr["user_id"] for vlr in told["vlrs"]] == ["LASF_Spec", "laszip encoded"]
+
+
+def test_unknown_dimension(tmp_path: Path) -> None:
+    make(tmp_path / "a.las", 0)
+    with pytest.raises(ConfigError, match=r"a.las: no dimension 'gain' in the file; it has: x, y, z, intensity, "):
+        list(LasSource(tmp_path / "a.las").chunks(("gain",)))
+
+
+# --- damaged and hostile files: each is refused in one line
+
+
+def patch(path: Path, offset: int, layout: str, *values: Any) -> None:
+    raw = bytearray(path.read_bytes())
+    struct.pack_into(layout, raw, offset, *values)
+    path.write_bytes(raw)
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        for _ in LasSource(path).chunks(("x", "intensity")):
+            pass
+    message = str(caught.value)
+    assert "\n" not in message
+    assert caught.value.where.startswith(str(path))
+    assert caught.value.hint
+    return message.replace(f"{path}: ", "").replace("; " + caught.value.hint, "")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "empty file, expected a LAS header of at least 227 bytes"),
+        (b"\x89PNG\r\n" + bytes(500), r"begins with b'\x89PNG', expected b'LASF': not a LAS or LAZ file"),
+        (b"LA", "header cut short: 2 bytes, expected at least 227"),
+        (b"LASF" + bytes(20) + b"\1\2" + bytes(100), "header cut short: 126 bytes, expected at least 227"),
+        (b"LASF" + bytes(20) + b"\1\4" + bytes(300), "header cut short: 326 bytes, expected at least 375"),
+        (b"LASF" + bytes(20) + b"\1\7" + bytes(300), "byte 24: LAS version 1.7, expected 1.0 to 1.4"),
+    ],
+)
+def test_no_header(tmp_path: Path, content: bytes, message: str) -> None:
+    (tmp_path / "a.las").write_bytes(content)
+    assert refused(tmp_path / "a.las") == message
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    assert refused(tmp_path / "a.las") == "cannot be read (No such file or directory)"
+
+
+def test_header_only(tmp_path: Path) -> None:
+    for point_format, byte in ((1, 107), (6, 247)):
+        for suffix in ("las", "laz"):
+            path = tmp_path / f"a.{suffix}"
+            make(path, point_format, n=0)
+            assert refused(path).startswith(f"byte {byte}: the header says 0 records, expected at least one (")
+
+
+@pytest.mark.parametrize(
+    ("offset", "layout", "value", "message"),
+    [
+        (94, "<H", 100, "byte 94: header size 100, expected at least 227"),
+        (96, "<I", 100, "byte 96: records begin at byte 100, expected between the header's end (227)"),
+        (96, "<I", 2**32 - 1, "byte 96: records begin at byte 4294967295, expected between"),
+        (100, "<I", 2**32 - 1, "byte 100: 4294967295 VLRs in 54 bytes before the records, expected at most 1"),
+        (227 + 20, "<H", 65_535, "byte 227: VLR 1 of 1 claims 65535 bytes, 0 are left before the records"),
+        (104, "<B", 11, "byte 104: point format 11, expected 0 to 10"),
+        (105, "<H", 20, "byte 105: records of 20 bytes, expected at least 28 for point format 1"),
+        (131, "<d", math.nan, "byte 131: x scale factor nan, expected a finite number other than 0"),
+        (139, "<d", 0.0, "byte 139: y scale factor 0.0, expected a finite number other than 0"),
+        (171, "<d", math.inf, "byte 171: z offset inf, expected a finite number"),
+        (107, "<I", 201, "the header promises 201 records, 5909 bytes in all; found 5881 bytes, room for 200 records"),
+        (107, "<I", 2**32 - 1, "the header promises 4294967295 records, 120259084541 bytes in all; found 5881 bytes"),
+    ],
+)
+def test_a_header_that_lies(tmp_path: Path, offset: int, layout: str, value: float, message: str) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1, vlrs=[laspy.VLR("me", 7, "", b"")])
+    patch(path, offset, layout, value)
+    assert refused(path).startswith(message)
+
+
+def test_vlrs_that_run_over_the_records(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1, vlrs=[laspy.VLR("me", 7, "", bytes(54)), laspy.VLR("me", 8, "", b"")])
+    patch(path, 227 + 20, "<H", 100)
+    assert refused(path) == "byte 381: VLR 2 of 2 lies beyond the start of the records (byte 389)"
+
+
+@pytest.mark.parametrize("count", [201, 2**63, 2**64 - 1])
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_absurd_counts(tmp_path: Path, count: int, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    make(path, 6)
+    patch(path, 247, "<Q", count)
+    message = refused(path)
+    assert f"promises {count} records" in message or f"holds 200 records, expected {count}" in message
+
+
+def test_truncated_las(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1)
+    path.write_bytes(path.read_bytes()[:-100])
+    assert refused(path) == "the header promises 200 records, 5827 bytes in all; found 5727 bytes, room for 196 records"
+
+
+def test_a_file_that_shrinks_while_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1)
+    chunks = LasSource(path, 50).chunks(("x",))
+    next(chunks)
+    path.write_bytes(path.read_bytes()[: 227 + 28 * 110 + 5])
+    with pytest.raises(InputError, match=r"the file ends at record 1\d\d, expected 200: it changed while read"):
+        list(chunks)
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize("point_format", range(6))
+def test_the_legacy_count_of_a_1_4_file_is_taken_where_it_may_be(
+    tmp_path: Path, point_format: int, suffix: str
+) -> None:
+    path = tmp_path / f"a.{suffix}"
+    las = make(path, point_format, version="1.4")
+    assert not any("legacy" in note for note in LasSource(path).notes)
+    patch(path, 107, "<I", 200)
+    patch(path, 247, "<Q", 0)
+    source = LasSource(path)
+    np.testing.assert_array_equal(read(source, "x"), np.asarray(las.x))
+    assert source.notes[0] == "the header's count of records (byte 247) is 0: the legacy count (byte 107) was taken"
+    patch(path, 107, "<I", 201)
+    assert "201 records" in refused(path) or "expected 201" in refused(path)
+    patch(path, 107, "<I", 0)
+    assert refused(path).startswith("byte 247: the header says 0 records")
+
+
+def test_the_legacy_count_is_not_taken_for_formats_that_have_none(tmp_path: Path) -> None:
+    make(tmp_path / "a.las", 6)
+    patch(tmp_path / "a.las", 107, "<I", 200)
+    patch(tmp_path / "a.las", 247, "<Q", 0)
+    assert refused(tmp_path / "a.las").startswith("byte 247: the header says 0 records")
+
+
+def test_more_bytes_than_records_are_noted(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    las = make(path, 1)
+    patch(path, 107, "<I", 150)
+    source = LasSource(path)
+    np.testing.assert_array_equal(read(source, "x"), np.asarray(las.x)[:150])
+    assert source.notes == ("1400 bytes follow the last record the header counts: not read",)
+
+
+def with_evlr(path: Path, n_bytes: int = 40) -> laspy.LasData:
+    las = make(path, 6)
+    las.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("LASF_Projection", 2112, "", WKT.encode().ljust(n_bytes, b"\0"))])
+    las.write(path)
+    return las
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_extended_vlrs(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    las = with_evlr(path)
+    source = LasSource(path)
+    np.testing.assert_array_equal(read(source, "z"), las.z)
+    assert source.notes == ()
+    assert source.crs_wkt == WKT
+    assert source.describe()["vlrs"][-1]["extended"]
+    with_evlr(path, 2 << 20)
+    assert LasSource(path).header.vlrs[-1].data is None  # long ones stay on the disk
+
+
+def test_extended_vlrs_that_lie(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    with_evlr(path)
+    good = path.read_bytes()
+    start = struct.unpack_from("<Q", good, 235)[0]
+    left = len(good) - start - 60
+    for offset, layout, value, message in [
+        (start + 20, "<Q", 2**63, f"byte {start}: extended VLR 1 of 1 claims {2**63} bytes, {left} are left"),
+        (243, "<I", 2**32 - 1, "byte 243: 4294967295 extended VLRs, expected at most 1"),
+        (235, "<Q", 2**62, f"byte 235: extended VLRs begin at byte {2**62}, expected between 375 and"),
+        (235, "<Q", start - 30, f"the header promises 200 records up to byte {start}, but extended VLRs begin at byte"),
+    ]:
+        path.write_bytes(good)
+        patch(path, offset, layout, value)
+        assert refused(path).startswith(message)
+
+
+def test_extra_bytes_that_make_no_sense(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1, extra=[laspy.ExtraBytesParams("range", "u2", scales=[0.01], offsets=[0.0])])
+    good = path.read_bytes()
+    descriptor = good.index(b"range\0") - 4
+    patch(path, descriptor + 112, "<d", math.nan)
+    assert refused(path).startswith("extra bytes VLR: 'range' has scale nan and offset 0.0, expected finite numbers")
+    path.write_bytes(good)
+    patch(path, descriptor + 2, "<B", 77)
+    assert refused(path) == "extra bytes VLR: 'range' has data type 77, expected 0 to 30"
+    path.write_bytes(good)
+    patch(path, descriptor + 2, "<B", 9)  # wider than the two bytes there are
+    source = LasSource(path)
+    assert "range" not in source.dimensions
+    assert source.notes == (
+        "extra bytes 'range' are described but records of this size do not hold them: left out",
+        "2 bytes of every record are described nowhere and not read",
+    )
+
+
+# --- LAZ
+
+
+def laz(path: Path, point_format: int, n: int = 120_000) -> tuple[bytes, int, int]:
+    """Write a LAZ of three chunks; returns its bytes, where records begin and where the chunk table begins."""
+    make(path, point_format, n)
+    raw = path.read_bytes()
+    start = struct.unpack_from("<I", raw, 96)[0]
+    return raw, start, struct.unpack_from("<q", raw, start)[0]
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_truncated_laz(tmp_path: Path, point_format: int) -> None:
+    path = tmp_path / "a.laz"
+    raw, start, table = laz(path, point_format)
+    for n_bytes in (table + 4, table - 1000, start + 100, start + 8):
+        path.write_bytes(raw[:n_bytes])
+        assert refused(path) == (
+            f"the LAZ chunk table should begin at byte {table}, found the file's end at byte {n_bytes}; "
+            "expected it after the 120000 records"
+        )
+    path.write_bytes(raw[: start + 3])
+    assert refused(path).startswith("the LAZ chunk table was never written (an unfinished file)")
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_damaged_chunk_names_its_records(tmp_path: Path, point_format: int) -> None:
+    path = tmp_path / "a.laz"
+    raw, start, table = laz(path, point_format)
+    damaged = bytearray(raw)
+    middle = (start + table) // 2
+    damaged[middle : middle + 50_000] = np.random.default_rng(1).bytes(50_000)
+    path.write_bytes(damaged)
+    for chunk_records in (1 << 20, 50_000, 20_000):
+        with pytest.raises(InputError) as caught:
+            list(LasSource(path, chunk_records).chunks(("x", "time", "intensity")))
+        message = str(caught.value)
+        assert "records 50000 to 99999 cannot be decompressed (LAZ chunk 1 at byte " in message
+        assert "do not hold the 50000 records expected" in message
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_run_of_one_bits_is_refused_before_it_ends_the_process(tmp_path: Path, point_format: int) -> None:
+    path = tmp_path / "a.laz"
+    raw, start, table = laz(path, point_format)
+    damaged = bytearray(raw)
+    middle = (start + table) // 2
+    damaged[middle : middle + 100_000] = b"\xff" * 100_000
+    path.write_bytes(damaged)
+    message = refused(path)
+    assert "records 50000 to 99999 cannot be decompressed: LAZ chunk 1 holds 512 bytes of 0xFF in a row" in message
+    assert middle <= int(message.split(":")[0].removeprefix("byte ")) < middle + 1024
+
+
+@pytest.mark.parametrize(("point_format", "size"), [(1, 28), (6, 30)])
+def test_count_that_lies_about_the_last_chunk(tmp_path: Path, point_format: int, size: int) -> None:
+    path = tmp_path / "a.laz"
+    laz(path, point_format)
+    for count in (125_000, 150_000, 150_001):
+        laz(path, point_format)
+        patch(path, *((247, "<Q") if point_format == 6 else (107, "<I")), count)
+        message = refused(path)
+        if count > 150_000:
+            assert message == "the header promises 150001 records, the 3 LAZ chunks hold at most 150000"
+        elif point_format == 6:
+            assert f"LAZ chunk 2 (from record 100000) holds 20000 records, expected {count - 100_000}" in message
+        else:
+            assert f"records 100000 to {count - 1} cannot be decompressed (LAZ chunk 2 at byte" in message
+
+
+def test_count_too_low_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    laz(path, 6)
+    patch(path, 247, "<Q", 60_000)
+    source = LasSource(path)
+    assert sum(chunk.n for chunk in source.chunks(("x",))) == 60_000
+    assert source.notes == ("1 LAZ chunks follow the last record the header counts: not read",)
+
+
+def test_chunk_table_that_lies(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    raw, start, table = laz(path, 6)
+    for count in (0, 2**32 - 1):
+        path.write_bytes(raw)
+        patch(path, table + 4, "<I", count)
+        assert refused(path).startswith(f"byte {table + 4}: chunk table of {count} chunks, expected 1 to ")
+    path.write_bytes(raw)
+    patch(path, table + 4, "<I", 2)
+    assert "the 2 LAZ chunks hold at most 100000" in refused(path)
+    for junk in (b"\xff" * 8, b"\x55" * 8):
+        path.write_bytes(raw[: table + 8] + junk)
+        assert f"byte {table}" in refused(path)
+    for position in (2**62, 5, -7, start):
+        path.write_bytes(raw)
+        patch(path, start, "<q", position)
+        assert "chunk table" in refused(path)
+
+
+def test_chunk_table_position_at_the_end(tmp_path: Path) -> None:
+    # a LAZ written to a pipe holds -1 in front and the position at its very end
+    path = tmp_path / "a.laz"
+    raw, start, table = laz(path, 6)
+    path.write_bytes(raw[:start] + struct.pack("<q", -1) + raw[start + 8 :] + struct.pack("<q", table))
+    expected_x = laspy.lib.read_las(make_copy(path, raw)).x
+    np.testing.assert_array_equal(read(LasSource(path), "x"), expected_x)
+
+
+def make_copy(path: Path, raw: bytes) -> Path:
+    other = path.with_name("other.laz")
+    other.write_bytes(raw)
+    return other
+
+
+def test_laszip_vlr_that_lies(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    make(path, 6)
+    raw = path.read_bytes()
+    vlr = raw.index(b"laszip encoded") - 2 + 54
+    for offset, layout, value, message in [
+        (vlr + 12, "<I", 0, "laszip VLR: chunks of 0 records, expected at least 1"),
+        (vlr + 32, "<H", 9, "laszip VLR: 40 bytes for 9 items, expected at least 88"),
+        (vlr + 36, "<H", 31, "laszip VLR: records of 31 bytes, expected the 30 of the header"),
+        (vlr - 54 + 2, "<c", b"X", "the records are compressed but the laszip VLR is missing"),
+    ]:
+        path.write_bytes(raw)
+        patch(path, offset, layout, value)
+        assert refused(path) == message
+    path.write_bytes(raw)
+    patch(path, vlr + 34, "<H", 999)
+    refused(path)
+    # an honest file whose chunks may hold far more than it has
+    path.write_bytes(raw)
+    patch(path, vlr + 12, "<I", 2**31)
+    assert sum(chunk.n for chunk in LasSource(path).chunks(("x",))) == 200
+
+
+def test_layers_that_claim_more_than_their_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    _, start, _ = laz(path, 6, 1000)
+    patch(path, start + 8 + 30 + 4, "<I", 2**32 - 1)
+    message = refused(path)
+    assert message.startswith(f"byte {start + 8}: LAZ chunk 0 (from record 0) claims 4294")
+
+
+@settings(deadline=None, max_examples=120)
+@given(
+    compressed=st.booleans(),
+    edits=st.lists(st.tuples(st.floats(0, 1), st.binary(min_size=1, max_size=8)), min_size=1, max_size=4),
+    cut=st.floats(0.3, 1),
+)
+def test_any_damage_ends_in_one_line_or_in_records(
+    tmp_path_factory: pytest.TempPathFactory, compressed: bool, edits: list[tuple[float, bytes]], cut: float
+) -> None:
+    path = tmp_path_factory.getbasetemp() / f"fuzz.{'laz' if compressed else 'las'}"
+    make(path, 6, extra=[laspy.ExtraBytesParams("range", "f4")])
+    raw = bytearray(path.read_bytes())
+    # most of the header and all of what describes the records lies in the first kilobyte
+    for place, junk in edits:
+        at = int(place * min(len(raw) - 8, 1000))
+        raw[at : at + len(junk)] = junk
+    path.write_bytes(raw[: int(len(raw) * (1 if cut > 0.6 else cut))])
+    try:
+        source = LasSource(path)
+        source.describe()
+        n_read, n_promised = sum(chunk.n for chunk in source.chunks(source.dimensions)), source.n_records
+    except InputError as error:
+        n_read, n_promised = str(error).count("\n"), 0
+    assert n_read == n_promised
+
+
+# --- real files
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "n_records", "back", "chronological"),
+    [
+        ("las/als_strip_labelled.laz", 697_721, 3, True),
+        ("las/fullwave_pf10.laz", 10_750, 0, True),
+        ("las/ign_tile_not_chronological.laz", 64_572, 30_114, False),
+        ("las/mls_not_in_time_order.las", 10_683, 9_941, False),
+        ("las/plane.laz", 28_185, 0, True),
+        ("las/three_strips_edge_flags.laz", 531_662, 236, False),
+        ("profiler/jakarto_0.02s.las", 10_310, 0, True),
+    ],
+)
+def test_real_files(real_data: Path, name: str, n_records: int, back: int, chronological: bool) -> None:
+    path = real_data / name
+    source = LasSource(path)
+    las = laspy.read(path)
+    assert source.n_records == n_records
+    watch = OrderWatch(str(path), "trust")
+    first = 0
+    for chunk in source.chunks(source.dimensions):
+        part = slice(first, first + chunk.n)
+        watch.see(chunk.values["time"], None)
+        # angles that are 0 throughout are none
+        angle = ("angle",) if "angle" in source.dimensions else ()
+        assert bool(angle) == bool(expected(las, "angle")[: len(chunk.values["x"])].any()) or first > 0
+        for dimension in ("x", "time", "intensity", "return_number", "classification", *angle):
+            np.testing.assert_allclose(chunk.values[dimension], expected(las, dimension)[part], rtol=1e-15)
+        first += chunk.n
+    assert first == n_records
+    assert watch.n_back == back
+    assert watch.evidence().is_chronological is chronological
+
+
+@pytest.mark.data
+def test_the_mobile_file_out_of_order_is_refused_with_its_evidence(real_data: Path) -> None:
+    path = real_data / "las" / "mls_not_in_time_order.las"
+    watch = OrderWatch("mls.las", "require")
+    (chunk,) = LasSource(path).chunks(("time",))
+    with pytest.raises(InputError) as caught:
+        watch.see(chunk.values["time"], chunk.record)
+        watch.finish()
+    assert caught.value.problem == (
+        "gps_time decreases in 93.1 % of 10 682 steps, first at record 1: 552885.16 s after 552885.32 s; "
+        "expected shots in the order they were fired"
+    )
+
+
+@pytest.mark.data
+def test_als_strip_has_two_extra_bytes_vlrs_and_a_crs(real_data: Path) -> None:
+    source = LasSource(real_data / "las" / "als_strip_labelled.laz")
+    assert source.dimensions[-2:] == ("Deviation", "confidence")
+    assert source.crs_wkt is not None
+    assert source.crs_wkt.startswith('PROJCRS["RGF93 / Lambert-93"')
+    assert LasSource(real_data / "las" / "three_strips_edge_flags.laz").crs_wkt == "EPSG:3005"
+
+
+def test_a_signalling_nan_is_no_warning(tmp_path: Path) -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.add_extra_dim(laspy.ExtraBytesParams("range", "f4", no_data=[0]))
+    las = laspy.LasData(header)
+    las.x = las.y = las.z = np.zeros(2)
+    las["range"] = np.array([0x7F800001, 0x3F800000], np.uint32).view(np.float32)
+    path = tmp_path / "drive.las"
+    las.write(path)
+    (chunk,) = LasSource(path).chunks(("range",))
+    assert np.isnan(chunk.values["range"][0])
+    assert chunk.values["range"][1] == 1.0

@@ -1,0 +1,669 @@
+"""LAS and LAZ in, LAS and LAZ out: nothing may change but the class and what was asked for."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import shutil
+import struct
+from pathlib import Path
+from typing import Any
+
+import laspy
+import lazrs
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.formats.las import codec as las_codec
+from prc_cli.formats.las.codec import LASZIP_KEY
+from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.record import fingerprint
+from tests.formats.common import (
+    FOREST,
+    URBAN,
+    random_labels,
+    record_blocks,
+    run_record,
+    write,
+    writer,
+)
+from tests.formats.las.lasbytes import (
+    SIZES,
+    Parsed,
+    classes,
+    evlr_bytes,
+    field,
+    make_las,
+    n_points,
+    parse,
+    same_but_class,
+    vlr_bytes,
+    without_class,
+)
+
+VLRS = (vlr_bytes(b"LASF_Projection", 2112, b'PROJCS["x"]\0'), vlr_bytes(b"nobody\0dirt", 77, bytes(range(256))))
+EVLRS = (evlr_bytes(b"nobody", 5, b"abc" * 50), evlr_bytes(b"LASF_Spec", 65535, bytes(1000)))
+UPGRADED = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
+
+
+def rewrite(source: Path, output: Path, *, of: tuple[Label, ...] = URBAN, **changes: Any) -> tuple[Parsed, np.ndarray]:
+    n = n_points(source.read_bytes())
+    labels = random_labels(n, of)
+    write(output, source, record_blocks(labels), **changes)
+    return parse(output), ClassCodes().lookup()[labels]
+
+
+@pytest.mark.parametrize("after", [".las", ".laz"])
+@pytest.mark.parametrize("before", [".las", ".laz"])
+@pytest.mark.parametrize("form", range(11))
+def test_only_the_class_changes(tmp_path: Path, form: int, before: str, after: str) -> None:
+    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    minor = 4 if form in (1, 5, 6, 7, 8, 9, 10) else None
+    old = make_las(
+        source,
+        form,
+        minor=minor,
+        seed=form,
+        vlrs=VLRS,
+        evlrs=EVLRS if minor == 4 else (),
+        user_bytes=b"between VLRs and points",
+        header_user_bytes=b"own header bytes",
+        raw_points=True,
+    )
+    new, codes = rewrite(source, output)
+    same_but_class(old, new)
+    assert np.array_equal(classes(new), codes)
+    assert len(new.record_payloads()) == 1
+    assert bool(new.header[104] & 0x80) == (after == ".laz")
+    if minor == 4:
+        assert field(new.data, 235, "Q") == len(new.data) - len(new.tail)
+        assert field(new.data, 243, "I") == 2
+
+
+def test_the_order_of_vlrs_stays_and_ours_comes_last(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    old = make_las(source, 6, vlrs=VLRS)
+    new, _ = rewrite(source, tmp_path / "out.laz")
+    assert new.vlrs[:-1] == old.vlrs
+    assert json.loads(new.vlrs[-1][54:]) == json.loads((tmp_path / "out.laz.prc.json").read_bytes())
+
+
+def test_laspy_reads_every_output(tmp_path: Path) -> None:
+    for form in range(11):
+        source, output = tmp_path / f"{form}.las", tmp_path / f"{form}_out.laz"
+        make_las(source, form)
+        _, codes = rewrite(source, output)
+        read = laspy.read(output)
+        assert np.array_equal(read.classification, codes)
+        assert np.array_equal(read["amplitude"].view(np.uint32), laspy.read(source)["amplitude"].view(np.uint32))
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    make_las(source, 7, raw_points=True)
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        rewrite(source, tmp_path / name / "out.laz")
+    for name in ("out.laz", "out.laz.prc.json"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_classifying_again_replaces_our_record(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 6, vlrs=VLRS, evlrs=EVLRS)
+    once, _ = rewrite(source, tmp_path / "once.las")
+    twice, _ = rewrite(tmp_path / "once.las", tmp_path / "twice.las")
+    assert twice.data == once.data
+
+
+def test_input_is_not_touched(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 3)
+    before = fingerprint(source)
+    rewrite(source, tmp_path / "out.las")
+    assert fingerprint(source) == before
+
+
+def test_scattered_records_get_their_own_label(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 6, n=1000)
+    labels = random_labels(1000)
+    order = np.random.default_rng(3).permutation(1000)
+    write(tmp_path / "out.las", source, record_blocks(labels, order=order))
+    assert np.array_equal(classes(parse(tmp_path / "out.las")), ClassCodes().lookup()[labels])
+
+
+def test_records_without_a_label_are_unclassified(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 6, n=100)
+    record = write(tmp_path / "out.las", source, record_blocks(random_labels(60)))
+    assert np.all(classes(parse(tmp_path / "out.las"))[60:] == 1)
+    assert sum(item.count for item in record.classes) == 100
+
+
+def test_high_noise_gets_code_18(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 6, n=40)
+    labels = np.full(40, 2, np.uint8)
+    labels[-1] = 3
+    ranges = np.linspace(1, 40, 40).astype(np.float32)
+    options = OutputConfig(high_noise_beyond=20.0)
+    record = write(tmp_path / "out.las", source, record_blocks(labels, range_m=ranges), options=options)
+    assert np.array_equal(classes(parse(tmp_path / "out.las")), np.r_[np.full(20, 7), np.full(19, 18), 2])
+    assert [(item.code, item.name, item.count) for item in record.classes] == [
+        (2, "ground", 1),
+        (7, "noise", 20),
+        (18, "high_noise", 19),
+    ]
+
+
+# ---- codes above 31
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("form", range(6))
+def test_codes_above_31_upgrade_the_format(tmp_path: Path, form: int, suffix: str) -> None:
+    source, output = tmp_path / "in.las", tmp_path / f"out{suffix}"
+    old = make_las(source, form, raw_points=True, vlrs=VLRS[1:], user_bytes=b"user", header_user_bytes=b"mine")
+    labels = random_labels(300, FOREST)
+    with writer(output, source) as opened:
+        for block in record_blocks(labels):
+            opened.add(block)
+        opened.finish(run_record())
+    assert any(
+        f"point format {form} cannot hold code 64; upgraded to {UPGRADED[form]}" in text for text in opened.notices
+    )
+    new = parse(output)
+    assert np.array_equal(classes(new), ClassCodes().lookup()[labels])
+    assert new.form == UPGRADED[form]
+    assert new.data[24:26] == b"\x01\x04"
+    assert field(new.data, 94, "H") == 379
+    assert new.header[375:] == b"mine"
+    assert new.user_bytes == b"user"
+    assert field(new.data, 6, "H") & 16  # WKT
+    assert struct.unpack_from("<6I", new.data, 107) == (0,) * 6
+    assert new.header[131:227] == old.header[131:227]
+    returns = np.bincount(old.records[:, 14] & 7, minlength=16)[1:16]
+    assert struct.unpack_from("<15Q", new.data, 255) == tuple(returns)
+    _same_dimensions(source, output, form)
+
+
+def _same_dimensions(source: Path, output: Path, form: int) -> None:
+    old, new = laspy.read(source), laspy.read(output)
+    for name in old.point_format.dimension_names:
+        if name in ("classification", "scan_angle_rank"):
+            continue
+        assert np.asarray(old[name]).tobytes() == np.asarray(new[name]).tobytes(), name
+    ranks = np.asarray(old["scan_angle_rank"]).astype(float)
+    assert np.abs(np.asarray(new["scan_angle"]) * 0.006 - ranks).max() <= 0.003 + 1e-9
+
+
+def test_urban_codes_keep_the_old_format(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 1)
+    new, _ = rewrite(source, tmp_path / "out.las", of=URBAN)
+    assert new.form == 1
+    assert new.data[25] == 2
+
+
+def test_format_8_holds_code_64_without_an_upgrade(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    old = make_las(source, 8, raw_points=True)
+    new, codes = rewrite(source, tmp_path / "out.laz", of=FOREST)
+    same_but_class(old, new)
+    assert 64 in codes
+
+
+def test_upgrade_derives_wkt_from_geotiff_keys(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    keys = struct.pack("<12H", 1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32635)
+    source, output = tmp_path / "in.las", tmp_path / "out.las"
+    make_las(source, 1, vlrs=[vlr_bytes(b"LASF_Projection", 34735, keys)])
+    labels = random_labels(300, FOREST)
+    record = write(output, source, record_blocks(labels))
+    assert "coordinate system EPSG:32635 added as WKT" in record.notices
+    crs = laspy.read(output).header.parse_crs()
+    assert crs is not None
+    assert crs.to_epsg() == 32635
+    assert vlr_bytes(b"LASF_Projection", 34735, keys) in parse(output).vlrs
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        (struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, 32767), "the GeoTIFF keys name no EPSG code"),
+        (struct.pack("<8H", 1, 1, 0, 1, 3072, 0, 1, 9), "EPSG:9"),
+        (b"\1\0\1", "the GeoTIFF keys name no EPSG code"),
+    ],
+)
+def test_upgrade_tells_when_no_wkt_can_be_derived(tmp_path: Path, keys: bytes, told: str) -> None:
+    pytest.importorskip("pyproj")
+    source = tmp_path / "in.las"
+    make_las(source, 1, vlrs=[vlr_bytes(b"LASF_Projection", 34735, keys)])
+    record = write(tmp_path / "out.las", source, record_blocks(random_labels(300, FOREST)))
+    assert any(told in text and "GeoTIFF keys were kept" in text for text in record.notices)
+
+
+def test_upgrade_leaves_out_a_vertical_datum_code_and_says_so(tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    keys = struct.pack("<12H", 1, 1, 0, 2, 3072, 0, 1, 26910, 4096, 0, 1, 5103)
+    source = tmp_path / "in.las"
+    make_las(source, 1, vlrs=[vlr_bytes(b"LASF_Projection", 34735, keys)])
+    record = write(tmp_path / "out.las", source, record_blocks(random_labels(300, FOREST)))
+    assert any("EPSG:26910" in text and "5103" in text for text in record.notices)
+
+
+def test_upgrade_of_internal_waveforms_counts_their_evlr(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.las", tmp_path / "out.las"
+    old = make_las(source, 4, gap=EVLRS[1])
+    data = bytearray(old.data)
+    data[6] |= 2  # waveforms inside
+    data[227:235] = struct.pack("<Q", len(data) - len(EVLRS[1]))
+    source.write_bytes(data)
+    kept, _ = rewrite(source, tmp_path / "kept.las")
+    assert kept.data[field(kept.data, 227, "Q") :] == EVLRS[1]
+    new, _ = rewrite(source, output, of=FOREST)
+    assert new.data[field(new.data, 235, "Q") :] == EVLRS[1]
+    assert field(new.data, 243, "I") == 1
+
+
+# ---- extra bytes
+
+
+@pytest.mark.parametrize(("before", "after"), [(".las", ".las"), (".laz", ".laz"), (".las", ".laz")])
+@pytest.mark.parametrize(("form", "extra"), [(0, False), (3, True), (6, False), (8, True)])
+def test_segment_ids_and_ranges_are_appended(tmp_path: Path, form: int, extra: bool, before: str, after: str) -> None:
+    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    old = make_las(source, form, extra=extra, raw_points=True, vlrs=VLRS)
+    labels = random_labels(300)
+    segments = np.arange(300) * 7 + (1 << 31)
+    ranges = np.random.default_rng(2).random(300).astype(np.float32)
+    options = OutputConfig(segment_ids=True, range=True)
+    write(output, source, record_blocks(labels, segments=segments, range_m=ranges), options=options)
+    new = parse(output)
+    assert np.array_equal(without_class(new.records[:, :-8], form), without_class(old.records, form))
+    read = laspy.read(output)
+    assert np.array_equal(read["segment_id"], segments)
+    assert read["range"].tobytes() == ranges.tobytes()
+    if extra:
+        assert read["amplitude"].tobytes() == laspy.read(source)["amplitude"].tobytes()
+
+
+def test_bytes_that_no_vlr_describes_are_kept_in_front(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.las", tmp_path / "out.las"
+    plain = make_las(source, 6, extra=False)
+    data = bytearray(plain.header)
+    data[105:107] = struct.pack("<H", 33)
+    points = np.concatenate([plain.records, np.full((300, 3), 9, np.uint8)], axis=1)
+    source.write_bytes(bytes(data) + points.tobytes())
+    write(
+        output,
+        source,
+        record_blocks(random_labels(300), segments=np.arange(300)),
+        options=OutputConfig(segment_ids=True),
+    )
+    assert np.array_equal(laspy.read(output)["segment_id"], np.arange(300))
+    assert np.all(parse(output).records[:, 30:33] == 9)
+
+
+def test_a_second_run_replaces_segment_ids_and_keeps_ranges(tmp_path: Path) -> None:
+    source, once, twice = tmp_path / "in.las", tmp_path / "once.las", tmp_path / "twice.las"
+    make_las(source, 1)
+    options = OutputConfig(segment_ids=True, range=True)
+    labels = random_labels(300)
+    ones = np.ones(300, np.float32)
+    write(once, source, record_blocks(labels, segments=np.arange(300), range_m=ones), options=options)
+    record = write(twice, once, record_blocks(labels, segments=np.arange(300) + 5, range_m=2 * ones), options=options)
+    read = laspy.read(twice)
+    assert np.array_equal(read["segment_id"], np.arange(300) + 5)
+    assert np.all(read["range"] == 1)
+    assert [text for text in record.notices if "already" in text] == [
+        "the input has segment_id already; its values were replaced",
+        "the input has range already; it was kept as it is",
+    ]
+
+
+def test_replaced_segment_ids_survive_an_upgrade(tmp_path: Path) -> None:
+    source, once, twice = tmp_path / "in.las", tmp_path / "once.las", tmp_path / "twice.laz"
+    make_las(source, 1)
+    options = OutputConfig(segment_ids=True)
+    write(once, source, record_blocks(random_labels(300), segments=np.arange(300)), options=options)
+    labels = random_labels(300, FOREST)
+    write(twice, once, record_blocks(labels, segments=np.arange(300) + 5), options=options)
+    read = laspy.read(twice)
+    assert np.array_equal(read["segment_id"], np.arange(300) + 5)
+    assert np.array_equal(read.classification, ClassCodes().lookup()[labels])
+
+
+def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.add_extra_dim(laspy.ExtraBytesParams("segment_id", "u2"))
+    laspy.LasData(header).write(source)
+    with (
+        writer(tmp_path / "out.las", source, options=OutputConfig(segment_ids=True)) as opened,
+        pytest.raises(OutputError, match=r"extra bytes named 'segment_id' of type 3, expected none or type 5; .*false"),
+    ):
+        opened.finish(run_record())
+
+
+def test_segment_ids_beyond_uint32_are_refused(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 6)
+    blocks = record_blocks(random_labels(300), segments=np.full(300, 1 << 32))
+    with pytest.raises(OutputError, match="segment id 4294967296 does not fit uint32"):
+        write(tmp_path / "out.las", source, blocks, options=OutputConfig(segment_ids=True))
+
+
+# ---- odd and damaged files
+
+
+@pytest.mark.parametrize(("before", "after"), [(".las", ".las"), (".laz", ".laz"), (".laz", ".las"), (".las", ".laz")])
+def test_no_points(tmp_path: Path, before: str, after: str) -> None:
+    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    old = make_las(source, 6, n=0, vlrs=VLRS, evlrs=EVLRS)
+    write(output, source, [])
+    same_but_class(old, parse(output))
+    assert len(laspy.read(output)) == 0
+
+
+@pytest.mark.parametrize("after", [".las", ".laz"])
+@pytest.mark.parametrize("before", [".las", ".laz"])
+def test_foreign_bytes_behind_the_points_are_kept(tmp_path: Path, before: str, after: str) -> None:
+    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    make_las(source, 6, gap=b"foreign bytes, no record of any kind", evlrs=EVLRS)
+    rewrite(source, output)
+    data = output.read_bytes()
+    at = field(data, 235, "Q")
+    assert data[at:] == b"".join(EVLRS)
+    assert data[:at].endswith(b"foreign bytes, no record of any kind")
+
+
+def test_laz_written_to_a_pipe_has_its_table_offset_at_the_end(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
+    old = make_las(source, 6)
+    start = field(old.data, 96, "I")
+    table = old.data[start : start + 8]
+    source.write_bytes(old.data[:start] + struct.pack("<q", -1) + old.data[start + 8 :] + table)
+    new, _ = rewrite(source, output)
+    assert np.array_equal(without_class(new.records, 6), without_class(old.records, 6))
+    assert struct.unpack_from("<q", new.data, field(new.data, 96, "I"))[0] > 0
+
+
+def test_copc_index_is_dropped_and_said_so(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
+    copc = evlr_bytes(b"copc", 1000, bytes(32))
+    make_las(source, 6, vlrs=[vlr_bytes(b"copc", 1, bytes(160))], evlrs=[EVLRS[0], copc, EVLRS[1]])
+    record = write(output, source, record_blocks(random_labels(300)))
+    new = parse(output)
+    assert new.tail == EVLRS[0] + EVLRS[1]
+    assert field(new.data, 243, "I") == 2
+    assert not [vlr for vlr in new.vlrs if vlr[2:6] == b"copc"]
+    assert any("COPC" in text for text in record.notices)
+
+
+def test_compatibility_mode_is_refused(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    make_las(source, 1, vlrs=[vlr_bytes(b"lascompatible", 22204, bytes(10))])
+    with pytest.raises(InputError, match="compatibility mode"):
+        write(tmp_path / "out.laz", source, record_blocks(random_labels(300)))
+
+
+@pytest.mark.parametrize("after", [".las", ".laz"])
+def test_waveforms_of_several_channels_are_not_spoilt(tmp_path: Path, after: str) -> None:
+    """laszip's third version mixes up waveform packets of several scanner channels."""
+    source, output = tmp_path / "in.las", tmp_path / f"out{after}"
+    old = make_las(source, 9, raw_points=True)
+    start = field(old.data, 96, "I")
+    data = bytearray(old.data)
+    data[start + 15 :: old.records.shape[1]] = bytes((i % 4) << 4 for i in range(300))
+    source.write_bytes(data[: len(old.data)])
+    if after == ".las":
+        same_but_class(parse(source), rewrite(source, output)[0])
+        return
+    with pytest.raises(OutputError, match=r"does not hold the waveform packets.*write \.las instead"):
+        rewrite(source, output)
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_chunk_size_of_the_input_is_kept(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    old = make_las(source, 3, n=500)
+    laszip = next(vlr for vlr in old.vlrs if vlr[2:].startswith(b"laszip"))
+    small = bytearray(laszip)
+    small[54 + 12 : 54 + 16] = struct.pack("<I", 100)
+    _recompress(source, old, laszip, bytes(small))
+    new, _ = rewrite(source, tmp_path / "out.laz")
+    assert bytes(small) in new.vlrs
+    assert np.array_equal(without_class(new.records, 3), without_class(old.records, 3))
+
+
+def test_chunks_of_differing_length_become_equal(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    old = make_las(source, 6, n=500)
+    laszip = next(vlr for vlr in old.vlrs if vlr[2:].startswith(b"laszip"))
+    variable = bytearray(laszip)
+    variable[54 + 12 : 54 + 16] = b"\xff" * 4
+    _recompress(source, old, laszip, bytes(variable), breaks=(0, 120, 123, 500))
+    record = write(tmp_path / "out.laz", source, record_blocks(random_labels(500)))
+    assert any("differing length" in text for text in record.notices)
+    assert np.array_equal(without_class(parse(tmp_path / "out.laz").records, 6), without_class(old.records, 6))
+
+
+def test_old_laszip_items_are_written_as_new_ones(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
+    old = make_las(source, 1, n=500, extra=False)
+    laszip = next(vlr for vlr in old.vlrs if vlr[2:].startswith(b"laszip"))
+    first = bytearray(laszip)
+    for item in range(2):
+        first[54 + 34 + 6 * item + 4] = 1  # version
+    _recompress(source, old, laszip, bytes(first))
+    record = write(output, source, record_blocks(random_labels(500)))
+    assert any("laszip's items" in text for text in record.notices)
+    assert laszip in parse(output).vlrs
+    assert np.array_equal(without_class(parse(output).records, 1), without_class(old.records, 1))
+
+
+@pytest.mark.parametrize("form", [4, 5])
+def test_waveform_items_have_the_version_that_laszip_reads(tmp_path: Path, form: int) -> None:
+    """LASzip 3.5 refuses the number 2 that lazrs gives them; the bytes are the same."""
+    source = tmp_path / "in.las"
+    make_las(source, form)
+    new, _ = rewrite(source, tmp_path / "out.laz")
+    laszip = next(vlr[54:] for vlr in new.vlrs if vlr[2:].startswith(b"laszip"))
+    n_items = struct.unpack_from("<H", laszip, 32)[0]
+    items = [struct.unpack_from("<HHH", laszip, 34 + 6 * item) for item in range(n_items)]
+    assert (9, 29, 1) in items
+
+
+def test_waveforms_in_a_file_of_their_own_are_pointed_out(tmp_path: Path) -> None:
+    source = tmp_path / "drive.las"
+    data = bytearray(make_las(source, 9).data)
+    data[6] |= 4
+    source.write_bytes(data)
+    record = write(tmp_path / "out.las", source, record_blocks(random_labels(300)))
+    assert any("copy drive.wdp beside the output" in text for text in record.notices)
+
+
+def _recompress(path: Path, old: Parsed, laszip: bytes, changed: bytes, breaks: tuple[int, ...] = ()) -> None:
+    stream = io.BytesIO()
+    stream.write(old.data[: field(old.data, 96, "I")].replace(laszip, changed))
+    compressor = lazrs.LasZipCompressor(stream, lazrs.LazVlr(changed[54:]))
+    if not breaks:
+        compressor.compress_many(old.records.reshape(-1))
+    for first, stop in itertools.pairwise(breaks):
+        compressor.compress_many(old.records[first:stop].reshape(-1))
+        if stop != breaks[-1]:
+            compressor.finish_current_chunk()
+    compressor.done()
+    path.write_bytes(stream.getvalue())
+
+
+def damage_cases() -> list[tuple[str, str, int, bytes, str]]:
+    return [
+        ("in.las", "signature", 0, b"LASX", "found b'LASX' and .* expected a LAS header"),
+        ("in.las", "version", 25, b"\x09", "found LAS 1.9"),
+        ("in.las", "format", 104, b"\x0b", "found point format 11"),
+        ("in.las", "offset", 96, b"\xff\xff\xff\x7f", "found points at byte 2147483647, expected byte 375 to"),
+        ("in.las", "count", 247, b"\xff\xff\xff", "found 300 point records, expected 16777215"),
+        ("in.las", "vlrs", 100, b"\xff", "expected 255 VLRs before them"),
+        ("in.las", "evlrs", 243, b"\x09", r"EVLR 0\): found .* expected an EVLR after the points"),
+    ]
+
+
+@pytest.mark.parametrize(("name", "_what", "at", "value", "told"), damage_cases())
+def test_damaged_headers_are_refused_at_once(
+    tmp_path: Path, name: str, _what: str, at: int, value: bytes, told: str
+) -> None:
+    source = tmp_path / name
+    data = bytearray(make_las(source, 6, extra=False).data)
+    data[at : at + len(value)] = value
+    source.write_bytes(data)
+    with pytest.raises(InputError, match=told):
+        writer(tmp_path / "out.las", source)
+
+
+def test_points_cut_off_inside_a_chunk(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    old = make_las(source, 6, raw_points=True)
+    source.write_bytes(old.data[:-2000])
+    with pytest.raises(InputError, match=r"in\.laz: byte \d+: found the chunk table at byte \d+, expected it behind"):
+        write(tmp_path / "out.laz", source, record_blocks(random_labels(300)))
+    assert list(tmp_path.iterdir()) == [source]
+
+
+def test_a_changed_input_is_noticed(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 6)
+    with writer(tmp_path / "out.las", source) as opened:
+        make_las(source, 6, n=301)
+        with pytest.raises(InputError, match="found another header than at the start of the run"):
+            opened.finish(run_record())
+
+
+def test_labels_beyond_the_last_record_are_refused(tmp_path: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 6, n=10)
+    with pytest.raises(OutputError, match="found a label for record 19, expected records below 10"):
+        write(tmp_path / "out.las", source, record_blocks(random_labels(20)))
+
+
+def test_a_record_too_long_for_a_vlr_is_shortened_there_only(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.las", tmp_path / "out.las"
+    make_las(source, 6)
+    record = run_record(config={"key": "x" * 70_000})
+    write(output, source, record_blocks(random_labels(300)), record)
+    inside = json.loads(parse(output).record_payloads()[0])
+    assert inside["complete"] is False
+    assert len(inside["config_sha256"]) == 64
+    assert json.loads((tmp_path / "out.las.prc.json").read_text())["config"]["key"] == "x" * 70_000
+
+
+# ---- real files
+
+
+REAL = [
+    "las/als_strip_labelled.laz",
+    "las/fullwave_pf10.laz",
+    "las/ign_tile_not_chronological.laz",
+    "las/mls_not_in_time_order.las",
+    "las/plane.laz",
+    "profiler/jakarto_0.02s.las",
+]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", REAL)
+def test_real_files_keep_everything(real_data: Path, tmp_path: Path, name: str) -> None:
+    source = real_data / name
+    output = tmp_path / f"out{source.suffix}"
+    new, codes = rewrite(source, output)
+    same_but_class(parse(source), new)
+    assert np.array_equal(laspy.read(output).classification, codes)
+
+
+@pytest.mark.data
+def test_a_real_file_with_its_own_classes_comes_back_whole(real_data: Path, tmp_path: Path) -> None:
+    """Writing the codes that are there already gives the same compressed points, byte for byte."""
+    source = real_data / "las" / "ign_tile_not_chronological.laz"
+    old = parse(source)
+    own = np.asarray(laspy.read(source).classification).astype(int)
+    names = ["unclassified", "ground", "vegetation", "building", "noise", "stem", "car", "curb"]
+    values = np.unique(own)
+    codes = ClassCodes(**dict(zip(names, values.tolist(), strict=False)))
+    table = {code: label for label, code in enumerate(codes.lookup().tolist()) if label}
+    labels = np.array([table[code] for code in range(256) if code in table], np.uint8)[
+        np.searchsorted(sorted(table), own)
+    ]
+    write(tmp_path / "out.laz", source, record_blocks(labels, 500), codes=codes)
+    new = parse(tmp_path / "out.laz")
+    start, new_start = field(old.data, 96, "I"), field(new.data, 96, "I")
+    assert new.data[new_start + 8 :] == old.data[start + 8 :]
+
+
+@pytest.mark.data
+def test_a_real_profiler_drive_upgrades(real_data: Path, tmp_path: Path) -> None:
+    source, output = real_data / "profiler" / "jakarto_0.02s.las", tmp_path / "out.laz"
+    copy = tmp_path / "in.las"
+    shutil.copy(source, copy)
+    new, codes = rewrite(copy, output, of=FOREST)
+    assert (new.form, 64 in codes) == (6, True)
+    _same_dimensions(copy, output, 1)
+
+
+def test_sizes_table_agrees_with_laspy() -> None:
+    assert tuple(laspy.PointFormat(form).size for form in range(11)) == SIZES
+    assert LASZIP_KEY[1] == 22204
+
+
+def test_what_is_written_at_once_is_cut(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    written = [rng.bytes(n) for n in (0, 1, 65_536, 65_537, 200_000, 99_999, 1)]
+    with (tmp_path / "a").open("w+b") as handle:
+        target = las_codec.Target(handle)
+        assert [target.write(np.frombuffer(piece, np.uint8).data) for piece in written] == [len(p) for p in written]
+        target.flush()
+    assert (tmp_path / "a").read_bytes() == b"".join(written)
+
+
+class _Pieces(io.BytesIO):
+    """Notes where every piece begins and how long it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun: list[tuple[int, int]] = []
+
+    def write(self, data: Any) -> int:
+        self.begun.append((self.tell(), len(data)))
+        return super().write(data)
+
+
+def test_large_pieces_begin_where_pages_do() -> None:
+    """Pages that are written in two halves cost half as much time again."""
+    rng = np.random.default_rng(2)
+    handle = _Pieces()
+    target = las_codec.Target(handle)
+    written = [rng.bytes(n) for n in (375, 200_000, 200_001, 3)]
+    for piece in written:
+        target.write(np.frombuffer(piece, np.uint8).data)
+    assert handle.getvalue() == b"".join(written)
+    whole = [start for start, n in handle.begun if n == 65_536]
+    assert len(whole) >= 4
+    assert all(start % 65_536 == 0 for start in whole)
+
+
+def test_the_disk_begins_with_every_byte_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spans: list[tuple[int, int]] = []
+    monkeypatch.setattr(las_codec, "begin_flush", lambda _, first, stop: spans.append((first, stop)))
+    monkeypatch.setattr(las_codec, "_FLUSH_BYTES", 1000)
+    with (tmp_path / "a").open("w+b") as handle:
+        target = las_codec.Target(handle)
+        for n in (10, 999, 2500, 400, 600, 5):
+            target.write(bytes(n))
+        target.write(bytes(994))
+        target.seek(0)
+        target.write(bytes(375))
+    assert spans == [(0, 1009), (1009, 3509), (3509, 4509), (0, 375)]

@@ -1,0 +1,190 @@
+"""New classes in LAZ chunks: the same bytes as compressing everything again, and nothing else touched."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import lazrs
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.errors import InputError
+from prc_cli.formats.las import rewrite as las_rewrite
+from prc_cli.formats.las import splice as las_splice
+from prc_cli.formats.las.contexts import LazContexts, contexts_of
+from prc_cli.formats.las.file import open_source, read_structure
+from prc_cli.formats.las.splice import Chunks, find_chunks
+from tests.formats.common import (
+    random_labels,
+    record_blocks,
+    run_record,
+    write,
+    writer,
+)
+from tests.formats.las.lasbytes import (
+    Parsed,
+    classes,
+    evlr_bytes,
+    field,
+    make_las,
+    n_points,
+    parse,
+    same_but_class,
+)
+
+EVLRS = (evlr_bytes(b"nobody", 5, b"abc" * 50), evlr_bytes(b"LASF_Spec", 65535, bytes(1000)))
+
+
+def compress(source: Path, output: Path, chunk_points: int, *, form: int, extra: int) -> Parsed:
+    """Write a LAS file again as LAZ with chunks of any length."""
+    plain = parse(source)
+    payload = bytearray(lazrs.LazVlr.new_for_compression(form, extra).record_data())
+    struct.pack_into("<I", payload, 12, chunk_points)
+    vlr = struct.pack("<H16sHH32s", 0, b"laszip encoded", 22204, len(payload), b"") + bytes(payload)
+    head = bytearray(plain.header)
+    start = field(plain.data, 96, "I") + len(vlr)
+    head[96:104] = struct.pack("<II", start, len(plain.vlrs) + 1)
+    head[104] |= 0x80
+    points = io.BytesIO(bytes(start))
+    points.seek(start)
+    compressor = lazrs.LasZipCompressor(points, lazrs.LazVlr(bytes(payload)))
+    compressor.compress_many(plain.records.reshape(-1))
+    compressor.done()
+    body = b"".join([*plain.vlrs, vlr]) + plain.user_bytes + points.getvalue()[start:]
+    if plain.tail:
+        head[235:243] = struct.pack("<Q", len(head) + len(body))
+    output.write_bytes(bytes(head) + body + plain.tail)
+    return parse(output)
+
+
+def make_laz(path: Path, form: int, n: int, chunk_points: int, seed: int = 0) -> Parsed:
+    """Records of random bits, hence all scanner channels and return numbers, with extra bytes and EVLRs."""
+    source = path.with_suffix(".las")
+    make_las(source, form, n=n, seed=seed, evlrs=EVLRS, user_bytes=b"between", raw_points=True)
+    return compress(source, path, chunk_points, form=form, extra=8)
+
+
+def chunks_of(path: Path) -> Chunks | None:
+    with open_source(path) as source:
+        return find_chunks(source, read_structure(source))
+
+
+def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
+    labels = random_labels(n_points(source.read_bytes()))
+    write(output, source, record_blocks(labels))
+    return parse(output), ClassCodes().lookup()[labels]
+
+
+@pytest.mark.parametrize(("n", "chunk_points"), [(1, 50), (50, 50), (51, 50), (1030, 50), (7, 1), (300, 50_000)])
+@pytest.mark.parametrize("form", [6, 7, 8])
+def test_bytes_are_those_of_compressing_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: int, n: int, chunk_points: int
+) -> None:
+    source = tmp_path / "in.laz"
+    old = make_laz(source, form, n, chunk_points, seed=form)
+    assert chunks_of(source) is not None
+    # several batches, the last one not full
+    monkeypatch.setattr(las_splice, "batch_records", lambda length, *, compressed: 4 * 50)
+    spliced, codes = labelled_copy(source, tmp_path / "spliced.laz")
+    monkeypatch.setattr(las_rewrite, "find_chunks", lambda *_: None)
+    again, _ = labelled_copy(source, tmp_path / "again.laz")
+    assert spliced.data == again.data
+    same_but_class(old, spliced)
+    assert np.array_equal(classes(spliced), codes)
+
+
+def test_other_layers_are_copied_even_if_nothing_could_decode_them(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
+    make_laz(source, 6, 200, 50)
+    chunks = chunks_of(source)
+    assert chunks is not None
+    data = bytearray(source.read_bytes())
+    # the last layer of the second chunk: one of the extra bytes
+    at = chunks.first_byte[2] - 20
+    data[at : at + 20] = b"\xa5" * 20
+    source.write_bytes(data)
+    write(output, source, record_blocks(random_labels(200)))
+    assert output.read_bytes().count(b"\xa5" * 20) == 1
+
+
+def test_a_class_that_does_not_change_leaves_no_layer(tmp_path: Path) -> None:
+    source, output = tmp_path / "in.laz", tmp_path / "out.laz"
+    make_laz(source, 6, 100, 50)
+    write(output, source, record_blocks(np.full(100, 2, np.uint8)))
+    start, length = field(output.read_bytes(), 96, "I"), field(output.read_bytes(), 105, "H")
+    assert struct.unpack_from("<I", output.read_bytes(), start + 8 + length + 4 + 8) == (0,)
+
+
+def lie_about_records(data: bytearray, first: int, length: int) -> None:
+    struct.pack_into("<I", data, first + length, 49)
+
+
+def lie_about_layers(data: bytearray, first: int, length: int) -> None:
+    struct.pack_into("<I", data, first + length + 4, 3_000_000)
+
+
+@pytest.mark.parametrize("n_kept", [1030, 700, 0])
+def test_contexts_kept_from_reading_give_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n_kept: int
+) -> None:
+    source = tmp_path / "in.laz"
+    old = make_laz(source, 6, 1030, 50, seed=4)
+    monkeypatch.setattr(las_splice, "batch_records", lambda length, *, compressed: 4 * 50)
+    spliced, _ = labelled_copy(source, tmp_path / "spliced.laz")
+    kept = LazContexts()
+    for first in range(0, n_kept, 300):
+        kept.see(first, contexts_of(old.records[first : min(first + 300, n_kept)]))
+    if n_kept == 1030:
+        # the returns are not decoded again
+        monkeypatch.setattr("lazrs.ParLasZipDecompressor", None)
+    write(tmp_path / "again.laz", source, record_blocks(random_labels(1030)), laz_contexts=kept)
+    assert (tmp_path / "again.laz").read_bytes() == spliced.data
+
+
+@pytest.mark.parametrize("lie", [lie_about_records, lie_about_layers])
+def test_chunks_whose_heads_lie_are_left_to_the_decoder(
+    tmp_path: Path, lie: Callable[[bytearray, int, int], None]
+) -> None:
+    source = tmp_path / "in.laz"
+    make_laz(source, 6, 200, 50)
+    chunks = chunks_of(source)
+    assert chunks is not None
+    data = bytearray(source.read_bytes())
+    lie(data, chunks.first_byte[1], field(bytes(data), 105, "H"))
+    source.write_bytes(data)
+    assert chunks_of(source) is None
+
+
+@pytest.mark.parametrize("form", [3, 9])
+def test_other_formats_are_compressed_again(tmp_path: Path, form: int) -> None:
+    source = tmp_path / "in.laz"
+    make_las(source, form, raw_points=True)
+    assert chunks_of(source) is None
+
+
+def test_a_file_that_ends_within_its_chunks_is_refused(tmp_path: Path) -> None:
+    source = tmp_path / "in.laz"
+    make_laz(source, 6, 200, 50)
+    with pytest.raises(InputError, match=r"in\.laz"), writer(tmp_path / "out.laz", source) as opened:
+        for block in record_blocks(random_labels(200)):
+            opened.add(block)
+        source.write_bytes(source.read_bytes()[:-3000])
+        opened.finish(run_record())
+    assert not (tmp_path / "out.laz").exists()
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_an_input_that_changes_between_the_readings_is_refused(tmp_path: Path, suffix: str) -> None:
+    source, output = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    make_las(source, 6)
+    with pytest.raises(InputError, match="changed while it was read"), writer(output, source) as opened:
+        for block in record_blocks(random_labels(300)):
+            opened.add(block)
+        os.utime(source, ns=(0, 1_700_000_000_000_000_000))
+        opened.finish(run_record())
+    assert list(tmp_path.glob(f"*out{suffix}*")) == []

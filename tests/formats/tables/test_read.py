@@ -1,0 +1,96 @@
+"""Arrays and Parquet files as columns of records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import F64
+from prc_cli.formats.las.crs import same_crs, short_crs
+from prc_cli.formats.tables import read as tables
+from prc_cli.formats.tables.read import open_table
+
+
+def columns(path: Path, *names: str) -> dict[str, F64]:
+    source = open_table(path)
+    assert source is not None
+    chunks = list(source.chunks(names))
+    assert [chunk.first_record for chunk in chunks] == np.cumsum([0] + [chunk.n for chunk in chunks])[:-1].tolist()
+    assert source.n_records == sum(chunk.n for chunk in chunks)
+    return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
+
+
+@pytest.mark.parametrize("chunk", [7, 1 << 20])
+def test_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
+    monkeypatch.setattr(tables, "CHUNK_RECORDS", chunk)
+    random = np.random.default_rng(0)
+    range_m, xyz, time_s = random.random((9, 5)), random.random((9, 5, 3)), random.random((9, 5))
+    path = tmp_path / "image.npz"
+    np.savez(path, angle_deg=np.arange(5.0), range_m=range_m, xyz=xyz, time_s=time_s, name=np.array("a"))
+    source = open_table(path)
+    assert source is not None
+    assert set(source.dimensions) == {"range", "x", "y", "z", "time", "scan_line"}
+    found = columns(path, "z", "range", "scan_line", "time", "x")
+    for name, expected in (("z", xyz[..., 2]), ("range", range_m), ("time", time_s), ("x", xyz[..., 0])):
+        np.testing.assert_array_equal(found[name], expected.ravel())
+    np.testing.assert_array_equal(found["scan_line"], np.repeat(np.arange(9), 5))
+
+
+def test_a_time_a_line_is_no_time_of_a_shot(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", range_m=np.ones((4, 6)), time_s=np.arange(4.0))
+    source = open_table(tmp_path / "a.npz")
+    assert source is not None
+    assert source.dimensions == ("range", "scan_line")
+
+
+def test_lists_and_single_arrays(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", label=np.arange(6), gps_time=np.arange(6.0), xyz=np.arange(18.0).reshape(6, 3))
+    np.testing.assert_array_equal(columns(tmp_path / "a.npz", "y", "time")["y"], np.arange(1, 18, 3))
+    np.save(tmp_path / "b.npy", np.arange(12).reshape(3, 4))
+    np.testing.assert_array_equal(columns(tmp_path / "b.npy", "scan_line")["scan_line"], np.repeat(np.arange(3), 4))
+
+
+def test_parquet(tmp_path: Path) -> None:
+    table = pa.table({"line": [1, 2], "name": ["a", "b"], "range_m": [1.5, None], "range": [7.0, 8.0]})
+    parquet.write_table(table, tmp_path / "a.parquet")
+    source = open_table(tmp_path / "a.parquet")
+    assert source is not None
+    assert set(source.dimensions) == {"scan_line", "range"}
+    found = columns(tmp_path / "a.parquet", "range", "scan_line")
+    np.testing.assert_array_equal(found["range"], [1.5, np.nan])
+    np.testing.assert_array_equal(found["scan_line"], [1, 2])
+
+
+def test_what_cannot_be_read(tmp_path: Path) -> None:
+    assert open_table(tmp_path / "a.label") is None
+    (tmp_path / "a.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(InputError, match="no whole Parquet file"):
+        open_table(tmp_path / "a.parquet")
+    np.savez(tmp_path / "a.npz", range_m=np.ones((4, 6)))
+    with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range, scan_line"):
+        columns(tmp_path / "a.npz", "time")
+
+
+UTM = 'PROJCS["UTM 35N", GEOGCS["WGS 84", AUTHORITY["EPSG","4326"]], AUTHORITY["EPSG","32635"]]'
+
+
+def test_coordinate_systems() -> None:
+    assert short_crs(UTM) == "UTM 35N (EPSG:32635)"
+    assert short_crs("EPSG:3067") == "EPSG:3067"
+    assert short_crs("no WKT " * 30) == ("no WKT " * 30)[:60]
+    assert same_crs(UTM, UTM.replace(" ", "\n "))
+    assert same_crs(UTM, "epsg:32635")
+    assert not same_crs(UTM, "EPSG:3067")
+    assert not same_crs(UTM, "a local system")
+
+
+def test_coordinate_systems_without_codes() -> None:
+    pyproj = pytest.importorskip("pyproj")
+    crs = pyproj.CRS.from_epsg(32635)
+    assert not same_crs("EPSG:32636", crs.to_wkt("WKT1_ESRI"))
+    assert same_crs(crs.to_wkt("WKT2_2019"), crs.to_wkt("WKT1_GDAL"))

@@ -1,0 +1,165 @@
+"""Record layouts: what numpy type they mean and how stored numbers become values."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.formats.layout import decode, record_dtype
+from prc_cli.formats.options import RANGES_ONLY, Layout, LayoutField
+from prc_cli.formats.raw_binary.read import RawBinarySource
+from prc_cli.formats.records import RecordSource
+from prc_cli.formats.text.read import TextSource
+
+
+def layout(*fields: dict[str, Any], **keys: Any) -> Layout:
+    return Layout(fields=tuple(LayoutField(**field) for field in fields), **keys)
+
+
+def test_fields_follow_each_other_without_gaps_in_the_byte_order_asked_for() -> None:
+    fields = ({"name": "flag", "type": "u1"}, {"name": "range", "type": "f4"}, {"name": "time", "type": "f8"})
+    dtype = record_dtype(layout(*fields, endian="big"))
+    assert dtype.itemsize == 13
+    assert [(name, dtype[name].str, dtype.fields[name][1]) for name in dtype.names] == [  # type: ignore[index, union-attr]
+        ("flag", "|u1", 0),
+        ("range", ">f4", 1),
+        ("time", ">f8", 5),
+    ]
+
+
+def test_the_byte_order_of_the_layout_beats_one_in_the_type() -> None:
+    assert record_dtype(layout({"name": "range", "type": ">u2"}))["range"].str == "<u2"
+
+
+def test_padding_at_the_end_of_the_record() -> None:
+    assert record_dtype(layout({"name": "range", "type": "u2"}, record_bytes=16)).itemsize == 16
+
+
+def test_ranges_only_is_a_float32() -> None:
+    assert record_dtype(RANGES_ONLY).itemsize == 4
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        (Layout(), "layout.fields: none given, expected at least one field"),
+        (
+            layout({"name": "range", "type": "f8"}, record_bytes=7),
+            "layout.record_bytes: found 7, but the fields take 8 bytes; leave it out or give 8 or more",
+        ),
+        (layout({"name": "range", "unit": "deg"}), "field 'range': found unit 'deg', expected m"),
+        (layout({"name": "angle", "unit": "m"}), "field 'angle': found unit 'm', expected deg or rad"),
+        (
+            layout({"name": "range", "type": "u2", "missing": -1}),
+            "field 'range': found missing = -1, which u2 cannot hold; give the value as it is stored",
+        ),
+        (layout({"name": "range", "type": "i4", "missing": 0.5}), "missing = 0.5, which i4 cannot hold"),
+        (layout({"name": "range", "type": "f4", "missing": 1e39}), "missing = 1e+39, which f4 cannot hold"),
+    ],
+)
+def test_layouts_that_contradict_themselves(given: Layout, found: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        record_dtype(given)
+    assert found in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_plain_float32_ranges_are_not_widened() -> None:
+    stored = np.array([1.25, np.nan, np.inf], ">f4")
+    values = decode(stored, LayoutField(name="range"))
+    assert values.dtype == np.dtype("=f4")
+    np.testing.assert_array_equal(values, np.array([1.25, np.nan, np.inf], np.float32))
+
+
+def test_a_missing_value_is_compared_as_stored() -> None:
+    stored = np.array([32.7, 32.699997, 5.0], np.float32)
+    values = decode(stored, LayoutField(name="range", missing=32.7))
+    np.testing.assert_array_equal(np.isnan(values), [True, False, False])
+    scaled = decode(
+        np.array([0, 100], np.uint16), LayoutField(name="range", type="u2", scale=0.01, offset=2, missing=0)
+    )
+    np.testing.assert_array_equal(scaled, [np.nan, 3.0])
+
+
+def test_angles_become_radians_after_scale_and_offset() -> None:
+    stored = np.array([0, 9000], np.int32)
+    degrees = decode(stored, LayoutField(name="angle", type="i4", scale=0.01, offset=90))
+    np.testing.assert_allclose(degrees, [math.pi / 2, math.pi])
+    radians = decode(stored, LayoutField(name="angle", type="i4", scale=0.01, offset=90, unit="rad"))
+    np.testing.assert_array_equal(radians, [90, 180])
+
+
+def test_whole_numbers_stay_whole_where_nothing_changes_them() -> None:
+    stored = np.array([2**53 + 1, 7], ">i8")
+    kept = decode(stored, LayoutField(name="scan_line", type="i8"))
+    assert kept.dtype == np.dtype("=i8")
+    np.testing.assert_array_equal(kept, [2**53 + 1, 7])
+    assert decode(stored, LayoutField(name="time", type="i8")).dtype == np.float64
+    assert decode(stored, LayoutField(name="scan_line", type="i8", missing=7)).dtype == np.float64
+
+
+def test_overflow_warns_of_nothing() -> None:
+    values = decode(np.array([1e300, -1e300]), LayoutField(name="range", type="f8", scale=1e300))
+    np.testing.assert_array_equal(values, [np.inf, -np.inf])
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    stored=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=1, max_size=20),
+    scale=st.sampled_from([1.0, 0.001, -2.5]),
+    offset=st.sampled_from([0.0, 10.0]),
+    missing=st.sampled_from([None, 0.0, -1.0]),
+    order=st.sampled_from(["<i4", ">i4"]),
+)
+def test_value_is_stored_times_scale_plus_offset(
+    stored: list[int], scale: float, offset: float, missing: float | None, order: str
+) -> None:
+    item = LayoutField(name="range", type="i4", scale=scale, offset=offset, missing=missing)
+    expected = [math.nan if value == missing else value * scale + offset for value in stored]
+    np.testing.assert_array_equal(decode(np.array(stored, order), item), expected)
+
+
+SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "layouts"
+
+
+@pytest.mark.parametrize(
+    ("name", "n", "share_missing", "value"),
+    [
+        ("ranges_f32", 100 * 2154, 200 / 2154, 5.0),
+        ("faro_like_i4_mm", 20 * 5120, 1 / 3, 7.25),
+        ("big_endian_u2_cm", 50 * 1080, 580 / 1080, 12.34),
+        ("range_angle_time", 40 * 720, 1 / 5, 9.5),
+        ("csv_oakland", 30 * 229, 33 / 229, 6.25),
+        ("csv_no_header", 60 * 541, 1 / 4, 4.321),
+    ],
+)
+def test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, n: int, share_missing: float, value: float
+) -> None:
+    sample = (SAMPLES / f"{name}.toml").read_text(encoding="utf-8")
+    given = Layout.model_validate(tomllib.loads(sample)["layout"])
+    example = [line[6:] for line in sample.splitlines() if line.startswith("#     ")]
+    monkeypatch.chdir(tmp_path)
+    exec("\n".join(example), {})
+    (path,) = tmp_path.iterdir()
+    assert f"prc classify {path.name} " in sample or name == "csv_oakland"
+    is_text = path.suffix in (".csv", ".txt")
+    source: RecordSource = TextSource(path, given) if is_text else RawBinarySource(path, given)
+    assert set(source.dimensions) >= {item.name for item in given.fields}
+    ranges = np.concatenate([chunk.values["range"] for chunk in source.chunks(("range",))])
+    assert len(ranges) == n
+    assert np.isnan(ranges).mean() == pytest.approx(share_missing, abs=1e-4)
+    np.testing.assert_allclose(ranges[~np.isnan(ranges)], value, rtol=1e-7)
+
+
+def test_every_sample_layout_is_tried_above() -> None:
+    tried = test_the_example_in_a_sample_layout_makes_a_file_that_the_layout_reads.pytestmark[0].args[1]  # type: ignore[attr-defined]
+    assert {path.stem for path in SAMPLES.glob("*.toml")} == {case[0] for case in tried}

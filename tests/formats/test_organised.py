@@ -1,0 +1,75 @@
+"""What PTX and E57 have in common: memory that does not grow with the file, poses."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.formats import ptx
+from prc_cli.formats.e57 import file as e57_file
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.organised import Pose, is_rotation
+from prc_cli.stream.open import open_input
+from tests.formats.organised_files import (
+    Scan,
+    e57_fields,
+    grid_points,
+    ptx_scan,
+    reordered,
+    turn_x,
+    write_e57,
+    write_text,
+)
+
+
+def peak_bytes(path: Path) -> int:
+    """Most memory held while a file is opened and read."""
+    tracemalloc.start()
+    try:
+        assert sum(block.n_lines for block in open_input(path, InputConfig()).blocks()) > 0
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("kind", ["ptx", "e57", "e57 row by row"])
+def test_memory_does_not_grow_with_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    monkeypatch.setattr("prc_cli.formats.organised.CHUNK_SHOTS", 2048)
+    monkeypatch.setattr(e57_file, "CHUNK_POINTS", 1024)
+    monkeypatch.setattr(ptx, "TEXT_BYTES", 1 << 15)
+    peaks = []
+    for n_lines in (100, 100, 1000):  # the first one imports
+        points = grid_points(n_lines, 64)
+        fields = e57_fields(points)
+        if kind == "ptx":
+            path = write_text(tmp_path / "a.ptx", ptx_scan(points, rotation=turn_x(2)))
+        elif kind == "e57":
+            path = write_e57(tmp_path / "a.e57", [Scan(fields)])
+        else:
+            order = np.lexsort((fields["columnIndex"], fields["rowIndex"]))
+            path = write_e57(tmp_path / "a.e57", [Scan(reordered(fields, order))])
+        peaks.append(peak_bytes(path))
+    assert peaks[2] < 1.3 * peaks[1] + 50_000
+
+
+def test_a_pose_turns_every_point_alike_however_many_there_are() -> None:
+    rng = np.random.default_rng(4)
+    xyz = rng.normal(0, 50, (1000, 3))
+    pose = Pose(turn_x(33.3).T, np.array([1.0, 2.0, 3.0]))
+    placed = pose.apply(xyz)
+    np.testing.assert_allclose(placed, xyz @ turn_x(33.3).T + [1, 2, 3], rtol=1e-12)
+    for n in (1, 2, 3, 7):
+        assert np.array_equal(np.concatenate([pose.apply(xyz[i : i + n]) for i in range(0, 1000, n)]), placed)
+    assert np.array_equal(Pose.none().apply(xyz), xyz)
+
+
+@pytest.mark.parametrize("degrees", [0, 12.5, 180])
+def test_rotations_with_four_digits_are_rotations(degrees: float) -> None:
+    assert is_rotation(turn_x(degrees).round(4))
+    assert not is_rotation(turn_x(degrees) * [1, 1, -1])
+    assert not is_rotation(turn_x(degrees) * 1.01)
+    assert not is_rotation(np.full((3, 3), np.nan))
+    assert not is_rotation(np.full((3, 3), 1e300))

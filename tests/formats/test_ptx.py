@@ -1,0 +1,340 @@
+"""PTX: what a header says, how points become shots, and every way a header can lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.stream import ScanBlock, ScanStream
+from prc_cli.formats import ptx
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.ptx import PtxStream
+from prc_cli.jobs.classify import classify
+from prc_cli.stream.blocks import join
+from prc_cli.stream.open import open_input
+from tests.formats.organised_files import (
+    Array,
+    grid_points,
+    ptx_header,
+    ptx_rows,
+    ptx_scan,
+    turn_x,
+    write_text,
+)
+
+AUTO = InputConfig()
+
+
+def scans_of(stream: ScanStream) -> list[ScanBlock]:
+    """One block a scan; every scan's blocks follow one another and the last says so."""
+    found: dict[int, list[ScanBlock]] = {}
+    for block in stream.blocks():
+        parts = found.setdefault(block.scanner, [])
+        assert block.first_line == sum(part.n_lines for part in parts)
+        assert not any(part.is_last for part in parts)
+        parts.append(block)
+    assert all(parts[-1].is_last for parts in found.values())
+    return [join(found[scanner]) for scanner in sorted(found)]
+
+
+def refused(path: Path, given: InputConfig = AUTO) -> str:
+    """The error of opening and reading, always one line, without the folder."""
+    with pytest.raises(PrcError) as caught:
+        scans_of(PtxStream(path, given))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message.replace(f"{path.parent}/", "")
+
+
+def expected(points: Array) -> tuple[Array, Array]:
+    """Ranges and coordinates of points in the sensor's frame."""
+    xyz = points[..., :3].copy()
+    xyz[~xyz.any(axis=-1)] = np.nan
+    return np.sqrt((xyz**2).sum(axis=-1)).astype(np.float32), xyz.astype(np.float32)
+
+
+def equal(a: Any, b: Array) -> bool:
+    return np.array_equal(a, b, equal_nan=True)
+
+
+def test_columns_are_lines_and_zeros_are_missing(tmp_path: Path) -> None:
+    points = grid_points(9, 7)
+    stream = open_input(write_text(tmp_path / "a.PTX", ptx_scan(points)), AUTO)
+    (block,) = scans_of(stream)
+    info = stream.info
+    assert (info.format, info.n_records, info.n_lines, info.points_per_line) == ("PTX", 63, 9, 7)
+    assert info.notes == ()
+    ranges, xyz = expected(points)
+    assert equal(block.range_m, ranges)
+    assert equal(block.xyz_m, xyz)
+    assert equal(block.record, np.arange(63).reshape(9, 7))
+    intensity = (points[..., 3] * 65535).astype(np.float32)
+    intensity[np.isnan(ranges)] = np.nan
+    assert equal(block.intensity, intensity)
+    assert block.tally.n_records == 63
+    assert block.tally.n_not_positive == 0
+
+
+def test_several_scans_of_different_sizes(tmp_path: Path) -> None:
+    first, second, third = grid_points(5, 4), grid_points(3, 11, 2), grid_points(1, 1, 3, missing=0)
+    text = ptx_scan(first) + ptx_scan(second, colour=True) + ptx_scan(third[..., :3])
+    stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
+    blocks = scans_of(stream)
+    assert [block.range_m.shape for block in blocks] == [(5, 4), (3, 11), (1, 1)]
+    assert [block.scanner for block in blocks] == [0, 1, 2]
+    assert [int(block.records()[0, 0]) for block in blocks] == [0, 20, 53]
+    assert blocks[2].intensity is None
+    assert (stream.info.points_per_line, stream.info.n_lines, stream.info.n_records) == (11, 9, 54)
+    for block, points in zip(blocks, (first, second, third), strict=True):
+        assert equal(block.range_m, expected(points)[0])
+
+
+def test_the_pose_turns_z_up_and_leaves_the_scanner_at_the_origin(tmp_path: Path) -> None:
+    points, turn = grid_points(6, 5), turn_x(75)
+    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points, rotation=turn, shift=(4e5, 5e6, 90))), AUTO)
+    (block,) = scans_of(stream)
+    ranges, xyz = expected(points)
+    np.testing.assert_allclose(block.range_m, ranges, rtol=1e-6)
+    np.testing.assert_allclose(block.xyz_m, xyz @ turn.T, atol=1e-4)
+    assert stream.info.notes == ()
+    assert any("turned by" in item.why for item in stream.info.assumptions)
+
+
+def test_points_that_are_registered_already_are_taken_back_to_the_scanner(tmp_path: Path) -> None:
+    points, place = grid_points(6, 5, missing=0), np.array([1000.0, 2000.0, 30.0])
+    registered = points.copy()
+    registered[..., :3] += place
+    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(registered, position=place)), AUTO)
+    (block,) = scans_of(stream)
+    np.testing.assert_allclose(block.range_m, expected(points)[0], atol=1e-4)
+    assert "scan 0" in stream.info.notes[0]
+
+
+def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
+    points = grid_points(8, 6)
+    plain = ptx_scan(points) + ptx_scan(points)
+    (one, _) = scans_of(PtxStream(write_text(tmp_path / "a.ptx", plain), AUTO))
+    ways = {
+        "CR LF": plain.replace("\n", "\r\n"),
+        "blank lines at the end": plain + "\n \n\r\n\n",
+        "no last line end": plain[:-1],
+        "blank lines between scans": ptx_scan(points) + "\n\n" + ptx_scan(points),
+        "tabs and blanks": plain.replace(" ", " \t ").replace("\n", "  \n  "),
+        "mark": "\ufeff" + plain,
+        "exponents": ptx_header(8, 6)
+        + "".join(" ".join(f"{v:.10e}" for v in point) + "\n" for point in points.reshape(-1, 4))
+        + ptx_scan(points),
+        "signs": plain.replace("\n0.", "\n+0."),
+    }
+    for name, text in ways.items():
+        blocks = scans_of(PtxStream(write_text(tmp_path / "b.ptx", text), AUTO))
+        assert len(blocks) == 2, name
+        for block in blocks:
+            assert equal(block.range_m, one.range_m), name
+            assert equal(block.intensity, one.intensity), name  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("shots", [1, 7, 13, 50])
+@pytest.mark.parametrize("text_bytes", [70, 333])
+def test_chunks_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shots: int, text_bytes: int) -> None:
+    path = write_text(
+        tmp_path / "a.ptx", ptx_scan(grid_points(8, 6), rotation=turn_x(20)) + ptx_scan(grid_points(3, 9))
+    )
+    whole = scans_of(PtxStream(path, AUTO))
+    monkeypatch.setattr("prc_cli.formats.organised.CHUNK_SHOTS", shots)
+    monkeypatch.setattr(ptx, "TEXT_BYTES", text_bytes)
+    for block, one in zip(scans_of(PtxStream(path, AUTO)), whole, strict=True):
+        assert equal(block.range_m, one.range_m)
+        assert equal(block.xyz_m, one.xyz_m)  # type: ignore[arg-type]
+        assert equal(block.record, one.record)  # type: ignore[arg-type]
+        assert block.tally == one.tally
+
+
+def test_a_position_that_was_left_out_is_no_position(tmp_path: Path) -> None:
+    points = grid_points(6, 5, missing=0)
+    text = ptx_scan(points, shift=(5e5, 5e6, 30.0), position=(0, 0, 0))
+    stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
+    (block,) = scans_of(stream)
+    np.testing.assert_allclose(block.range_m, expected(points)[0], atol=1e-4)
+    assert not stream.info.notes
+
+
+def test_missing_points_do_not_tell_the_scale_of_intensities(tmp_path: Path) -> None:
+    points = grid_points(60, 50, missing=0)
+    points[..., 3] = np.arange(3000).reshape(60, 50) % 900 + 2
+    points[:30] = [0, 0, 0, 0.5]
+    (block,) = scans_of(PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points)), AUTO))
+    assert block.intensity is not None
+    assert equal(block.intensity[30:], points[30:, :, 3].astype(np.float32))
+
+
+def test_intensities_beyond_one_stay_as_they_are(tmp_path: Path) -> None:
+    points = grid_points(4, 5, missing=0)
+    points[..., 3] = np.arange(20).reshape(4, 5) - 7
+    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(points)), AUTO)
+    (block,) = scans_of(stream)
+    assert equal(block.intensity, points[..., 3].astype(np.float32))
+    assert any("as in the file" in item.value for item in stream.info.assumptions)
+
+
+def test_bounds_and_odd_coordinates_are_missing(tmp_path: Path) -> None:
+    rows = "1 0 0 1\nnan 1 1 1\ninf 0 0 1\n1e300 0 0 1\n0 0 90 1\n0 0 1e-30 1\n"
+    stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_header(1, 6) + rows), InputConfig(max_range=80.0))
+    (block,) = scans_of(stream)
+    assert equal(block.range_m, np.array([[1, np.nan, np.nan, np.nan, np.nan, 1e-30]], np.float32))
+    assert block.xyz_m is not None
+    assert np.isnan(block.xyz_m[0, 1:5]).all()
+    assert (block.tally.n_not_finite, block.tally.n_beyond) == (2, 1)
+
+
+def test_a_last_column_cut_short_is_padded_if_told(tmp_path: Path) -> None:
+    points = grid_points(4, 5, missing=0)
+    text = ptx_header(4, 5) + ptx_rows(points.reshape(-1, 4)[:18])
+    path = write_text(tmp_path / "a.ptx", text)
+    assert "ends after 18 points" in refused(path)
+    assert "partial_line" in refused(path)
+    stream = PtxStream(path, InputConfig(partial_line="pad"))
+    (block,) = scans_of(stream)
+    assert stream.info.n_records == 18
+    assert np.isnan(block.range_m[3, 3:]).all()
+    assert block.records()[3].tolist() == [15, 16, 17, -1, -1]
+    assert any("lacks 2 shots" in item.why for item in stream.info.assumptions)
+    short = write_text(tmp_path / "b.ptx", ptx_header(4, 5) + ptx_rows(points.reshape(-1, 4)[:14]))
+    assert "ends after 14 points" in refused(short, InputConfig(partial_line="pad"))
+
+
+def test_scans_without_points_are_left_out_and_told(tmp_path: Path) -> None:
+    text = ptx_header(0, 0) + ptx_scan(grid_points(2, 3)) + ptx_header(5, 0)
+    stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
+    (block,) = scans_of(stream)
+    assert block.scanner == 1
+    assert "left out: 0, 2" in stream.info.notes[0]
+    assert "without points" in refused(write_text(tmp_path / "b.ptx", ptx_header(0, 7)))
+
+
+GOOD = ptx_scan(grid_points(4, 5, missing=0))
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    {
+        "too few": (GOOD[: GOOD[:-1].rfind("\n") + 1], ("line 29", "ends after 19 points", "4 columns x 5 rows = 20")),
+        "too many": (GOOD + "1 2 3 0.5\n", ("line 31", "'1 2 3 0.5'", "line 1", "4 columns x 5 rows = 20 points")),
+        "too few before a scan": (
+            GOOD.replace("5\n", "6\n", 1) + GOOD,
+            ("line 31", "next scan begins after 20 points", "line 1 says 4 columns x 6 rows = 24"),
+        ),
+        "too few, far before the end": (GOOD.replace("4\n5\n", "4\n7\n", 1) + GOOD * 3, ("line 31", "after 20 points")),
+        "a blank line": (GOOD.replace("\n", "\n\n", 15).replace("\n\n", "\n", 13), ("a blank line", "expected 4")),
+        "no number": (GOOD[:-20] + "x" + GOOD[-19:], ("line 30", "expected a number")),
+        "a row too short": (GOOD[: GOOD[:-1].rfind(" ")] + "\n", ("line 30", "found 3 numbers", "point 20")),
+        "two numbers": (ptx_header(1, 1) + "1 2\n", ("line 11", "found 2 numbers")),
+        "not PTX": ("hello\n" * 30, ("line 1", "'hello'", "number of columns")),
+        "header cut short": ("\n".join(GOOD.splitlines()[:6]), ("line 6", "found ''", "expected 4 numbers")),
+        "header not finite": (GOOD.replace("1.000000000", "nan", 1), ("line 4", "expected 3 numbers")),
+        "stretched": (ptx_scan(grid_points(2, 2), rotation=0.001 * np.eye(3)), ("line 7", "no rotation")),
+        "mirrored": (ptx_scan(grid_points(2, 2), rotation=np.diag([1.0, 1, -1])), ("line 7", "no rotation")),
+        "huge rows": (ptx_header(10, 10**15) + "1 2 3 1\n", ("line 2", "at most 10000000")),
+        "huge columns": (ptx_header(10**17, 10) + "1 2 3 1\n", ("line 1", "at most 10000000")),
+        "large, not there": (ptx_header(10**6, 10**6) + "1 2 3 1\n", ("ends after 1 points", "= 1000000000000")),
+        "negative": (ptx_header(-4, 5) + "1 2 3 1\n", ("line 1", "'-4'")),
+        "header alone": (ptx_header(4, 5), ("line 11", "found 0 numbers")),
+    }.values(),
+)  # fmt: skip
+def test_a_file_that_lies_is_refused_in_one_line(tmp_path: Path, text: str, parts: tuple[str, ...]) -> None:
+    message = refused(write_text(tmp_path / "a.ptx", text))
+    for part in parts:
+        assert part in message
+
+
+def test_a_line_without_end_is_refused(tmp_path: Path) -> None:
+    for text in (
+        "1" * (3 << 20),
+        ptx_header(3, 3) + "1 " * (2 << 20),
+        ptx_header(1, 2) + "1 2 3 1\n" + "9" * (6 << 20),
+    ):
+        assert "without a line end" in refused(write_text(tmp_path / "a.ptx", text)) or "numbers" in refused(
+            tmp_path / "a.ptx"
+        )
+
+
+def test_rules_of_record_lists_are_refused(tmp_path: Path) -> None:
+    path = write_text(tmp_path / "a.ptx", GOOD)
+    given: list[dict[str, Any]] = [
+        {"lines": "fixed"},
+        {"columns": "order"},
+        {"range": "origin:0,0,0"},
+        {"scanner": "user_data"},
+        {"order": "sort-time"},
+        {"angle_start": 1.0},
+    ]
+    for keys in given:
+        with pytest.raises(ConfigError, match="organised scans"):
+            PtxStream(path, InputConfig(**keys))
+    assert "expected 7 as" in refused(path, InputConfig(points_per_line=7))
+    assert len(scans_of(PtxStream(path, InputConfig(points_per_line=5, range="sensor-xyz")))) == 1
+
+
+def test_a_file_that_shrinks_while_it_is_read_is_an_error(tmp_path: Path) -> None:
+    path = write_text(tmp_path / "a.ptx", GOOD)
+    stream = PtxStream(path, AUTO)
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(PrcError, match=r"fewer points|numbers, expected"):
+        scans_of(stream)
+
+
+def test_mutations_give_one_line_or_a_result(tmp_path: Path) -> None:
+    raw = (ptx_scan(grid_points(4, 5), rotation=turn_x(3)) + ptx_scan(grid_points(2, 3), colour=True)).encode()
+    path = tmp_path / "a.ptx"
+    n_read = 0
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        data = bytearray(raw[: rng.integers(len(raw))] if seed % 5 == 0 else raw)
+        for _ in range(rng.integers(1, 4)):
+            data[rng.integers(len(data)) if data else 0 :][:1] = b""
+            if data:
+                data[rng.integers(len(data))] = rng.choice(list(b"0123456789.-+eE \n\r\tnaif\x00\xff"))
+        path.write_bytes(data)
+        try:
+            scans_of(PtxStream(path, AUTO))
+            n_read += 1
+        except PrcError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+    assert n_read > 20
+
+
+def test_las_and_labels_out(tmp_path: Path) -> None:
+    import laspy
+
+    first, second = grid_points(20, 15), grid_points(12, 18, 2)
+    path = write_text(tmp_path / "a.ptx", ptx_scan(first) + ptx_scan(second))
+    classify(path, tmp_path / "a.laz")
+    cloud = laspy.read(tmp_path / "a.laz")
+    every = np.concatenate([first.reshape(-1, 4), second.reshape(-1, 4)])
+    there = every[:, :3].any(axis=1)
+    scan = np.repeat([0, 1], [300, 216])[there]
+    order = np.argsort(cloud.point_source_id, kind="stable")
+    assert np.array_equal(np.asarray(cloud.point_source_id)[order], scan)
+    np.testing.assert_allclose(cloud.xyz[order], every[there, :3], atol=0.0006)
+    np.testing.assert_allclose(np.asarray(cloud.intensity)[order], every[there, 3] * 65535, atol=1)
+    classify(path, tmp_path / "a.npy")
+    labels = np.load(tmp_path / "a.npy")
+    assert labels.shape == (516,)
+    assert np.array_equal(labels != 0, there)
+    assert np.array_equal(labels[there], np.asarray(cloud.classification)[order])
+    classify(path, tmp_path / "a.csv")
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 517
+
+
+@pytest.mark.data
+def test_a_real_file_with_colour(real_data: Path) -> None:
+    stream = open_input(real_data / "organised" / "1.2-with-color.ptx", AUTO)
+    (block,) = scans_of(stream)
+    assert block.range_m.shape == (15, 71)
+    assert not np.isnan(block.range_m).any()
+    # an airborne strip in the frame of a scanner that was never there: read as it says
+    assert block.range_m.min() > 1e6

@@ -1,0 +1,275 @@
+"""``[output] stages``: what the sequential-angle classifier found on the way, in every kind of output."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from prc_cli.core.classes import Label
+from prc_cli.core.errors import OutputError
+from prc_cli.core.stream import ExtraReturns, LabelledBlock, StageLabels
+from prc_cli.formats.writing import base as base_module
+from prc_cli.formats.writing.columns import OPTIONAL_COLUMNS
+from prc_cli.formats.writing.options import OutputConfig
+from tests.formats.common import (
+    URBAN,
+    labelled,
+    random_labels,
+    write,
+)
+from tests.formats.las.lasbytes import make_las, parse
+
+SOURCE = Path("drive.bin")
+LINES, M = 15, 20
+N = LINES * M
+STAGES = OutputConfig(stages=True)
+NAMES = ["surface", "dense_vegetation", "ground_height"]
+NOTICE = "output.stages needs the sequential-angle method; nothing was added"
+
+
+@dataclass
+class Drive:
+    """A classified stream; the record of a cell is ``order`` at its place."""
+
+    blocks: list[LabelledBlock]
+    present: np.ndarray
+    surface: np.ndarray
+    dense: np.ndarray
+    height: np.ndarray
+
+    def columns(self) -> list[np.ndarray]:
+        return [self.surface, self.dense, self.height]
+
+
+def drive(
+    *, seed: int = 3, order: np.ndarray | None = None, missing: bool = False, without: tuple[int, ...] = ()
+) -> Drive:
+    """Blocks of four lines; the blocks numbered in ``without`` have no stages."""
+    rng = np.random.default_rng(seed)
+    labels = random_labels(N, URBAN, seed).reshape(LINES, M)
+    if missing:
+        labels[rng.random((LINES, M)) < 0.3] = Label.MISSING
+    surface = rng.integers(0, 5, (LINES, M), dtype=np.uint8)
+    dense = rng.random((LINES, M)) < 0.4
+    height = np.repeat(rng.normal(-1.8, 0.1, (LINES, 1)), M, axis=1).astype(np.float32)
+    height[5] = np.nan
+    record = None if order is None else order.reshape(LINES, M)
+    blocks = []
+    for number, first in enumerate(range(0, LINES, 4)):
+        rows = slice(first, first + 4)
+        stages: StageLabels | None = StageLabels(surface[rows], dense[rows], height[rows])
+        if number in without:
+            stages = None
+            surface[rows], dense[rows], height[rows] = 0, False, np.nan
+        own = None if record is None else record[rows]
+        blocks.append(labelled(labels[rows], first_line=first, record=own, stages=stages))
+    return Drive(blocks, labels != Label.MISSING, surface, dense, height)
+
+
+def same_bits(found: np.ndarray, expected: np.ndarray) -> bool:
+    return np.array_equal(np.asarray(found, np.float32).view("u4"), np.asarray(expected, np.float32).view("u4"))
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_built_files_hold_them(tmp_path: Path, suffix: str) -> None:
+    given = drive(missing=True)
+    write(tmp_path / f"a{suffix}", SOURCE, given.blocks, options=STAGES)
+    las = laspy.read(tmp_path / f"a{suffix}")
+    assert list(las.point_format.extra_dimension_names) == ["range", "scan_line", "column", *NAMES]
+    assert [las[name].dtype.str for name in NAMES] == ["|u1", "|u1", "<f4"]
+    for name, expected in zip(NAMES, given.columns(), strict=True):
+        assert same_bits(las[name], expected[given.present])
+
+
+@pytest.mark.parametrize("extra", [False, True])
+@pytest.mark.parametrize(("form", "before", "after"), [(1, ".las", ".laz"), (3, ".laz", ".las"), (6, ".laz", ".laz")])
+def test_rewritten_files_hold_them(tmp_path: Path, form: int, before: str, after: str, extra: bool) -> None:
+    source, output = tmp_path / f"in{before}", tmp_path / f"out{after}"
+    make_las(source, form, extra=extra)
+    order = np.random.default_rng(8).permutation(N)
+    given = drive(order=order)
+    write(output, source, given.blocks, options=STAGES)
+    old, new = laspy.read(source), laspy.read(output)
+    assert list(new.point_format.extra_dimension_names) == [*old.point_format.extra_dimension_names, *NAMES]
+    for name, expected in zip(NAMES, given.columns(), strict=True):
+        assert same_bits(new[name][order], expected.ravel())
+    for name in old.point_format.dimension_names:
+        if name != "classification":
+            assert np.asarray(old[name]).tobytes() == np.asarray(new[name]).tobytes()
+
+
+@pytest.mark.parametrize("form", [1, 6])
+def test_all_optional_columns_together(tmp_path: Path, form: int) -> None:
+    """Also over an upgrade of the point format, and on top of columns that are there already."""
+    make_las(tmp_path / "in.laz", form)
+    given = drive()
+    options = OutputConfig(stages=True, range=True, segment_ids=True)
+    write(tmp_path / "once.laz", tmp_path / "in.laz", given.blocks, options=options)
+    again = drive(seed=4)
+    for item in again.blocks:
+        item.labels[item.labels == Label.GROUND] = Label.CURB  # a code that formats 0 to 5 cannot hold
+    record = write(tmp_path / "twice.laz", tmp_path / "once.laz", again.blocks, options=options)
+    once, twice = laspy.read(tmp_path / "once.laz"), laspy.read(tmp_path / "twice.laz")
+    assert twice.point_format.id == 6
+    for read, drawn in ((once, given), (twice, again)):
+        assert list(read.point_format.extra_dimension_names)[-5:] == ["segment_id", "range", *NAMES]
+        for name, expected in zip(NAMES, drawn.columns(), strict=True):
+            assert same_bits(read[name], expected.ravel())
+    told = [text for text in record.notices if "already" in text]
+    assert told == [
+        "the input has segment_id already; its values were replaced",
+        "the input has range already; it was kept as it is",
+        *(f"the input has {name} already; its values were replaced" for name in NAMES),
+    ]
+
+
+def test_a_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.add_extra_dim(laspy.ExtraBytesParams("surface", "f8"))
+    laspy.LasData(header, laspy.ScaleAwarePointRecord.zeros(N, header=header)).write(tmp_path / "in.las")
+    expected = r"extra bytes named 'surface' of type 10, expected none or type 1; set \[output\] stages = false"
+    with pytest.raises(OutputError, match=expected):
+        write(tmp_path / "out.las", tmp_path / "in.las", drive().blocks, options=STAGES)
+    assert not (tmp_path / "out.las").exists()
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_tables_hold_them(tmp_path: Path, known: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(base_module, "CHUNK_RECORDS", 64)
+    order = np.random.default_rng(9).permutation(N)
+    given = drive(order=order)
+    options = OutputConfig(stages=True, segment_ids=True)
+    for suffix in (".csv", ".parquet"):
+        write(tmp_path / f"a{suffix}", SOURCE, given.blocks, options=options, n_records=N if known else None)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert lines[0] == "record,class,name,segment,surface,dense_vegetation,ground_height"
+    cells = [line.split(",") for line in lines[1:]]
+    table = pq.read_table(tmp_path / "a.parquet")
+    assert table.schema.names == lines[0].split(",")
+    assert [table.schema.field(name).type for name in NAMES] == [pa.uint8(), pa.uint8(), pa.float32()]
+    for number, (name, expected) in enumerate(zip(NAMES, given.columns(), strict=True), start=4):
+        assert same_bits(np.array([row[number] for row in cells], np.float32)[order], expected.ravel())
+        assert same_bits(table[name].to_numpy()[order], expected.ravel())
+
+
+def test_numbers_in_text_are_short(tmp_path: Path) -> None:
+    stages = StageLabels(
+        np.array([[3, 0]], np.uint8), np.array([[True, False]]), np.array([[-1.8, np.nan]], np.float32)
+    )
+    block = labelled(np.array([[Label.VERTICAL, Label.MISSING]], np.uint8), stages=stages)
+    write(tmp_path / "a.csv", SOURCE, [block], options=STAGES)
+    assert (tmp_path / "a.csv").read_text() == (
+        "record,class,name,surface,dense_vegetation,ground_height\n0,67,vertical,3,1,-1.8\n1,0,missing,0,0,nan\n"
+    )
+
+
+@pytest.mark.parametrize("suffix", [".las", ".csv", ".parquet"])
+def test_further_returns_and_records_in_no_line_have_none(tmp_path: Path, suffix: str) -> None:
+    extra = ExtraReturns(
+        np.array([0], np.int32), np.array([1], np.int32), np.array([12], np.float32), np.array([2], np.int64)
+    )
+    stages = StageLabels(np.full((1, 3), 2, np.uint8), np.ones((1, 3), np.bool_), np.full((1, 3), -2, np.float32))
+    block = labelled(
+        np.full((1, 3), Label.GROUND, np.uint8),
+        record=np.array([[0, 1, 3]]),
+        extra=extra,
+        extra_labels=np.array([Label.NOISE], np.uint8),
+        stages=stages,
+    )
+    source = tmp_path / "in.las"
+    make_las(source, 6, n=5)
+    write(tmp_path / f"a{suffix}", source, [block], options=STAGES, n_records=5)
+    if suffix == ".las":
+        las = laspy.read(tmp_path / "a.las")
+        found = [las[name].tolist() for name in NAMES]
+    elif suffix == ".parquet":
+        table = pq.read_table(tmp_path / "a.parquet")
+        found = [table[name].to_numpy().tolist() for name in NAMES]
+    else:
+        rows = (tmp_path / "a.csv").read_text().splitlines()[1:]
+        found = [[float(row.split(",")[number]) for row in rows] for number in (3, 4, 5)]
+    assert found[0] == [2, 2, 0, 2, 0]
+    assert found[1] == [1, 1, 0, 1, 0]
+    np.testing.assert_array_equal(found[2], [-2, -2, np.nan, -2, np.nan])
+
+
+def test_further_returns_have_none_in_built_files(tmp_path: Path) -> None:
+    extra = ExtraReturns(
+        np.array([0], np.int32), np.array([0], np.int32), np.array([12], np.float32), np.array([2], np.int64)
+    )
+    stages = StageLabels(np.full((1, 1), 3, np.uint8), np.ones((1, 1), np.bool_), np.full((1, 1), -2, np.float32))
+    block = labelled(
+        np.full((1, 1), Label.CAR, np.uint8), extra=extra, extra_labels=np.array([2], np.uint8), stages=stages
+    )
+    write(tmp_path / "a.las", SOURCE, [block], options=STAGES)
+    las = laspy.read(tmp_path / "a.las")
+    assert [las["surface"].tolist(), las["dense_vegetation"].tolist()] == [[3, 0], [1, 0]]
+    np.testing.assert_array_equal(las["ground_height"], [-2, np.nan])
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet", ".npy"])
+@pytest.mark.parametrize("rewritten", [False, True])
+def test_a_method_without_stages_adds_nothing(tmp_path: Path, suffix: str, rewritten: bool) -> None:
+    """The output is that of a run without the option, byte for byte but for the run record's notice."""
+    source = SOURCE
+    if rewritten:
+        source = tmp_path / "in.las"
+        make_las(source, 6)
+    blocks = drive(without=(0, 1, 2, 3)).blocks
+    record = write(tmp_path / f"asked{suffix}", source, blocks, options=STAGES)
+    write(tmp_path / f"plain{suffix}", source, blocks)
+    if suffix == ".npy":
+        needs = "a .npy output holds class codes only; stages need .csv, .parquet, .las or .laz"
+        assert record.notices == (needs,)
+    else:
+        assert [text for text in record.notices if "stages" in text] == [NOTICE]
+    if suffix in (".las", ".laz"):
+        asked, plain = parse(tmp_path / f"asked{suffix}"), parse(tmp_path / f"plain{suffix}")
+        assert np.array_equal(asked.records, plain.records)
+        assert asked.kept_vlrs() == plain.kept_vlrs()
+    else:
+        assert (tmp_path / f"asked{suffix}").read_bytes() == (tmp_path / f"plain{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet", ".npy"])
+def test_stages_that_nobody_asks_for_change_nothing(tmp_path: Path, suffix: str) -> None:
+    for rewritten in (False, True):
+        source = tmp_path / "in.las" if rewritten else SOURCE
+        if rewritten:
+            make_las(source, 3)
+        for name, without in (("with", ()), ("bare", (0, 1, 2, 3))):
+            record = write(tmp_path / f"{name}{suffix}", source, drive(without=without).blocks, overwrite=True)
+            assert not any("stages" in text for text in record.notices)
+        assert (tmp_path / f"with{suffix}").read_bytes() == (tmp_path / f"bare{suffix}").read_bytes()
+
+
+def test_later_blocks_without_stages_are_filled(tmp_path: Path) -> None:
+    given = drive(without=(2,))
+    write(tmp_path / "a.las", SOURCE, given.blocks, options=STAGES)
+    las = laspy.read(tmp_path / "a.las")
+    for name, expected in zip(NAMES, given.columns(), strict=True):
+        assert same_bits(las[name], expected.ravel())
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz", ".csv", ".parquet"])
+def test_an_empty_output_has_the_columns(tmp_path: Path, suffix: str) -> None:
+    write(tmp_path / f"a{suffix}", SOURCE, [], options=STAGES)
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".csv":
+        assert path.read_text() == "record,class,name,surface,dense_vegetation,ground_height\n"
+    elif suffix == ".parquet":
+        assert pq.read_schema(path).names[-3:] == NAMES
+    else:
+        assert list(laspy.read(path).point_format.extra_dimension_names)[-3:] == NAMES
+
+
+def test_names_and_descriptions_fit_their_fields() -> None:
+    for column in OPTIONAL_COLUMNS:
+        assert len(column.dimension.name) <= 32
+        assert len(column.dimension.description) <= 32

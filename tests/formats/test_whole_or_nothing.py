@@ -1,0 +1,215 @@
+"""Outputs appear whole or not at all: refusals before the work, aborts, full disks."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.errors import ConfigError, OutputError, OutputExistsError
+from prc_cli.core.files import commit
+from prc_cli.formats.writing.options import OutputConfig
+from tests.formats.common import (
+    labelled,
+    random_labels,
+    record_blocks,
+    run_record,
+    write,
+    writer,
+)
+from tests.formats.las.lasbytes import make_las
+
+SUFFIXES = [".las", ".laz", ".npy", ".csv", ".parquet"]
+
+
+def source_for(folder: Path, kind: str) -> Path:
+    """A LAS input, or a raw one that no writer reads."""
+    source = folder / f"in{kind}"
+    if kind in (".las", ".laz"):
+        make_las(source, 6)
+    else:
+        source.write_bytes(b"raw")
+    return source
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return folder
+
+
+@pytest.mark.parametrize("kind", [".las", ".laz", ".bin"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("error", [None, ValueError("stop"), KeyboardInterrupt()])
+def test_leaving_without_finish_leaves_nothing(
+    tmp_path: Path, out: Path, kind: str, suffix: str, error: BaseException | None
+) -> None:
+    source = source_for(tmp_path, kind)
+
+    def run() -> None:
+        with writer(out / f"a{suffix}", source, options=OutputConfig(segment_ids=True, range=True)) as opened:
+            for block in record_blocks(random_labels(300)):
+                opened.add(block)
+            assert list(out.iterdir())
+            if error is not None:
+                raise error
+
+    if error is None:
+        run()
+    else:
+        with pytest.raises(type(error)):
+            run()
+    assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("kind", [".laz", ".bin"])
+def test_a_failed_replacement_keeps_the_old_output(tmp_path: Path, out: Path, kind: str, suffix: str) -> None:
+    source = source_for(tmp_path, kind)
+    path = out / f"a{suffix}"
+    path.write_bytes(b"old")
+    with writer(path, source, overwrite=True) as opened:
+        opened.add(record_blocks(random_labels(300))[0])
+    assert path.read_bytes() == b"old"
+    write(path, source, record_blocks(random_labels(300)), overwrite=True)
+    assert path.read_bytes() != b"old"
+    assert sorted(item.name for item in out.iterdir()) == [f"a{suffix}", f"a{suffix}.prc.json"]
+
+
+def test_nothing_is_created_before_the_with_block(tmp_path: Path, out: Path) -> None:
+    writer(out / "a.las", source_for(tmp_path, ".las"))
+    assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a", "a.las.txt", "a.npz"])
+def test_unknown_suffix(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match=r"expected one of \.csv, \.las, \.laz, \.npy, \.parquet; choose"):
+        writer(tmp_path / name, tmp_path / "in.bin")
+
+
+def test_suffix_in_capitals(tmp_path: Path) -> None:
+    write(tmp_path / "A.NPY", tmp_path / "in.bin", [labelled(np.full((1, 4), 3, np.uint8))])
+    assert np.load(tmp_path / "A.NPY").tolist() == [2] * 4
+
+
+def test_refusals_before_any_work(tmp_path: Path, out: Path) -> None:
+    source = source_for(tmp_path, ".las")
+    with pytest.raises(OutputExistsError, match="the output is the input itself"):
+        writer(source, source, overwrite=True)
+    (out / "a.npy").write_bytes(b"")
+    with pytest.raises(OutputExistsError, match="exists already; choose another name or add --overwrite"):
+        writer(out / "a.npy", source)
+    (out / "b.npy.prc.json").write_bytes(b"{}")
+    with pytest.raises(OutputExistsError, match=r"b\.npy\.prc\.json: exists already"):
+        writer(out / "b.npy", source)
+    with pytest.raises(OutputError, match="output folder does not exist"):
+        writer(tmp_path / "nowhere" / "a.npy", source)
+    with pytest.raises(ConfigError, match=r"classes\.stem: found code 64"):
+        writer(out / "c.npy", source, options=OutputConfig(codes="below-32"))
+
+
+def test_below_32_with_low_codes_keeps_the_format(tmp_path: Path, out: Path) -> None:
+    source = tmp_path / "in.las"
+    make_las(source, 1)
+    codes = ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=23)
+    record = write(
+        out / "a.las",
+        source,
+        record_blocks(np.full(300, 6, np.uint8)),
+        codes=codes,
+        options=OutputConfig(codes="below-32"),
+    )
+    assert [item.code for item in record.classes] == [19]
+    assert (out / "a.las").read_bytes()[104] == 1
+
+
+class Full:
+    """A file on a disk that takes so many bytes and no more."""
+
+    def __init__(self, room: int) -> None:
+        self.room = room
+
+    def write(self, real: object, handle: object, data: memoryview) -> int:
+        size = memoryview(data).nbytes
+        if size > self.room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.room -= size
+        return real(handle, data)  # type: ignore[operator, no-any-return]
+
+
+@pytest.mark.parametrize("kind", [".las", ".laz", ".bin"])
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("room", [0, 380, 1_500])
+def test_a_write_that_fails_leaves_nothing(
+    tmp_path: Path, out: Path, kind: str, suffix: str, room: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from prc_cli.formats.las.codec import Target
+
+    source = source_for(tmp_path, kind)
+    full, real = Full(room), Target.write
+
+    def failing(self: Target, data: memoryview) -> int:
+        try:
+            return full.write(real, self, data)
+        except OSError as error:
+            self.error = error
+            raise
+
+    monkeypatch.setattr(Target, "write", failing)
+    with pytest.raises(OutputError, match=rf"a\{suffix}: the disk is full; nothing was written under this name"):
+        write(out / f"a{suffix}", source, record_blocks(random_labels(300)))
+    assert list(out.iterdir()) == []
+
+
+@pytest.fixture
+def tiny_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 200 kB."""
+    if sys.platform != "linux" or os.geteuid() != 0:
+        pytest.skip("mounting a tiny disk needs Linux and root")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", folder], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip(f"cannot mount a tiny disk: {mounted.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+@pytest.mark.parametrize("kind", [".las", ".laz", ".bin"])
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("n", [150_000, 400_000])
+def test_full_disk(tmp_path: Path, tiny_disk: Path, kind: str, suffix: str, n: int) -> None:
+    """150 000 labels fit their spool but no output does; 400 000 do not even fit the spool."""
+    source = tmp_path / f"in{kind}"
+    if kind == ".bin":
+        source.write_bytes(b"raw")
+    else:
+        make_las(source, 6, n=n, raw_points=True)
+    path = tiny_disk / f"a{suffix}"
+    ranges = np.random.default_rng(1).random(n).astype(np.float32)
+    blocks = record_blocks(random_labels(n), 1000, range_m=ranges)
+    with pytest.raises(OutputError, match=rf"a\{suffix}: the disk is full; nothing was written under this name"):
+        write(path, source, blocks)
+    assert list(tiny_disk.iterdir()) == []
+
+
+def test_a_record_that_cannot_be_named_takes_the_output_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(temporary: Path, path: Path) -> None:
+        if path.suffix == ".json":
+            raise PermissionError(errno.EACCES, "denied", str(path))
+        commit(temporary, path)
+
+    monkeypatch.setattr("prc_cli.formats.writing.base.commit", failing)
+    with pytest.raises(OutputError, match="cannot be written"):
+        write(tmp_path / "a.npy", Path("in.bin"), record_blocks(random_labels(30)), run_record())
+    assert list(tmp_path.iterdir()) == []

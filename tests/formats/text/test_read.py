@@ -1,0 +1,435 @@
+"""Text files: what is found by looking, values of any cut into blocks, and the line of everything that is wrong."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.options import Layout, LayoutField
+from prc_cli.formats.records import RecordSource
+from prc_cli.formats.text import lines as text_lines
+from prc_cli.formats.text.dialect import TextFormat, find_format
+from prc_cli.formats.text.read import TextSource
+
+NAN = math.nan
+
+
+def write(folder: Path, content: str | bytes, name: str = "drive.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def read(source: RecordSource, *names: str) -> dict[str, np.ndarray[Any, Any]]:
+    """All records; a typed parameter, so that mypy holds TextSource to the protocol."""
+    chunks = list(source.chunks(names))
+    assert [chunk.first_record for chunk in chunks] == list(np.cumsum([0] + [c.n for c in chunks])[: len(chunks)])
+    assert all(chunk.n and chunk.record is None and set(chunk.values) == set(names) for chunk in chunks)
+    empty: list[np.ndarray[Any, Any]] = [np.empty(0)]
+    return {name: np.concatenate([chunk.values[name] for chunk in chunks] or empty) for name in names}
+
+
+def values(folder: Path, content: str | bytes, name: str = "range", layout: Layout | None = None) -> list[float]:
+    found = read(TextSource(write(folder, content), layout), name)[name]
+    assert found.dtype == np.float64
+    return [float(value) for value in found]
+
+
+def problem(folder: Path, content: str | bytes, layout: Layout | None = None, name: str = "range") -> str:
+    """The error of reading a column, without the folder; always one line."""
+    with pytest.raises(InputError) as caught:
+        read(TextSource(write(folder, content), layout), name)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message.replace(f"{folder}/", "")
+
+
+# --- found by looking
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " ", "   ", " \t "])
+def test_delimiter_and_header_are_found(tmp_path: Path, delimiter: str) -> None:
+    rows = [["line", "range_m", "colour"], ["0", "1.5", "red"], ["1", "-2e3", "blue"]]
+    path = write(tmp_path, "\n".join(delimiter.join(row) for row in rows) + "\n")
+    source = TextSource(path)
+    assert source.dimensions == ("range", "scan_line", "colour")
+    found = read(source, "scan_line", "range")
+    np.testing.assert_array_equal(found["scan_line"], [0, 1])
+    np.testing.assert_array_equal(found["range"], [1.5, -2000])
+    assert source.n_records is None
+    assert "line 1 holds the names of the columns" in source.notes
+    assert "columns taken under another name: range_m as range, line as scan_line" in source.notes
+
+
+@pytest.mark.parametrize(
+    ("header", "dimensions"),
+    [
+        ("RANGE,Scan_Line,COL", ("range", "scan_line", "column")),
+        ("distance,scanline,column", ("range", "scan_line", "column")),
+        ("r,t,x,y,z,intensity", ("range", "time", "x", "y", "z", "intensity")),
+        ("range,range_m,r", ("range", "range_m", "r")),
+        ("gps_time,time_s,label", ("time", "gps_time", "label")),
+        ("return_number,number_of_returns,range", ("range", "return_number", "number_of_returns")),
+        ('"range","a b"', ("range", "a b")),
+        ("range,,x", ("range", "x", "1")),
+    ],
+)
+def test_names_in_the_header(tmp_path: Path, header: str, dimensions: tuple[str, ...]) -> None:
+    row = ",".join("1" for _ in header.split(","))
+    assert TextSource(write(tmp_path, f"{header}\n{row}\n")).dimensions == dimensions
+
+
+@pytest.mark.parametrize(
+    ("name", "expected", "note"), [("angle", math.pi, True), ("ANGLE_DEG", math.pi, False), ("angle_rad", 180.0, False)]
+)
+def test_angles_become_radians(tmp_path: Path, name: str, expected: float, note: bool) -> None:
+    path = write(tmp_path, f"range,{name}\n1,180\n")
+    source = TextSource(path)
+    np.testing.assert_array_equal(read(source, "angle")["angle"], [expected])
+    assert ("angles are taken as degrees" in source.notes) is note
+
+
+def test_columns_without_names_have_numbers_and_a_single_one_is_the_range(tmp_path: Path) -> None:
+    source = TextSource(write(tmp_path, "1,2,3\n4,5,6\n"))
+    assert source.dimensions == ("0", "1", "2")
+    np.testing.assert_array_equal(read(source, "2")["2"], [3, 6])
+    alone = TextSource(write(tmp_path, "1.5\nnan\n2.5\n", "ranges.txt"))
+    assert alone.dimensions == ("range",)
+    np.testing.assert_array_equal(read(alone, "range")["range"], [1.5, NAN, 2.5])
+    assert "taken as the range" in alone.notes[0]
+
+
+def test_describe_is_ready_for_json(tmp_path: Path) -> None:
+    described = TextSource(write(tmp_path, "# made by hand\nx;range\n1;2\n")).describe()
+    assert described == {"delimiter": ";", "header_line": 2, "columns": ["x", "range"]}
+
+
+# --- cells, lines, compressions
+
+
+def test_missing_cells_and_numbers_of_every_form(tmp_path: Path) -> None:
+    content = 'range,x\n1.5,1\n,2\nnan,3\nNaN,4\n+3,5\n .5 ,6\n-inf,7\n1E2,8\n"7",9\n"",10\n  ,11\n1e400,12\n'
+    expected = [1.5, NAN, NAN, NAN, 3, 0.5, -math.inf, 100, 7, NAN, NAN, math.inf]
+    np.testing.assert_array_equal(values(tmp_path, content), expected)
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r\r\n"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+@pytest.mark.parametrize("last", [True, False])
+def test_line_ends_byte_order_marks_blank_lines_and_comments(
+    tmp_path: Path, ending: str, mark: str, last: bool
+) -> None:
+    lines = ["# Straße", "", "range,x", "1,2", "   ", "# a, comment", "3,4", "", "  # another", "5,6"]
+    content = mark + ending.join(lines) + (ending + ending if last else "")
+    assert values(tmp_path, content) == [1, 3, 5]
+
+
+def test_a_comment_in_another_encoding_is_skipped(tmp_path: Path) -> None:
+    assert values(tmp_path, "# Straße\nrange\n1\n".encode("latin-1")) == [1]
+
+
+def test_columns_that_are_not_asked_for_may_hold_anything(tmp_path: Path) -> None:
+    assert values(tmp_path, b'range,note\n1,"a, b"\n2,\xe4\n3,"c ""d"""\n') == [1, 2, 3]
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".zst"])
+def test_compressed_text(tmp_path: Path, suffix: str) -> None:
+    content = b"range,x\n" + b"".join(b"%d,1\n" % k for k in range(10_000))
+    path = write(tmp_path, compress(content, suffix), f"drive.csv{suffix}")
+    np.testing.assert_array_equal(read(TextSource(path, block_bytes=1 << 12), "range")["range"], np.arange(10_000))
+
+
+def test_a_gzip_file_of_several_members(tmp_path: Path) -> None:
+    path = write(tmp_path, gzip.compress(b"range\n1\n", mtime=0) + gzip.compress(b"2\n"), "drive.txt.gz")
+    np.testing.assert_array_equal(read(TextSource(path), "range")["range"], [1, 2])
+
+
+def compress(content: bytes, suffix: str) -> bytes:
+    if suffix == ".gz":
+        return gzip.compress(content, 1, mtime=0)
+    packed = pa.Codec("zstd").compress(content, asbytes=True)
+    assert isinstance(packed, bytes)
+    return packed
+
+
+CELLS = st.sampled_from(["", "nan", "1", "-2.5", "1e3", " 7 ", "+4", "inf", '"8"', "  "])
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    rows=st.lists(st.tuples(CELLS, CELLS), min_size=1, max_size=12),
+    between=st.lists(st.sampled_from(["", "\n", "# c,d\n", "\r\n", "  \n"]), min_size=12, max_size=12),
+    block=st.integers(1, 60),
+    delimiter=st.sampled_from([",", ";"]),
+)
+def test_values_do_not_depend_on_blocks(
+    tmp_path_factory: pytest.TempPathFactory,
+    rows: list[tuple[str, str]],
+    between: list[str],
+    block: int,
+    delimiter: str,
+) -> None:
+    lines = [f"{a}{delimiter}{b}\n{gap}" for (a, b), gap in zip(rows, between, strict=False)]
+    path = write(tmp_path_factory.mktemp("text"), f"u{delimiter}v\n" + "".join(lines))
+    expected = [[float(cell.strip(' "') or "nan") for cell in row] for row in rows]
+    found = read(TextSource(path, block_bytes=block), "u", "v")
+    np.testing.assert_array_equal(np.stack([found["u"], found["v"]], axis=1), expected)
+
+
+# --- layouts
+
+
+def test_a_layout_with_numbers_for_columns(tmp_path: Path) -> None:
+    layout = Layout(
+        delimiter=" ",
+        comment="%",
+        fields=(
+            LayoutField(name="range", source=2, scale=0.001, missing=0),
+            LayoutField(name="angle", source=0, unit="rad"),
+        ),
+    )
+    source = TextSource(write(tmp_path, "% made by hand\n 0.5   9  1500 \n\t0.6 9\t0\n"), layout)
+    assert source.dimensions == ("range", "angle", "1")
+    found = read(source, "range", "angle", "1")
+    np.testing.assert_array_equal(found["range"], [1.5, NAN])
+    np.testing.assert_array_equal(found["angle"], [0.5, 0.6])
+    np.testing.assert_array_equal(found["1"], [9, 9])
+
+
+def test_a_layout_with_names_for_columns(tmp_path: Path) -> None:
+    fields = (LayoutField(name="range", source="Dist", scale=0.01), LayoutField(name="scan_line"))
+    source = TextSource(write(tmp_path, "LINE,dist,range\n3,250,1\n"), Layout(fields=fields))
+    assert source.dimensions == ("range", "scan_line")
+    found = read(source, "range", "scan_line")
+    assert (found["range"][0], found["scan_line"][0]) == (2.5, 3)
+
+
+def test_fields_without_source_are_the_columns_in_order_where_there_is_no_header(tmp_path: Path) -> None:
+    fields = (LayoutField(name="time"), LayoutField(name="range"))
+    found = read(TextSource(write(tmp_path, "1,2\n3,4\n"), Layout(fields=fields)), "range", "time")
+    np.testing.assert_array_equal(found["range"], [2, 4])
+
+
+def test_a_layout_that_knows_whether_there_is_a_header(tmp_path: Path) -> None:
+    assert values(tmp_path, "1,2\n3,4\n", "1", Layout(header=True)) == [3]
+    assert "line 1: column 0 (from 0): found 'x', expected a number" in problem(
+        tmp_path, "x,2\n3,4\n", Layout(header=False), "0"
+    )
+
+
+# --- errors
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (
+            "range,x\n1,2\n\n# c\nabc,3\n",
+            "line 5: column 'range': found 'abc', expected a number; leave the",
+        ),
+        (
+            "range;x\n1;2\n3,5;3\n",
+            "line 3: column 'range': found '3,5', expected a number; write decimals with",
+        ),
+        ("range,x\n1,2\n0x10,3\n", "line 3: column 'range': found '0x10', expected a number"),
+        ("range,x\n1,2\n1_0,3\n", "line 3: column 'range': found '1_0', expected a number"),
+        (b"range,x\n1,2\n\xe41,3\n", "line 3: column 'range': found bytes that are not UTF-8, expected a number"),
+        ("range,x\n1,2\n3\n", "line 3: 1 cells, expected 2 as in line 1: '3'"),
+        ("range,x\r\n1,2\r\n3,4,5\r\n", "line 3: 3 cells, expected 2 as in line 1: '3,4,5'"),
+        ("# c\n\nrange x\n1 2\n3 4 5\n", "line 5: 3 cells, expected 2 as in line 3: '3 4 5'"),
+        ('range,x\n1,2\n3,"4\n5,6\n', "line 3: found '3,\"4', expected cells with closed quotes"),
+        ('range,x\n1,"a\n2,b"\n', "line 2: found '1,\"a', expected cells with closed quotes"),
+        ("range,x\n1,2\r3,4\n", "line 2: a carriage return inside the line, expected lines that end in LF or CR LF"),
+        ("range,x\r1,2\r3,4", "line 1: a carriage return inside the line"),
+        ("range\n1\n\n2\n", "line 3: a blank line between the rows of one column"),
+        ("range\n1\n# c\n  \n2\n", "line 4: a blank line between the rows of one column"),
+        ("range,range,x\n1,2,3\n", "line 1: the name 'range' stands in columns 0 and 1, expected once"),
+    ],
+)
+@pytest.mark.parametrize("block", [5, 1 << 22])
+def test_errors_name_the_line_and_the_text(tmp_path: Path, content: str | bytes, found: str, block: int) -> None:
+    path = write(tmp_path, content)
+    with pytest.raises(InputError) as caught:
+        read(TextSource(path, block_bytes=block), "range")
+    assert str(caught.value).startswith(f"{path}: {found}")
+    assert "\n" not in str(caught.value)
+
+
+def test_the_line_number_of_a_late_error_is_the_one_of_sed(tmp_path: Path) -> None:
+    lines = ["range,x"] + [f"{k},1" if k % 10 else "# note\n" for k in range(1, 300_001)]
+    lines[-1] = "12.5m,1"
+    content = "\n".join(lines)
+    number = content.count("\n") + 1
+    path = write(tmp_path, content)
+    chunks = TextSource(path, block_bytes=1 << 16).chunks(("range",))
+    with pytest.raises(InputError, match=f"line {number}: column 'range': found '12.5m'"):
+        list(chunks)
+    assert path.read_text().splitlines()[number - 1] == "12.5m,1"
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (b"", "the file is empty, expected a record a row"),
+        (b"\xef\xbb\xbf", "the file is empty"),
+        (b"\n# c\n\n", "only comments and blank lines, expected a record a row"),
+        (b"line,range\n", "no row follows the header in line 1"),
+        (b"# c\nline,range", "no row follows the header in line 2"),
+        (b"r\xe4nge,x\n1,2\n", "line 1: byte 2 of the line (0xe4) is not UTF-8, expected"),
+        ("range\n1\n".encode("utf-16"), "the text is UTF-16, expected UTF-8; convert it: iconv"),
+        ("range\n1\n".encode("utf-16-le"), "byte 1 is 0, expected a text file in UTF-8"),
+        (
+            gzip.compress(b"range\n1\n", mtime=0),
+            "the content is gzip-compressed, expected text; rename it to drive.csv.gz",
+        ),
+        (b",".join([b"1"] * 10_001) + b"\n", "line 1: 10001 cells, expected at most 10000"),
+    ],
+)
+def test_files_that_hold_no_rows_or_no_text(tmp_path: Path, content: bytes, found: str) -> None:
+    assert found.removesuffix(", expected") in problem(tmp_path, content)
+
+
+@pytest.mark.parametrize("suffix", [".gz", ".zst"])
+@pytest.mark.parametrize("damage", ["cut", "garbage behind", "not compressed"])
+def test_damaged_compression(tmp_path: Path, suffix: str, damage: str) -> None:
+    rng = np.random.default_rng(3)
+    content = b"range,x\n" + b"".join(b"%f,1\n" % value for value in rng.uniform(1, 90, 20_000))
+    packed = compress(content, suffix)
+    broken = {"cut": packed[:-9], "garbage behind": packed + b"garbage", "not compressed": content}[damage]
+    path = write(tmp_path, broken, f"drive.csv{suffix}")
+    kind = {".gz": "gzip", ".zst": "zstd"}[suffix]
+    with pytest.raises(
+        InputError, match=f"the {kind} stream is cut short or damaged in or after line [0-9]+"
+    ) as caught:
+        read(TextSource(path, block_bytes=1 << 14), "range")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_line_without_end_is_refused_before_it_is_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(text_lines, "MAX_LINE_BYTES", 1000)
+    path = write(tmp_path, b"range\n1\n" + b"2" * 100_000)
+    with pytest.raises(InputError, match="line 3: more than 1000 bytes without a line end"):
+        TextSource(path)
+    packed = write(tmp_path, gzip.compress(b"range\n" + b"1" * 100_000, mtime=0), "drive.csv.gz")
+    with pytest.raises(InputError, match="line 2: more than 1000 bytes"):
+        TextSource(packed)
+
+
+@pytest.mark.parametrize(
+    ("field", "content", "found"),
+    [
+        (
+            {"name": "range", "source": "dist"},
+            "line,range\n1,2\n",
+            "no column 'dist' for field 'range', the header in line 1 has: line, range; name the column",
+        ),
+        ({"name": "time"}, "line,range\n1,2\n", "no column 'time' for field 'time', the header in line 1"),
+        ({"name": "range", "source": 2}, "1,2\n", "no column 2 for field 'range', expected 0 to 1; line 1 has 2 cells"),
+        ({"name": "range", "source": 1}, "1;2\n", "no column 1 for field 'range', expected 0 to 0; line 1 has 1 cells"),
+        ({"name": "range", "source": "dist"}, "1,2\n", "no header row, so no column 'dist' for field 'range'"),
+        ({"name": "range", "source": "a"}, "a,a\n1,2\n", "line 1: the name 'a' stands in columns 0 and 1"),
+    ],
+)  # fmt: skip
+def test_columns_that_a_layout_asks_for_in_vain(
+    tmp_path: Path, field: dict[str, Any], content: str, found: str
+) -> None:
+    layout = Layout(fields=(LayoutField(**field),), header=False if ";" in content else None)
+    assert found in problem(tmp_path, content, layout)
+
+
+def test_an_unknown_dimension_names_the_known_ones(tmp_path: Path) -> None:
+    source = TextSource(write(tmp_path, "line,range,label\n1,2,3\n"))
+    with pytest.raises(ConfigError, match="no dimension 'time' in the file; it has: range, scan_line, label"):
+        list(source.chunks(("time",)))
+
+
+def test_a_row_that_was_not_split_hints_at_the_delimiter(tmp_path: Path) -> None:
+    layout = Layout(fields=(LayoutField(name="range", source=1),), header=False)
+    assert problem(tmp_path, "1;2\n3;4\n", layout).endswith("; is ',' the delimiter?")
+
+
+@pytest.mark.parametrize("delimiter", ["§", '"', "\n"])
+def test_delimiters_that_cannot_be(tmp_path: Path, delimiter: str) -> None:
+    with pytest.raises(ConfigError, match="layout.delimiter: found"):
+        TextSource(write(tmp_path, "1,2\n"), Layout(delimiter=delimiter))
+
+
+def test_an_absent_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read \\(No such file"):
+        TextSource(tmp_path / "absent.csv")
+
+
+@pytest.mark.data
+def test_a_real_file_of_ranges_and_labels(real_data: Path) -> None:
+    source = TextSource(real_data / "oakland" / "oakland_1.csv.gz")
+    assert source.dimensions == ("range", "scan_line", "column", "angle", "x", "y", "z", "label")
+    found = read(source, "range", "scan_line", "column", "angle", "label")
+    assert len(found["range"]) == 389 * 229
+    np.testing.assert_array_equal(found["scan_line"] * 229 + found["column"], np.arange(389 * 229))
+    assert 0.14 <= np.isnan(found["range"]).mean() <= 0.18
+    np.testing.assert_allclose(np.rad2deg(found["angle"][:229]), 12.5 + 0.5 * np.arange(229))
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    lines=st.lists(
+        st.sampled_from(["", "#", "# a,b", "  ", " \t# c", "\r", "#\r", "\x0b", "\x0c#", "#1,2"]), max_size=9
+    ),
+    ends=st.booleans(),
+    block_bytes=st.integers(1, 60),
+)
+def test_rows_are_found_among_any_lines_that_are_none(
+    tmp_path_factory: pytest.TempPathFactory, lines: list[str], ends: bool, block_bytes: int
+) -> None:
+    every = [*lines, "range,time", *lines, "1,2", *lines, "3,4"]
+    path = write(tmp_path_factory.mktemp("text"), "\n".join(every) + "\n" * ends)
+    text = find_format(path, None)
+    assert (text.header_line, text.names) == (len(lines) + 1, ("range", "time"))
+    found = read(TextSource(path, None, block_bytes), "range", "time")
+    np.testing.assert_array_equal(found["range"], [1.0, 3.0])
+    np.testing.assert_array_equal(found["time"], [2.0, 4.0])
+
+
+def test_lines_that_are_no_rows_are_passed_over_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_at: list[bytes] = []
+    plain = TextFormat.is_row
+
+    def is_row(self: TextFormat, line: bytes) -> bool:
+        looked_at.append(line)
+        return plain(self, line)
+
+    monkeypatch.setattr(TextFormat, "is_row", is_row)
+    path = write(tmp_path, "#\n\n # c\n" * 100_000 + "range,time\n1,2\n")
+    assert find_format(path, None).header_line == 300_001
+    assert len(looked_at) < 1000
+    assert values(tmp_path, path.read_bytes()) == [1.0]
+
+
+def test_blocks_parsed_together_are_judged_in_order(tmp_path: Path) -> None:
+    """A blank line is refused by what follows it, however many blocks later that is parsed."""
+    path = tmp_path / "a.csv"
+    path.write_text("range\n" + "1.5\n" * 50 + "\n" * 40 + "2.5\n" * 3 + "wrong\n")
+    source = TextSource(path, block_bytes=16)
+    with pytest.raises(InputError, match="line 52: a blank line between the rows"):
+        list(source.chunks(("range",)))
+    path.write_text("range\n" + "1.5\n" * 50 + "\n" * 40)
+    assert sum(chunk.n for chunk in TextSource(path, block_bytes=16).chunks(("range",))) == 50
+
+
+@pytest.mark.parametrize("block_bytes", [4, 7, 1 << 20])
+def test_a_row_of_tabs_alone_is_a_row_of_empty_cells(tmp_path: Path, block_bytes: int) -> None:
+    path = tmp_path / "drive.txt"
+    path.write_bytes(b"range\ttime\n1\t2\n\t\n3\t4\n")
+    source = TextSource(path, block_bytes=block_bytes)
+    found = np.concatenate([chunk.values["range"] for chunk in source.chunks(("range",))])
+    assert found.tolist()[::2] == [1.0, 3.0]
+    assert np.isnan(found[1])

@@ -1,0 +1,578 @@
+"""Files and parts on Dask: the bytes of the local engine, whatever dies on the way."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.jobs.batch import dask_engine
+from prc_cli.jobs.batch.dask_engine import (
+    DaskEngine,
+    Order,
+    StoppedError,
+    do_order,
+    examine_worker,
+)
+from prc_cli.jobs.batch.types import (
+    Done,
+    EngineSettings,
+    Event,
+    Failed,
+    Progress,
+    Started,
+    Task,
+)
+from prc_cli.jobs.classify import classify, load_classifier
+from tests.patience import HANGS_S, wait_until
+from tests.street import write_endless
+
+distributed = pytest.importorskip("distributed")
+
+M = 40
+
+
+@pytest.fixture(scope="module")
+def quiet() -> Iterator[None]:
+    """Dask's own log is not looked at here."""
+    logger = logging.getLogger("distributed")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    yield
+    logger.setLevel(level)
+
+
+@pytest.fixture(scope="module")
+def cluster(quiet: None) -> Iterator[Any]:
+    """A scheduler and two workers inside this process."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0", memory_limit=0
+    ) as own:
+        yield own
+
+
+def scene(n_lines: int, seed: int, m: int = M) -> Any:
+    rng = np.random.default_rng(seed)
+    image = np.repeat(rng.choice([5.0, 9.0, 20.0], (n_lines, m // 8 + 1)), 8, 1)[:, :m]
+    image[rng.random(image.shape) < 0.05] = np.nan
+    return image.astype(np.float32)
+
+
+def config() -> LoadedConfig:
+    return load_config(options={"prc": {"lines_per_block": 10}})
+
+
+def tasks_in(folder: Path, lines: dict[str, int], m: int = M) -> list[Task]:
+    tasks = []
+    for seed, (name, n_lines) in enumerate(lines.items()):
+        source, output = folder / "in" / name, folder / "out" / f"{name}.labels.npy"
+        source.parent.mkdir(parents=True, exist_ok=True)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        if not source.exists():
+            np.save(source, scene(n_lines, seed, m))
+        tasks.append(Task(name, source, output, config(), "c0ffee"))
+    return tasks
+
+
+def outcomes(events: list[Event]) -> dict[str, Done | Failed]:
+    found = [event for event in events if isinstance(event, (Done, Failed))]
+    assert len({event.name for event in found}) == len(found), "one outcome a file"
+    return {event.name: event for event in found}
+
+
+def run(engine: DaskEngine, tasks: list[Task], **settings: Any) -> list[Event]:
+    return list(engine.run(iter(tasks), EngineSettings(**settings)))
+
+
+def check_bytes(tasks: list[Task], folder: Path) -> None:
+    """Outputs and records are those of ``prc classify``."""
+    for task in tasks:
+        whole = folder / f"whole-{task.source.name}.labels.npy"
+        classify(task.source, whole, task.config, overwrite=True, threads=1)
+        assert task.output.read_bytes() == whole.read_bytes()
+        records = [path.with_name(f"{path.name}.prc.json").read_bytes() for path in (task.output, whole)]
+        assert records[0] == records[1]
+
+
+def left_in(folder: Path) -> list[str]:
+    """Everything in the output tree."""
+    return sorted(path.name for path in folder.rglob("*") if not path.is_dir())
+
+
+def test_files(cluster: Any, tmp_path: Path) -> None:
+    tasks = tasks_in(tmp_path, {f"deep/{i}.npy": 30 + i for i in range(9)})
+    bad = tmp_path / "in" / "bad.npy"
+    bad.write_bytes(b"rubbish")
+    tasks.insert(3, Task("bad.npy", bad, tmp_path / "out" / "bad.npy", config(), "c0ffee"))
+    notices: list[str] = []
+    events = run(DaskEngine(cluster.scheduler_address, notice=notices.append), tasks)
+    found = outcomes(events)
+    failed = found.pop("bad.npy")
+    assert isinstance(failed, Failed)
+    assert failed.problem.kind == "InputError"
+    assert all(isinstance(outcome, Done) for outcome in found.values())
+    tasks.pop(3)
+    check_bytes(tasks, tmp_path)
+    for task in tasks:
+        own = [event for event in events if event.name == task.name]
+        assert isinstance(own[0], Started)
+        assert isinstance(own[-1], Done)
+        assert sum(event.n_lines for event in own if isinstance(event, Progress)) <= own[-1].n_lines
+    assert len(left_in(tmp_path / "out")) == 18
+
+
+def test_long_list_is_asked_for_as_there_is_room(cluster: Any, tmp_path: Path) -> None:
+    tasks = tasks_in(tmp_path, {f"{i}.npy": 12 for i in range(30)})
+    taken = done = ahead = 0
+
+    def feed() -> Iterator[Task]:
+        nonlocal taken, ahead
+        for task in tasks:
+            taken += 1
+            ahead = max(ahead, taken - done)
+            yield task
+
+    for event in DaskEngine(cluster.scheduler_address).run(feed(), EngineSettings()):
+        done += isinstance(event, Done)
+    assert done == 30
+    assert ahead <= 5
+
+
+def test_large_file_in_parts(cluster: Any, tmp_path: Path) -> None:
+    tasks = tasks_in(tmp_path, {"small.npy": 20, "deep/large.npy": 403, "other.npy": 25})
+    table = tmp_path / "in" / "table.csv"
+    table.write_text("range\n" + "5.5\n" * 4000)
+    whole = load_config(options={"input": {"points_per_line": 40}})
+    tasks.append(Task("table.csv", table, tmp_path / "out" / "table.npy", whole, "c0ffee"))
+    notices: list[str] = []
+    engine = DaskEngine(cluster.scheduler_address, split_shots=1600, notice=notices.append)
+    events = run(engine, tasks)
+    found = outcomes(events)
+    assert all(isinstance(outcome, Done) for outcome in found.values()), found
+    check_bytes(tasks, tmp_path)
+    large = [event for event in events if event.name == "deep/large.npy"]
+    assert len([event for event in large if isinstance(event, Started)]) == 1
+    assert sum(event.n_lines for event in large if isinstance(event, Progress)) <= 403
+    assert any("table.csv goes whole: .csv is read from its start" in text for text in notices)
+    assert not (tmp_path / "out" / ".prc" / "parts").exists()
+
+
+def test_split_when_workers_would_be_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
+    """A split takes more of all workers together: while there are other files, files go whole."""
+    tasks = tasks_in(tmp_path, {**{f"{i}.npy": 402 + i for i in range(9)}, "last.npy": 400})
+    real, tried = dask_engine.split, []
+
+    def watched(task: Task, shots: int) -> Any:
+        tried.append(task.name)
+        return real(task, 1600)
+
+    monkeypatch.setattr(dask_engine, "split", watched)
+    where = {"processes": False, "dashboard_address": ":0", "memory_limit": 0}
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=4, **where) as own:
+        found = outcomes(run(DaskEngine(own.scheduler_address), tasks))
+        assert all(isinstance(outcome, Done) for outcome in found.values()), found
+        assert len(tried) <= 2
+        assert not {task.name for task in tasks[:7]} & set(tried)
+        tried.clear()
+        run(DaskEngine(own.scheduler_address), [replace(task, overwrite=True) for task in tasks[-1:]])
+        assert tried == ["last.npy"]
+        tried.clear()
+        run(DaskEngine(own.scheduler_address, split_shots=0), [replace(tasks[0], overwrite=True)])
+        assert tried == []
+    check_bytes(tasks, tmp_path)
+
+
+def test_part_that_fails_ends_its_file_alone(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = tasks_in(tmp_path, {"large.npy": 403, "other.npy": 25})
+    real = dask_engine.run_part
+
+    def fails(part: Any, **how: Any) -> Any:
+        if part.header.first_block > 20:
+            raise PermissionError(13, "Permission denied", str(part.task.source))
+        return real(part, **how)
+
+    monkeypatch.setattr(dask_engine, "run_part", fails)
+    found = outcomes(run(DaskEngine(cluster.scheduler_address, split_shots=1600), tasks))
+    assert isinstance(found["other.npy"], Done)
+    failed = found["large.npy"]
+    assert isinstance(failed, Failed)
+    assert failed.problem.kind == "PermissionError"
+
+
+def test_trajectory_named_from_here(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers start relative names of a configuration where the run was started."""
+    monkeypatch.chdir(tmp_path)
+    points = "".join(f"{i / 1000},{3 + i % 7},4,0,{i // 20}\n" for i in range(400))
+    (tmp_path / "a.csv").write_text("time,x,y,z,scan_line\n" + points)
+    (tmp_path / "drive.csv").write_text("time,x,y,z\n" + "".join(f"{i},0,0,0\n" for i in range(-1, 3)))
+    loaded = load_config(options={"input": {"range": "trajectory:drive.csv", "points_per_line": 20}})
+    task = Task("a.csv", Path("a.csv"), Path("out/a.npy"), loaded, "c0ffee")
+    Path("out").mkdir()
+    assert isinstance(outcomes(run(DaskEngine(cluster.scheduler_address), [task]))["a.csv"], Done)
+    check_bytes([task], tmp_path)
+
+
+def test_closing_stops_what_is_at_work(cluster: Any, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    names = [f"{i}.npy" for i in range(3)]
+    for name in names:
+        write_endless(tmp_path / "in" / name)
+    tasks = tasks_in(tmp_path, dict.fromkeys(names, 0))
+    events = DaskEngine(cluster.scheduler_address).run(iter(tasks), EngineSettings())
+    with closing(events):  # type: ignore[type-var]
+        next(event for event in events if isinstance(event, Progress))
+    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
+        wait_until(lambda: not any(client.processing().values()))
+    # what was at work is rolled back
+    wait_until(lambda: not [name for name in left_in(tmp_path / "out") if name.endswith((".part", ".npy", ".json"))])
+
+
+def test_file_that_hangs_is_given_up(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = tasks_in(tmp_path, {"hangs.npy": 20, **{f"{i}.npy": 20 for i in range(4)}})
+    load_classifier(config())  # compiling loops is no progress either
+    real, let_go = dask_engine.run_task, threading.Event()
+    stall_s, ahead_s = 1e5, iter(range(0, 10**12, 200_000))
+    found: dict[str, Done | Failed] = {}
+
+    def clock() -> float:
+        """Once all other files are done, the one that hangs is silent for too long whenever it is looked at."""
+        return time.monotonic() + (next(ahead_s) if len(found) == 4 else 0)
+
+    def hangs(task: Task, **how: Any) -> Any:
+        if task.name == "hangs.npy":
+            let_go.wait(HANGS_S)
+        return real(task, **how)
+
+    monkeypatch.setattr(dask_engine, "run_task", hangs)
+    monkeypatch.setattr(dask_engine, "bytes_moved", lambda: lambda: 0)
+    monkeypatch.setattr(dask_engine, "STOP_S", 0.2)
+    monkeypatch.setattr(dask_engine, "time", SimpleNamespace(monotonic=clock))
+    notices: list[str] = []
+    events = []
+    for event in DaskEngine(cluster.scheduler_address, notice=notices.append).run(
+        iter(tasks), EngineSettings(stall_s=stall_s)
+    ):
+        events.append(event)
+        found = outcomes(events)
+        if isinstance(event, Failed):
+            let_go.set()
+    let_go.set()
+    failed = found.pop("hangs.npy")
+    assert isinstance(failed, Failed)
+    assert failed.problem.kind == "timeout"
+    assert "no progress for 100000 s" in failed.problem.problem
+    assert all(isinstance(outcome, Done) for outcome in found.values()), found
+    assert any("cannot be restarted from here" in text for text in notices)
+
+
+def test_file_that_a_worker_does_not_see(cluster: Any, tmp_path: Path) -> None:
+    tasks = tasks_in(tmp_path, {"a.npy": 20, "b.npy": 20})
+    tasks[0].source.unlink()
+    found = outcomes(run(DaskEngine(cluster.scheduler_address), tasks))
+    failed = found["a.npy"]
+    assert isinstance(failed, Failed)
+    assert "no such file on" in failed.problem.problem
+    assert "mount the archive" in failed.problem.hint
+    assert isinstance(found["b.npy"], Done)
+
+
+def test_workers_that_do_not_see_the_archive(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks = tasks_in(tmp_path, {"a.npy": 20})
+
+    def blind(paths: tuple[str, ...]) -> Any:
+        return dask_engine.WorkerFacts(dask_engine.__version__, "elsewhere", paths[:1])
+
+    monkeypatch.setattr(dask_engine, "examine_worker", blind)
+    with pytest.raises(ConfigError, match=r"on elsewhere: does not see .*shared-.*mount them there"):
+        run(DaskEngine(cluster.scheduler_address), tasks)
+    assert left_in(tmp_path / "out") == []
+
+
+def test_worker_looks_for_files_for_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A network file system may keep an old listing for seconds."""
+    late = tmp_path / "late"
+    clock = SimpleNamespace(monotonic=time.monotonic, sleep=lambda seconds: late.touch())
+    monkeypatch.setattr(dask_engine, "time", clock)
+    monkeypatch.setattr(dask_engine, "SHARE_S", HANGS_S)
+    assert examine_worker((str(tmp_path), str(late))).unseen == ()
+    monkeypatch.setattr(dask_engine, "SHARE_S", 0.0)
+    assert examine_worker((str(tmp_path), str(tmp_path / "never"))).unseen == (str(tmp_path / "never"),)
+
+
+@pytest.mark.parametrize("who", ["scheduler", "worker"])
+def test_other_versions_are_refused(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str) -> None:
+    tasks = tasks_in(tmp_path, {"a.npy": 20})
+    if who == "scheduler":
+        monkeypatch.setattr(dask_engine, "version_here", lambda: "0.0.1")
+    else:
+        facts = dask_engine.WorkerFacts("0.0.1", "elsewhere", ())
+        monkeypatch.setattr(dask_engine, "examine_worker", lambda paths: facts)
+    with pytest.raises(ConfigError, match=rf"{who}.*found prc 0.0.1, expected .* as here; pip install"):
+        run(DaskEngine(cluster.scheduler_address), tasks)
+
+
+def test_worker_that_joins_late_with_another_version(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = tasks_in(tmp_path, {"a.npy": 20})
+    real = dask_engine._Run._order
+
+    def order(self: Any, *what: Any, **how: Any) -> Order:
+        return replace(real(self, *what, **how), version="0.0.1")
+
+    monkeypatch.setattr(dask_engine._Run, "_order", order)
+    with pytest.raises(PrcError, match=r"runs prc .*, this run 0\.0\.1"):
+        run(DaskEngine(cluster.scheduler_address), tasks)
+
+
+def test_without_dask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigError, match=r"not installed here .*; pip install 'prc-cli\[dask\]'"):
+        run(DaskEngine(), tasks_in(tmp_path, {"a.npy": 20}))
+
+
+def test_without_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
+    monkeypatch.setattr(dask_engine, "CONNECT_S", 0.5)
+    tasks = tasks_in(tmp_path, {"a.npy": 20})
+    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with pytest.raises(ConfigError, match="no scheduler answers at"):
+            run(DaskEngine(address), tasks)
+
+
+def test_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
+    monkeypatch.setattr(dask_engine, "WORKERS_S", 0.5)
+    with (
+        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty,
+        pytest.raises(PrcError, match=r"no worker for 0\.5 s; start some: dask worker"),
+    ):
+        run(DaskEngine(empty.scheduler_address), tasks_in(tmp_path, {"a.npy": 20}))
+
+
+def test_nothing_to_do() -> None:
+    assert run(DaskEngine("tcp://127.0.0.1:9"), []) == []
+
+
+def test_stopping_is_no_error_of_a_file() -> None:
+    """Whatever catches errors of files lets it pass."""
+    assert not issubclass(StoppedError, Exception)
+
+
+def test_orders_are_found_by_name() -> None:
+    """Workers import what they run; nothing of it is sent."""
+    import pickle
+
+    for function in (do_order, examine_worker, dask_engine.version_here):
+        assert pickle.loads(pickle.dumps(function)) is function
+        assert len(pickle.dumps(function)) < 100
+
+
+@dataclass
+class Machines:
+    """A scheduler and workers that were started by themselves."""
+
+    address: str
+    client: Any
+    scheduler: subprocess.Popen[bytes]
+
+
+@pytest.fixture
+def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Iterator[Machines]:
+    """``dask scheduler`` and twice ``dask worker`` on loopback; nobody starts a killed worker again."""
+    environment = {
+        **os.environ,
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": str(getattr(request, "param", 3)),
+        "DASK_LOGGING__DISTRIBUTED": "critical",
+    }
+    found = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0"]
+    work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(found), "--nthreads", "1"]
+    commands = [
+        [*dask, "--scheduler-file", str(found), "--no-dashboard"],
+        *([*work, "--no-dashboard", "--no-nanny", "--local-directory", str(tmp_path / f"w{i}")] for i in range(2)),
+    ]
+    with ExitStack() as stack:
+        started = []
+        for command in commands:
+            process = subprocess.Popen(
+                command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            )
+            stack.callback(end, process)
+            started.append(process)
+        client = distributed.Client(scheduler_file=str(found), timeout=HANGS_S, set_as_default=False)
+        stack.callback(client.close)
+        client.wait_for_workers(2, timeout=HANGS_S)
+        yield Machines(client.scheduler.address, client, started[0])
+
+
+def end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and those that it started."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(5)
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
+    """Separately started scheduler and workers; one is killed while it has a file, and a part."""
+    lines = {"first.npy": 20_000, **{f"{i}.npy": 300 for i in range(4)}, "large.npy": 24_000}
+    tasks = tasks_in(tmp_path, lines, m=100)
+    pids = machines.client.run(os.getpid)
+    owner: dict[str, str] = {}
+    killed: list[str] = []
+    events: list[Event] = []
+    # large enough to be split is but the last one
+    engine = DaskEngine(machines.address, split_shots=1_100_000)
+    with closing(stream := engine.run(iter(tasks), EngineSettings())):  # type: ignore[type-var]
+        for event in stream:
+            events.append(event)
+            if isinstance(event, Started):
+                owner[event.name] = event.worker
+            if isinstance(event, Progress) and event.name == "first.npy" and not killed:
+                killed.append(owner["first.npy"])
+                os.kill(pids[killed[0]], signal.SIGKILL)
+    found = outcomes(events)
+    assert killed
+    assert set(found) == set(lines)
+    assert all(isinstance(outcome, Done) for outcome in found.values()), found
+    check_bytes(tasks, tmp_path)
+    # what the killed one was writing is not taken for an output
+    assert len([name for name in left_in(tmp_path / "out") if not name.endswith(".part")]) == 2 * len(tasks)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_scheduler_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
+    tasks = tasks_in(tmp_path, {"a.npy": 60_000, "b.npy": 60_000}, m=100)
+    with pytest.raises(PrcError, match="scheduler: went away .*run again"):
+        for event in DaskEngine(machines.address).run(iter(tasks), EngineSettings()):
+            if isinstance(event, Progress):
+                with suppress(ProcessLookupError):
+                    os.killpg(machines.scheduler.pid, signal.SIGKILL)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("machines", [0], indirect=True)
+def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None:
+    lines = {"poison.npy": 40_000, **{f"{i}.npy": 300 for i in range(4)}}
+    tasks = tasks_in(tmp_path, lines, m=100)
+    pids = machines.client.run(os.getpid)
+    events: list[Event] = []
+    for event in DaskEngine(machines.address).run(iter(tasks), EngineSettings()):
+        events.append(event)
+        if isinstance(event, Started) and event.name == "poison.npy":
+            os.kill(pids[event.worker], signal.SIGKILL)
+    found = outcomes(events)
+    failed = found.pop("poison.npy")
+    assert isinstance(failed, Failed)
+    assert failed.problem.kind == "killed"
+    assert "1 workers died" in failed.problem.problem
+    assert len([outcome for outcome in found.values() if isinstance(outcome, Done)]) >= 3
+
+
+@pytest.mark.slow
+def test_cluster_of_its_own(tmp_path: Path, quiet: None) -> None:
+    """Without a scheduler the engine starts one with processes on this machine, and leaves none behind."""
+    tasks = tasks_in(tmp_path, {**{f"{i}.npy": 50 for i in range(5)}, "large.npy": 403})
+    notices: list[str] = []
+    engine = DaskEngine(split_shots=4000, notice=notices.append)
+    workers: set[str] = set()
+    events = []
+    for event in engine.run(iter(tasks), EngineSettings(jobs=2)):
+        if not events:  # the dashboard is there while the run is
+            with urlopen(notices[0].rpartition(" ")[2], timeout=30) as page:
+                assert page.status == 200
+        events.append(event)
+        if isinstance(event, Started):
+            workers.add(event.worker)
+    assert all(isinstance(outcome, Done) for outcome in outcomes(events).values())
+    check_bytes(tasks, tmp_path)
+    assert notices[0].startswith("Dask's dashboard: http://127.0.0.1:")
+    assert 1 <= len(workers) <= 2
+    for address in workers:
+        assert not answers(address)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
+    """The whole group of processes hears it; the run rolls back and says so, the workers say nothing."""
+    tasks_in(tmp_path, {f"{i}.npy": 60_000 for i in range(6)}, m=100)
+    command = [
+        sys.executable,
+        "-m",
+        "prc_cli",
+        "batch",
+        str(tmp_path / "in"),
+        str(tmp_path / "out"),
+        "--engine",
+        "dask",
+    ]
+    with (tmp_path / "said").open("wb") as said:
+        process = subprocess.Popen([*command, "--jobs", "2"], stdout=said, stderr=said, start_new_session=True)
+        wait_until(lambda: list((tmp_path / "out").glob("*.npy")))
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(HANGS_S) == 130
+    text = (tmp_path / "said").read_text()
+    assert "interrupted" in text
+    assert "Traceback" not in text
+    assert not [name for name in left_in(tmp_path / "out") if name.endswith(".part")]
+
+
+def shards_of(tmp_path: Path, index: int, **more: str) -> subprocess.CompletedProcess[str]:
+    """A task of a job array as Slurm starts it."""
+    script = Path(__file__).parents[3] / "sample_configs" / "slurm" / "prc_batch.sbatch"
+    (tmp_path / "bin").mkdir(exist_ok=True)
+    program = tmp_path / "bin" / "prc"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m prc_cli "$@"\n')
+    program.chmod(0o755)
+    (tmp_path / "a.toml").write_text('preset = "urban"\n')
+    given = {"ARCHIVE": tmp_path / "in", "OUT": tmp_path / "out", "CONFIG": tmp_path / "a.toml"}
+    environment = {**os.environ, **{key: str(value) for key, value in given.items()}, "SLURM_ARRAY_TASK_ID": str(index)}
+    environment |= {"PATH": f"{program.parent}{os.pathsep}{os.environ['PATH']}", **more}
+    return subprocess.run(["bash", str(script)], env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a shell script")
+def test_slurm_job_array(tmp_path: Path) -> None:
+    """Its tasks share the archive; one that is repeated alone is still the same shard."""
+    tasks = tasks_in(tmp_path, {f"{i}.npy": 20 for i in range(8)})
+    tasks = [replace(task, config=load_config(preset="urban")) for task in tasks]
+    for index in (1, 2):
+        done = shards_of(tmp_path, index, SLURM_ARRAY_TASK_COUNT="2", SLURM_CPUS_PER_TASK="1")
+        assert done.returncode == 0, done.stderr
+    check_bytes(tasks, tmp_path)
+    again = shards_of(tmp_path, 2, SLURM_ARRAY_TASK_COUNT="1", SHARDS="2")
+    assert "nothing to do" in again.stdout + again.stderr
+
+
+def answers(address: str) -> bool:
+    import socket
+
+    host, _, port = address.removeprefix("tcp://").partition(":")
+    try:
+        socket.create_connection((host, int(port)), timeout=1).close()
+    except OSError:
+        return False
+    return True

@@ -1,0 +1,291 @@
+"""What an archive holds, whatever somebody has put into it."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats import check_input
+from prc_cli.jobs.batch import discovery
+from prc_cli.jobs.batch.discovery import (
+    Patterns,
+    collisions,
+    discover,
+    output_name,
+    parse_since,
+)
+from prc_cli.jobs.batch.settings import BatchSettings
+from prc_cli.jobs.batch.types import OWN_FOLDER, Shard
+from tests.patience import HANGS_S
+
+
+def put(path: Path, content: bytes = b"x") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(content)
+    return path
+
+
+def names(archive: Path, **options: object) -> list[str]:
+    settings = BatchSettings(archive, options.pop("out", archive.parent / "out"), **options)  # type: ignore[arg-type]
+    return [found.name for found in discover(settings).files]
+
+
+def left_out(archive: Path, **options: object) -> dict[str, str]:
+    settings = BatchSettings(archive, options.pop("out", archive.parent / "out"), **options)  # type: ignore[arg-type]
+    return {found.name: found.reason for found in discover(settings).left_out}
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    folder = tmp_path / "archive"
+    for name in ("b.laz", "a/2.las", "a/10.LAZ", "a/deep/er/x.csv.gz", "z.npz", "notes.md", "a/.hidden.laz"):
+        put(folder / name)
+    put(folder / ".git" / "c.laz")
+    return folder
+
+
+def test_only_what_a_reader_takes_in_the_order_of_bytes(archive: Path) -> None:
+    assert names(archive) == ["a/10.LAZ", "a/2.las", "a/deep/er/x.csv.gz", "b.laz", "z.npz"]
+    assert left_out(archive) == {}
+
+
+def test_every_suffix_found_is_one_that_a_reader_takes(tmp_path: Path) -> None:
+    for suffix in sorted(discovery._READABLE):
+        put(tmp_path / "in" / f"x{suffix}")
+        assert check_input(tmp_path / "in" / f"x{suffix}") == suffix
+    assert len(names(tmp_path / "in")) == len(discovery._READABLE)
+
+
+def test_size_and_time_come_along(archive: Path) -> None:
+    put(archive / "b.laz", b"12345")
+    found = {item.name: item for item in discover(BatchSettings(archive, archive.parent / "out")).files}
+    assert found["b.laz"].size == 5
+    assert found["b.laz"].mtime_ns == (archive / "b.laz").stat().st_mtime_ns
+
+
+@pytest.mark.parametrize(
+    ("include", "exclude", "expected"),
+    [
+        (["*.laz"], [], ["b.laz"]),
+        (["*.LAZ", "*.las"], [], ["a/10.LAZ", "a/2.las"]),
+        (["a/*"], [], ["a/10.LAZ", "a/2.las"]),
+        (["a/**"], [], ["a/10.LAZ", "a/2.las", "a/deep/er/x.csv.gz"]),
+        (["**/x*"], [], ["a/deep/er/x.csv.gz"]),
+        (["**/b.laz"], [], ["b.laz"]),
+        (["?.[ln]*"], [], ["a/2.las", "b.laz", "z.npz"]),
+        ([], ["a"], ["b.laz", "z.npz"]),
+        ([], ["deep/"], ["a/10.LAZ", "a/2.las", "b.laz", "z.npz"]),
+        ([], ["a/[!0-9]*/**"], ["a/10.LAZ", "a/2.las", "b.laz", "z.npz"]),
+        (["*.laz"], ["b*"], []),
+    ],
+)
+def test_patterns_choose(archive: Path, include: list[str], exclude: list[str], expected: list[str]) -> None:
+    assert names(archive, include=tuple(include), exclude=tuple(exclude)) == expected
+
+
+def test_a_star_crosses_no_folder() -> None:
+    assert not Patterns(["a/*.laz"]).match("a/b/c.laz")
+    assert Patterns(["a/**/*.laz"]).match("a/c.laz")
+    assert Patterns(["a/**/*.laz"]).match("a/b/d/c.laz")
+    assert not Patterns(["a[!x]b"]).match("a/b")
+    assert not Patterns(["q/a[/]b"]).match("q/a/b")
+
+
+def test_case_is_that_of_the_file_system() -> None:
+    assert not Patterns(["*.laz"]).match("A.LAZ")
+    assert Patterns(["*.laz"], tells_case=False).match("A.LAZ")
+
+
+@given(st.text(max_size=12))
+def test_names_match_themselves_when_nothing_in_them_is_special(name: str) -> None:
+    name = name.replace("/", "").strip(".")
+    if name and not set(name) & set("*?[]\0\\"):
+        assert Patterns([name]).match(name)
+        assert Patterns([f"x/{name}"]).match(f"x/{name}")
+
+
+@given(st.text("ab*?[]!-^\\/.", min_size=1, max_size=10), st.text("ab-^]/.", max_size=8))
+def test_no_pattern_is_an_error_of_python(pattern: str, name: str) -> None:
+    try:
+        Patterns([pattern]).match(name)
+    except ConfigError:
+        assert not pattern.strip("./")
+
+
+def test_many_stars_take_no_time() -> None:
+    begun = time.process_time()
+    Patterns(["*" * 50 + "b"]).match("a" * 200)
+    Patterns(["a/" + "**/" * 8 + "x.laz"]).match("a/" + "b/" * 12 + "y.laz")
+    assert time.process_time() - begun < 60, "the naive way takes longer than there is time"
+
+
+def test_outputs_are_no_inputs(archive: Path) -> None:
+    out = archive / "out"
+    put(out / "b.laz")
+    put(out / OWN_FOLDER / "journal.sqlite")
+    put(archive / "old" / OWN_FOLDER / "journal.sqlite")
+    put(archive / "old" / "b.laz")
+    put(archive / "z.npz.labels.npy")
+    assert names(archive, out=out) == ["a/10.LAZ", "a/2.las", "a/deep/er/x.csv.gz", "b.laz", "z.npz"]
+    found = left_out(archive, out=out)
+    assert found == {
+        "old/": "the output folder of another batch run",
+        "z.npz.labels.npy": "labels that this program wrote",
+    }
+
+
+@pytest.mark.parametrize("out", [".", "..", "../.", "../archive"])
+def test_an_archive_in_its_outputs_is_refused(archive: Path, out: str) -> None:
+    with pytest.raises(ConfigError, match="never modified"):
+        names(archive, out=archive / out)
+    with pytest.raises(ConfigError, match="never modified"):
+        discovery.check(BatchSettings(archive, archive / out))
+
+
+def test_an_output_folder_that_is_a_link_to_the_archive_is_refused(archive: Path) -> None:
+    link = archive.parent / "link"
+    link.symlink_to(archive)
+    with pytest.raises(ConfigError, match="never modified"):
+        names(archive, out=link)
+
+
+def test_absent_archives_and_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        names(tmp_path / "nothing")
+    with pytest.raises(ConfigError, match="prc classify"):
+        names(put(tmp_path / "a.laz"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and pipes")
+def test_links_and_pipes(archive: Path) -> None:
+    outside = put(archive.parent / "outside" / "secret.laz")
+    (archive / "out_of_it.laz").symlink_to(outside)
+    (archive / "folder_out").symlink_to(outside.parent)
+    (archive / "a" / "cycle").symlink_to(archive)
+    (archive / "nothing.laz").symlink_to(archive / "absent")
+    (archive / "itself.laz").symlink_to(archive / "itself.laz")
+    (archive / "second_name.laz").symlink_to(archive / "b.laz")
+    (archive / "hidden_store.laz").symlink_to(archive / ".git" / "c.laz")
+    os.mkfifo(archive / "pipe.laz")
+    (archive / "folder.laz").mkdir()
+    put(archive / "folder.laz" / "in.laz")
+    found = names(archive)
+    assert [name for name in found if "laz" in name] == [
+        "b.laz", "folder.laz/in.laz", "hidden_store.laz", "second_name.laz",
+    ]  # fmt: skip
+    assert left_out(archive) == {
+        "a/cycle": "a symbolic link to a folder of the archive, whose files have their own names",
+        "folder_out": "a symbolic link that leads out of the archive",
+        "itself.laz": "a symbolic link to nothing",
+        "nothing.laz": "a symbolic link to nothing",
+        "out_of_it.laz": "a symbolic link that leads out of the archive",
+        "pipe.laz": "not a regular file",
+    }
+
+
+@pytest.mark.skipif(os.name != "posix", reason="names of bytes")
+def test_odd_names(tmp_path: Path) -> None:
+    odd = [b"a\nb.laz", b"\x1b[31m.laz", b"latin\xe9.laz", b"{stem}.laz", b" .laz", "\u2028.laz".encode()]
+    for name in odd:
+        put(Path(os.fsdecode(os.path.join(os.fsencode(tmp_path / "in"), name))))  # noqa: PTH118
+    found = discover(BatchSettings(tmp_path / "in", tmp_path / "out")).files
+    assert [os.fsencode(item.name) for item in found] == sorted(odd)
+    assert all(item.path.is_file() for item in found)
+    assert names(tmp_path / "in", include=("a?b.laz",)) == ["a\nb.laz"]
+    assert names(tmp_path / "in", include=("latin?.laz",)) == ["latin\udce9.laz"]
+
+
+def test_hundreds_of_folders_deep(tmp_path: Path) -> None:
+    here = os.getcwd()  # noqa: PTH109
+    (tmp_path / "in").mkdir()
+    try:
+        os.chdir(tmp_path / "in")
+        for _ in range(400):
+            os.mkdir("d")  # noqa: PTH102
+            os.chdir("d")
+    finally:
+        os.chdir(here)
+    put(tmp_path / "in" / "a.laz")
+    found = discover(BatchSettings(tmp_path / "in", tmp_path / "out"))
+    assert [item.name for item in found.files] == ["a.laz"]
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root reads everything")
+def test_a_folder_without_permission_is_told(archive: Path) -> None:
+    (archive / "a").chmod(0)
+    try:
+        assert names(archive) == ["b.laz", "z.npz"]
+        assert "Permission denied" in left_out(archive)["a/"]
+    finally:
+        (archive / "a").chmod(0o755)
+
+
+def test_shards_share_the_archive(tmp_path: Path) -> None:
+    for i in range(60):
+        put(tmp_path / "in" / f"{i}.laz")
+    parts = [names(tmp_path / "in", shard=Shard(i, 4)) for i in range(1, 5)]
+    assert sorted(name for part in parts for name in part) == sorted(names(tmp_path / "in"))
+    assert all(5 < len(part) < 30 for part in parts)
+
+
+def test_since(archive: Path) -> None:
+    now = time.time()
+    for name, age in (("b.laz", 10), ("a/2.las", 90_000), ("z.npz", 900_000)):
+        os.utime(archive / name, (now - age, now - age))
+    old = ("a/10*", "deep")
+    assert names(archive, since="1h", exclude=old) == ["b.laz"]
+    assert names(archive, since="2d", exclude=old) == ["a/2.las", "b.laz"]
+    assert names(archive, since=str(archive / "a" / "2.las"), exclude=old) == ["a/2.las", "b.laz"]
+    day = datetime.fromtimestamp(now - 100_000).astimezone()
+    assert names(archive, since=day.isoformat(), exclude=old) == ["a/2.las", "b.laz"]
+    found = discover(BatchSettings(archive, archive.parent / "out", since="1h", exclude=old))
+    assert found.n_not_selected == 3
+
+
+def test_parse_since() -> None:
+    now = datetime(2026, 3, 1, tzinfo=UTC)
+    assert parse_since("7d", lambda: now) == int(datetime(2026, 2, 22, tzinfo=UTC).timestamp()) * 10**9
+    assert parse_since("90 min", lambda: now) == int(now.timestamp() - 5400) * 10**9
+    assert parse_since("999999999w", lambda: now) == 0
+    for wrong in ("", "soon", "7", "7y", "-1d", "a\0b"):
+        with pytest.raises(ConfigError, match="--since"):
+            parse_since(wrong)
+
+
+def test_a_file_system_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = threading.Event()
+
+    def hang(settings: BatchSettings, since_ns: int | None) -> Iterator[None]:
+        answers.wait(HANGS_S)
+        yield None
+
+    monkeypatch.setattr(discovery, "_select", hang)
+    with pytest.raises(InputError, match="has not answered for 0.1 s"):
+        discover(BatchSettings(tmp_path, tmp_path / "out"), patience_s=0.1)
+    answers.set()
+
+
+def test_names_of_outputs_never_meet() -> None:
+    inputs = ["a.las", "a.laz", "a.LAS", "a.csv", "a.csv.gz", "a.npy", "a.npz", "a.e57", "b/a.las"]
+    for to in discovery.FORMATS:
+        outputs = [output_name(name, to) for name in inputs]
+        assert len(set(outputs)) == len(inputs)
+        assert all(name in output for name, output in zip(inputs, outputs, strict=True))
+    assert output_name("a.csv", "parquet") == "a.csv.labels.parquet"
+    assert output_name("a.npz", "las") == "a.npz.las"
+    with pytest.raises(ConfigError, match="--to"):
+        output_name("a.csv", "tif")
+
+
+def test_collisions() -> None:
+    assert collisions(["a.laz", "a.las.laz", "b.laz"]) == frozenset()
+    assert collisions(["x/a.laz", "x/a.laz", "x/A.laz", "b.laz"]) == {"x/a.laz", "x/A.laz"}

@@ -1,0 +1,380 @@
+"""The journal holds what was committed, whatever happens, and says so clearly when it cannot."""
+
+from __future__ import annotations
+
+import os
+import random
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from prc_cli import __version__
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.errors import BusyError, InputError, OutputError
+from prc_cli.jobs.batch import journal as subject
+from prc_cli.jobs.batch.journal import (
+    Journal,
+    journal_path,
+    read_entries,
+    read_runs,
+)
+from prc_cli.jobs.batch.types import (
+    Done,
+    Entry,
+    Failed,
+    InputPrint,
+    Problem,
+    Shard,
+    Task,
+)
+
+ODD_NAMES = [
+    "plain.laz",
+    "day 1/with spaces.bin",
+    "new\nline.las",
+    "quote'and\"double;DROP TABLE files;--.csv",
+    "odd\udcff\udc80bytes.npz",
+    "nul-is-never-a-name but \x01 is.las",
+    "\x1b[31mred.laz",
+    "Straße/車.laz",
+    "Å.laz",
+    "%s?:name*.laz",
+    "x" * 4000 + ".laz",
+]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / ".prc"
+
+
+@pytest.fixture
+def open_to_all() -> Iterator[Path]:
+    """Folder that another user may enter; those of pytest are private."""
+    with tempfile.TemporaryDirectory(prefix="prc-journal-") as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+def task(name: str, config: str = "c" * 64) -> Task:
+    return Task(name, Path("archive") / name, Path("out") / name, LoadedConfig(RunConfig()), config)
+
+
+def done(name: str, n: int = 10) -> Done:
+    return Done(
+        name, InputPrint(n, 1_700_000_000_123_456_789, "ab" * 32), 7 * n, 1_800_000_000_987_654_321, 1.25, 1.5, None,
+        n, 3 * n, 2 * n, (("GROUND", n), ("NOISE", 0), ("OBJECT", n)), ("a notice", "with a \udcff byte"),
+    )  # fmt: skip
+
+
+def failed(name: str, kind: str = "InputError") -> Failed:
+    return Failed(name, None, 0.5, Problem(kind, name, "found no header, expected one", "check the copy"))
+
+
+def spelled(entry: Entry | None) -> Problem:
+    assert entry is not None
+    assert isinstance(entry.outcome, Failed)
+    return entry.outcome.problem
+
+
+@pytest.mark.parametrize("name", ODD_NAMES)
+def test_any_name_comes_back(folder: Path, name: str) -> None:
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        journal.start(task(name), "worker 1")
+        running = journal.entry(name)
+        assert running is not None
+        assert (running.name, running.state, running.outcome, running.finished) == (name, "running", None, None)
+        journal.finish(failed(name))
+        assert spelled(journal.entry(name)).problem == "found no header, expected one"
+        journal.start(task(name), "worker 1")
+        journal.finish(done(name))
+    assert [entry.name for entry in read_entries(folder)] == [name]
+    assert read_entries(folder)[0].outcome == done(name)
+
+
+def test_what_is_known_of_a_file(folder: Path) -> None:
+    with Journal(folder) as journal:
+        assert journal.entry("a.laz") is None
+        run = journal.begin_run("me on this machine")
+        journal.start(task("a.laz", "first"), "worker 1")
+        journal.finish(done("a.laz"))
+        entry = journal.entry("a.laz")
+        assert entry == Entry(
+            "a.laz", "done", "first", __version__, run, 1, entry.started, entry.finished, "worker 1", done("a.laz")
+        )  # fmt: skip
+        assert entry.finished is not None
+        assert entry.started <= entry.finished
+        # the next version of the input fails; what is known is the last attempt
+        journal.start(task("a.laz", "second"), "worker 2")
+        assert journal.entry("a.laz") == replace(
+            entry, state="running", config_sha256="second", owner="worker 2", finished=None,
+            started=journal.entry("a.laz").started,
+        )  # fmt: skip
+        journal.finish(failed("a.laz"))
+        entry = journal.entry("a.laz")
+        assert (entry.state, entry.attempts, entry.outcome) == ("failed", 1, failed("a.laz"))
+        for attempts in (2, 3):
+            journal.start(task("a.laz"), "worker 2")
+            assert journal.entry("a.laz").attempts == attempts
+        journal.finish(done("a.laz"))
+        journal.start(task("a.laz"), "worker 2")
+        assert journal.entry("a.laz").attempts == 1
+
+
+def test_an_output_of_somebody_else_never_becomes_ours(folder: Path) -> None:
+    """Else the run after the one that refused to replace it would take it for our own and replace it."""
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        journal.finish(failed("refused.laz", "OutputExistsError"))
+        assert not journal.entry("refused.laz").owns_output
+        journal.finish(failed("refused.laz"))
+        assert not journal.entry("refused.laz").owns_output
+        # it appeared between the plan and the work
+        journal.start(task("late.laz"), "worker")
+        journal.finish(failed("late.laz", "OutputExistsError"))
+        assert not journal.entry("late.laz").owns_output
+        # a failure for another reason leaves a right that there was
+        journal.start(task("ours.laz"), "worker")
+        journal.finish(done("ours.laz"))
+        journal.finish(failed("ours.laz"))
+        assert journal.entry("ours.laz").owns_output
+        journal.start(task("refused.laz"), "worker")
+        assert journal.entry("refused.laz").owns_output
+
+
+def test_runs_are_kept(folder: Path) -> None:
+    with Journal(folder) as journal:
+        first = journal.begin_run("me")
+        journal.end_run(1, {"done": 3, "failed": 1})
+    with Journal(folder) as journal:
+        second = journal.begin_run("me again")
+        assert first < second or first[:16] == second[:16]
+    with Journal(folder, Shard(2, 3)) as journal:
+        third = journal.begin_run("a shard")
+        journal.end_run(143)
+    runs = read_runs(folder)
+    assert [run.id for run in runs] == [first, second, third]
+    assert [run.exit_code for run in runs] == [1, None, 143]
+    assert [run.shard for run in runs] == ["", "", "2/3"]
+    assert dict(runs[0].totals) == {"done": 3, "failed": 1}
+    assert runs[1].finished is None
+
+
+def test_journals_of_other_divisions_are_known_and_the_newest_entry_counts(folder: Path) -> None:
+    with Journal(folder) as journal:
+        journal.begin_run("whole")
+        for name in ("a", "b", "c"):
+            journal.start(task(name, "old"), "worker")
+            journal.finish(done(name))
+    with Journal(folder, Shard(1, 2)) as journal:
+        assert [entry.name for entry in journal.entries()] == ["a", "b", "c"]
+        journal.begin_run("shard")
+        journal.start(task("b", "new"), "worker")
+        journal.finish(failed("b"))
+        assert journal.entry("b").config_sha256 == "new"
+        assert journal.entry("a").config_sha256 == "old"
+        assert [entry.state for entry in journal.entries()] == ["done", "failed", "done"]
+        assert journal.entry("b").owns_output
+    with Journal(folder) as journal:
+        assert journal.entry("b").config_sha256 == "new"
+        assert len(journal.entries()) == 3
+        assert journal.forget(["b", "c", "nothing"]) == 2
+        assert [entry.name for entry in journal.entries()] == ["a"]
+    assert [entry.name for entry in read_entries(folder)] == ["a"]
+
+
+def test_one_statement_is_one_step_for_every_reader(folder: Path) -> None:
+    """A reader works on a copy, while the writer goes on."""
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        for number in range(20):
+            journal.start(task(f"{number}"), "worker")
+            assert [entry.state for entry in read_entries(folder) if entry.name == f"{number}"] == ["running"]
+            journal.finish(done(f"{number}"))
+            assert len(read_entries(folder)) == number + 1
+
+
+def test_readers_leave_nothing_and_change_nothing(folder: Path) -> None:
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        journal.start(task("a"), "worker")
+        before = {path.name: path.read_bytes() for path in folder.iterdir()}
+        read_entries(folder)
+        read_runs(folder)
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def damage(path: Path, how: str) -> None:
+    content = path.read_bytes()
+    if how == "garbage":
+        path.write_bytes(random.Random(3).randbytes(20_000))
+    elif how == "cut":
+        path.write_bytes(content[: len(content) // 2])
+    elif how == "text":
+        path.write_text(
+            "this is not a database, it is a text of some length, longer than a header of SQLite, certainly"
+        )
+    elif how == "holes":
+        path.write_bytes(content[:4096] + bytes(len(content) - 4096))
+    else:
+        with sqlite3.connect(path) as database:
+            database.execute("DROP TABLE files")
+        database.close()
+
+
+@pytest.mark.parametrize("how", ["garbage", "cut", "text", "holes", "no table"])
+def test_a_damaged_journal_is_one_clear_error(folder: Path, how: str) -> None:
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        for number in range(200):
+            journal.start(task(f"{number}"), "worker")
+    path = journal_path(folder)
+    damage(path, how)
+    content = path.read_bytes()
+    for action in (lambda: Journal(folder).__enter__().entries(), lambda: read_entries(folder)):
+        with pytest.raises(OutputError, match="is no whole journal") as caught:
+            action()
+        assert f"mv {path} {path}.damaged" in caught.value.hint
+        assert "--adopt" in caught.value.hint
+        assert "\n" not in str(caught.value)
+    assert path.read_bytes() == content
+
+
+def test_a_journal_without_bytes_is_a_new_one(folder: Path) -> None:
+    """A run that was killed when it had just made the file."""
+    folder.mkdir()
+    journal_path(folder).touch()
+    assert read_entries(folder) == []
+    assert read_runs(folder) == []
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        assert journal.entries() == []
+
+
+def test_a_newer_journal_is_refused_and_left_alone(folder: Path) -> None:
+    with Journal(folder):
+        pass
+    database = sqlite3.connect(journal_path(folder))
+    database.execute("PRAGMA user_version = 7")
+    database.close()
+    content = journal_path(folder).read_bytes()
+    for action in (Journal(folder).__enter__, lambda: read_entries(folder)):
+        with pytest.raises(OutputError, match="newer prc-cli .tables of version 7, this program knows 1.*upgrade"):
+            action()
+    assert journal_path(folder).read_bytes() == content
+
+
+def test_a_database_of_another_program_is_refused(folder: Path) -> None:
+    folder.mkdir()
+    database = sqlite3.connect(journal_path(folder))
+    database.execute("CREATE TABLE mine (x)")
+    database.close()
+    with pytest.raises(OutputError, match="a database of another program"), Journal(folder):
+        pass
+
+
+def test_a_journal_that_somebody_holds_is_busy(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subject, "WAIT_S", 0.05)
+    with Journal(folder) as journal:
+        other = sqlite3.connect(journal_path(folder), isolation_level=None)
+        other.execute("BEGIN IMMEDIATE")
+        with pytest.raises(BusyError, match="held by another program"):
+            journal.begin_run("me")
+        other.execute("ROLLBACK")
+        other.close()
+        journal.begin_run("me")
+
+
+def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot be made"), Journal(tmp_path / "file" / ".prc"):
+        pass
+
+
+def test_without_shared_memory_a_rollback_journal_is_kept_and_said_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Refusing(sqlite3.Connection):
+        def execute(self, statement: str, *values: object) -> sqlite3.Cursor:  # type: ignore[override]
+            return super().execute(statement.replace("journal_mode = WAL", "journal_mode = DELETE"), *values)
+
+    connect = sqlite3.connect
+    monkeypatch.setattr(
+        subject.sqlite3, "connect", lambda *values, **named: connect(*values, **named, factory=Refusing)
+    )
+    with Journal(folder) as journal:
+        assert "no shared memory" in journal.notices[0]
+        journal.begin_run("me")
+        journal.start(task("a"), "worker")
+        assert [entry.name for entry in read_entries(folder)] == ["a"]
+
+
+AS_NOBODY = """
+import os, sys
+from pathlib import Path
+from prc_cli.batch.journal import Journal, read_entries
+from prc_cli.core.errors import PrcError
+folder = Path(sys.argv[1])
+if os.getuid() == 0:
+    os.setgroups([]); os.setgid(65534); os.setuid(65534)
+print(len(read_entries(folder)))
+try:
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+except PrcError as error:
+    print(type(error).__name__, error)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs POSIX permissions")
+@pytest.mark.parametrize("live", [False, True])
+def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: Path, live: bool) -> None:
+    """As another user: the log of a live or killed writer is read too, though no file can be made beside it."""
+    folder = open_to_all / ".prc"
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        journal.start(task("a"), "worker")
+        if not live:
+            journal.close()
+        folder.chmod(0o555)
+        try:
+            result = subprocess.run(
+                [sys.executable, "-c", AS_NOBODY, str(folder)], capture_output=True, text=True, check=False
+            )
+        finally:
+            folder.chmod(0o755)
+    assert result.stdout.startswith("1\nOutputError"), (result.stdout, result.stderr)
+    assert "permissions" in result.stdout
+
+
+def test_an_unreadable_journal_is_said_so(folder: Path) -> None:
+    journal_path(folder).mkdir(parents=True)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_entries(folder)
+
+
+def kill_writers(folder: Path, seed: int, n_kills: int, n_rows: int) -> None:
+    """Kill writers, each going on where the one before was, until so many rows were finished."""
+    script = Path(__file__).with_name("killed_writers.py")
+    command = [sys.executable, str(script), str(folder), str(seed), str(n_kills), str(n_rows)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=3600)
+    assert result.returncode == 0, result.stderr
+    assert int(result.stdout) >= n_rows
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL and fork")
+def test_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
+    kill_writers(folder, 1, 15, 11)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL and fork")
+def test_many_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
+    kill_writers(folder, 2, 200, 200)

@@ -1,0 +1,352 @@
+"""Real worker processes: what one file can do to them, and what is left afterwards."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.errors import PrcError
+from prc_cli.jobs.batch import local, worker
+from prc_cli.jobs.batch.local import LocalEngine, share_cores
+from prc_cli.jobs.batch.types import (
+    Done,
+    EngineSettings,
+    Event,
+    Failed,
+    Progress,
+    Started,
+    Task,
+)
+from prc_cli.jobs.classify import classify
+from tests.patience import wait_until
+from tests.street import street, write_endless, write_npz
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="sends signals")
+
+
+STALL_S = 100_000.0
+"""So long that no machine is slow enough to be taken for one that hangs; tests turn the clock on instead."""
+
+
+class Clock:
+    """The clock of the engine, which a test may turn on."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.ahead_s = 0.0
+        patch.setattr(local, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + self.ahead_s))
+
+    def turn_on(self) -> None:
+        """Let every worker be silent for longer than it may be."""
+        self.ahead_s += 2 * STALL_S
+
+    def turn_on_when_given(self, patch: pytest.MonkeyPatch, name: str) -> None:
+        """Do so when a worker has got a task of this name."""
+        give = local._Worker.give
+
+        def given(worker: local._Worker, task: Task) -> None:
+            give(worker, task)
+            if task.name == name:
+                self.turn_on()
+
+        patch.setattr(local._Worker, "give", given)
+
+
+def pass_for_listening(patch: pytest.MonkeyPatch) -> None:
+    """Let the engine hold the time by which its clock was turned on against its workers."""
+    patch.setattr(local, "LONGEST_LOOK_S", float("inf"))
+
+
+def task(folder: Path, name: str, source: Path) -> Task:
+    return Task(name, source, folder / "out" / f"{name}.npy", LoadedConfig(RunConfig()), "")
+
+
+def process_of(event: Started) -> int:
+    return int(event.worker.removeprefix("process "))
+
+
+def is_running(process: int) -> bool:
+    """Whether a process runs; one that ended and was not waited for does not."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def children(process: int) -> list[int]:
+    """Processes that a process has begun and that run."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = place.read_text().rpartition(")")[2].split()[1]
+        except OSError:
+            continue
+        if int(parent) == process:
+            found.append(int(place.parent.name))
+    return found
+
+
+@pytest.fixture(scope="module")
+def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]:
+    """One run over good files, a damaged one, one that kills its worker, and one that hangs."""
+    folder = tmp_path_factory.mktemp("local")
+    sound = write_npz(folder / "sound.npz", street(80))
+    damaged = folder / "damaged.npz"
+    damaged.write_bytes(b"PK\x03\x04 and then nothing")
+    names = ["a", "damaged", "killed", "b", "hangs", "gone", "c"]
+    sources = {"damaged": damaged, "gone": folder / "gone.npz"}
+    tasks = [task(folder, name, sources.get(name, sound)) for name in names]
+    found: list[Event] = []
+    with pytest.MonkeyPatch.context() as patch:
+        clock = Clock(patch)
+        pass_for_listening(patch)
+        for event in LocalEngine().run(iter(tasks), EngineSettings(jobs=2, stall_s=STALL_S)):
+            found.append(event)
+            # the task is sent when the next event is asked for: the process dies, or sleeps, with the task before it
+            if isinstance(event, Started) and event.name == "killed":
+                os.kill(process_of(event), signal.SIGKILL)
+            if isinstance(event, Started) and event.name == "hangs":
+                os.kill(process_of(event), signal.SIGSTOP)
+            if len(outcomes(found)) == len(tasks) - 1 and not clock.ahead_s:  # all but the one that hangs
+                clock.turn_on()
+    return folder, found
+
+
+def outcomes(events: list[Event]) -> dict[str, Done | Failed]:
+    return {event.name: event for event in events if isinstance(event, Done | Failed)}
+
+
+def test_every_file_has_one_outcome_whatever_the_others_did(events: tuple[Path, list[Event]]) -> None:
+    ended = [event.name for event in events[1] if isinstance(event, Done | Failed)]
+    assert sorted(ended) == ["a", "b", "c", "damaged", "gone", "hangs", "killed"]
+    assert {name for name, event in outcomes(events[1]).items() if isinstance(event, Done)} == {"a", "b", "c"}
+
+
+def test_a_file_begins_before_it_progresses_and_ends(events: tuple[Path, list[Event]]) -> None:
+    for name in ("a", "b", "c"):
+        kinds = [type(event) for event in events[1] if event.name == name]
+        assert kinds[0] is Started
+        assert kinds[-1] is Done
+        assert set(kinds[1:-1]) == {Progress}
+        lines = sum(event.n_lines for event in events[1] if isinstance(event, Progress) and event.name == name)
+        assert lines == 80
+
+
+def test_outputs_have_the_bytes_of_one_call(events: tuple[Path, list[Event]], tmp_path: Path) -> None:
+    folder, _ = events
+    classify(folder / "sound.npz", tmp_path / "a.npy")
+    for name in ("a.npy", "b.npy", "c.npy"):
+        assert (folder / "out" / name).read_bytes() == (tmp_path / "a.npy").read_bytes()
+
+
+def test_nothing_else_is_left(events: tuple[Path, list[Event]]) -> None:
+    found = {path.name for path in (events[0] / "out").iterdir()}
+    assert found == {f"{name}.npy{suffix}" for name in "abc" for suffix in ("", ".prc.json")}
+
+
+def test_a_dead_worker_says_which_signal_killed_it(events: tuple[Path, list[Event]]) -> None:
+    found = outcomes(events[1])["killed"]
+    assert isinstance(found, Failed)
+    assert found.problem.kind == "killed"
+    assert "signal 9 (SIGKILL)" in found.problem.problem
+    assert "--jobs" in found.problem.hint
+
+
+def test_a_file_without_progress_is_given_up(events: tuple[Path, list[Event]]) -> None:
+    found = outcomes(events[1])["hangs"]
+    assert isinstance(found, Failed)
+    assert found.problem.kind == "timeout"
+    assert found.seconds >= STALL_S
+
+
+def test_damage_is_the_readers_word(events: tuple[Path, list[Event]]) -> None:
+    found = outcomes(events[1])["damaged"]
+    assert isinstance(found, Failed)
+    assert found.problem.kind == "InputError"
+    assert found.input is not None
+    gone = outcomes(events[1])["gone"]
+    assert isinstance(gone, Failed)
+    assert gone.problem.kind == "FileNotFoundError"
+    assert gone.input is None
+
+
+def test_done_counts_what_was_read(events: tuple[Path, list[Event]]) -> None:
+    found = outcomes(events[1])["a"]
+    assert isinstance(found, Done)
+    assert found.n_lines == 80
+    assert found.n_shots == 80 * 180
+    assert sum(count for _, count in found.labels) == found.n_shots
+    assert found.input.size == (events[0] / "sound.npz").stat().st_size
+    assert found.output_size == (events[0] / "out" / "a.npy").stat().st_size
+    assert found.peak_mib is None or 20 < found.peak_mib < 2000
+
+
+def test_closing_ends_the_workers_and_rolls_back(tmp_path: Path) -> None:
+    source = write_endless(tmp_path / "endless.npy")
+    run = LocalEngine().run([task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1))
+    for event in run:
+        if isinstance(event, Progress):
+            break
+    workers = children(os.getpid())
+    run.close()  # type: ignore[attr-defined]
+    assert workers
+    assert not any(is_running(process) for process in workers)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    source = write_endless(tmp_path / "endless.npy")
+    script = """
+import sys
+from pathlib import Path
+from prc_cli.batch.local import LocalEngine
+from prc_cli.batch.types import EngineSettings, Progress, Task
+from prc_cli.config import LoadedConfig, RunConfig
+source = Path(sys.argv[1])
+tasks = [Task("a", source, source.parent / "out" / "a.npy", LoadedConfig(RunConfig()), "")]
+for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
+    if isinstance(event, Progress):
+        print("progress", flush=True)
+"""
+    parent = subprocess.Popen([sys.executable, "-c", script, str(source)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "progress\n"
+        workers = children(parent.pid)
+        assert workers
+    finally:
+        parent.kill()
+        parent.wait()
+        parent.stdout.close()
+    wait_until(lambda: not any(is_running(process) for process in workers))
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_worker_does_not_hear_ctrl_c(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "a.npz", street(80))
+    found: list[Event] = []
+    for event in LocalEngine().run([task(tmp_path, name, source) for name in "ab"], EngineSettings(jobs=1)):
+        found.append(event)
+        if isinstance(event, Started):
+            assert os.getpgid(process_of(event)) != os.getpgid(0)  # the terminal sends it to a group
+            os.kill(process_of(event), signal.SIGINT)
+    assert [type(event) for event in found if not isinstance(event, Started | Progress)] == [Done, Done]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems count address space")
+def test_a_file_that_takes_too_much_memory_fails_and_the_next_is_done(tmp_path: Path) -> None:
+    wide = tmp_path / "wide.npy"
+    np.lib.format.open_memmap(wide, mode="w+", dtype=np.float32, shape=(40, 4_000_000)).flush()
+    small = write_npz(tmp_path / "small.npz", street(80))
+    tasks = [task(tmp_path, "wide", wide), task(tmp_path, "small", small)]
+    found = outcomes(list(LocalEngine().run(tasks, EngineSettings(jobs=1, memory_limit_mib=400))))
+    wide_found = found["wide"]
+    assert isinstance(wide_found, Failed)
+    assert wide_found.problem.kind == "memory", wide_found
+    assert isinstance(found["small"], Done)
+
+
+def test_a_worker_that_cannot_be_killed_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one that waits for a file server that is gone, in the system, where no signal comes through."""
+    source = write_npz(tmp_path / "a.npz", street(80))
+    clock = Clock(monkeypatch)
+    clock.turn_on_when_given(monkeypatch, "hangs")
+    pass_for_listening(monkeypatch)
+    stopped: list[int] = []
+    real_kill = subprocess.Popen.kill
+    # it is told to end, does not, and is given up
+    monkeypatch.setattr(subprocess.Popen, "kill", lambda process: clock.turn_on())
+    try:
+        found: list[Event] = []
+        tasks = [task(tmp_path, name, source) for name in ("hangs", "b")]
+        for event in LocalEngine().run(tasks, EngineSettings(jobs=1, stall_s=STALL_S)):
+            found.append(event)
+            if isinstance(event, Started) and event.name == "hangs":
+                stopped.append(process_of(event))
+                os.kill(stopped[0], signal.SIGSTOP)
+    finally:
+        monkeypatch.setattr(subprocess.Popen, "kill", real_kill)
+        for process in stopped:
+            os.kill(process, signal.SIGKILL)
+            wait_until(lambda n=process: not Path(f"/proc/{n}").exists())
+    ended = outcomes(found)
+    assert isinstance(ended["hangs"], Failed)
+    assert ended["hangs"].problem.kind == "timeout"
+    assert isinstance(ended["b"], Done), ended["b"]
+
+
+def test_workers_that_cannot_start_end_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = tmp_path / "python"
+    broken.write_text("#!/bin/sh\necho no libraries here >&2\nexit 3\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(local.sys, "executable", str(broken))
+    with pytest.raises(PrcError, match=r"ended with exit code 3.*no libraries here.*prc doctor"):
+        list(LocalEngine().run([task(tmp_path, "a", tmp_path / "a.npz")], EngineSettings(jobs=1)))
+
+
+def test_files_are_asked_for_one_at_a_time(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "a.npz", street(80))
+    asked: list[str] = []
+    ended: list[str] = []
+
+    def tasks() -> Iterator[Task]:
+        for name in "abcd":
+            assert len(asked) - len(ended) <= 1
+            asked.append(name)
+            yield task(tmp_path, name, source)
+
+    ended.extend(event.name for event in LocalEngine().run(tasks(), EngineSettings(jobs=1)) if isinstance(event, Done))
+    assert ended == ["a", "b", "c", "d"]
+
+
+def test_share_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "default_threads", lambda: 8)
+    assert share_cores(None, None, 100) == (8, 1)
+    assert share_cores(None, None, 2) == (2, 4)
+    assert share_cores(3, None, 100) == (3, 2)
+    assert share_cores(16, None, 100) == (16, 1)
+    assert share_cores(None, None, 0) == (1, 8)
+
+
+def test_a_dropped_interrupt_is_raised_again(tmp_path: Path) -> None:
+    """Python drops an exception in a destructor; the worker must end all the same."""
+    script = """
+import threading, time
+from prc_cli.batch import worker
+interrupts = worker._Interrupts()
+class Deleted:
+    def __del__(self):
+        threading.Thread(target=interrupts.end, daemon=True).start()
+        time.sleep(600)
+try:
+    Deleted()
+    time.sleep(600)
+finally:
+    print("rolled back", flush=True)
+"""
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert found.stdout == "rolled back\n"
+    assert found.returncode == worker.ENDED
+
+
+def test_values_go_through_pipes(tmp_path: Path) -> None:
+    one = task(tmp_path, "a\udcff.npz", tmp_path / "a\udcff.npz")
+    assert pickle.loads(pickle.dumps(one)) == one
+
+
+def test_time_in_which_nobody_listened_is_no_stall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if this process had been stopped as well."""
+    source = write_npz(tmp_path / "a.npz", street(80))
+    Clock(monkeypatch).turn_on_when_given(monkeypatch, "a")
+    found = list(LocalEngine().run([task(tmp_path, "a", source)], EngineSettings(jobs=1, stall_s=STALL_S)))
+    assert [type(event) for event in found if not isinstance(event, Progress)] == [Started, Done]

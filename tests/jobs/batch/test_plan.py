@@ -1,0 +1,404 @@
+"""What is done with every file, why, with which configuration, and what that takes."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from prc_cli import __version__
+from prc_cli.config import LoadedConfig, RunConfig, load_config
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.writing.record import fingerprint
+from prc_cli.jobs.batch.discovery import discover
+from prc_cli.jobs.batch.plan import (
+    BEGIN_S,
+    BatchConfig,
+    Plan,
+    Planned,
+    Rate,
+    config_hash,
+    estimate,
+    journal_rates,
+    make_plan,
+    sample_rate,
+)
+from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
+from prc_cli.jobs.batch.types import (
+    Done,
+    Entry,
+    Failed,
+    InputPrint,
+    Problem,
+    State,
+    Task,
+)
+from prc_cli.jobs.batch.work import run_task
+from tests.street import street, write_npz
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> BatchSettings:
+    for name in ("a.npz", "b.npz"):
+        (tmp_path / "in").mkdir(exist_ok=True)
+        (tmp_path / "in" / name).write_bytes(b"content of " + name.encode())
+    (tmp_path / "out").mkdir()
+    return BatchSettings(tmp_path / "in", tmp_path / "out")
+
+
+def output(settings: BatchSettings, name: str) -> Path:
+    return settings.out / f"{name}.labels.npy"
+
+
+def entry(settings: BatchSettings, name: str, state: State = "done", **changes: object) -> Entry:
+    """The journal's entry of a file that is done, its output written."""
+    source = settings.archive / name
+    status = source.stat()
+    written = output(settings, name)
+    if state == "done":
+        written.write_bytes(b"labels")
+    read = InputPrint(status.st_size, status.st_mtime_ns, fingerprint(source).sha256)
+    at = written.stat() if written.exists() else None
+    done = Done(name, read, 6, at.st_mtime_ns if at else 0, 2.0, 1.5, 100.0, 9, 99, 99, (("ground", 99),))
+    outcome = done if state == "done" else Failed(name, read, 1.0, Problem("killed", name, "by somebody"))
+    config = BatchConfig(settings.config).base_sha256
+    made = Entry(name, state, config, __version__, "run", 1, "2026-01-01", "2026-01-01", "me", outcome)
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def plan_of(settings: BatchSettings, *known: Entry) -> Plan:
+    files = discover(settings).files
+    return make_plan(settings, files, BatchConfig(settings.config), {item.name: item for item in known})
+
+
+def reasons(plan: Plan) -> dict[str, str]:
+    return {item.task.name: item.reason for item in plan.todo}
+
+
+def refusals(plan: Plan) -> dict[str, str]:
+    return {item.name: str(item.problem) for item in plan.refused}
+
+
+# -- decisions --------------------------------------------------------------------------------------------------------
+
+
+def test_a_new_archive_is_done_whole(settings: BatchSettings) -> None:
+    plan = plan_of(settings)
+    assert reasons(plan) == {"a.npz": "new", "b.npz": "new"}
+    assert plan.n_bytes == 32
+    assert [item.task.overwrite for item in plan.todo] == [False, False]
+    assert plan.todo[0].task.output == settings.out / "a.npz.labels.npy"
+
+
+def test_a_done_file_is_skipped(settings: BatchSettings) -> None:
+    plan = plan_of(settings, entry(settings, "a.npz"))
+    assert plan.done == ("a.npz",)
+    assert reasons(plan) == {"b.npz": "new"}
+    assert plan.confirmed == ()
+
+
+def test_what_changed_is_done_again(settings: BatchSettings) -> None:
+    for changes, reason in (
+        ({"version": "0.0.1"}, "changed version"),
+        ({"config_sha256": "other"}, "changed config"),
+    ):
+        plan = plan_of(settings, entry(settings, "a.npz", **changes))
+        assert reasons(plan)["a.npz"] == reason
+        assert plan.todo[0].task.overwrite
+    known = entry(settings, "a.npz")
+    (settings.archive / "a.npz").write_bytes(b"longer content than before")
+    assert reasons(plan_of(settings, known))["a.npz"] == "changed input"
+
+
+def test_content_decides_when_only_the_time_changed(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz")
+    os.utime(settings.archive / "a.npz", ns=(1, 10**18))
+    plan = plan_of(settings, known)
+    assert plan.done == ("a.npz",)
+    assert [done.input.mtime_ns for done in plan.confirmed] == [10**18]
+    source = settings.archive / "a.npz"
+    source.write_bytes(b"CONTENT of a.npz")
+    assert reasons(plan_of(settings, known))["a.npz"] == "changed input"
+
+
+def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz")
+    source = settings.archive / "a.npz"
+    times = source.stat()
+    source.write_bytes(b"CONTENT of a.npz")
+    os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert plan_of(settings, known).done == ("a.npz",)
+    assert reasons(plan_of(replace(settings, verify=True), known))["a.npz"] == "changed input"
+
+
+def test_a_missing_output_is_made_again(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz")
+    output(settings, "a.npz").unlink()
+    assert reasons(plan_of(settings, known))["a.npz"] == "output missing"
+    assert reasons(plan_of(replace(settings, to="csv"), known))["a.npz"] == "output missing"
+
+
+def test_what_a_killed_run_left_is_done_again_over_its_output(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz", "running")
+    output(settings, "a.npz").write_bytes(b"renamed just before the kill")
+    plan = plan_of(settings, known)
+    assert reasons(plan)["a.npz"] == "unfinished"
+    assert plan.todo[0].task.overwrite
+
+
+def test_failed_files_are_tried_by_every_run(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz", "failed")
+    assert reasons(plan_of(settings, known)) == {"a.npz": "failed before", "b.npz": "new"}
+    assert reasons(plan_of(replace(settings, only_failed=True), known, entry(settings, "b.npz"))) == {
+        "a.npz": "failed before"
+    }
+
+
+def test_an_output_that_no_journal_knows_is_not_touched(settings: BatchSettings) -> None:
+    output(settings, "a.npz").write_bytes(b"by hand")
+    plan = plan_of(settings)
+    assert reasons(plan) == {"b.npz": "new"}
+    assert "no journal knows it" in refusals(plan)["a.npz"]
+    # what was refused before is no more ours than it was
+    refused = entry(settings, "a.npz", "failed", owns_output=False)
+    assert "no journal knows it" in refusals(plan_of(settings, refused))["a.npz"]
+    assert reasons(plan_of(replace(settings, overwrite=True)))["a.npz"] == "new"
+    assert plan_of(replace(settings, overwrite=True)).todo[0].task.overwrite
+
+
+def test_an_output_that_somebody_worked_on_is_not_replaced(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz", version="0.0.1")
+    output(settings, "a.npz").write_bytes(b"better labels by hand")
+    assert "was changed after it was written" in refusals(plan_of(settings, known))["a.npz"]
+    assert reasons(plan_of(replace(settings, overwrite=True), known))["a.npz"] == "changed version"
+    # as long as nothing asks for it to be written again, it is done
+    assert plan_of(settings, replace(known, version=__version__)).done == ("a.npz",)
+
+
+def test_a_link_in_the_place_of_an_output_is_foreign(settings: BatchSettings) -> None:
+    output(settings, "a.npz").symlink_to(settings.out / "nothing")
+    assert "no journal knows it" in refusals(plan_of(settings))["a.npz"]
+
+
+def test_two_inputs_for_one_output_are_both_refused(settings: BatchSettings) -> None:
+    for name in ("x.las", "x.las.laz"):
+        (settings.archive / name).write_bytes(b"x")
+    plan = plan_of(replace(settings, to="laz"))
+    assert set(refusals(plan)) == {"x.las", "x.las.laz"}
+    assert "two inputs" in refusals(plan)["x.las"]
+
+
+def test_limit_takes_the_first_that_are_due(settings: BatchSettings) -> None:
+    plan = plan_of(replace(settings, limit=1), entry(settings, "a.npz"))
+    assert reasons(plan) == {"b.npz": "new"}
+    output(settings, "a.npz").unlink()
+    plan = plan_of(replace(settings, limit=1))
+    assert reasons(plan) == {"a.npz": "new"}
+    assert plan.n_beyond_limit == 1
+    assert plan.n_found == 2
+
+
+def test_adopting_needs_the_same_input_configuration_and_program(tmp_path: Path) -> None:
+    settings = BatchSettings(tmp_path / "in", tmp_path / "out", adopt=True)
+    (tmp_path / "in").mkdir()
+    source = write_npz(tmp_path / "in" / "a.npz", street(80))
+    written = output(settings, "a.npz")
+    done = run_task(Task("a.npz", source, written, LoadedConfig(RunConfig()), ""))
+    assert isinstance(done, Done), done
+    plan = plan_of(settings)
+    assert plan.todo == ()
+    ((_, adopted),) = plan.adopted
+    assert adopted.input == done.input
+    assert (adopted.n_lines, adopted.n_shots, adopted.n_records) == (done.n_lines, done.n_shots, done.n_records)
+    assert {name: count for name, count in adopted.labels if count} == {n: count for n, count in done.labels if count}
+    refused = replace(entry(settings, "a.npz", "failed"), owns_output=False)
+    assert len(plan_of(settings, refused).adopted) == 1
+    forest = replace(settings, config=ConfigLayers(preset="forest"))
+    assert "does not say" in refusals(plan_of(forest))["a.npz"]
+    write_npz(source, street(81))
+    assert "does not say" in refusals(plan_of(settings))["a.npz"]
+    for nonsense in (b"", b"[]", b"{}", b"[" * 100_000, b"\xff", b'{"program": 1e999}'):
+        Path(f"{written}.prc.json").write_bytes(nonsense)
+        assert "does not say" in refusals(plan_of(settings))["a.npz"]
+
+
+# -- configuration ----------------------------------------------------------------------------------------------------
+
+
+def config_file(tmp_path: Path, text: str) -> ConfigLayers:
+    path = tmp_path / "archive.toml"
+    path.write_text(text)
+    return ConfigLayers(path)
+
+
+OVERRIDES = """
+preset = "urban"
+[prc.support]
+zeta_p = 0.5
+
+[[override]]
+match = "night/**"
+[override.prc.support]
+zeta_p = 0.25
+
+[[override]]
+match = ["*.laz", "night/oak.npz"]
+preset = "forest"
+"""
+
+
+def test_later_overrides_win_and_presets_lie_below_the_file(tmp_path: Path) -> None:
+    config = BatchConfig(config_file(tmp_path, OVERRIDES))
+    zeta = {}
+    for name in ("a.npz", "night/a.npz", "a.laz", "night/oak.npz"):
+        loaded, _ = config.of(name, tmp_path / name)
+        zeta[name] = (loaded.config.prc.environment, loaded.config.prc.support.zeta_p)
+    assert zeta == {
+        "a.npz": ("urban", 0.5),
+        "night/a.npz": ("urban", 0.25),
+        "a.laz": ("forest", 0.5),
+        "night/oak.npz": ("forest", 0.25),
+    }
+    loaded, _ = config.of("night/a.npz", tmp_path / "a.npz")
+    assert loaded.sources["prc.support.zeta_p"].endswith("archive.toml: override 1")
+    assert loaded.files == (tmp_path / "archive.toml",)
+
+
+def test_overrides_are_not_for_a_single_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="for prc batch"):
+        load_config(config_file(tmp_path, OVERRIDES).path)
+
+
+def test_the_command_line_wins(tmp_path: Path) -> None:
+    layers = config_file(tmp_path, OVERRIDES)
+    layers = replace(layers, preset="urban", options={"prc": {"support": {"zeta_p": 1.5}}})
+    loaded, _ = BatchConfig(layers).of("night/oak.npz", tmp_path / "oak.npz")
+    assert (loaded.config.prc.environment, loaded.config.prc.support.zeta_p) == ("urban", 1.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("override = 3", "expected tables"),
+        ("override = [3]", "expected tables"),
+        ("[[override]]\nprc.support.zeta_p = 1", "override 1: match: expected a pattern"),
+        ("[[override]]\nmatch = []", "match: expected a pattern"),
+        ("[[override]]\nmatch = ''", "expected a glob"),
+        ("[[override]]\nmatch = '*'\npresett = 'urban'", "override 1: unknown key 'presett'"),
+        ("[[override]]\nmatch = '*'\npreset = 'city'", "expected one of: urban"),
+        ("[[override]]\nmatch = 'never'\n[override.prc.support]\nzeta_q = 1", "did you mean"),
+        ("input = 3", "input"),
+    ],
+)
+def test_wrong_overrides_are_found_before_any_file(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        BatchConfig(config_file(tmp_path, text))
+
+
+def test_every_file_has_its_own_trajectory(tmp_path: Path) -> None:
+    layers = config_file(tmp_path, 'input.range = "trajectory:{folder}/{stem}.csv"\n')
+    config = BatchConfig(layers)
+    drive = tmp_path / "in" / "night" / "a.1.laz"
+    drive.parent.mkdir(parents=True)
+    with pytest.raises(InputError, match=r"a\.1\.csv: the trajectory cannot be read"):
+        config.of("night/a.1.laz", drive)
+    trajectory = drive.with_name("a.1.csv")
+    trajectory.write_text("time,x,y,z\n")
+    loaded, first = config.of("night/a.1.laz", drive)
+    assert loaded.trajectory == trajectory
+    trajectory.write_text("time,x,y,z\n0,0,0,0\n")
+    assert config.of("night/a.1.laz", drive)[1] != first
+
+
+@pytest.mark.parametrize(
+    ("rule", "expected"),
+    [
+        ("trajectories/{subfolder}/{stem}.csv", "trajectories/night/a.csv"),
+        ("all/{name}.csv", "all/a.csv.gz.csv"),
+        ("one.csv", "one.csv"),
+    ],
+)
+def test_relative_trajectories_start_at_the_configuration_file(tmp_path: Path, rule: str, expected: str) -> None:
+    path = tmp_path / expected
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("time,x,y,z\n")
+    config = BatchConfig(config_file(tmp_path, f'input.range = "trajectory:{rule}"\n'))
+    loaded, _ = config.of("night/a.csv.gz", Path("/archive/night/a.csv.gz"))
+    assert loaded.trajectory == path
+
+
+def test_names_with_braces_are_not_templates(tmp_path: Path) -> None:
+    config = BatchConfig(config_file(tmp_path, 'input.range = "trajectory:{folder}/{stem}.csv"\n'))
+    (tmp_path / "{stem}.csv").write_text("x")
+    assert config.of("{stem}.laz", tmp_path / "{stem}.laz")[0].trajectory == tmp_path / "{stem}.csv"
+    wrong = BatchConfig(config_file(tmp_path, 'input.range = "trajectory:{file}.csv"\n'))
+    with pytest.raises(ConfigError, match=r"unknown placeholder '\{file\}'"):
+        wrong.of("a.laz", tmp_path / "a.laz")
+
+
+def test_a_trajectory_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.csv")
+    config = BatchConfig(config_file(tmp_path, 'input.range = "trajectory:a.csv"\n'))
+    with pytest.raises(InputError, match="not a regular file"):
+        config.of("a.laz", tmp_path / "a.laz")
+
+
+def test_a_file_without_its_trajectory_fails_alone(settings: BatchSettings) -> None:
+    options = {"input": {"range": "trajectory:{folder}/{stem}.csv"}}
+    (settings.archive / "b.csv").write_text("time,x,y,z\n")
+    plan = plan_of(replace(settings, config=ConfigLayers(options=options), exclude=("*.csv",)))
+    assert reasons(plan) == {"b.npz": "new"}
+    assert "a.csv: the trajectory cannot be read" in refusals(plan)["a.npz"]
+
+
+def test_the_hash_tells_configurations_apart_and_not_folders(tmp_path: Path) -> None:
+    base = RunConfig()
+    other = RunConfig.model_validate({"prc": {"support": {"zeta_p": 0.123}}})
+    assert config_hash(base, None) != config_hash(other, None)
+    unused = RunConfig.model_validate({"sequential_angle": {"max_range_m": 77.0}})
+    assert config_hash(base, None) == config_hash(unused, None)
+    here = RunConfig.model_validate({"input": {"range": "trajectory:/here/a.csv"}})
+    there = RunConfig.model_validate({"input": {"range": "trajectory:/there/b.csv"}})
+    assert config_hash(here, "1" * 64) == config_hash(there, "1" * 64) != config_hash(here, "2" * 64)
+
+
+# -- estimates --------------------------------------------------------------------------------------------------------
+
+
+def planned(name: str, size: int) -> Planned:
+    task = Task(name, Path("/in") / name, Path("/out") / name, LoadedConfig(RunConfig()), "now")
+    return Planned(task, "new", size)
+
+
+def test_time_is_that_of_workers_that_take_the_next_file() -> None:
+    todo = [planned(f"{i}.laz", size) for i, size in enumerate((40, 10, 10, 30))]
+    rates = {".laz": Rate(0.5, 300.0, "from a guess")}
+    assert estimate(todo, rates, 1).seconds == BEGIN_S + 45
+    found = estimate(todo, rates, 2)
+    assert found.seconds == BEGIN_S + 25
+    assert found.peak_mib == 600
+    assert estimate(todo, rates, 9).peak_mib == 1200
+    assert found.sources == ("laz: from a guess",)
+
+
+def test_formats_that_nothing_is_known_of_are_counted() -> None:
+    found = estimate([planned("a.laz", 10), planned("b.e57", 10)], {".laz": Rate(1.0, None, "from somewhere")}, 1)
+    assert (found.seconds, found.peak_mib, found.n_unknown) == (BEGIN_S + 10, None, 1)
+    assert found.sources == ("e57: nothing known", "laz: from somewhere")
+    assert estimate([planned("b.e57", 10)], {}, 1).seconds is None
+    assert estimate([], {}, 1).seconds == 0
+
+
+def test_rates_come_from_the_journal(settings: BatchSettings) -> None:
+    known = [replace(entry(settings, name), config_sha256="now") for name in ("a.npz", "b.npz")]
+    found = journal_rates([planned("x.npz", 1), planned("y.laz", 1)], {item.name: item for item in known})
+    assert set(found) == {".npz"}
+    assert found[".npz"] == Rate(4.0 / 32, 100.0, "from 2 earlier files of this archive")
+    other = {known[0].name: replace(known[0], config_sha256="other")}
+    assert (
+        "1 earlier file of this archive, of another configuration"
+        in journal_rates([planned("x.npz", 1)], other)[".npz"].source
+    )
+    assert sample_rate(known[0].outcome, "a.npz").source == "measured on a sample of a.npz"  # type: ignore[arg-type]

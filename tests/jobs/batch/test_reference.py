@@ -1,0 +1,139 @@
+"""Outputs against a tree of references: each as prc evaluate has it, pooled, with files that have none named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.jobs.batch.reference import (
+    NO_REFERENCE,
+    Output,
+    ReferenceSettings,
+    evaluate_tree,
+)
+from prc_cli.jobs.evaluate import evaluate_all
+
+PREDICTED = {"a.npz": [2, 2, 6, 0], "night/b.csv.gz": [2, 6, 6, 6, 5], "night/c.bin": [7, 7]}
+REFERENCE = {"a.npz": [2, 6, 6, 0], "night/b.csv.gz": [2, 2, 6, 6, 5], "night/c.bin": [7, 2]}
+
+
+def trees(folder: Path) -> tuple[list[Output], Path]:
+    """Outputs as batch names them, and references under several of the names that are understood."""
+    reference_names = {"a.npz": "a.npy", "night/b.csv.gz": "night/b.csv", "night/c.bin": "night/c.bin.labels.npy"}
+    outputs = []
+    for name, codes in PREDICTED.items():
+        relative = f"{name}.labels.npy"
+        path = folder / "out" / relative
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.save(path, np.array(codes, np.uint8))
+        outputs.append(Output(name, relative, path, folder / "archive" / name))
+        beside = folder / "ref" / reference_names[name]
+        beside.parent.mkdir(parents=True, exist_ok=True)
+        if beside.suffix == ".npy":
+            np.save(beside, np.array(REFERENCE[name], np.uint8))
+        else:
+            beside.write_text("class\n" + "".join(f"{code}\n" for code in REFERENCE[name]))
+    return outputs, folder / "ref"
+
+
+def test_every_file_and_all_together_as_prc_evaluate_has_them(tmp_path: Path) -> None:
+    outputs, tree = trees(tmp_path)
+    found = evaluate_tree(outputs, ReferenceSettings(tree), threads=2)
+    assert [item.name for item in found.files] == list(PREDICTED)
+    references = [tree / str(item.reference) for item in found.files]
+    whole = evaluate_all([output.path for output in outputs], references)
+    np.testing.assert_array_equal(found.matrix.counts, whole.matrix.counts)
+    assert found.matrix.n_ignored == whole.matrix.n_ignored == 1
+    for output, reference, item in zip(outputs, references, found.files, strict=True):
+        assert item.matrix is not None
+        np.testing.assert_array_equal(item.matrix.counts, evaluate_all([output.path], [reference]).matrix.counts)
+
+
+def test_gates_are_of_all_files_together(tmp_path: Path) -> None:
+    outputs, tree = trees(tmp_path)
+    found = evaluate_tree(outputs, ReferenceSettings(tree, gates=("recall.ground=0.5", "accuracy=0.9")))
+    # ground: 2 of 4 are found; 7 of 10 agree
+    assert [(gate.name, gate.value, gate.passed) for gate in found.gates] == [
+        ("recall.ground", 0.5, True),
+        ("accuracy", 0.7, False),
+    ]
+    assert not found.passed
+    assert evaluate_tree(outputs, ReferenceSettings(tree, gates=("accuracy=0.7",))).passed
+
+
+def test_a_file_without_reference_is_named_and_the_others_are_pooled(tmp_path: Path) -> None:
+    outputs, tree = trees(tmp_path)
+    (tree / "a.npy").unlink()
+    found = evaluate_tree(outputs, ReferenceSettings(tree))
+    assert [item.name for item in found.unpaired] == ["a.npz"]
+    assert found.unpaired[0].problem is not None
+    assert found.unpaired[0].problem.kind == NO_REFERENCE
+    assert found.matrix.n_scored == 7
+
+
+def test_a_damaged_reference_costs_its_file_only(tmp_path: Path) -> None:
+    outputs, tree = trees(tmp_path)
+    (tree / "a.npy").write_bytes(b"\x93NUMPY garbage")
+    np.save(tree / "night" / "c.bin.labels.npy", np.array([7, 7, 7], np.uint8))
+    found = evaluate_tree(outputs, ReferenceSettings(tree))
+    assert [item.name for item in found.unpaired] == ["a.npz", "night/c.bin"]
+    assert [item.problem.kind for item in found.unpaired if item.problem] == ["InputError", "InputError"]
+    assert found.matrix.n_scored == 5
+    table = found.as_dict()
+    assert table["files"][0]["scores"] is None
+    assert table["files"][1]["scores"]["n_scored"] == 5
+
+
+def test_two_references_of_one_name_are_refused(tmp_path: Path) -> None:
+    outputs, tree = trees(tmp_path)
+    (tree / "a.csv").write_text("class\n2\n2\n6\n0\n")
+    found = evaluate_tree(outputs, ReferenceSettings(tree))
+    assert found.unpaired[0].problem is not None
+    assert "have one name" in found.unpaired[0].problem.problem
+
+
+def test_nothing_to_compare_reaches_no_gate(tmp_path: Path) -> None:
+    _, tree = trees(tmp_path)
+    assert not evaluate_tree([], ReferenceSettings(tree, gates=("recall.ground=0.1",))).passed
+    assert evaluate_tree([], ReferenceSettings(tree)).passed
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"mapping_name": "nothing"}, "nothing"),
+        ({"match": "luck"}, "order, time"),
+        ({"match": "dimension:"}, "order, time"),
+        ({"gates": ("recall.nothing=0.5",)}, "nothing"),
+        ({"gates": ("recall.ground",)}, "fail-under"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused_before_any_work(
+    tmp_path: Path, changes: dict[str, str | Sequence[str]], expected: str
+) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        ReferenceSettings(tmp_path, **changes).check()  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="no such folder"):
+        ReferenceSettings(tmp_path / "none").check()
+
+
+def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path) -> None:
+    times = np.arange(4) * 1e-3
+    archive, out, tree = (tmp_path / name for name in ("archive", "out", "ref"))
+    for folder in (archive, out, tree):
+        folder.mkdir()
+    rows = "".join(f"{t},{10 + k}\n" for k, t in enumerate(times))
+    (archive / "a.csv").write_text("time,range\n" + rows)
+    np.save(out / "a.csv.labels.npy", np.array([2, 6, 6, 5], np.uint8))
+    backwards = "".join(f"{t},{code}\n" for t, code in zip(times[::-1], [5, 6, 2, 2], strict=True))
+    (tree / "a.csv").write_text("time,class\n" + backwards)
+    output = Output("a.csv", "a.csv.labels.npy", out / "a.csv.labels.npy", archive / "a.csv")
+    found = evaluate_tree([output], ReferenceSettings(tree, match="time"))
+    assert found.files[0].problem is None, found.files[0].problem
+    assert found.matrix.n_scored == 4
+    names = found.matrix.reference_names, found.matrix.predicted_names
+    assert found.matrix.counts[names[0].index("ground"), names[1].index("building")] == 1

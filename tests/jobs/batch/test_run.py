@@ -1,0 +1,510 @@
+"""Whole runs: with scripted engines for what is hard to provoke, and with real workers for the bytes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
+from prc_cli.jobs.batch import run as batch_run
+from prc_cli.jobs.batch.journal import read_entries, read_runs
+from prc_cli.jobs.batch.lock import Lock
+from prc_cli.jobs.batch.reference import ReferenceSettings
+from prc_cli.jobs.batch.run import (
+    Again,
+    Alarm,
+    Noted,
+    Ready,
+    RunEvent,
+    plan_batch,
+    run_batch,
+)
+from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
+from prc_cli.jobs.batch.summary import BatchSummary, as_dict
+from prc_cli.jobs.batch.types import (
+    OWN_FOLDER,
+    Done,
+    EngineSettings,
+    Event,
+    Failed,
+    InputPrint,
+    Outcome,
+    Problem,
+    Progress,
+    Started,
+    Task,
+)
+from prc_cli.jobs.classify import classify
+from tests.patience import HANGS_S
+from tests.street import street, write_csv, write_endless, write_npz, write_raw
+
+Script = Callable[[Task, int], Outcome]
+"""What becomes of a task at its n-th attempt."""
+
+
+def finished(task: Task, **labels: int) -> Done:
+    task.output.parent.mkdir(parents=True, exist_ok=True)
+    task.output.write_bytes(task.source.read_bytes())
+    status, written = task.source.stat(), task.output.stat()
+    return Done(
+        task.name, InputPrint(status.st_size, status.st_mtime_ns, "0"), written.st_size, written.st_mtime_ns,
+        1.0, 1.0, 50.0, 1, 100, 100, tuple((labels or {"ground": 60, "building": 40}).items()),
+    )  # fmt: skip
+
+
+def failed(task: Task, kind: str) -> Failed:
+    return Failed(task.name, None, 1.0, Problem(kind, task.name, "as the script says"))
+
+
+class Scripted:
+    """An engine that does what a test wants, in this process."""
+
+    def __init__(self, script: Script = lambda task, attempt: finished(task)) -> None:
+        self.script = script
+        self.begun: list[tuple[str, int]] = []
+        """Names, and how many files at a time."""
+
+    def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
+        for task in tasks:
+            self.begun.append((task.name, settings.jobs))
+            yield Started(task.name, "here")
+            yield self.script(task, sum(name == task.name for name, _ in self.begun))
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> BatchSettings:
+    (tmp_path / "in").mkdir()
+    for name in "abcd":
+        (tmp_path / "in" / f"{name}.npz").write_bytes(name.encode())
+    return BatchSettings(tmp_path / "in", tmp_path / "out", jobs=2)
+
+
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch_run, "PAUSE_S", 0.0)
+
+
+def states(settings: BatchSettings) -> dict[str, str]:
+    return {entry.name: entry.state for entry in read_entries(settings.out / OWN_FOLDER)}
+
+
+def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
+    first = run_batch(settings, Scripted())
+    assert (first.exit_code, len(first.done), first.n_found, first.ended) == (0, 4, 4, "finished")
+    assert first.reasons == (("new", 4),)
+    engine = Scripted()
+    second = run_batch(settings, engine)
+    assert engine.begun == []
+    assert (second.exit_code, second.n_skipped, second.done) == (0, 4, ())
+    assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [0, 0]
+
+
+def test_events_tell_the_whole_story(settings: BatchSettings) -> None:
+    events: list[RunEvent] = []
+    run_batch(settings, Scripted(), events.append)
+    assert isinstance(events[0], Ready)
+    assert [type(event) for event in events[1:]] == [Started, Done] * 4
+
+
+def test_the_journal_knows_a_file_before_a_worker_does(settings: BatchSettings) -> None:
+    def look(task: Task, attempt: int) -> Outcome:
+        assert states(settings)[task.name] == "running"
+        return finished(task)
+
+    assert len(run_batch(settings, Scripted(look)).done) == 4
+    assert set(states(settings).values()) == {"done"}
+
+
+def test_one_bad_file_costs_itself(settings: BatchSettings) -> None:
+    engine = Scripted(lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task))
+    summary = run_batch(settings, engine)
+    assert summary.exit_code == 1
+    assert [item.name for item in summary.done] == ["a.npz", "c.npz", "d.npz"]
+    assert [item.name for item in summary.failed] == ["b.npz"]
+    assert states(settings)["b.npz"] == "failed"
+
+
+@pytest.mark.parametrize(
+    ("kind", "retry", "attempts"),
+    [
+        ("InputError", 5, 1),
+        ("ConfigError", 5, 1),
+        ("OutputExistsError", 5, 1),
+        ("ValueError", 5, 1),
+        ("killed", 0, 2),
+        ("killed", 3, 4),
+        ("memory", 0, 1),
+        ("memory", 2, 3),
+        ("timeout", 1, 2),
+        ("changed", 1, 2),
+        ("vanished", 1, 2),
+        ("PermissionError", 2, 3),
+        ("OutputError", 1, 2),
+    ],
+)
+def test_what_may_pass_is_tried_again(settings: BatchSettings, kind: str, retry: int, attempts: int) -> None:
+    engine = Scripted(lambda task, _: failed(task, kind) if task.name == "b.npz" else finished(task))
+    events: list[RunEvent] = []
+    summary = run_batch(replace(settings, retry=retry), engine, events.append)
+    tries = [jobs for name, jobs in engine.begun if name == "b.npz"]
+    assert len(tries) == attempts
+    assert sum(isinstance(event, Again) for event in events) == attempts - 1
+    assert [item.problem.kind for item in summary.failed] == [kind]
+    (entry,) = [entry for entry in read_entries(settings.out / OWN_FOLDER) if entry.name == "b.npz"]
+    assert entry.attempts == attempts
+
+
+def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: BatchSettings) -> None:
+    def script(task: Task, attempt: int) -> Outcome:
+        if task.name in ("a.npz", "c.npz") and attempt == 1:
+            return failed(task, "killed")
+        assert attempt == 1 or task.overwrite
+        return finished(task)
+
+    engine = Scripted(script)
+    summary = run_batch(settings, engine)
+    assert engine.begun == [*((f"{name}.npz", 2) for name in "abcd"), ("a.npz", 1), ("c.npz", 1)]
+    assert summary.exit_code == 0
+    assert len(summary.done) == 4
+
+
+def test_fail_fast_begins_nothing_more(settings: BatchSettings) -> None:
+    engine = Scripted(lambda task, _: failed(task, "InputError") if task.name == "b.npz" else finished(task))
+    summary = run_batch(replace(settings, fail_fast=True), engine)
+    assert [name for name, _ in engine.begun] == ["a.npz", "b.npz"]
+    assert (summary.exit_code, summary.ended, summary.n_waiting) == (1, "stopped", 2)
+    assert len(run_batch(settings, Scripted()).done) == 3
+
+
+def test_fail_fast_waits_for_the_last_attempt(settings: BatchSettings) -> None:
+    engine = Scripted(
+        lambda task, attempt: failed(task, "timeout") if task.name == "b.npz" and attempt == 1 else finished(task)
+    )
+    summary = run_batch(replace(settings, fail_fast=True, retry=1), engine)
+    assert (summary.exit_code, len(summary.done)) == (0, 4)
+
+
+@pytest.mark.parametrize(("signal_error", "code"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
+def test_a_signal_is_noted_and_passed_on(settings: BatchSettings, signal_error: BaseException, code: int) -> None:
+    closed = []
+
+    class Stopped(Scripted):
+        def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
+            try:
+                for number, task in enumerate(tasks):
+                    if number == 2:
+                        raise signal_error
+                    yield Started(task.name, "here")
+                    if number == 0:
+                        yield finished(task)
+            finally:
+                closed.append(True)
+
+    with pytest.raises(type(signal_error)):
+        run_batch(settings, Stopped())
+    assert closed == [True]
+    assert states(settings) == {"a.npz": "done", "b.npz": "failed", "c.npz": "failed"}
+    kinds = {e.name: e.outcome.problem.kind for e in read_entries(settings.out / OWN_FOLDER)
+             if isinstance(e.outcome, Failed)}  # fmt: skip
+    assert kinds == {"b.npz": "interrupted", "c.npz": "interrupted"}
+    written = json.loads((settings.out / "summary.json").read_text())
+    assert (written["ended"], written["counts"]["waiting"], written["counts"]["failed"]) == ("interrupted", 3, 0)
+    assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [code]
+    assert len(run_batch(settings, Scripted()).done) == 3
+
+
+def test_an_archive_that_another_run_works_on_is_left_alone(settings: BatchSettings) -> None:
+    engine = Scripted()
+    with Lock(settings.out / OWN_FOLDER), pytest.raises(BusyError):
+        run_batch(settings, engine)
+    assert engine.begun == []
+    assert not (settings.out / "summary.json").exists()
+
+
+def test_a_lost_lock_stops_the_run(settings: BatchSettings, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def check(self: Lock) -> None:
+        asked.append(True)
+        if len(asked) > 2:
+            raise BusyError("lock.json", "the lock was lost")
+
+    monkeypatch.setattr(Lock, "check", check)
+    engine = Scripted()
+    with pytest.raises(BusyError):
+        run_batch(settings, engine)
+    assert len(engine.begun) == 2
+
+
+@pytest.mark.parametrize("wrong", ["config", "archive", "out", "since", "pattern", "reference", "to"])
+def test_nothing_is_made_when_something_is_wrong(settings: BatchSettings, tmp_path: Path, wrong: str) -> None:
+    changes: dict[str, Any] = {
+        "config": {"config": ConfigLayers(options={"prc": {"nothing": 1}})},
+        "archive": {"archive": tmp_path / "nothing"},
+        "out": {"out": settings.archive},
+        "since": {"since": "soon"},
+        "pattern": {"include": ("",)},
+        "to": {"to": "tif"},
+        "reference": {"reference": ReferenceSettings(tmp_path / "nothing")},
+    }
+    with pytest.raises((ConfigError, InputError)):
+        run_batch(replace(settings, **changes[wrong]), Scripted())
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
+    assert len(list(settings.archive.iterdir())) == 4
+
+
+def test_an_alarm_for_classes_unlike_those_of_earlier_runs(settings: BatchSettings) -> None:
+    for i in range(12):
+        (settings.archive / f"e{i:02}.npz").write_bytes(b"e")
+    run_batch(settings, Scripted(lambda task, _: finished(task, ground=600 + len(task.name), building=400)))
+    for name in ("x", "y"):
+        (settings.archive / f"{name}.npz").write_bytes(b"x")
+    odd = Scripted(lambda task, _: finished(task, ground=50 if task.name == "y.npz" else 600, building=400))
+    events: list[RunEvent] = []
+    summary = run_batch(settings, odd, events.append)
+    assert [alarm.name for alarm in summary.alarms] == ["y.npz"]
+    assert summary.exit_code == 4
+    assert [event.name for event in events if isinstance(event, Alarm)] == ["y.npz"]
+    (settings.archive / "y.npz").write_bytes(b"longer")
+    assert run_batch(replace(settings, drift=False), odd).exit_code == 0
+
+
+def test_a_foreign_output_fails_its_file_alone(settings: BatchSettings) -> None:
+    (settings.out).mkdir()
+    foreign = settings.out / "a.npz.labels.npy"
+    foreign.write_bytes(b"by hand")
+    for _ in range(2):
+        summary = run_batch(settings, Scripted())
+        assert [item.problem.kind for item in summary.failed] == ["OutputExistsError"]
+        assert foreign.read_bytes() == b"by hand"
+    assert run_batch(replace(settings, overwrite=True), Scripted()).exit_code == 0
+    assert foreign.read_bytes() == b"a"
+
+
+def test_a_trajectory_that_is_away_for_a_night_costs_no_second_time(settings: BatchSettings, tmp_path: Path) -> None:
+    track = tmp_path / "track.csv"
+    track.write_text("time,x,y,z\n")
+    settings = replace(settings, config=ConfigLayers(options={"input": {"range": f"trajectory:{track}"}}))
+    assert len(run_batch(settings, Scripted()).done) == 4
+    track.rename(tmp_path / "away.csv")
+    assert len(run_batch(settings, Scripted()).failed) == 4
+    (tmp_path / "away.csv").rename(track)
+    summary = run_batch(settings, Scripted())
+    assert (summary.exit_code, summary.n_skipped) == (0, 4)
+
+
+def test_work_on_an_output_is_not_lost(settings: BatchSettings) -> None:
+    run_batch(settings, Scripted())
+    worked_on = settings.out / "a.npz.labels.npy"
+    worked_on.write_bytes(b"corrected by hand")
+    (settings.archive / "a.npz").write_bytes(b"changed input")
+    for _ in range(2):
+        (failed,) = run_batch(settings, Scripted()).failed
+        assert "was changed after it was written" in failed.problem.problem
+        assert worked_on.read_bytes() == b"corrected by hand"
+    worked_on.rename(settings.out / "kept.npy")
+    assert [item.name for item in run_batch(settings, Scripted()).done] == ["a.npz"]
+
+
+def test_what_a_killed_run_left_is_done_again(settings: BatchSettings) -> None:
+    class Killed(BaseException):
+        """Nothing is written after it, as after SIGKILL."""
+
+    def die(task: Task, attempt: int) -> Outcome:
+        if task.name == "b.npz":
+            task.output.write_bytes(b"renamed, but the journal does not know")
+            raise Killed
+        return finished(task)
+
+    with pytest.raises(Killed):
+        run_batch(settings, Scripted(die))
+    assert states(settings) == {"a.npz": "done", "b.npz": "running"}
+    summary = run_batch(settings, Scripted())
+    assert dict(summary.reasons) == {"unfinished": 1, "new": 2}
+    assert (settings.out / "b.npz.labels.npy").read_bytes() == b"b"
+
+
+# -- real workers -----------------------------------------------------------------------------------------------------
+
+
+def fill(archive: Path) -> None:
+    """Small files of several formats with odd names, one of them damaged."""
+    for folder in ("day", "night two", "odd\nname"):
+        (archive / folder).mkdir(parents=True)
+    for i in range(4):
+        write_npz(archive / "day" / f"{i}.npz", street(80 + 7 * i, seed=i))
+    write_csv(archive / "night two" / "a.csv.gz", street(75, seed=7))
+    write_raw(archive / "odd\nname" / "b.bin", street(90, seed=8))
+    (archive / "day" / "damaged.laz").write_bytes(b"LASF and nothing more")
+    if os.name == "posix":
+        write_npz(Path(os.fsdecode(os.fsencode(archive) + b"/caf\xe9.npz")), street(71, seed=9))
+
+
+LAYERS = ConfigLayers(options={"input": {"points_per_line": 180}})
+
+
+def tree(out: Path) -> dict[str, bytes]:
+    """Every file of an output tree but what names times: the journal's folder and the summary."""
+    found = {}
+    for path in sorted(out.rglob("*")):
+        relative = path.relative_to(out)
+        if path.is_file() and relative.parts[0] not in (OWN_FOLDER, "summary.json"):
+            found[str(relative)] = path.read_bytes()
+    return found
+
+
+def told(summary: BatchSummary) -> dict[str, Any]:
+    """Return what a summary says without times and machine."""
+    table = as_dict(summary)
+    for key in ("run", "out", "started", "finished", "seconds", "shots_per_s"):
+        del table[key]
+    for item in (*table["done"], *table["failed"]):
+        for key in ("seconds", "cpu_seconds", "peak_mib"):
+            item.pop(key, None)
+    return table
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, tuple[Path, BatchSummary]]]:
+    """The same archive with one, two and three workers."""
+    folder = tmp_path_factory.mktemp("runs")
+    fill(folder / "in")
+    found = {}
+    for jobs in (1, 2, 3):
+        out = folder / f"out{jobs}"
+        found[jobs] = (out, run_batch(BatchSettings(folder / "in", out, LAYERS, jobs=jobs)))
+    return folder / "in", found
+
+
+def test_the_same_bytes_whatever_the_number_of_workers(
+    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]],
+) -> None:
+    one = tree(runs[1][1][0])
+    assert len(one) == 14
+    assert not [name for name in one if name.endswith(".part")]
+    for jobs in (2, 3):
+        out, summary = runs[1][jobs]
+        assert tree(out) == one
+        assert told(summary) == told(runs[1][1][1])
+
+
+def test_outputs_are_those_of_single_calls(
+    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path
+) -> None:
+    archive, found = runs
+    out, summary = found[2]
+    assert [item.name for item in summary.failed] == ["day/damaged.laz"]
+    for item in summary.done:
+        single = tmp_path / "single.npy"
+        config = batch_run.BatchConfig(LAYERS).base
+        classify(archive / item.name, single, config, overwrite=True)
+        assert (out / f"{item.name}.labels.npy").read_bytes() == single.read_bytes()
+
+
+def test_a_later_run_tries_only_what_failed(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]]) -> None:
+    archive, found = runs
+    before = tree(found[3][0])
+    summary = run_batch(BatchSettings(archive, found[3][0], LAYERS))
+    assert (summary.n_skipped, len(summary.done), len(summary.failed)) == (7, 0, 1)
+    assert tree(found[3][0]) == before
+
+
+def test_a_reference_tree_is_compared_and_gates_are_held(
+    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]],
+) -> None:
+    archive, found = runs
+    reference = ReferenceSettings(found[1][0], gates=("recall.ground=1.0",))
+    settings = BatchSettings(archive, found[2][0], LAYERS, exclude=("*.laz",), reference=reference)
+    summary = run_batch(settings, Scripted())
+    assert summary.evaluation is not None
+    assert len(summary.evaluation.files) == 7  # done by an earlier run
+    assert summary.exit_code == 0
+
+
+def test_a_dry_run_measures_and_writes_nothing(
+    runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path
+) -> None:
+    archive, found = runs
+    settings = BatchSettings(archive, tmp_path / "out", LAYERS, include=("day/*", "*.bin"), jobs=2)
+    heard: list[RunEvent] = []
+    plan, estimate = plan_batch(settings, listener=heard.append)
+    assert len(plan.todo) == 6
+    assert not (tmp_path / "out").exists()
+    assert estimate.seconds is not None
+    assert estimate.seconds > 0
+    assert estimate.n_unknown == 1  # the damaged file
+    assert set(estimate.sources) == {
+        "bin: measured on a sample of odd\nname/b.bin", "laz: nothing known", "npz: measured on a sample of day/3.npz",
+    }  # fmt: skip
+    assert all(isinstance(event, Noted) for event in heard)
+    before = sorted(found[1][0].rglob("*"))
+    _, known = plan_batch(replace(settings, out=found[1][0], config=ConfigLayers(preset="forest"), exclude=("*.laz",)))
+    assert sorted(found[1][0].rglob("*")) == before
+    assert "npz: from 5 earlier files of this archive, of another configuration" in known.sources
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends signals")
+def test_ctrl_c_stops_a_real_run_within_seconds(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    for i in range(3):
+        write_endless(tmp_path / "in" / f"{i}.npy")
+    script = """
+import sys
+from pathlib import Path
+from prc_cli.batch.run import run_batch
+from prc_cli.batch.settings import BatchSettings
+from prc_cli.batch.types import Progress
+from prc_cli.cli import _leave_on_signals
+_leave_on_signals()
+folder = Path(sys.argv[1])
+def hear(event):
+    if isinstance(event, Progress):
+        print("progress", flush=True)
+try:
+    run_batch(BatchSettings(folder / "in", folder / "out", jobs=2), listener=hear)
+except KeyboardInterrupt:
+    sys.exit(130)
+"""
+    command = [sys.executable, "-c", script, str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, process_group=0)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "progress\n"
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    process.stdout.read()
+    process.stdout.close()
+    assert process.wait(HANGS_S) == 130
+    written = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert written["ended"] == "interrupted"
+    entries = {entry.name: entry for entry in read_entries(tmp_path / "out" / OWN_FOLDER)}
+    assert not [entry for entry in entries.values() if entry.state == "running"]
+    assert not [path.name for path in (tmp_path / "out").iterdir() if path.suffix in (".npy", ".part")]
+    assert not (tmp_path / "out" / OWN_FOLDER / "lock.json").exists()
+
+
+def test_progress_is_passed_on(runs: tuple[Path, dict[int, tuple[Path, BatchSummary]]], tmp_path: Path) -> None:
+    events: list[RunEvent] = []
+    settings = BatchSettings(runs[0], tmp_path / "out", LAYERS, include=("day/1.npz",))
+    run_batch(settings, listener=events.append)
+    assert sum(event.n_lines for event in events if isinstance(event, Progress)) == 87
+
+
+def test_workers_that_cannot_be_started_leave_a_journal_that_says_so(settings: BatchSettings) -> None:
+    class Broken(Scripted):
+        def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
+            yield Started(next(iter(tasks)).name, "here")
+            raise PrcError("worker process", "cannot be started")
+
+    with pytest.raises(PrcError):
+        run_batch(settings, Broken())
+    assert states(settings) == {"a.npz": "failed"}
+    assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [1]
+    assert len(run_batch(settings, Scripted()).done) == 4

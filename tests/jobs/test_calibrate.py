@@ -1,0 +1,397 @@
+"""Curves against the classifier itself, estimates against a scanner that is known, a search that must find what is
+there."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from prc_cli.classifiers.prc.background import BackgroundParams, background
+from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, window_reach
+from prc_cli.config import load_config
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.types import F32
+from prc_cli.evaluation.scores import gate_value, scores
+from prc_cli.jobs.calibrate.calibrate import SearchOptions, calibrate
+from prc_cli.jobs.calibrate.curves import CurveCounter, Curves, thresholds
+from prc_cli.jobs.calibrate.implied import Advice
+from prc_cli.jobs.calibrate.reports import (
+    as_json,
+    as_markdown,
+    as_svg,
+    as_toml,
+)
+from prc_cli.jobs.calibrate.search import split_groups
+from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
+from prc_cli.jobs.classify import classify
+from prc_cli.stream.blocks import regroup
+from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz, write_raw
+
+
+def count(image: F32, params: PrcParams, lines: int) -> Curves:
+    counter = CurveCounter(params)
+    for block in regroup(iter([ScanBlock(0, image)]), lines):
+        counter.add(block)
+    return counter.finish()
+
+
+@pytest.mark.parametrize("rounding", ["ceil", "floor"])
+def test_curves_are_what_the_classifier_supports_at_every_threshold(rounding: Any) -> None:
+    image = street()[:40]
+    params = PrcParams(support=SupportParams(zeta_s=0.7, zeta_p=0.25, rounding=rounding))
+    curves = count(image, params, 7)
+    window = stream_window(np.full(window_reach(POINTS_PER_LINE), np.nan, np.float32), image, None)
+    n_returns = int(np.count_nonzero(~np.isnan(image)))
+    assert (curves.n_returns, curves.n_shots) == (n_returns, image.size)
+
+    def shares(zeta_p: float, zeta_s: float) -> float:
+        used = SupportParams(zeta_s=zeta_s, zeta_p=zeta_p, rounding=rounding)
+        return np.count_nonzero(support(window, POINTS_PER_LINE, used)) / n_returns
+
+    assert curves.over_zeta_p(1.0).tolist() == [shares(float(zeta), 1.0) for zeta in curves.zetas_p]
+    assert curves.over_zeta_s(1.0).tolist() == [shares(1.0, float(zeta)) for zeta in curves.zetas_s]
+    assert curves.share(0.25, 0.7) == shares(0.25, 0.7)
+    assert curves.share(float(curves.zetas_p[9]), float(curves.zetas_s[30])) == shares(
+        float(curves.zetas_p[9]), float(curves.zetas_s[30])
+    )
+
+
+def test_background_curve_is_what_the_classifier_marks() -> None:
+    image = street()[:30]
+    curves = count(image, PrcParams(), 11)
+    window = stream_window(np.full(window_reach(POINTS_PER_LINE), np.nan, np.float32), image, None)
+    everything = ~np.isnan(image)
+    for place in range(0, len(curves.lengths), 5):
+        params = BackgroundParams(d_c=float(curves.lengths[place]))
+        assert curves.background[place] == np.count_nonzero(background(window, everything, params))
+
+
+@pytest.mark.parametrize("lines", [1, 2, 1000])
+def test_curves_do_not_depend_on_how_the_stream_is_cut(lines: int) -> None:
+    image = street()[:30]
+    whole, cut = count(image, PrcParams(), 13), count(image, PrcParams(), lines)
+    assert np.array_equal(whole.supported, cut.supported)
+    assert np.array_equal(whole.background, cut.background)
+
+
+def test_curves_rise_and_end_where_the_published_figure_does() -> None:
+    grid = thresholds()
+    assert (grid[0], grid[-1]) == (0.001, 100.0)
+    assert {0.001, 0.01, 0.1, 1.0, 10.0, 100.0} <= set(grid.tolist())
+    curves = count(street()[:30], PrcParams(), 30)
+    assert (np.diff(curves.over_zeta_p(1.0)) >= 0).all()
+    assert (np.diff(curves.background_share()) <= 0).all()
+    with pytest.raises(KeyError):
+        curves.share(0.123456, 1.0)
+
+
+def corridor(sigma_m: float, per_m: float, step_deg: float = 0.5, n_lines: int = 120) -> F32:
+    """Ground 2 m below, walls at 6 and 15 m, from straight down to 60 degrees up on one side."""
+    rng = np.random.default_rng(5)
+    angle = np.deg2rad(np.arange(-80.0, 130.0, step_deg))
+    with np.errstate(divide="ignore"):
+        ground = np.where(np.cos(angle) > 0.01, 2.0 / np.cos(angle), np.inf)
+        wall = np.where(np.sin(angle) > 0.01, 15.0 / np.sin(angle), 6.0 / np.maximum(-np.sin(angle), 0.01))
+    image = np.tile(np.minimum(ground, wall), (n_lines, 1))
+    return (image + rng.normal(size=image.shape) * np.hypot(sigma_m, per_m * image)).astype(np.float32)
+
+
+def measure(image: F32, **known: Any) -> SensorEstimate:
+    meter = SensorMeter(StreamInfo("drive", "array", image.shape[1], image.size, len(image), **known))
+    for block in regroup(iter([ScanBlock(0, image)]), 50):
+        meter.add(block)
+    return meter.finish()
+
+
+@pytest.mark.parametrize(("sigma_m", "per_m"), [(0.002, 0.0), (0.008, 0.0), (0.004, 0.001), (0.02, 0.001)])
+def test_noise_is_found_without_knowing_angles_or_slopes(sigma_m: float, per_m: float) -> None:
+    found = measure(corridor(sigma_m, per_m))
+    for range_m in (2.5, 6.5, 15.0):
+        assert found.noise_at(range_m) == pytest.approx(np.hypot(sigma_m, per_m * range_m), rel=0.2)
+
+
+@pytest.mark.parametrize("step_deg", [0.25, 0.5, 1.0])
+def test_angular_step_is_found_from_straight_lines(step_deg: float) -> None:
+    found = measure(corridor(0.005, 0.0, step_deg))
+    assert found.step_rad == pytest.approx(np.deg2rad(step_deg), rel=0.05)
+    assert "straight lines" in found.step_source
+    angle = np.deg2rad(np.arange(len(corridor(0.0, 0.0, step_deg)[0])) * 0.3)
+    assert measure(corridor(0.005, 0.0, step_deg), angle_rad=angle).step_rad == pytest.approx(np.deg2rad(0.3))
+
+
+@pytest.mark.parametrize("metres", [1e-7, 1e12])
+def test_ranges_in_no_sensible_unit_still_give_finite_figures(metres: float) -> None:
+    found = measure(np.full((5, 60), metres, np.float32))
+    assert found.range_quantiles_m["50%"] == pytest.approx(metres, rel=0.03)
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_foliage_has_neither_noise_nor_step() -> None:
+    image = np.random.default_rng(3).uniform(3.0, 20.0, (100, 400)).astype(np.float32)
+    found = measure(image)
+    assert (found.sigma_m, found.step_rad, found.noise_at(5.0)) == (None, None, None)
+
+
+@pytest.mark.parametrize("unit", [0.001, 0.01, 0.025, 0.1])
+def test_rounding_of_the_stored_ranges_is_found(unit: float) -> None:
+    image = corridor(0.01, 0.0)
+    assert measure(image).rounding_m is None
+    assert measure((np.round(image.astype(np.float64) / unit) * unit).astype(np.float32)).rounding_m == unit
+
+
+def test_missing_shots_and_spacing() -> None:
+    image = corridor(0.005, 0.0)
+    image[:, ::4] = np.nan
+    found = measure(image, line_hz=50.0)
+    assert found.missing_share == pytest.approx(0.25, abs=0.01)
+    assert found.line_hz == 50.0
+    assert json.dumps(found.as_dict(), allow_nan=False)
+
+
+def advice(image: F32, folder: Path, **table: Any) -> dict[str, Advice]:
+    np.savez(folder / "drive.npz", range_m=image)
+    found = calibrate(folder / "drive.npz", load_config(preset="urban", options=table))
+    assert found.search is None
+    return {item.key: item for item in found.advice}
+
+
+def test_lengths_follow_the_noise(tmp_path: Path) -> None:
+    fine, coarse = advice(corridor(0.001, 0.0), tmp_path), advice(corridor(0.03, 0.0), tmp_path)
+    assert coarse["prc.background.d_c"].value == pytest.approx(17 * 0.03, rel=0.25)
+    assert "flat stretches" in coarse["prc.background.d_c"].reason
+    assert float(fine["prc.background.d_c"].value) < 0.2
+    assert coarse["sequential_angle.angles.range_noise_m"].value == pytest.approx(0.03, rel=0.25)
+
+
+def test_area_follows_the_block_down_to_the_least_patch(tmp_path: Path) -> None:
+    assert advice(corridor(0.005, 0.0), tmp_path)["prc.surfaces.area"].value == 12.0
+    wide = np.full((8, 2154), 9.0, np.float32)
+    assert advice(wide, tmp_path)["prc.surfaces.area"].value == 30.0
+    assert advice(wide, tmp_path, prc={"lines_per_block": 198})["prc.surfaces.area"].value == 60.0
+
+
+def test_thresholds_on_the_plateau_stay_and_others_are_raised(tmp_path: Path) -> None:
+    good = advice(corridor(0.005, 0.0), tmp_path)["prc.support.zeta_s"]
+    assert (good.before, good.value) == (1.0, 1.0)
+    tight = advice(corridor(0.03, 0.0), tmp_path, prc={"support": {"zeta_s": 0.01, "zeta_p": 1.0}})
+    assert float(tight["prc.support.zeta_s"].value) >= 6 * 0.025
+    assert advice(corridor(0.03, 0.0), tmp_path, prc={"support": {"zeta_s": 0.0}})["prc.support.zeta_s"].value
+
+
+def test_a_curve_that_supports_nothing_has_no_plateau(tmp_path: Path) -> None:
+    # ranges from an origin a thousand kilometres away, as of points in a projected system
+    far = (1.063e6 + np.random.default_rng(3).uniform(0, 2000, (20, 60))).astype(np.float32)
+    found = advice(far, tmp_path)
+    for key in ("prc.support.zeta_s", "prc.support.zeta_p"):
+        assert found[key].value == found[key].before == 1.0
+        assert found[key].reason.startswith("as configured: the curve has no plateau, since 10 m supports no more than")
+    (note,) = (note for note in calibrate(tmp_path / "drive.npz").notes if "origin" in note)
+    assert re.match("the median range is some 10[56][0-9] km: beyond 20 km the origin of the scanner is wrong", note)
+    assert not any("origin" in note for note in calibrate(write_npz(tmp_path / "near.npz", street())).notes)
+
+
+def test_the_figure_marks_what_was_chosen_and_stays_in_its_frame(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    for zeta_p, told in ((1.0, "zeta_p = 1 m<"), (500.0, "zeta_p = 500 m<")):
+        found = calibrate(source, load_config(options={"prc": {"support": {"zeta_p": zeta_p}}}))
+        root = ElementTree.fromstring(as_svg(found))
+        lines = [e for e in root.iter() if e.get("class") == "chosen"]
+        at = [float(e.attrib["x1"]) for e in lines]
+        assert [e.attrib["x1"] for e in lines] == [e.attrib["x2"] for e in lines]
+        assert len(at) == 3
+        assert at[2] < at[1] <= at[0], "d_c = 0.06 m, zeta_s = 1 m, zeta_p"
+        assert told in as_svg(found)
+        frame = max(float(e.attrib["x2"]) for e in root.iter() if e.get("stroke") == "#ddd")
+        assert max(at) <= frame + 0.1
+        # a digit of 13 px is some 8 px wide
+        ticks = [e for e in root.iter() if e.get("y") == "370"]
+        ends = [
+            float(e.attrib["x"]) + (4 * len(e.text or "") if e.get("text-anchor") == "middle" else 0) for e in ticks
+        ]
+        assert [e.text for e in ticks][-1] == "100"
+        assert max(ends) <= frame + 0.1
+        points = " ".join(e.attrib["points"] for e in root.iter() if e.tag.endswith("polyline")).split()
+        assert max(float(point.split(",")[0]) for point in points) <= frame + 0.1
+
+
+def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:
+    """A street and, as its reference, what the classifier says with parameters that are not the preset's."""
+    source = write_npz(folder / "street.npz", street(n_lines))
+    wanted = {"prc": {"support": {"zeta_p": 0.1}, "surfaces": {"area": 4.0, "gamma": 1}, "lines_per_block": 20}}
+    classify(source, folder / "reference.npy", load_config(preset="urban", options=wanted))
+    return source, folder / "reference.npy"
+
+
+BLOCKS = load_config(preset="urban", options={"prc": {"lines_per_block": 20}})
+
+
+def test_search_gains_on_lines_that_it_did_not_see(tmp_path: Path) -> None:
+    source, reference = labelled(tmp_path)
+    trials: list[tuple[int, float]] = []
+    options = SearchOptions(reference, budget=120)
+    found = calibrate(source, BLOCKS, options, tried=lambda n, best: trials.append((n, best)))
+    assert found.search is not None
+    before, _, after = found.search.judged
+    assert after.held_out.accuracy > before.held_out.accuracy
+    assert len(trials) == found.search.n_trials <= 120
+    bests = [best for _, best in trials]
+    assert bests == sorted(bests)
+    assert found.search.n_training_groups + found.search.n_held_out_groups == 7
+    again = calibrate(source, BLOCKS, options)
+    assert as_json(again) == as_json(found)
+    other = calibrate(source, BLOCKS, SearchOptions(reference, budget=2, objective="recall.ground", seed=4))
+    assert other.search is not None
+    assert other.search.n_trials == 2
+
+
+def test_figures_of_the_search_are_those_of_the_classifier(tmp_path: Path) -> None:
+    """One group of lines for training: the whole training stream can be classified as a file of its own."""
+    source, reference = labelled(tmp_path)
+    loaded = load_config(preset="urban", options={"prc": {"lines_per_block": 100}})
+    with pytest.raises(InputError, match="too short"):
+        calibrate(source, loaded, SearchOptions(reference))
+    loaded = load_config(preset="urban", options={"prc": {"lines_per_block": 69}})
+    found = calibrate(source, loaded, SearchOptions(reference, training_share=0.5, budget=2))
+    assert found.search is not None
+    from prc_cli.jobs.evaluate import evaluate
+
+    (training,), (_,) = split_groups(2, 0.5, 0)
+    lines = slice(0, 69) if training == 0 else slice(69, None)
+    write_npz(tmp_path / "part.npz", street()[lines])
+    codes = np.load(reference).reshape(N_LINES, -1)[lines]
+    np.save(tmp_path / "part.npy", codes.ravel())
+    classify(tmp_path / "part.npz", tmp_path / "labels.npy", loaded)
+    expected = scores(evaluate(tmp_path / "labels.npy", tmp_path / "part.npy"))
+    for name in ("accuracy", "kappa", "f1.ground", "f1.noise"):
+        assert gate_value(found.search.judged[0].training, name) == pytest.approx(gate_value(expected, name))
+
+
+def test_kept_keys_take_what_the_sensor_implies(tmp_path: Path) -> None:
+    source, reference = labelled(tmp_path)
+    keep = ("prc.support.zeta_p", "prc.support.zeta_s", "prc.surfaces.gamma")
+    found = calibrate(source, BLOCKS, SearchOptions(reference, budget=20, keep=keep))
+    assert found.search is not None
+    assert set(found.search.values) == {"prc.background.d_c", "prc.surfaces.area"}
+    implied = {item.key: item.value for item in calibrate(source, BLOCKS).advice}
+    assert found.config.config.prc.support.zeta_p == implied["prc.support.zeta_p"]
+    assert found.config.config.prc.surfaces.gamma == 2
+
+
+def test_long_streams_are_sampled(tmp_path: Path) -> None:
+    source, reference = labelled(tmp_path)
+    found = calibrate(source, BLOCKS, SearchOptions(reference, budget=4, max_shots=3 * 20 * POINTS_PER_LINE))
+    assert found.search is not None
+    assert found.search.n_training_shots + found.search.n_held_out_shots == 3 * 20 * POINTS_PER_LINE
+
+
+def test_written_configuration_is_read_and_says_why(tmp_path: Path) -> None:
+    source, reference = labelled(tmp_path)
+    found = calibrate(source, BLOCKS, SearchOptions(reference, budget=10))
+    text = as_toml(found)
+    (tmp_path / "street.toml").write_text(text, encoding="utf-8")
+    read = load_config(tmp_path / "street.toml")
+    assert read.config == found.config.config
+    assert text.count("# calibrated: ") == len(found.advice)
+    assert "held-out" in text
+    classify(source, tmp_path / "labels.npy", read)
+
+
+def test_reports(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "st|reet.npz", street())
+    found = calibrate(source)
+    table = json.loads(as_json(found))
+    assert len(table["curves"]["over_zeta_p"]["zeta_p"]) == 51
+    assert table["sensor"]["points_per_line"] == POINTS_PER_LINE
+    assert "| prc.background.d_c | 0.05 |" in as_markdown(found)
+    figure = as_svg(found)
+    assert figure.count("<polyline") == 3
+    ElementTree.fromstring(figure)
+
+
+def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "street.npz", street())
+    inputs = {"nadir": 0.0}
+    loaded = load_config(preset="street-scan", options={"prc": {"lines_per_block": 30}, "input": inputs})
+    classify(source, tmp_path / "reference.npy", loaded)
+    found = calibrate(
+        source, loaded, SearchOptions(tmp_path / "reference.npy", "sequential_angle", budget=3, objective="accuracy")
+    )
+    assert found.search is not None
+    assert set(found.search.values) == {"sequential_angle.angles.range_noise_m"}
+
+
+def test_unusable_streams_are_refused(tmp_path: Path) -> None:
+    one_line = write_npz(tmp_path / "one.npz", street()[:1])
+    with pytest.raises(InputError, match="1 scan lines, expected 3 or more"):
+        calibrate(one_line)
+    nothing = write_npz(tmp_path / "nothing.npz", np.full((9, POINTS_PER_LINE), np.nan, np.float32))
+    with pytest.raises(InputError, match="all of 1620 shots are missing"):
+        calibrate(nothing)
+
+
+def test_unusable_references_are_refused(tmp_path: Path) -> None:
+    source, reference = labelled(tmp_path)
+    codes = np.load(reference)
+    np.save(tmp_path / "short.npy", codes[:-5])
+    with pytest.raises(InputError, match=f"{len(codes) - 5} records, but .* holds {len(codes)}"):
+        calibrate(source, BLOCKS, SearchOptions(tmp_path / "short.npy"))
+    np.save(tmp_path / "unmapped.npy", np.where(codes == 2, 99, codes))
+    with pytest.raises(InputError, match="class mapping does not list: 99"):
+        calibrate(source, BLOCKS, SearchOptions(tmp_path / "unmapped.npy"))
+    np.save(tmp_path / "empty.npy", np.zeros_like(codes))
+    with pytest.raises(InputError, match="none of .* records has a class that is scored"):
+        calibrate(source, BLOCKS, SearchOptions(tmp_path / "empty.npy"))
+    only_start = np.zeros_like(codes)
+    only_start[:POINTS_PER_LINE] = codes[:POINTS_PER_LINE]
+    np.save(tmp_path / "start.npy", only_start)
+    with pytest.raises(InputError, match="no (training|held-out) line has a class that is scored"):
+        calibrate(source, BLOCKS, SearchOptions(tmp_path / "start.npy"))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"objective": "beauty"}, "found score 'beauty', expected one of: mean_f1, accuracy"),
+        ({"objective": "f1.dragon"}, "found score 'f1.dragon', expected one of: f1"),
+        ({"training_share": 1.0}, "--training-share: found 1"),
+        ({"keep": ("prc.support.zeta",)}, "--keep: found 'prc.support.zeta'"),
+        ({"mapping": "nowhere"}, "class mapping: found 'nowhere'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused_before_reading(
+    tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
+    np.save(tmp_path / "reference.npy", np.zeros(4, np.uint8))
+    source = write_npz(tmp_path / "drive.npz", street()[:5])
+    with pytest.raises(ConfigError, match=message):
+        calibrate(source, BLOCKS, SearchOptions(tmp_path / "reference.npy", **options))
+
+
+def test_raw_streams_without_angles(tmp_path: Path) -> None:
+    source = write_raw(tmp_path / "drive.bin", street())
+    found = calibrate(source, load_config(options={"input": {"points_per_line": POINTS_PER_LINE}}))
+    assert found.sensor.n_lines == N_LINES
+
+
+@pytest.mark.data
+def test_oakland_section_helps_the_other_two(real_data: Path, tmp_path: Path) -> None:
+    """Lower bounds a little under what is measured (docs/calibration.md)."""
+    from prc_cli.jobs.evaluate import evaluate
+
+    first, *others = (real_data / "oakland" / f"oakland_{n}.csv.gz" for n in (1, 2, 3))
+    found = calibrate(first, load_config(preset="urban"), SearchOptions(first, "oakland"))
+    assert found.sensor.noise_at(2.5) == pytest.approx(0.0068, rel=0.2)
+    assert found.search is not None
+    kappa = [gate_value(item.held_out, "kappa") for item in found.search.judged]
+    assert kappa[0] < 0.5 < kappa[1] < 0.7 < kappa[2]
+    for section, least in zip(others, (0.80, 0.80), strict=True):
+        classify(section, tmp_path / "labels.npy", found.config, overwrite=True)
+        assert gate_value(scores(evaluate(tmp_path / "labels.npy", section, "oakland")), "kappa") > least

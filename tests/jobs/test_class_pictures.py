@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from prc_cli.core.errors import InputError
+from prc_cli.evaluation.charts import class_colour
+from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.jobs.class_pictures import MAX_LINES, class_pictures
+
+MAPPING = ClassMapping(ignore=(0,), predicted={"ground": (2,), "noise": (7,)}, reference={"car": (65,), "ground": (2,)})
+GREY, WHITE = (222, 222, 222), (255, 255, 255)
+
+
+def colour(name: str) -> tuple[int, ...]:
+    return tuple(bytes.fromhex(class_colour(name)[1:]))
+
+
+def draw(tmp_path: Path, predicted: object, reference: object, m: int) -> list[tuple[str, np.ndarray]]:
+    paths = tmp_path / "predicted.npy", tmp_path / "reference.npy"
+    for path, codes in zip(paths, (predicted, reference), strict=True):
+        np.save(path, np.asarray(codes, np.uint8))
+    found = class_pictures(*paths, MAPPING, m)
+    return [(title, np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))) for title, content in found]
+
+
+def test_cells_have_the_colours_of_their_classes(tmp_path: Path) -> None:
+    # three lines of two shots; records of an unfinished line are left out
+    (one, first), (_, second), (_, differ) = draw(tmp_path, [2, 7, 2, 2, 0, 2, 2], [2, 2, 65, 0, 2, 2, 2], 2)
+    assert one == "Predicted, lines 0-2 of predicted.npy"
+    assert first.shape == second.shape == differ.shape
+    rows, columns = (np.array([0, -1]), np.array([0, first.shape[1] // 2, -1]))
+    cells = [[[tuple(image[r, c].tolist()) for c in columns] for r in rows] for image in (first, second, differ)]
+    ground, noise, car = colour("ground"), colour("noise"), colour("car")
+    assert cells[0] == [[ground, ground, WHITE], [noise, ground, ground]]
+    assert cells[1] == [[ground, car, ground], [ground, WHITE, ground]]
+    assert cells[2] == [[GREY, ground, WHITE], [noise, WHITE, GREY]]
+
+
+def test_long_lines_and_long_drives_are_cut(tmp_path: Path) -> None:
+    codes = np.full(700 * 1000, 2)
+    pictures = draw(tmp_path, codes, codes, 1000)
+    assert pictures[0][0].startswith(f"Predicted, lines 0-{MAX_LINES - 1} of")
+    assert all(max(picture.shape) <= 1200 for _, picture in pictures)
+
+
+@pytest.mark.parametrize("m", [8, 10**9])
+def test_without_a_whole_line_there_is_no_picture(tmp_path: Path, m: int) -> None:
+    assert draw(tmp_path, [2] * 7, [2] * 7, m) == []
+
+
+def test_unknown_codes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="codes that the class mapping does not list: 9"):
+        draw(tmp_path, [2, 9], [2, 2], 2)
+
+
+def test_lines_that_a_file_numbers_need_no_m(tmp_path: Path) -> None:
+    def write(lengths: tuple[int, ...]) -> Path:
+        rows = [f"{line + 5},2" for line, n in enumerate(lengths) for _ in range(n)]
+        (tmp_path / "lines.csv").write_text("\n".join(["scan_line,class", *rows]) + "\n")
+        np.save(tmp_path / "labels.npy", np.full(sum(lengths), 2, np.uint8))
+        return tmp_path / "lines.csv"
+
+    found = class_pictures(tmp_path / "labels.npy", write((4, 4, 4)), MAPPING)
+    assert found[0][0] == "Predicted, lines 0-2 of labels.npy"
+    for lengths in ((4, 3, 4), (8,)):
+        assert class_pictures(tmp_path / "labels.npy", write(lengths), MAPPING) == ()
+    assert class_pictures(tmp_path / "labels.npy", tmp_path / "labels.npy", MAPPING) == ()
+
+
+@pytest.mark.parametrize("rising", [True, False])
+@pytest.mark.parametrize("folder", [True, False])
+def test_the_sky_is_at_the_top_whichever_way_the_columns_run(tmp_path: Path, *, rising: bool, folder: bool) -> None:
+    m, n = 60, 40
+    beam = np.deg2rad(np.linspace(20, 120, m))
+    beam = beam if rising else beam[::-1]
+    # a scanner 2 m over the ground, and a wall 15 m away
+    range_m = np.minimum(np.where(np.cos(beam) > 0.01, 2.0 / np.maximum(np.cos(beam), 0.01), 99.0), 15.0 / np.sin(beam))
+    x, z = range_m * np.sin(beam), -range_m * np.cos(beam)
+    rows = [
+        f"{range_m[k]:.4f},{x[k]:.4f},{0.01 * line:.4f},{z[k]:.4f},{line},{k}" for line in range(n) for k in range(m)
+    ]
+    points = tmp_path / "points"
+    points.mkdir()
+    (points / "labels.csv").write_text("\n".join(["range,x,y,z,scan_line,column", *rows]) + "\n")
+    codes = np.tile(np.where(z < -1.99, 2, 7), n).astype(np.uint8)
+    np.save(tmp_path / "labels.npy", codes)
+    pair = tmp_path / "labels.npy", tmp_path / "labels.npy"
+    mapping = ClassMapping(predicted={"ground": (2,), "noise": (7,)}, reference={"ground": (2,), "noise": (7,)})
+    where = points if folder else points / "labels.csv"
+    found = class_pictures(*pair, mapping, m, points=(where, None))
+    image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))
+    assert tuple(image[0, 0].tolist()) == colour("noise")
+    assert tuple(image[-1, 0].tolist()) == colour("ground")
+
+
+@pytest.mark.data
+def test_a_street_stands_as_in_its_rendering(real_data: Path) -> None:
+    street = real_data / "oakland" / "oakland_1.csv.gz"
+    found = class_pictures(
+        street,
+        street,
+        ClassMapping(unlisted="other", predicted={"ground": ("1200-1206",)}, reference={"ground": ("1200-1206",)}),
+        229,
+    )
+    image = np.asarray(Image.open(io.BytesIO(found[0][1])).convert("RGB"))
+    ground = (image == np.array(colour("ground"))).all(axis=2).sum(axis=1)
+    tenth = len(ground) // 10
+    assert ground[-tenth:].max() > 1000
+    assert ground[:tenth].max() < 50

@@ -1,0 +1,405 @@
+"""Round trips: a stream written in another format and read back is the same stream, as far as the format holds it."""
+
+from __future__ import annotations
+
+import gc
+import json
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pyarrow.parquet
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.jobs.classify import label_blocks, open_stream
+from prc_cli.jobs.convert import convert
+from prc_cli.stream.blocks import join
+from tests.formats.organised_files import (
+    Scan,
+    e57_fields,
+    grid_points,
+    ptx_scan,
+    write_e57,
+    write_text,
+)
+from tests.street import LINE_HZ, POINTS_PER_LINE, angles, street
+
+CELLS = (".csv", ".csv.gz", ".csv.zst", ".npz", ".bin")
+
+
+def config(path: Path | None = None, preset: str | None = None, **inputs: Any) -> LoadedConfig:
+    beside = None if path is None or path.suffix != ".bin" else path.with_name(f"{path.name}.toml")
+    return load_config(beside, preset, {"input": {key.rstrip("_"): value for key, value in inputs.items()}})
+
+
+def scans(path: Path, loaded: LoadedConfig) -> dict[int, ScanBlock]:
+    """Every scanner's lines as one block."""
+    parts: dict[int, list[ScanBlock]] = {}
+    for block in open_stream(path, loaded).blocks():
+        parts.setdefault(block.scanner, []).append(block)
+    return {scanner: join(blocks) for scanner, blocks in parts.items()}
+
+
+def labels(path: Path, loaded: LoadedConfig) -> dict[int, Any]:
+    parts: dict[int, list[Any]] = {}
+    for item in label_blocks(open_stream(path, loaded).blocks(), loaded.config.classifier):
+        parts.setdefault(item.block.scanner, []).append(item.labels)
+    return {scanner: np.concatenate(found) for scanner, found in parts.items()}
+
+
+def same_bits(left: Any, right: Any) -> bool:
+    kind = {4: np.uint32, 8: np.uint64}[left.dtype.itemsize]
+    gone = np.isnan(left)
+    same = (left.view(kind) == right.view(kind)) | gone
+    return bool(np.array_equal(gone, np.isnan(right)) and same.all())
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    """One scanner, everything that a range image can hold."""
+    image = street()
+    rng = np.random.default_rng(5)
+    # bits that no decimal of a few digits has
+    image *= rng.uniform(0.99999, 1.00001, image.shape).astype(np.float32)
+    angle = angles()
+    xyz = np.stack([image * 0.0, image * np.sin(angle), -image * np.cos(angle)], axis=-1).astype(np.float32)
+    shots = np.arange(image.size).reshape(image.shape)
+    times = 302_400.0 + shots / (LINE_HZ * POINTS_PER_LINE)
+    intensity = rng.integers(0, 65536, image.shape).astype(np.float32)
+    path = tmp_path / "drive.npz"
+    np.savez(path, range_m=image, angle_deg=np.rad2deg(angle), time_s=times, xyz=xyz, intensity=intensity)
+    return path
+
+
+@pytest.mark.parametrize("suffix", CELLS)
+def test_a_format_of_cells_gives_the_same_blocks_back(drive: Path, tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"out{suffix}"
+    convert(drive, out)
+    (before,), (after,) = scans(drive, config()).values(), scans(out, config(out)).values()
+    assert same_bits(before.range_m, after.range_m)
+    assert same_bits(before.time_s, after.time_s)
+    assert same_bits(before.intensity, after.intensity)
+    assert np.array_equal(before.records(), after.records())
+    assert after.angle_rad is not None
+    turn = 2 * np.pi
+    assert np.abs((after.angle_rad - before.angle_rad + np.pi) % turn - np.pi).max() < 1e-11
+    if suffix == ".npz":
+        assert same_bits(before.xyz_m, after.xyz_m)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".bin"])
+def test_coordinates_are_in_tables_and_dumps_bit_for_bit(drive: Path, tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"out{suffix}"
+    convert(drive, out)
+    (before,) = scans(drive, config()).values()
+    inputs = {"columns": "order"} if suffix == ".bin" else {}
+    (after,) = scans(out, config(out, range="sensor-xyz", **inputs)).values()
+    assert same_bits(before.xyz_m, after.xyz_m)
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+def test_las_keeps_ranges_cells_and_times_of_what_returned(drive: Path, tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"out{suffix}"
+    summary = convert(drive, out)
+    (before,), (after,) = scans(drive, config()).values(), scans(out, config()).values()
+    assert same_bits(before.range_m, after.range_m)
+    gone = np.isnan(before.range_m)
+    assert same_bits(before.time_s[~gone], after.time_s[~gone])
+    assert np.array_equal(before.intensity[~gone], after.intensity[~gone])
+    assert f"{gone.sum()} shots without return" in summary.losses[0]
+    las = laspy.read(out)
+    assert np.abs(np.stack([las.x, las.y, las.z], 1) - before.xyz_m[~gone]).max() <= 0.000501
+    assert set(las.classification) == {1}
+
+
+@pytest.mark.parametrize("suffix", [*CELLS, ".npy", ".laz"])
+@pytest.mark.parametrize("preset", ["urban", "street-scan"])
+def test_labels_are_those_of_the_original(drive: Path, tmp_path: Path, suffix: str, preset: str) -> None:
+    out = tmp_path / f"out{suffix}"
+    convert(drive, out)
+    if preset == "street-scan" and suffix == ".npy":
+        pytest.skip(".npy holds no directions, and says so")
+    given = labels(drive, config(preset=preset, nadir=0.0))[0]
+    nadir = {} if suffix == ".npy" else {"nadir": 0.0}
+    assert np.array_equal(given, labels(out, config(out, preset, **nadir))[0])
+
+
+@pytest.mark.parametrize("suffix", [".csv.gz", ".parquet", ".npz", ".npy", ".bin", ".laz"])
+def test_the_same_bytes_twice_and_nothing_else_left(drive: Path, tmp_path: Path, suffix: str) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        convert(drive, tmp_path / folder / f"out{suffix}")
+    found = sorted(path.name for path in (tmp_path / "a").iterdir())
+    beside = [f"out{suffix}.toml"] if suffix == ".bin" else []
+    assert found == sorted([f"out{suffix}", f"out{suffix}.prc.json", *beside])
+    for name in found:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def two_scanners(path: Path) -> Path:
+    """Two scanners of different M, a missing line, gaps, and shots of several returns; interleaved in the file."""
+    rng = np.random.default_rng(7)
+    rows = []
+    for line in range(12):
+        for scanner, m in ((3, 20), (8, 33)):
+            if line == 5:
+                continue
+            for column in range(m):
+                time = 100.0 + line + column / 64
+                n = int(rng.integers(0, 4)) if 0 < column < m - 1 else 1
+                distances = np.sort(rng.uniform(2.0, 60.0, n).astype(np.float32))
+                for number, distance in enumerate(distances, 1):
+                    strength = int(rng.integers(1, 60_000))
+                    rows.append((time, line, column, distance, scanner, number, n, strength, column % 7))
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = [0.001] * 3, [500_000.0, 6_860_000.0, 0.0]
+    for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
+        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
+    las = laspy.LasData(header)
+    table = [np.array(column) for column in zip(*rows, strict=True)]
+    las.x, las.y, las.z = 500_000.0 + table[3], 6_860_000.0 + table[2], -table[3] / 3
+    names = ("gps_time", "scan_line", "column", "range", "point_source_id", "return_number", "number_of_returns")
+    for name, column in zip((*names, "intensity", "classification"), table, strict=True):
+        las[name] = column
+    las.write(path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".laz"])
+def test_scanners_missing_lines_and_further_returns(tmp_path: Path, suffix: str) -> None:
+    source, out = two_scanners(tmp_path / "two.las"), tmp_path / f"out{suffix}"
+    loaded = config(scanner="point_source_id")
+    if suffix == ".laz":  # through a table, since LAS to LAS copies bytes
+        convert(source, tmp_path / "two.csv", loaded)
+        source = tmp_path / "two.csv"
+    summary = convert(source, out, loaded)
+    assert any("--scanner point_source_id" in notice for notice in summary.record.notices)
+    before, after = scans(source, loaded), scans(out, loaded)
+    assert sorted(before) == sorted(after) == [3, 8]
+    for scanner, block in before.items():
+        m = block.points_per_line
+        again = after[scanner].range_m[:, :m]
+        assert same_bits(block.range_m, np.ascontiguousarray(again))
+        assert np.isnan(again[5]).all()
+        assert np.isnan(after[scanner].range_m[:, m:]).all()
+        for name in ("line", "column", "range_m"):
+            order = [np.lexsort((b.extra.range_m, b.extra.column, b.extra.line)) for b in (block, after[scanner])]
+            left, right = getattr(block.extra, name), getattr(after[scanner].extra, name)
+            assert np.array_equal(left[order[0]], right[order[1]])
+        assert after[scanner].points_per_line == m
+    told = any("scanner 3: 20, scanner 8: 33" in loss for loss in summary.losses)
+    assert told == (suffix == ".laz")
+
+
+def test_classes_and_registered_coordinates_go_along(tmp_path: Path) -> None:
+    source, loaded = two_scanners(tmp_path / "two.las"), config(scanner="point_source_id")
+    convert(source, tmp_path / "a.csv", loaded)
+    convert(tmp_path / "a.csv", tmp_path / "b.las", loaded)
+    first, last = laspy.read(source), laspy.read(tmp_path / "b.las")
+    assert len(first) == len(last)
+
+    def key(las: Any) -> Any:
+        names = ("point_source_id", "scan_line", "column", "return_number")
+        return np.lexsort(tuple(np.asarray(las[name]) for name in reversed(names)))
+
+    for name in ("classification", "range", "gps_time", "number_of_returns", "x", "y", "z"):
+        left, right = np.asarray(first[name])[key(first)], np.asarray(last[name])[key(last)]
+        assert np.allclose(left, right, rtol=0, atol=0.00051 if name in "xyz" else 0), name
+    table = pyarrow.parquet.read_table  # the same columns for other programs
+    convert(source, tmp_path / "a.parquet", loaded)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert table(tmp_path / "a.parquet").column_names == lines[0].split(",")
+    assert table(tmp_path / "a.parquet").num_rows == len(lines) - 1
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".las"])
+def test_the_scans_of_a_ptx_stay_apart(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(4)
+    text = ""
+    for n_lines, m in ((5, 7), (4, 9)):
+        points = rng.uniform(1.0, 30.0, (n_lines, m, 3))
+        points[1, 2:4] = 0.0  # shots without return
+        text += ptx_scan(points)
+    source, out = write_text(tmp_path / "a.ptx", text), tmp_path / f"out{suffix}"
+    convert(source, out)
+    before, after = scans(source, config()), scans(out, config(scanner="point_source_id"))
+    assert [block.range_m.shape for block in before.values()] == [(5, 7), (4, 9)]
+    for left, right in zip(before.values(), after.values(), strict=True):
+        assert same_bits(left.range_m, right.range_m)
+    with pytest.raises(OutputError, match="a range image holds one scanner"):
+        convert(source, tmp_path / "out.npz")
+
+
+def test_what_is_lost_is_listed(drive: Path, tmp_path: Path) -> None:
+    summary = convert(drive, tmp_path / "out.npy")
+    assert summary.losses == ("scan angles", "times", "coordinates", "intensities")
+    kept = json.loads((tmp_path / "out.npy.prc.json").read_text())["notices"]
+    assert [f"not kept: {loss}" for loss in summary.losses] == kept
+    assert np.load(tmp_path / "out.npy").shape == street().shape
+    assert convert(drive, tmp_path / "out.npz").losses == ()
+
+
+def test_las_and_laz_become_each_other_byte_for_byte(tmp_path: Path) -> None:
+    source = two_scanners(tmp_path / "two.las")
+    summary = convert(source, tmp_path / "two.laz")
+    assert summary.losses == ()
+    convert(tmp_path / "two.laz", tmp_path / "back.las")
+    assert (tmp_path / "back.las").read_bytes() == source.read_bytes()
+    assert len(laspy.read(tmp_path / "two.laz")) == summary.n_shots
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["las/als_strip_labelled.laz", "las/fullwave_pf10.laz", "las/plane.laz"])
+def test_real_laz_to_las_to_laz_keeps_every_record(real_data: Path, tmp_path: Path, name: str) -> None:
+    convert(real_data / name, tmp_path / "a.las")
+    convert(tmp_path / "a.las", tmp_path / "b.laz")
+    convert(tmp_path / "b.laz", tmp_path / "c.las")
+    assert (tmp_path / "a.las").read_bytes() == (tmp_path / "c.las").read_bytes()
+    left, right = laspy.read(real_data / name), laspy.read(tmp_path / "a.las")
+    assert np.array_equal(left.points.array, right.points.array)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "inputs"),
+    [
+        ("organised/pumpA.e57", {}),
+        ("organised/scan000.3d", {"points_per_line": 360, "range_": "sensor-xyz", "max_range": 32.7}),
+        ("oakland/oakland_1.csv.gz", {}),
+        ("forest/tls_park.npz", {}),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".bin", ".laz"])
+def test_real_scans_give_the_same_ranges_back(
+    real_data: Path, tmp_path: Path, name: str, inputs: dict[str, Any], suffix: str
+) -> None:
+    if name.endswith(".e57"):
+        pytest.importorskip("pye57")
+    out = tmp_path / f"out{suffix}"
+    convert(real_data / name, out, config(**inputs))
+    before = list(scans(real_data / name, config(**inputs)).values())
+    after = list(scans(out, config(out)).values())
+    assert len(before) == len(after)
+    for left, right in zip(before, after, strict=True):
+        n, m = right.range_m.shape
+        if suffix == ".laz":  # lines behind the last return have no record
+            assert np.isnan(left.range_m[n:]).all()
+            left = join([left]) if n == left.n_lines else left
+        assert same_bits(np.ascontiguousarray(left.range_m[:n, :m]), right.range_m)
+
+
+def test_rings_become_a_plain_image(tmp_path: Path, real_data: Path) -> None:
+    loaded = load_config(Path(__file__).parents[2] / "sample_configs/kitti_frame.toml")
+    summary = convert(real_data / "kitti/000000.bin", tmp_path / "frame.npz", loaded)
+    assert any("collisions" in loss for loss in summary.losses)
+    before = labels(real_data / "kitti/000000.bin", loaded)[0]
+    again = load_config(None, None, {**loaded.config.to_table(), "input": {}, "layout": {}})
+    assert np.array_equal(before, labels(tmp_path / "frame.npz", again)[0])
+
+
+@given(st.lists(st.integers(1, 0x7F7F_FFFF), min_size=2, max_size=40))
+def test_any_float32_range_survives_text(tmp_path_factory: pytest.TempPathFactory, bits: list[int]) -> None:
+    folder = tmp_path_factory.mktemp("bits")
+    image = np.array(bits, np.uint32).view(np.float32)[None, :]
+    np.save(folder / "a.npy", image)
+    convert(folder / "a.npy", folder / "a.csv")
+    (block,) = scans(folder / "a.csv", config()).values()
+    assert np.array_equal(block.range_m.view(np.uint32), image.view(np.uint32))
+
+
+def _several(tmp_path: Path) -> tuple[Path, LoadedConfig]:
+    return two_scanners(tmp_path / "two.las"), config(scanner="point_source_id")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".bin"])
+def test_several_scanners_need_a_format_that_tells_them_apart(tmp_path: Path, suffix: str) -> None:
+    source, loaded = _several(tmp_path)
+    with pytest.raises(OutputError, match="found scanners 3 and 8, expected one: .* write .csv, .laz or .parquet"):
+        convert(source, tmp_path / f"out{suffix}", loaded)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["two.las"]
+
+
+def test_bad_outputs_are_refused_before_anything_is_read(drive: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="found suffix '.ptx', expected one of .las"):
+        convert(drive, tmp_path / "out.ptx")
+    with pytest.raises(OutputExistsError, match="the output is the input itself"):
+        convert(drive, drive, overwrite=True)
+    (tmp_path / "out.bin.toml").write_text("mine")
+    with pytest.raises(OutputExistsError, match=r"out.bin.toml: exists already"):
+        convert(drive, tmp_path / "out.bin")
+    with pytest.raises(InputError, match="no such file"):
+        convert(tmp_path / "none.csv", tmp_path / "out.csv")
+    assert not (tmp_path / "out.bin").exists()
+
+
+def test_a_damaged_input_leaves_nothing(drive: Path, tmp_path: Path) -> None:
+    convert(drive, tmp_path / "a.csv")
+    text = (tmp_path / "a.csv").read_text().splitlines()
+    text[9000] = "50,1,x,3,4,5,6,7,8"
+    (tmp_path / "b.csv").write_text("\n".join(text))
+    (tmp_path / "out").mkdir()
+    for suffix in (".laz", ".npz", ".csv", ".bin", ".parquet"):
+        with pytest.raises(InputError, match="line 9001"):
+            convert(tmp_path / "b.csv", tmp_path / "out" / f"o{suffix}")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".csv.gz", ".npz"])
+def test_the_colours_of_a_ptx_are_named_among_the_losses(tmp_path: Path, suffix: str) -> None:
+    text = ptx_scan(grid_points(4, 30), colour=True)
+    summary = convert(write_text(tmp_path / "a.ptx", text), tmp_path / f"a{suffix}")
+    assert any(loss.startswith("colour,") for loss in summary.losses)
+    plain = convert(write_text(tmp_path / "b.ptx", ptx_scan(grid_points(4, 30))), tmp_path / f"b{suffix}")
+    assert not any("colour" in loss for loss in plain.losses)
+
+
+def test_the_colours_of_an_e57_are_named_among_the_losses(tmp_path: Path) -> None:
+    points = grid_points(4, 30)
+    fields = e57_fields(points)
+    fields["colorRed"] = np.arange(len(fields["cartesianX"])) % 256
+    summary = convert(write_e57(tmp_path / "a.e57", [Scan(fields)]), tmp_path / "a.laz")
+    assert any(loss.startswith("colorRed,") for loss in summary.losses)
+
+
+def test_codes_that_las_cannot_hold_are_the_first_loss(tmp_path: Path) -> None:
+    rows = [
+        f"{line},{column},{5 + column / 100},{code}"
+        for line in range(3)
+        for column, code in enumerate((1200, 2, 1400, -3))
+    ]
+    source = write_text(tmp_path / "a.csv", "\n".join(["line,column,range,class", *rows]) + "\n")
+    summary = convert(source, tmp_path / "a.laz")
+    assert summary.losses[0] == "9 class codes outside 0 to 255: written as 1 (unclassified)"
+    assert "not kept: " + summary.losses[0] in summary.record.notices
+    assert not any("class codes" in text for text in summary.record.notices if not text.startswith("not kept: "))
+    assert sorted(set(laspy.read(tmp_path / "a.laz").classification)) == [1, 2]
+    assert not any("class codes" in loss for loss in convert(source, tmp_path / "a.parquet").losses)
+
+
+def test_codes_that_are_no_codes_are_a_loss(tmp_path: Path) -> None:
+    rows = [f"{line},{column},5.5,{code}" for line in range(3) for column, code in enumerate(("1.5", "2", "", "3"))]
+    source = write_text(tmp_path / "a.csv", "\n".join(["line,column,range,class", *rows]) + "\n")
+    summary = convert(source, tmp_path / "b.csv.gz")
+    assert summary.losses[0].startswith("3 class codes that are no whole numbers")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".csv.gz", ".csv.zst", ".parquet"])
+def test_an_interrupt_leaves_no_file_and_no_words(
+    drive: Path, tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def stop(n_lines: int) -> None:
+        raise KeyboardInterrupt
+
+    before = sorted(tmp_path.iterdir())
+    with pytest.raises(KeyboardInterrupt):
+        convert(drive, tmp_path / f"a{suffix}", progress=stop)
+    # Arrow closes streams that were forgotten when they are destroyed, and complains on the descriptor itself
+    gc.collect()
+    assert sorted(tmp_path.iterdir()) == before
+    assert capfd.readouterr().err == ""

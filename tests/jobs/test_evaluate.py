@@ -1,0 +1,447 @@
+"""Two sides matched by order, time, id and place: the same pairs, and the same matrix as counted one by one."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from prc_cli.config import load_config
+from prc_cli.core.errors import ConfigError, InputError, PrcError
+from prc_cli.core.types import F64, I64, Mask
+from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.result import Evaluation
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.evaluate import EvaluateOptions, evaluate_all
+
+MAPPING = ClassMapping(
+    ignore=[0],
+    predicted={"ground": [2], "building": [6], "vegetation": [5]},
+    reference={"ground": [2], "building": [6], "vegetation": [5], "other": [65]},
+)
+M = 100
+
+
+class Drive:
+    """A stream of lines of M shots, every tenth without return, labelled twice."""
+
+    def __init__(self, n_lines: int = 300, seed: int = 7) -> None:
+        random = np.random.default_rng(seed)
+        n = n_lines * M
+        self.n = n
+        self.time_s = 3.0e8 + np.arange(n) * 2e-5
+        self.line = np.arange(n) // M
+        self.range_m = random.uniform(2.0, 60.0, n)
+        self.xyz = np.stack([6.7e5 + self.line * 0.1, 6.2e6 + (np.arange(n) % M) * 0.1, np.full(n, 40.0)], axis=1)
+        self.xyz += random.uniform(-0.03, 0.03, (n, 3))
+        self.truth = random.choice([2, 5, 6, 65], n)
+        self.label = np.where(random.random(n) < 0.8, np.where(self.truth == 65, 6, self.truth), 5)
+        self.missing = random.random(n) < 0.1
+        self.truth[self.missing] = self.label[self.missing] = 0
+        self.kept = ~self.missing & (random.random(n) < 0.8)
+
+    def matrix(self, chosen: Mask | None = None) -> ConfusionMatrix:
+        chosen = self.kept if chosen is None else chosen
+        return accumulate(ConfusionMatrix.empty(MAPPING), self.label[chosen], self.truth[chosen], MAPPING)
+
+    def write_labels(self, path: Path) -> Path:
+        np.save(path, self.label.astype(np.uint8))
+        return path
+
+    def write_points(self, path: Path, *, labels: bool = False) -> Path:
+        columns = {
+            "line": self.line, "time_s": self.time_s, "range_m": np.where(self.missing, np.nan, self.range_m),
+            **{axis: np.where(self.missing, np.nan, self.xyz[:, k]) for k, axis in enumerate("xyz")},
+        }  # fmt: skip
+        if labels:
+            columns["class"] = self.label
+        with gzip.open(path, "wt", newline="") as handle:
+            rows = csv.writer(handle)
+            rows.writerow(columns)
+            rows.writerows(
+                [
+                    ["" if v != v else repr(v) for v in row]
+                    for row in zip(*map(np.ndarray.tolist, columns.values()), strict=True)
+                ]
+            )
+        return path
+
+    def tiles(self) -> list[I64]:
+        """Kept records by tiles across the drive, each in another order."""
+        random = np.random.default_rng(3)
+        kept = np.flatnonzero(self.kept)
+        side = (self.xyz[kept, 1] > self.xyz[:, 1].mean()).astype(int) + 2 * (self.line[kept] > self.line.max() // 2)
+        return [random.permutation(kept[side == k]) for k in range(4)]
+
+    def write_tiles(self, folder: Path, crs: int | None = None, shift: float = 0.0) -> list[Path]:
+        folder.mkdir()
+        paths = []
+        for k, record in enumerate(self.tiles()):
+            paths.append(folder / f"tile_{k}.laz")
+            write_las(paths[-1], self.xyz[record] + shift, self.truth[record], self.time_s[record], record, crs)
+        return paths
+
+
+def write_las(
+    path: Path, xyz: F64, classes: I64, time_s: F64, record: I64, crs: int | None = None, source: I64 | None = None
+) -> None:
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, 0.001), np.floor(xyz.min(axis=0))
+    header.add_extra_dim(laspy.ExtraBytesParams("record", np.int64))
+    if crs is not None:
+        pyproj = pytest.importorskip("pyproj")
+        header.add_crs(pyproj.CRS.from_epsg(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz.T
+    las.gps_time = time_s
+    las.classification = classes.astype(np.uint8)
+    las["record"] = record
+    las.return_number[:] = 1
+    if source is not None:
+        las.point_source_id = source.astype(np.uint16)
+    las.write(path)
+
+
+@pytest.fixture(scope="module")
+def drive() -> Drive:
+    return Drive()
+
+
+@pytest.fixture(scope="module")
+def folder(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive")
+    drive.write_labels(folder / "labels.npy")
+    drive.write_points(folder / "raw.csv.gz")
+    drive.write_points(folder / "labelled.csv.gz", labels=True)
+    drive.write_tiles(folder / "tiles")
+    return folder
+
+
+def run(predicted: Path | Sequence[Path], reference: Path | Sequence[Path], **options: object) -> Evaluation:
+    sides = [[side] if isinstance(side, Path) else list(side) for side in (predicted, reference)]
+    return evaluate_all(*sides, MAPPING, options=EvaluateOptions(**options))  # type: ignore[arg-type]
+
+
+def assert_same(found: Evaluation, expected: ConfusionMatrix) -> None:
+    np.testing.assert_array_equal(found.matrix.counts, expected.counts)
+    assert found.matrix.n_ignored == expected.n_ignored
+
+
+@pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
+def test_labels_alone_against_filtered_and_shuffled_tiles(drive: Drive, folder: Path, match: str) -> None:
+    found = run(folder / "labels.npy", folder / "tiles", match=match, predicted_points=folder / "raw.csv.gz")
+    assert_same(found, drive.matrix())
+    n_kept = int(drive.kept.sum())
+    assert (found.match.n_predicted, found.match.n_reference) == (drive.n, n_kept)
+    assert (found.match.n_matched, found.match.n_reference_matched) == (n_kept, n_kept)
+    if match == "nearest":
+        assert f"{drive.missing.sum()} predicted records have no finite coordinates: left out" in found.match.notes
+
+
+@pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
+def test_points_with_labels_need_no_other_file(drive: Drive, folder: Path, match: str) -> None:
+    assert_same(run(folder / "labelled.csv.gz", folder / "tiles", match=match), drive.matrix())
+
+
+def test_sides_may_change_places(drive: Drive, folder: Path) -> None:
+    tiles = sorted((folder / "tiles").iterdir())
+    mapping = ClassMapping(ignore=[0], predicted=MAPPING.reference, reference=MAPPING.predicted)
+    found = evaluate_all(tiles, [folder / "labelled.csv.gz"], mapping, options=EvaluateOptions(match="time"))
+    np.testing.assert_array_equal(found.matrix.counts, drive.matrix().counts.T)
+    assert len(found.predicted) == 4
+
+
+def test_an_id_of_another_name(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    table = pa.table({"shot": np.arange(drive.n), "class": drive.label})
+    parquet.write_table(table.take(np.random.default_rng(1).permutation(drive.n)), tmp_path / "labels.parquet")
+    assert_same(run(tmp_path / "labels.parquet", folder / "tiles", match="dimension:shot=record"), drive.matrix())
+
+
+def test_label_files_with_their_record_column_may_be_filtered(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    record = np.flatnonzero(drive.kept)[::-2]
+    lines = [f"{k},{drive.label[k]},x" for k in record]
+    (tmp_path / "labels.csv").write_text("\n".join(["record,class,name", *lines]) + "\n")
+    chosen = np.zeros(drive.n, np.bool_)
+    chosen[record] = True
+    assert_same(run(tmp_path / "labels.csv", folder / "tiles", match="dimension:record"), drive.matrix(chosen))
+
+
+def test_an_image_with_xyz_and_time(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    shape = (-1, M)
+    np.savez(
+        tmp_path / "image.npz",
+        label=drive.label.reshape(shape), xyz=drive.xyz.reshape(-1, M, 3), time_s=drive.time_s.reshape(shape),
+        range_m=drive.range_m.reshape(shape),
+    )  # fmt: skip
+    for match in ("time", "nearest"):
+        found = run(tmp_path / "image.npz", folder / "tiles", match=match, split_lines=100, split_range_m=(20.0,))
+        assert_same(found, drive.matrix())
+        assert [part.name for part in found.splits["lines"]] == ["lines 0-99", "lines 100-199", "lines 200-299"]
+        for part in found.splits["lines"]:
+            chosen = drive.kept & (drive.line >= part.low) & (drive.line < part.high)
+            np.testing.assert_array_equal(part.matrix.counts, drive.matrix(chosen).counts)
+        near, far = found.splits["range"]
+        assert (near.name, far.name) == ("0-20 m", "from 20 m")
+        np.testing.assert_array_equal(near.matrix.counts, drive.matrix(drive.kept & (drive.range_m < 20)).counts)
+        np.testing.assert_array_equal((near.matrix + far.matrix).counts, found.matrix.counts)
+
+
+def test_the_nearest_may_serve_several(folder: Path, tmp_path: Path) -> None:
+    xyz = np.array([[0.0, 0, 0], [0.03, 0, 0], [5.0, 0, 0], [9.0, 0, 0]])
+    write_las(tmp_path / "a.las", xyz, np.array([2, 2, 6, 5]), np.arange(4.0), np.arange(4))
+    write_las(tmp_path / "b.las", xyz[[1, 2]], np.array([2, 6]), np.arange(2.0), np.arange(2))
+    one = run(tmp_path / "a.las", tmp_path / "b.las", match="nearest")
+    assert (one.match.n_matched, one.match.n_reference_matched) == (2, 2)
+    several = run(tmp_path / "a.las", tmp_path / "b.las", match="nearest", one_to_one=False)
+    assert (several.match.n_matched, several.match.n_reference_matched) == (3, 2)
+
+
+def test_returns_of_one_shot_are_told_apart(tmp_path: Path) -> None:
+    time_s = np.array([1.0, 1.0, 2.0, 2.0, 3.0])
+    number = np.array([1, 2, 1, 2, 1])
+    for name, chosen in (("a", [0, 1, 2, 3, 4]), ("b", [3, 4, 1])):
+        las = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+        las.x = las.y = las.z = np.zeros(len(chosen))
+        las.gps_time, las.return_number = time_s[chosen], number[chosen]
+        las.classification = np.array([2, 5, 2, 6, 2], np.uint8)[chosen]
+        las.write(tmp_path / f"{name}.las")
+    found = run(tmp_path / "a.las", tmp_path / "b.las", match="time")
+    assert found.match.n_matched == 3
+    assert np.trace(found.matrix.counts[:3]) == 3
+
+
+def test_records_that_cannot_be_told_apart_are_left_out(tmp_path: Path) -> None:
+    header = "time,class\n"
+    (tmp_path / "a.csv").write_text(header + "1,2\n1,6\n2,2\n2,5\n3,2\n4,2\n")
+    (tmp_path / "b.csv").write_text(header + "1,6\n2,2\n2,5\n3,2\n4,2\n")
+    found = run(tmp_path / "a.csv", tmp_path / "b.csv", match="time")
+    assert found.match.n_matched == 4
+    assert any(note.startswith("2 predicted records share their times") for note in found.match.notes)
+    assert any(note.startswith("2 pairs share their times") for note in found.match.notes)
+
+
+def test_folders_pool_by_name(drive: Drive, tmp_path: Path) -> None:
+    for side, codes in (("run", drive.label), ("truth", drive.truth)):
+        (tmp_path / side).mkdir()
+        np.save(tmp_path / side / "a.npy", codes[:5000])
+        np.save(tmp_path / side / "b.npy", codes[5000:])
+    everything = np.ones(drive.n, np.bool_)
+    found = run(tmp_path / "run", tmp_path / "truth", points_per_line=M, split_lines=1000)
+    assert_same(found, drive.matrix(everything))
+    assert [part.name for part in found.splits["lines"]] == ["a.npy lines 0-999", "b.npy lines 0-999"]
+    np.save(tmp_path / "truth" / "c.npy", drive.truth)
+    with pytest.raises(InputError, match="1 file has no partner in .*run: c"):
+        run(tmp_path / "run", tmp_path / "truth")
+    found = run(tmp_path / "run", tmp_path / "truth", allow_missing=True)
+    assert_same(found, drive.matrix(everything))
+    assert "1 reference file has no partner, left out: c.npy" in found.match.notes
+
+
+def test_pairs_in_a_list_and_a_folder_of_points(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    other = Drive(seed=8)
+    (tmp_path / "points").mkdir()
+    drive.write_points(tmp_path / "points" / "a.csv.gz")
+    other.write_points(tmp_path / "points" / "b.csv.gz")
+    labels = [drive.write_labels(tmp_path / "a.npy"), other.write_labels(tmp_path / "b.npy")]
+    other.write_tiles(tmp_path / "other")
+    # both drives have the same times: each pair is matched on its own
+    found = run(labels, [folder / "tiles", tmp_path / "other"], match="time", predicted_points=tmp_path / "points")
+    np.testing.assert_array_equal(found.matrix.counts, (drive.matrix() + other.matrix()).counts)
+    (tmp_path / "points" / "b.csv.gz").unlink()
+    with pytest.raises(InputError, match=r"no points for b\.npy"):
+        run(labels, [folder / "tiles", tmp_path / "other"], match="time", predicted_points=tmp_path / "points")
+
+
+def test_tiles_of_one_name_that_are_cut_differently(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for k, record in enumerate(np.array_split(np.random.default_rng(2).permutation(drive.n), 4)):
+        path = tmp_path / "run" / f"tile_{k}.laz"
+        write_las(path, drive.xyz[record], drive.label[record], drive.time_s[record], record)
+    assert_same(run(tmp_path / "run", folder / "tiles", match="time", pool=True), drive.matrix())
+    assert "expected at least 50 %" in refused(
+        InputError, lambda: run(tmp_path / "run", folder / "tiles", match="time")
+    )
+
+
+def test_split_by_scanner(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    source = np.arange(drive.n) % 3
+    write_las(tmp_path / "run.las", drive.xyz, drive.label, drive.time_s, np.arange(drive.n), source=source)
+    found = run(tmp_path / "run.las", folder / "tiles", match="time", split_scanner=True)
+    assert [part.name for part in found.splits["scanner"]] == ["scanner 0", "scanner 1", "scanner 2"]
+    for part in found.splits["scanner"]:
+        chosen = drive.kept & (source == part.low)
+        np.testing.assert_array_equal(part.matrix.counts, drive.matrix(chosen).counts)
+
+
+def test_pairs_of_unknown_range_are_a_part_and_parts_without_scored_pairs_are_left_out(
+    drive: Drive, folder: Path
+) -> None:
+    np.save(folder / "truth.npy", drive.truth)
+    options = {"predicted_points": folder / "raw.csv.gz", "split_range_m": (20.0, 40.0, 99.0)}
+    found = run(folder / "labels.npy", folder / "truth.npy", **options)
+    names = [part.name for part in found.splits["range"]]
+    assert names == ["0-20 m", "20-40 m", "40-99 m"]
+    assert sum(part.matrix.n_scored for part in found.splits["range"]) == found.matrix.n_scored
+    # nothing is farther; ranges are unknown of missing shots alone, none of which is scored
+    note = f"by range: 2 parts without scored records are left out, with {drive.missing.sum()} ignored records"
+    assert note in found.match.notes
+    # a part of their own where they are scored
+    truth = np.where(drive.missing, 2, 6).astype(np.uint8)
+    np.save(folder / "all.npy", truth)
+    found = run(folder / "all.npy", folder / "all.npy", **{**options, "split_range_m": (20.0,)})
+    assert [part.name for part in found.splits["range"]][-1] == "unknown"
+    assert found.splits["range"][-1].matrix.n_scored == drive.missing.sum()
+    # the reference may be the one that knows
+    np.save(folder / "truth.npy", drive.truth)
+    swapped = run(folder / "labels.npy", folder / "truth.npy", reference_points=folder / "raw.csv.gz", split_lines=150)
+    assert len(swapped.splits["lines"]) == 2
+    assert "lines: taken from the reference" in swapped.match.notes
+
+
+@pytest.mark.parametrize("method", ["jackknife", "bootstrap"])
+def test_intervals_hold_the_score_and_do_not_depend_on_the_match(drive: Drive, folder: Path, method: str) -> None:
+    options = {"intervals": method, "interval_lines": 10, "predicted_points": folder / "raw.csv.gz"}
+    found = run(folder / "labels.npy", folder / "tiles", match="time", **options)
+    assert found.interval_method.startswith(f"block {method}, 30 blocks of 10 scan lines")
+    recall = found.intervals["recall.ground"]
+    assert recall.low < found.matrix.row_shares()[0, 0] < recall.high < recall.low + 0.1
+    assert run(folder / "labels.npy", folder / "tiles", match="nearest", **options).intervals == found.intervals
+    np.save(folder / "truth.npy", drive.truth)
+    records = run(folder / "labels.npy", folder / "truth.npy", intervals=method, interval_lines=1)
+    assert "30 blocks of 1000 records" in records.interval_method
+
+
+def refused(error: type[PrcError], act: Callable[[], object]) -> str:
+    with pytest.raises(error) as caught:
+        act()
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_poor_matches_are_refused(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    tiles = drive.write_tiles(tmp_path / "far", shift=5000.0)
+    message = refused(InputError, lambda: run(folder / "labelled.csv.gz", tiles, match="nearest"))
+    assert "0 of its" in message
+    assert "has y 6200000" in message or "has x 67" in message
+    late = replace_time(tmp_path / "late.las", drive, 1000.0)
+    message = refused(InputError, lambda: run(folder / "labelled.csv.gz", late, match="time"))
+    assert "time 300000000 to 300000001" in message
+    assert "both clocks count alike" in message
+    half = replace_time(tmp_path / "half.las", drive, 0.3)
+    message = refused(InputError, lambda: run(folder / "labelled.csv.gz", half, match="time", min_matched=0.9))
+    assert "expected at least 90 %" in message
+    assert run(folder / "labelled.csv.gz", half, match="time", min_matched=0.1).match.n_matched > 0
+
+
+def replace_time(path: Path, drive: Drive, shift_s: float) -> Path:
+    write_las(path, drive.xyz, drive.truth, drive.time_s + shift_s, np.arange(drive.n))
+    return path
+
+
+def test_other_coordinate_systems_are_refused_with_both_names(drive: Drive, tmp_path: Path) -> None:
+    here, there = (drive.write_tiles(tmp_path / str(crs), crs)[:1] for crs in (32635, 3067))
+    mapping = ClassMapping(ignore=[0], predicted=MAPPING.reference, reference=MAPPING.reference)
+
+    def act(match: str, one: list[Path] = here, other: list[Path] = there) -> Evaluation:
+        return evaluate_all(one, other, mapping, options=EvaluateOptions(match=match))
+
+    message = refused(InputError, lambda: act("nearest"))
+    assert "UTM zone 35N" in message
+    assert "TM35FIN" in message
+    assert act("time").match.n_matched == act("nearest", here, here).match.n_matched > 1000
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"match": "colour"}, "found 'colour', expected one of: order, time, dimension:NAME, nearest"),
+        ({"tolerance": 1.0}, "records matched by order have none"),
+        ({"one_to_one": False}, "--several: records matched by order have one partner"),
+        ({"one_to_one": False, "match": "time"}, "leave it out, or give --match nearest"),
+        ({"pool": True}, "records of pooled files have no order"),
+        ({"match": "nearest", "tolerance": 0.0}, "expected a finite number above 0"),
+        ({"min_matched": 2.0}, "expected a share from 0 to 1"),
+        ({"intervals": "guess"}, "expected one of: jackknife, bootstrap"),
+        ({"split_range_m": (20.0, 10.0)}, "expected ascending ranges"),
+        ({"split_lines": 0}, "expected at least 1"),
+        ({"match": "time"}, "no 'time' to match by in the file, which has: class codes alone"),
+        ({"match": "nearest"}, "no 'x' to match by"),
+        ({"match": "dimension:shot"}, "no 'shot' to match by"),
+        ({"split_range_m": (20.0,)}, "no range to split by"),
+        ({"split_lines": 5}, "give -M, or --predicted-points"),
+        ({"split_scanner": True}, "no scanner to split by"),
+    ],
+)
+def test_options_that_make_no_sense(folder: Path, options: dict[str, object], expected: str) -> None:
+    np.save(folder / "same.npy", np.ones(5, np.uint8) * 2)
+    act = lambda: run(folder / "same.npy", folder / "same.npy", **options)  # noqa: E731
+    assert expected.replace("class codes alone", "") in refused(ConfigError, act)
+
+
+def test_bad_inputs(drive: Drive, folder: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "short.npy", drive.label[:-1])
+    options = {"match": "time", "predicted_points": folder / "raw.csv.gz"}
+    message = refused(InputError, lambda: run(tmp_path / "short.npy", folder / "tiles", **options))
+    assert f"{drive.n - 1} class codes" in message
+    assert f"holds {drive.n} records" in message
+    message = refused(InputError, lambda: run(tmp_path / "short.npy", folder / "labels.npy"))
+    assert "matched by order needs equal counts" in message
+    (tmp_path / "nan.csv").write_text("time,class\nnan,2\n,2\n")
+    message = refused(InputError, lambda: run(tmp_path / "nan.csv", folder / "tiles", match="time"))
+    assert "no record has finite time" in message
+    (tmp_path / "half.csv").write_text("record,class\n0.5,2\n1,2\n")
+    message = refused(InputError, lambda: run(tmp_path / "half.csv", folder / "tiles", match="dimension:record"))
+    assert "expected a whole number below 2^53" in message
+    assert "nowhere: no such file" in refused(InputError, lambda: run(folder / "tiles", tmp_path / "nowhere"))
+    message = refused(ConfigError, lambda: run([folder / "labels.npy"] * 2, [folder / "labels.npy"]))
+    assert "2 predicted and 1 reference files" in message
+    with pytest.raises(InputError, match="codes that the class mapping does not list: 99"):
+        np.save(tmp_path / "odd.npy", np.full(drive.n, 99))
+        run(tmp_path / "odd.npy", folder / "tiles", **options)
+
+
+@pytest.fixture(scope="module")
+def oakland(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Labels of a raw section, its points with times, and a registered cloud: shuffled tiles, a fifth of it gone."""
+    folder = tmp_path_factory.mktemp("oakland")
+    raw = real_data / "oakland" / "oakland_1.csv.gz"
+    classify(raw, folder / "labels.npy", load_config(preset="urban"))
+    with gzip.open(raw) as packed:
+        lines = packed.read().decode().splitlines()
+    time_s = 3.1e8 + np.arange(len(lines) - 1) * 1.3e-5
+    timed = [f"{lines[0]},time", *(f"{line},{t!r}" for line, t in zip(lines[1:], time_s.tolist(), strict=True))]
+    (folder / "timed.csv").write_text("\n".join(timed) + "\n")
+    table = np.genfromtxt(lines[1:], delimiter=",")
+    random = np.random.default_rng(1)
+    kept = np.flatnonzero(np.isfinite(table[:, 3]) & (random.random(len(table)) < 0.8))
+    mapping = load_mapping("oakland")
+    index = mapping.class_indices(table[kept, 7].astype(np.int64), "reference")
+    codes = np.array(
+        [*({"ground": 2, "vegetation": 5, "building": 6}.get(n, 65) for n in mapping.names("reference")), 0]
+    )
+    (folder / "tiles").mkdir()
+    for k, part in enumerate(np.array_split(random.permutation(len(kept)), 3)):
+        record = kept[part]
+        write_las(folder / "tiles" / f"{k}.laz", table[record, 4:7], codes[index[part]], time_s[record], record)
+    np.save(folder / "labels_kept.npy", np.load(folder / "labels.npy").ravel()[kept])
+    np.save(folder / "truth_kept.npy", codes[index])
+    return folder
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("match", ["time", "dimension:record", "nearest"])
+def test_oakland_raw_against_registered(oakland: Path, match: str) -> None:
+    options = EvaluateOptions(match=match, predicted_points=oakland / "timed.csv", min_matched=1.0)
+    found = evaluate_all([oakland / "labels.npy"], [oakland / "tiles"], options=options)
+    expected = evaluate_all([oakland / "labels_kept.npy"], [oakland / "truth_kept.npy"])
+    assert found.match.n_matched == found.match.n_reference == expected.match.n_matched > 50_000
+    np.testing.assert_array_equal(found.matrix.counts, expected.matrix.counts)
+    assert found.matrix.n_ignored == expected.matrix.n_ignored

@@ -1,0 +1,368 @@
+"""Simulated scans as files: every format gives the stream and its reference back, whatever the threads."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.errors import ConfigError, OutputExistsError
+from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.formats.labels.read import open_codes
+from prc_cli.jobs.classify import classify, open_stream
+from prc_cli.jobs.evaluate import evaluate
+from prc_cli.jobs.simulate import Beside, reference_path, simulate
+from prc_cli.simulation.settings import Kind, Settings, load_settings
+from prc_cli.simulation.simulation import open_simulation
+from prc_cli.stream.blocks import join
+
+FORMATS = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst", ".bin", ".npz", ".npy", ".e57")
+REGISTERED = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst")
+SCANNER: dict[str, Any] = {"points_per_line": 240, "line_hz": 20.0}
+LINES = 70
+
+
+def small(kind: Kind, **options: Any) -> Settings:
+    """A scan of a few thousand shots; more lines than are simulated together."""
+    table: dict[str, Any] = {"seed": 3, "sight_m": 30.0, "lines": LINES, "scanner": SCANNER}
+    if kind == "street-scan":
+        table["scanner"] = {"points_per_line": 120, "azimuth_step_deg": 360 / LINES}
+    return load_settings(kind, options=table | options)
+
+
+def several_returns() -> Settings:
+    return small("street", scanner={"name": "profiler-1mhz", "points_per_line": 500, "line_hz": 20.0})
+
+
+def config(path: Path, preset: str | None = None, **inputs: Any) -> LoadedConfig:
+    beside = path.with_name(f"{path.name}.toml") if path.suffix == ".bin" else None
+    return load_config(beside, preset, {"input": inputs})
+
+
+def whole(items: list[LabelledBlock]) -> tuple[ScanBlock, Any]:
+    return join([item.block for item in items]), np.concatenate([item.labels for item in items])
+
+
+def read(path: Path, **inputs: Any) -> ScanBlock:
+    return join(list(open_stream(path, config(path, **inputs)).blocks()))
+
+
+def same(left: Any, right: Any) -> bool:
+    return np.array_equal(left, right, equal_nan=True)
+
+
+@pytest.fixture(scope="module")
+def drive() -> tuple[ScanBlock, Any]:
+    return whole(list(open_simulation("street", small("street"), threads=1).scan.labelled_blocks()))
+
+
+def test_the_scan_has_what_a_street_has(drive: tuple[ScanBlock, Any]) -> None:
+    block, labels = drive
+    assert block.range_m.shape == labels.shape == (LINES, 240)
+    assert same(np.isnan(block.range_m), labels == Label.MISSING)
+    share = np.bincount(labels.ravel(), minlength=len(Label)) / labels.size
+    assert share[Label.GROUND] > 0.2
+    assert share[Label.BUILDING] > 0.02
+    assert 0.0 < share[Label.MISSING] < 0.7
+    assert block.is_last
+    assert block.intensity is not None
+    assert same(np.isnan(block.intensity), np.isnan(block.range_m))
+    assert same(np.nan_to_num(block.intensity) % 1, np.zeros(labels.shape))
+    assert block.time_s is not None
+    assert (np.diff(block.time_s.ravel()) > 0).all()
+
+
+@pytest.mark.parametrize("lines", [1, 7, 64, 1000])
+def test_neither_blocks_nor_threads_change_anything(drive: tuple[ScanBlock, Any], lines: int) -> None:
+    scan = open_simulation("street", small("street"), threads=2).scan
+    items = list(scan.labelled_blocks(lines))
+    assert max(item.block.n_lines for item in items) == min(lines, 64)
+    block, labels = whole(items)
+    assert same(labels, drive[1])
+    for name in ("range_m", "time_s", "intensity"):
+        assert same(getattr(block, name), getattr(drive[0], name))
+    assert [item.block.is_last for item in items] == [False] * (len(items) - 1) + [True]
+    with pytest.raises(ConfigError, match="found 0, expected at least 1 line"):
+        next(scan.blocks(0))
+
+
+def test_blocks_keep_the_further_returns_of_their_lines() -> None:
+    scan = open_simulation("street", several_returns(), threads=1).scan
+    one = join([item.block for item in scan.labelled_blocks()])
+    cut = join([item.block for item in scan.labelled_blocks(5)])
+    assert len(one.extra) > 20
+    for name in ("line", "column", "range_m"):
+        assert same(getattr(one.extra, name), getattr(cut.extra, name))
+    assert (one.extra.range_m > one.range_m[one.extra.line, one.extra.column]).all()
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_format_gives_ranges_and_reference_back(
+    drive: tuple[ScanBlock, Any], tmp_path: Path, suffix: str
+) -> None:
+    out = tmp_path / f"drive{suffix}"
+    summary = simulate("street", out, small("street"), threads=2)
+    block, labels = drive
+    after = read(out)
+    n_lines = len(after.range_m)
+    # LAS knows lines by their returns alone
+    assert n_lines == LINES
+    assert same(after.range_m, block.range_m[:, : after.points_per_line])
+    assert np.isnan(block.range_m[:, after.points_per_line :]).all()
+    beside = reference_path(out)
+    has_own = suffix not in (".npy", ".bin", ".e57")
+    assert beside.exists() != has_own
+    codes = np.concatenate(list(open_codes(out if has_own else beside).chunks()))
+    expected = ClassCodes().lookup()[labels]
+    if suffix in (".laz", ".las"):
+        expected = expected[labels != Label.MISSING]
+    assert same(codes, expected.ravel())
+    assert set(summary.files) == {*tmp_path.iterdir()}
+
+
+def test_parquet_holds_the_reference_too(drive: tuple[ScanBlock, Any], tmp_path: Path) -> None:
+    summary = simulate("street", tmp_path / "drive.parquet", small("street"))
+    codes = np.concatenate(list(open_codes(summary.output).chunks()))
+    assert same(codes, ClassCodes().lookup()[drive[1]].ravel())
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".npz", ".csv", ".e57", ".bin", ".npy"])
+def test_the_same_bytes_twice(tmp_path: Path, suffix: str) -> None:
+    found = []
+    for folder, threads in (("a", 1), ("b", 2)):
+        (tmp_path / folder).mkdir()
+        simulate("street", tmp_path / folder / f"a{suffix}", several_returns(), threads=threads)
+        found.append({path.name: path.read_bytes() for path in (tmp_path / folder).iterdir()})
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("suffix", [".laz", ".csv", ".e57"])
+def test_further_returns_have_their_classes_at_their_records(tmp_path: Path, suffix: str) -> None:
+    out, labels = tmp_path / f"a{suffix}", tmp_path / "labels.npy"
+    simulate("street", out, several_returns(), beside=Beside(labels=labels))
+    items = list(open_simulation("street", several_returns()).scan.labelled_blocks())
+    block, truth = whole(items)
+    further = np.concatenate([item.extra_labels for item in items])
+    after = read(out)
+    assert same(np.sort(after.extra.range_m), np.sort(block.extra.range_m))
+    codes = np.load(labels)
+    lookup = ClassCodes().lookup()
+    record = after.records()
+    there = ~np.isnan(block.range_m[:, : after.points_per_line])
+    assert same(codes[record[there]], lookup[truth[:, : after.points_per_line][there]])
+    order = np.lexsort((after.extra.range_m, after.extra.column, after.extra.line))
+    assert same(codes[after.extra.record[order]], lookup[further])
+    if suffix != ".e57":
+        assert same(np.concatenate(list(open_codes(out).chunks())), codes)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv", ".bin", ".npy", ".e57"])
+def test_classify_and_evaluate_run_from_the_written_file(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"drive{suffix}"
+    simulate("street", out, small("street"))
+    classify(out, tmp_path / "labels.npy", config(out, "urban"))
+    own = out if suffix in (".npz", ".laz", ".csv") else reference_path(out)
+    matrix = evaluate(tmp_path / "labels.npy", own, "prc")
+    assert matrix.counts.sum() > 0.3 * LINES * 240
+
+
+@pytest.mark.parametrize("suffix", REGISTERED)
+def test_ranges_from_the_trajectory_are_those_of_the_scanner(
+    drive: tuple[ScanBlock, Any], tmp_path: Path, suffix: str
+) -> None:
+    out, track = tmp_path / f"drive{suffix}", tmp_path / "drive_track.csv"
+    simulate("street", out, small("street"), beside=Beside(trajectory=track))
+    after = read(out, range=f"trajectory:{track}")
+    before = drive[0].range_m[:, : after.points_per_line]
+    assert same(np.isnan(after.range_m), np.isnan(before))
+    assert np.nanmax(np.abs(after.range_m - before)) < 0.003
+
+
+def test_an_sbet_trajectory_gives_the_same_ranges(drive: tuple[ScanBlock, Any], tmp_path: Path) -> None:
+    pytest.importorskip("pyproj")
+    out, track = tmp_path / "drive.laz", tmp_path / "drive.sbet"
+    summary = simulate("street", out, small("street"), beside=Beside(trajectory=track))
+    assert "registered coordinates are those of EPSG:32635" in summary.record.notices
+    after = read(out, range=f"trajectory:{track}", trajectory_crs="EPSG:32635")
+    assert np.nanmax(np.abs(after.range_m - drive[0].range_m[:, : after.points_per_line])) < 0.003
+
+
+@pytest.mark.parametrize(
+    ("crs", "said"), [("EPSG:4326", "is not a projected one in metres"), ("EPSG:99999", "cannot be used")]
+)
+@pytest.mark.parametrize("track", [None, "drive.sbet", "drive.csv"])
+def test_a_frame_that_is_none_is_refused_by_the_name_of_its_file(
+    tmp_path: Path, track: str | None, crs: str, said: str
+) -> None:
+    pytest.importorskip("pyproj")
+    beside = Beside(trajectory=tmp_path / track if track else None)
+    with pytest.raises(ConfigError, match=said) as error:
+        simulate("street", tmp_path / "drive.laz", small("street", frame={"crs": crs}), beside=beside)
+    assert error.value.where == str(tmp_path / (track or "drive.laz"))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".laz", ".csv", ".e57"])
+def test_a_static_scan_can_be_classified_by_its_own_method(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"station{suffix}"
+    settings = load_settings("street-scan", options={"seed": 3, "scanner": {"azimuth_step_deg": 0.5}, "lines": 200})
+    simulate("street-scan", out, settings)
+    labels = np.concatenate([item.labels for item in open_simulation("street-scan", settings).scan.labelled_blocks()])
+    inputs = {} if suffix in (".npz", ".e57") else {"range": "dimension:range" if suffix == ".laz" else "auto"}
+    classify(out, tmp_path / "labels.npy", config(out, "street-scan", **inputs))
+    codes = np.load(tmp_path / "labels.npy").ravel()
+    truth = ClassCodes().lookup()[labels].ravel()
+    if suffix == ".laz":
+        truth = truth[truth != 0]
+    road = truth == ClassCodes().ground
+    horizontal = np.isin(codes, [ClassCodes().ground, ClassCodes().horizontal])
+    assert horizontal[road].mean() > 0.8
+
+
+def test_the_tripod_has_room_and_stands_on_the_ground() -> None:
+    for seed in range(4):
+        settings = small("street-scan", seed=seed, station={"along_m": 20.0 * seed, "clearance_m": 2.5})
+        found = open_simulation("street-scan", settings)
+        block, labels = whole(list(found.scan.labelled_blocks()))
+        assert np.nanmin(block.range_m[labels != Label.NOISE]) > 1.5
+        assert block.xyz_m is not None
+        ground = labels == Label.GROUND
+        near = ground & (block.range_m < 4.0)
+        assert np.abs(np.median(block.xyz_m[near][:, 2]) + settings.scanner.height_m) < 0.25
+
+
+def test_the_forest_lists_its_trees_and_knows_two_references(tmp_path: Path) -> None:
+    settings = small("forest", sight_m=20.0)
+    simulate("forest", tmp_path / "a.npz", settings, beside=Beside(stems=tmp_path / "stems.csv"))
+    simulate("forest", tmp_path / "b.npz", settings, reference="cylinders")
+    with np.load(tmp_path / "a.npz") as truth, np.load(tmp_path / "b.npz") as cylinders:
+        assert same(truth["range_m"], cylinders["range_m"])
+        stem, ground = ClassCodes().stem, ClassCodes().ground
+        assert (truth["class"] == stem).any()
+        assert set(np.unique(cylinders["class"])) <= {0, stem, ground, ClassCodes().noise}
+        # most of what is a low stem lies in a cylinder, but cylinders hold other things too
+        assert (cylinders["class"] == stem).any()
+        assert not same(truth["class"], cylinders["class"])
+    rows = (tmp_path / "stems.csv").read_text().splitlines()
+    assert rows[0].startswith("species,x_m,y_m,z_m,dbh_m")
+    assert 100 < len(rows) == len(set(rows))
+
+
+def test_the_record_says_what_it_was_made_from(tmp_path: Path) -> None:
+    summary = simulate("street", tmp_path / "a.npz", small("street"))
+    record = json.loads((tmp_path / "a.npz.prc.json").read_text())
+    table = record["config"]["simulation"]
+    assert (table["kind"], table["seed"], table["scanner"]["points_per_line"]) == ("street", 3, 240)
+    assert record["format"] == "simulation"
+    assert record["stream"]["n_lines"] == LINES
+    assert sum(item["count"] for item in record["classes"]) + record["stream"]["n_missing"] == LINES * 240
+    assert summary.counts.n_shots == LINES * 240
+
+
+def test_lengths_durations_and_speeds() -> None:
+    def lines(**options: Any) -> int:
+        table = {"scanner": {"points_per_line": 10, "line_hz": 40.0}, **options}
+        return open_simulation("street", load_settings("street", options=table)).scan.n_lines
+
+    even = {"stop_every_m": 0.0, "speed_variation": 0.0}
+    assert lines(length_m=50.0, trajectory={"speed_m_s": 5.0, **even}) == 400
+    assert lines(duration_s=3.0) == 120
+    assert lines(lines=17, duration_s=3.0) == 17
+    # at this speed stops have no room between them: they are moved apart, unless they were asked for
+    assert lines(length_m=20.0, trajectory={"speed_m_s": 20.0}) > 1
+    with pytest.raises(ConfigError, match="stop_every_m of at least"):
+        lines(trajectory={"speed_m_s": 20.0, "stop_every_m": 200.0})
+
+
+def test_memory_does_not_grow_with_the_length(tmp_path: Path) -> None:
+    def peak(lines: int) -> int:
+        settings = small("street", lines=lines, trajectory={"stop_every_m": 0.0, "speed_m_s": 1.0})
+        tracemalloc.start()
+        simulate("street", tmp_path / "a.npz", settings, threads=1, overwrite=True)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    peak(LINES)
+    assert peak(20 * LINES) < 1.5 * peak(5 * LINES)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "said"),
+    [
+        ("street", {"scanner": {"name": "photon"}}, "scanner.name: found 'photon', expected one of: photon-80"),
+        ("street", {"scanner": {"slant": 3}}, "unknown key 'scanner.slant'; did you mean 'slant_deg'"),
+        ("street", {"scanner": {"name": "scanstation2"}}, "the scanner is static, expected one for a street"),
+        ("street-scan", {"scanner": {"name": "photon-80"}}, "none for a tripod.*choose from: scanstation2"),
+        ("street-scan", {"trajectory": {}}, "unknown key 'trajectory'"),
+        ("forest", {"scene": {"stems_per_ha": -1}}, "scene.stems_per_ha: found -1, expected: "),
+        ("street", {"scene": 3}, "scene: found 3, expected: a table"),
+        ("meadow", {}, "found 'meadow', expected one of: street, forest, street-scan"),
+    ],
+)
+def test_wrong_parameters_are_named(kind: Any, options: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        load_settings(kind, options=options)
+
+
+def test_a_file_gives_parameters_and_options_win(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text('seed = 5\n[scanner]\nname = "profiler-1mhz"\nslant_deg = 40\n[scene]\nname = "suburb"\n')
+    found = load_settings("street", path, {"scanner": {"slant_deg": 30.0}})
+    assert (found.seed, found.scanner.line_hz, found.scanner.slant_deg) == (5, 200.0, 30.0)
+    assert found.scene.character == "suburb"  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("kind", "output", "beside", "said"),
+    [
+        ("street", "a.npz", {"labels": "a.csv"}, "found suffix '.csv', expected .npy"),
+        ("street", "a.npz", {"trajectory": "w.txt"}, r"w.txt: found suffix '.txt', expected .csv or .sbet or .out"),
+        ("forest", "a.npz", {"trajectory": "w"}, r"w: found suffix '', expected .csv or .sbet or .out"),
+        ("forest", "a.npz", {"stems": "stems.txt"}, r"stems.txt: found suffix '.txt', expected .csv; write the stems"),
+        ("street", "a.npz", {"stems": "a.csv"}, "asked for in a street, which has none"),
+        ("street-scan", "a.npz", {"trajectory": "a.csv"}, "asked for of a tripod"),
+        ("street", "a.csv", {"trajectory": "a.csv"}, "two of the files .* have one name"),
+        ("street", "a.xyz", {}, "found suffix '.xyz'"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_first(
+    tmp_path: Path, kind: Kind, output: str, beside: dict[str, str], said: str
+) -> None:
+    names = Beside(**{key: tmp_path / name for key, name in beside.items()})
+    with pytest.raises(ConfigError, match=said):
+        simulate(kind, tmp_path / output, small(kind), beside=names)
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_replaced_unasked_and_nothing_is_left_of_a_failed_run(tmp_path: Path) -> None:
+    (tmp_path / "a_reference.npy").write_text("mine")
+    with pytest.raises(OutputExistsError, match="a_reference.npy: exists already"):
+        simulate("street", tmp_path / "a.e57", small("street"))
+
+    def fail(lines: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate("street", tmp_path / "b.e57", small("street"), beside=Beside(tmp_path / "t.csv"), progress=fail)
+    assert [path.name for path in tmp_path.iterdir()] == ["a_reference.npy"]
+
+
+def test_a_preset_is_refused_beside_the_same_table_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "street.toml"
+    path.write_text("[scanner]\nslant_deg = 10\n")
+    with pytest.raises(ConfigError, match=r"beside slant_deg in \[scanner\]"):
+        load_settings("street", path, {"scanner": {"name": "profiler-1mhz"}})
+    assert load_settings("street", path, {"scanner": {"noise_m": 0.01}}).scanner.slant_deg == 10
+
+
+def test_a_head_turns_once() -> None:
+    settings = load_settings("street-scan", options={"lines": 91, "scanner": {"azimuth_step_deg": 4.0}})
+    with pytest.raises(ConfigError, match="found 91, expected at most 90: the head turns once"):
+        open_simulation("street-scan", settings)

@@ -1,0 +1,302 @@
+"""Thinned streams: what is dropped is missing, what stays is untouched, and everything is counted."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
+from prc_cli.formats.las.copy import read_las
+from prc_cli.jobs.classify import classify
+from prc_cli.jobs.convert import convert
+from prc_cli.jobs.thin import CLASSIFY, parse_rules, thin
+from prc_cli.jobs.thin.selection import keep_by_pattern, keep_by_spacing
+from tests.jobs.test_convert import (
+    config,
+    same_bits,
+    scans,
+    two_scanners,
+)
+from tests.street import angles, street
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    path = tmp_path / "drive.npz"
+    np.savez(path, range_m=street(), angle_deg=np.rad2deg(angles()))
+    return path
+
+
+@pytest.fixture
+def labelled(drive: Path, tmp_path: Path) -> Path:
+    """The street as classified LAZ."""
+    classify(drive, tmp_path / "drive.laz")
+    return tmp_path / "drive.laz"
+
+
+def ranges(path: Path) -> Any:
+    with np.load(path) as arrays:
+        return arrays["range_m"]
+
+
+def codes(drive: Path, tmp_path: Path) -> Any:
+    if not (tmp_path / "labels.npy").exists():
+        classify(drive, tmp_path / "labels.npy")
+    return np.load(tmp_path / "labels.npy").reshape(street().shape)
+
+
+def expected(drive: Path, tmp_path: Path) -> Any:
+    """The street without noise and with a quarter of its ground, said in another way."""
+    image, found = street(), codes(drive, tmp_path)
+    for line, column in np.argwhere(~np.isnan(image)):
+        quarter = (column + 2 * line) % 4 == 0
+        if found[line, column] == 7 or (found[line, column] == 2 and not quarter):
+            image[line, column] = np.nan
+    return image
+
+
+QUARTER = parse_rules(["ground=1/4"])
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz", ".csv.gz", ".npz", ".npy", ".bin"])
+@pytest.mark.parametrize("source", [".npz", ".laz"])
+def test_what_is_dropped_is_missing(drive: Path, labelled: Path, tmp_path: Path, suffix: str, source: str) -> None:
+    out = tmp_path / f"thin{suffix}"
+    summary = thin(drive, out, QUARTER, labels=CLASSIFY) if source == ".npz" else thin(labelled, out, QUARTER)
+    (block,) = scans(out, config(out)).values()
+    assert same_bits(block.range_m, expected(drive, tmp_path))
+    (noise,) = [item for item in summary.classes if item.name == "noise"]
+    assert (noise.n_kept, noise.n_input) == (0, int((codes(drive, tmp_path) == 7).sum()))
+    (ground,) = [item for item in summary.classes if item.name == "ground"]
+    assert ground.n_kept / ground.n_input == pytest.approx(0.25, abs=0.02)
+    note = json.loads((tmp_path / f"thin{suffix}.prc.json").read_text())["notices"]
+    assert any(text.startswith("thinned: ") for text in note)
+    assert any("(ground=1/4)" in text for text in note)
+
+
+def test_las_keeps_everything_else(labelled: Path, tmp_path: Path) -> None:
+    summary = thin(labelled, tmp_path / "thin.laz", QUARTER)
+    before, after = laspy.read(labelled), laspy.read(tmp_path / "thin.laz")
+    code, line, column = (np.asarray(before[name]) for name in ("classification", "scan_line", "column"))
+    stays = (code != 7) & ((code != 2) | keep_by_pattern(line, column, Fraction(1, 4)))
+    assert np.array_equal(before.points.array[stays], after.points.array)
+    assert sum(item.n_kept for item in summary.classes) == len(after) == int(stays.sum())
+    header = after.header
+    assert header.point_count == len(after)
+    assert list(header.number_of_points_by_return[:2]) == [len(after), 0]
+    xyz = np.asarray(after.xyz)
+    assert np.allclose(header.mins, xyz.min(axis=0), atol=1e-9)
+    assert np.allclose(header.maxs, xyz.max(axis=0), atol=1e-9)
+    left, right = read_las(labelled), read_las(tmp_path / "thin.laz")
+    kept = [vlr.raw for vlr in right.vlrs if vlr.key[0] != "prc-cli"]
+    assert kept == [vlr.raw for vlr in left.vlrs]
+    assert [vlr.key for vlr in right.vlrs][-1] == ("prc-cli", 1)
+    assert "thinned: " in right.vlrs[-1].payload.decode()
+    assert summary.bytes_output < summary.bytes_input
+    assert sum(item.n_bytes for item in summary.classes) == pytest.approx(
+        summary.bytes_input - summary.bytes_output, abs=len(summary.classes)
+    )
+
+
+def test_only_noise_goes_by_default_and_stays_if_asked(labelled: Path, tmp_path: Path) -> None:
+    thin(labelled, tmp_path / "a.las")
+    found = np.bincount(laspy.read(tmp_path / "a.las").classification, minlength=8)
+    whole = np.bincount(laspy.read(labelled).classification)
+    assert found[7] == 0
+    assert found[:7].tolist() == whole[:7].tolist()
+    thin(labelled, tmp_path / "b.las", parse_rules(["noise=1"], drop=["vegetation"]))
+    found = np.bincount(laspy.read(tmp_path / "b.las").classification)
+    assert (found[7], found[5]) == (whole[7], 0)
+
+
+def test_spacing_is_what_it_says(drive: Path, tmp_path: Path) -> None:
+    thin(drive, tmp_path / "a.npz", parse_rules(spacing=["ground=0.5"]), labels=CLASSIFY)
+    image, found = ranges(tmp_path / "a.npz"), codes(drive, tmp_path)
+    angle, gaps = angles(), []
+    for line in range(len(image)):
+        columns = np.flatnonzero((found[line] == 2) & ~np.isnan(image[line]))
+        away = image[line, columns].astype(np.float64)
+        place = np.stack([away * np.cos(angle[columns]), away * np.sin(angle[columns])], 1)
+        gaps.extend(np.linalg.norm(np.diff(place, axis=0), axis=1))
+    assert min(gaps) >= 0.5
+    assert np.median(gaps) < 1.0
+    other = (found != 2) & (found != 7)
+    assert np.array_equal(image[other], street()[other], equal_nan=True)
+
+
+@given(st.integers(0, 30), st.integers(1, 30), st.integers(0, 10**6))
+def test_a_share_is_exact_along_every_line(part: int, whole: int, line: int) -> None:
+    share = Fraction(min(part, whole), whole)
+    columns = np.arange(share.denominator * 5)
+    kept = keep_by_pattern(np.full(len(columns), line), columns, share)
+    assert kept.sum() == share.numerator * 5
+    for start in range(len(columns) - share.denominator):  # evenly: in every window of a period
+        assert kept[start : start + share.denominator].sum() == share.numerator
+
+
+@given(st.lists(st.floats(0, 100), min_size=1, max_size=60), st.floats(0.1, 20))
+def test_spacing_against_a_plain_loop(places: list[float], spacing: float) -> None:
+    position = np.array(places)[None, :, None]
+    chosen = np.ones((1, len(places)), np.bool_)
+    wanted, last = [], np.inf
+    for place in places:
+        taken = bool((place - last) ** 2 >= spacing**2)
+        wanted.append(taken)
+        last = place if taken else last
+    assert keep_by_spacing(position, chosen, spacing)[0].tolist() == wanted
+
+
+@pytest.mark.parametrize("suffix", [".las", ".csv"])
+def test_several_scanners_and_returns(tmp_path: Path, suffix: str) -> None:
+    source, loaded = two_scanners(tmp_path / "two.las"), config(scanner="point_source_id")
+    rules = parse_rules(["2=1/3", "5=0"])
+    out = tmp_path / f"out{suffix}"
+    thin(source, out, rules, loaded)
+    before = laspy.read(source)
+    code, line, column = (np.asarray(before[name]) for name in ("classification", "scan_line", "column"))
+    first = [block.first_line for block in scans(source, loaded).values()]
+    assert first == [0, 0]
+    stays = (code != 5) & ((code != 2) | keep_by_pattern(line, column, Fraction(1, 3)))
+    if suffix == ".las":
+        assert np.array_equal(laspy.read(out).points.array, before.points.array[stays])
+    after = scans(out, loaded)
+    n_after = sum(int((~np.isnan(block.range_m)).sum()) + len(block.extra) for block in after.values())
+    assert n_after == int(stays.sum())
+    if suffix == ".csv":  # a table keeps its empty cells
+        assert [block.points_per_line for block in after.values()] == [20, 33]
+    assert (np.asarray(before["number_of_returns"])[stays] > 1).any()
+
+
+def test_the_nearest_return_takes_the_cell_of_a_dropped_one(tmp_path: Path) -> None:
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
+        header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
+    las = laspy.LasData(header)
+    n = 4
+    las.x = las.y = las.z = np.zeros(n)
+    las["range"], las["scan_line"], las["column"] = [3.0, 9.0, 12.0, 5.0], [0] * n, [0, 0, 0, 1]
+    las.return_number, las.number_of_returns = [1, 2, 3, 1], [3, 3, 3, 1]
+    las.gps_time, las.intensity, las.classification = [1, 1, 1, 2], [90, 5, 6, 7], [7, 2, 2, 2]
+    las.write(tmp_path / "a.las")
+    for suffix in (".csv", ".npz"):
+        thin(tmp_path / "a.las", tmp_path / f"out{suffix}")
+        (block,) = scans(tmp_path / f"out{suffix}", config()).values()
+        assert block.range_m.tolist() == [[9.0, 5.0]]
+        assert block.extra.range_m.tolist() == ([12.0] if suffix == ".csv" else [])
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".csv", ".parquet"])
+def test_a_label_file_decides(drive: Path, tmp_path: Path, suffix: str) -> None:
+    labels = tmp_path / f"l{suffix}"
+    classify(drive, labels)
+    thin(drive, tmp_path / "a.npz", QUARTER, labels=labels)
+    assert same_bits(ranges(tmp_path / "a.npz"), expected(drive, tmp_path))
+
+
+def test_the_same_bytes_twice(labelled: Path, drive: Path, tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        thin(labelled, tmp_path / folder / "t.laz", QUARTER)
+        thin(drive, tmp_path / folder / "t.npz", QUARTER, labels=CLASSIFY)
+    names = sorted(path.name for path in (tmp_path / "a").iterdir())
+    assert names == ["t.laz", "t.laz.prc.json", "t.npz", "t.npz.prc.json"]
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("rules", "said"),
+    [
+        ({"keep": ["gruond=1/4"]}, "unknown class 'gruond'; did you mean 'ground'?"),
+        ({"spacing": ["xyzzy=1"]}, "unknown class 'xyzzy'; known classes: unclassified, noise, ground"),
+        ({"drop": ["vegitation"]}, "did you mean 'vegetation'?"),
+        ({"keep": ["ground=5/4"]}, "found 'ground=5/4', expected a fraction from 0 to 1"),
+        ({"keep": ["ground=-1/4"]}, "expected a fraction from 0 to 1"),
+        ({"keep": ["ground=1/0"]}, "expected a fraction from 0 to 1"),
+        ({"keep": ["ground=nan"]}, "expected a fraction from 0 to 1"),
+        ({"keep": ["ground=1/9999999"]}, "denominator up to 1000000"),
+        ({"keep": ["ground"]}, "found 'ground', expected CLASS=FRACTION"),
+        ({"keep": ["=1/4"]}, "expected CLASS=FRACTION"),
+        ({"spacing": ["ground=0"]}, "expected a distance above 0"),
+        ({"spacing": ["ground=inf"]}, "expected a distance above 0"),
+        ({"spacing": ["ground=ten"]}, "expected a distance above 0"),
+        ({"keep": ["ground=1/4"], "spacing": ["ground=1"]}, "class code 2 is named twice"),
+        ({"keep": ["ground=1/4", "2=1/2"]}, "class code 2 is named twice"),
+    ],
+)
+def test_rules_that_make_no_sense(rules: dict[str, list[str]], said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_rules(**rules)
+    assert said in str(caught.value)
+
+
+def test_bad_input_is_one_line_and_leaves_nothing(drive: Path, labelled: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    np.save(tmp_path / "short.npy", np.ones(77, np.uint8))
+    with pytest.raises(InputError, match=r"short.npy: found 77 labels, expected 24660, one a record of drive.npz"):
+        thin(drive, out / "a.npz", labels=tmp_path / "short.npy")
+    with pytest.raises(InputError, match="found 77 labels, expected"):
+        thin(labelled, out / "a.laz", labels=tmp_path / "short.npy")
+    with pytest.raises(ConfigError, match="no class codes in the input, and none were given; give --labels FILE"):
+        thin(drive, out / "a.npz")
+    everything = parse_rules(drop=["ground", "building", "vegetation", "unclassified"])
+    with pytest.raises(ConfigError, match="returns would be dropped, expected some to stay"):
+        thin(labelled, out / "a.laz", everything)
+    with pytest.raises(ConfigError, match="the cells of shots follow from their order"):
+        thin(labelled, out / "a.laz", config=config(columns="order"))
+    np.savez(tmp_path / "bare.npz", range_m=street())
+    with pytest.raises(ConfigError, match="neither scan angles nor coordinates"):
+        thin(tmp_path / "bare.npz", out / "a.npz", parse_rules(spacing=["ground=1"]), labels=CLASSIFY)
+    with pytest.raises(OutputExistsError, match="the output is the input itself"):
+        thin(labelled, labelled, overwrite=True)
+    with pytest.raises(OutputExistsError, match="the output is the input itself"):
+        thin(drive, tmp_path / "short.npy", labels=tmp_path / "short.npy", overwrite=True)
+    assert list(out.iterdir()) == []
+
+
+def test_a_class_that_is_not_there_is_told(labelled: Path, tmp_path: Path) -> None:
+    summary = thin(labelled, tmp_path / "a.laz", parse_rules(["stem=1/2"]))
+    assert "stem: no return has this class (code 64)" in summary.record.notices
+
+
+@pytest.mark.data
+def test_cells_by_time_are_found_again(real_data: Path, tmp_path: Path) -> None:
+    las = laspy.read(real_data / "profiler/jakarto_0.02s.las")
+    middle = [float(np.mean([np.min(axis), np.max(axis)])) for axis in (las.x, las.y, las.z)]
+    inputs = {
+        "lines": "time:199.3581", "columns": "time:1016528", "range_": f"origin:{middle[0]},{middle[1]},{middle[2]}",
+        "order": "trust",
+    }  # fmt: skip
+    rules = parse_rules(["ground=1/2"])
+    preset: LoadedConfig = load_config(None, "urban", {"input": {k.rstrip("_"): v for k, v in inputs.items()}})
+    out = tmp_path / "out.las"
+    summary = thin(real_data / "profiler/jakarto_0.02s.las", out, rules, preset, labels=CLASSIFY)
+    (hint,) = [text for text in summary.record.notices if "time_origin" in text]
+    origin = float(hint.rpartition("=")[2])
+    (before,) = scans(real_data / "profiler/jakarto_0.02s.las", preset).values()
+    (after,) = scans(out, config(**inputs, time_origin=origin)).values()
+    left, right = before.range_m[: after.n_lines], after.range_m
+    stays = ~np.isnan(right)
+    n_kept = sum(item.n_kept for item in summary.classes)
+    assert abs(n_kept - int(stays.sum()) - len(after.extra)) <= 2
+    # four shots share a stamp of 3.8 us: most of those that are left move by a column or two, and the notice says so
+    assert any("may move by a column" in text for text in summary.record.notices)
+    found = [np.any([np.roll(left, by, axis=1)[stays] == right[stays] for by in range(-4, 5)], axis=0)]
+    assert np.mean(found) > 0.99
+
+
+def test_converting_a_thinned_file_keeps_what_is_left(labelled: Path, tmp_path: Path) -> None:
+    thin(labelled, tmp_path / "a.laz", QUARTER)
+    convert(tmp_path / "a.laz", tmp_path / "a.csv")
+    (left,), (right,) = (scans(tmp_path / name, config()).values() for name in ("a.laz", "a.csv"))
+    assert same_bits(left.range_m, right.range_m)

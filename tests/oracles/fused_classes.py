@@ -1,0 +1,276 @@
+"""Slow and obvious twins of :mod:`prc_cli.kernels.fused.classes`: the questions of the decision, one by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import floor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, U8, Mask
+
+MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
+Slots = NDArray[np.uint64]
+
+WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
+NAMES = [
+    "least", "spike", "below", "leaf_slots", "walked", "level", "soil", "share", "share_before", "before", "front",
+    "behind", "over", "car_top", "car_bins", "car_bins_rough", "pole", "jump", "far", "crown", "foot",
+    "held", "ghost", "ghost_near",
+]  # fmt: skip
+
+
+def mean_smoothness(
+    range_m: F32, near: U8, smooth: U8, step: np.float32, least_near: np.float32, half_m: np.float32
+) -> F32:
+    """Average smoothness; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    mean = np.zeros((len(range_m) - 4, range_m.shape[1]), np.float32)
+    pairs = np.minimum(smooth, 8).astype(int)
+    for line, i in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
+        columns = int(min(max(int(half_m / (range_m[line + 2, i] * step)), 2), 60))
+        place = slice(line, line + 5), slice(max(i - columns, 0), i + columns + 1)
+        counts = near[place] >= least_near
+        if counts.any():
+            mean[line, i] = np.float32(pairs[place][counts].sum()) / (np.float32(8) * np.float32(counts.sum()))
+    return mean
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """A shot and what is known around it."""
+
+    window: F32
+    points: tuple[F32, F32, F32]
+    counts: tuple[U8, U8, U8, U8]
+    is_walked: bool
+    texture: np.float32
+    slots: tuple[Slots, Slots]
+    walls: tuple[F32, F32, F32]
+    levels: U8
+    step: np.float32
+    figures: dict[str, Any]
+    line: int
+    i: int
+
+    @property
+    def near(self) -> int:
+        return int(self.counts[0][self.line + 2, self.i])
+
+    @property
+    def smooth(self) -> int:
+        return int(self.counts[1][self.line + 2, self.i])
+
+    @property
+    def upright(self) -> int:
+        return int(self.counts[2][self.line + 2, self.i])
+
+    @property
+    def level(self) -> int:
+        return int(self.counts[3][self.line + 2, self.i])
+
+    @property
+    def range_m(self) -> np.float32:
+        return np.float32(self.window[self.line + 4, self.i])
+
+    @property
+    def side(self) -> np.float32:
+        return np.float32(self.points[0][self.line + 2, self.i])
+
+    @property
+    def height(self) -> np.float32:
+        return np.float32(self.points[1][self.line + 2, self.i])
+
+    @property
+    def above(self) -> np.float32:
+        return np.float32(self.points[2][self.line + 2, self.i])
+
+    @property
+    def strip(self) -> int | None:
+        b = floor(self.side / WIDTH) + N // 2
+        return b if 0 <= b < N else None
+
+    @property
+    def slot(self) -> int:
+        return min(max(int(self.above / SLOT), 0), 63)
+
+    def filled(self, which: int) -> list[bool]:
+        """Return which slots of the strip have something, from low to high."""
+        word = int(self.slots[which][self.line, self.strip])
+        return [bool(word >> k & 1) for k in range(64)]
+
+    def is_in_wall(self) -> bool:
+        if self.strip is None:
+            return False
+        at, top = self.walls[0][self.line, self.strip], self.walls[1][self.line, self.strip]
+        behind = abs(self.side) - abs(at)
+        if at == 0 or not -self.figures["front"] <= behind <= self.figures["behind"]:
+            return False
+        through = self.height * (abs(at) / abs(self.side)) if behind > 0 else self.height
+        return bool(through <= top + self.figures["over"])
+
+    def is_leaf(self) -> bool:
+        if self.near == 0 or self.strip is None or self.above <= self.figures["foot"] or self.is_in_wall():
+            return False
+        around = self.filled(1)[max(self.slot - 4, 0) : self.slot + 5]
+        return bool(sum(around) >= self.figures["leaf_slots"])
+
+    def is_held(self) -> bool:
+        on_ground = abs(self.above) < self.figures["soil"]
+        return bool(self.figures["held"] > 0 and (self.smooth > 0 or on_ground or self.is_in_wall()))
+
+    def is_ghost(self) -> bool:
+        if self.strip is None or not self.near < self.figures["ghost_near"]:
+            return False
+        away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
+        if away == 0 or not abs(self.side) - away > self.figures["ghost"]:
+            return False
+        return bool(self.height * away <= top * abs(self.side))
+
+    def is_spike(self) -> bool:
+        if self.smooth > 0:
+            return False
+        columns = min(max(int(np.float32(0.1) / (self.range_m * self.step)), 2), 6)
+        lines = slice(self.line + 1, self.line + 4)
+        place = lines, slice(max(self.i - columns, 0), self.i + columns + 1)
+        counts = self.counts[0][place] >= self.figures["least"]
+        pairs = int(np.minimum(self.counts[1][place], 8)[counts].sum())
+        return bool(np.float32(pairs) > self.figures["spike"] * np.float32(8 * int(counts.sum())))
+
+    def is_reflection(self) -> bool:
+        return bool(self.above < -self.figures["below"]) and self.smooth < 3
+
+    def is_ground(self) -> bool:
+        off = abs(self.above)
+        return bool(
+            (self.is_walked and off < self.figures["walked"])
+            or (off < self.figures["level"] and self.level > self.upright)
+            or (off < self.figures["soil"] and self.upright <= self.level + 1)
+        )
+
+    def leaf_share(self) -> np.float32:
+        ahead = np.float32(0) if self.strip is None else self.walls[2][self.line, self.strip]
+        before = abs(ahead) - abs(self.side)
+        near_wall = ahead != 0 and -WIDTH <= before <= self.figures["before"]
+        return np.float32(self.figures["share_before" if near_wall else "share"])
+
+    def is_low_with_level(self, *, rough: bool) -> bool:
+        if self.strip is None or not self.above >= 0:
+            return False
+        top = int(self.figures["car_top"] / SLOT)
+        filled = self.filled(0)
+        closed = [filled[k] or (k > 0 and filled[k - 1]) or (k > 1 and filled[k - 2]) for k in range(64)]
+        if all(closed[self.slot : top]):
+            return False
+        b = floor(self.side / np.float32(0.25)) + N
+        bins = int(self.levels[self.line, max(b - 6, 0) : b + 7].sum())
+        return bool(bins >= self.figures["car_bins_rough" if rough else "car_bins"])
+
+    def is_thin(self) -> bool:
+        if self.strip is None or self.is_in_wall() or self.level > 0 or not self.above > self.figures["foot"]:
+            return False
+        if not self.texture >= self.figures["share"] or not self.figures["pole"] > 0:
+            return False
+        return self._is_short_in_line() or self._is_narrow_across()
+
+    def _is_short_in_line(self) -> bool:
+        ranges, heights = self.window[self.line + 4], self.points[1][self.line + 2]
+        held = self.counts[0][self.line + 2] >= self.figures["least"]
+        heights_met, length = [self.height], 1
+        for way in (-1, 1):
+            last, gap, j = self.i, 0, self.i + way
+            while 0 <= j < len(ranges) and gap <= 3 + length:
+                if not held[j]:
+                    gap += 1
+                elif abs(ranges[j] - ranges[last]) < self.figures["jump"]:
+                    last, gap, length = j, 0, length + 1
+                    heights_met.append(heights[j])
+                    if max(heights_met) - min(heights_met) >= self.figures["pole"]:
+                        return False
+                elif ranges[j] <= ranges[last] + self.figures["far"]:
+                    return False
+                else:
+                    break
+                j += way
+        return True
+
+    def _is_narrow_across(self) -> bool:
+        column, middle = self.window[:, self.i], self.line + 4
+        free = ~(column <= self.range_m + self.figures["far"])
+        before = [k for k in range(1, 5) if middle - k >= 0 and free[middle - k]]
+        after = [k for k in range(1, 5) if middle + k < len(column) and free[middle + k]]
+        return bool(before) and bool(after) and before[0] + after[0] <= 5
+
+    def has_crown(self) -> bool:
+        return bool(sum(self.filled(1)[self.slot :]) >= self.figures["crown"])
+
+    def label(self) -> int:
+        leaf = False
+        if self.near < self.figures["least"]:
+            leaf = self.is_leaf()
+            if self.near == 0 or not (leaf or self.is_held()):
+                return NOISE
+        if self.is_spike() or self.is_reflection():
+            return NOISE
+        if self.is_ground():
+            return GROUND
+        rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall()
+        if rough and self.is_ghost():
+            return NOISE
+        if self.is_low_with_level(rough=rough):
+            return OTHER
+        if self.is_thin():
+            return VEGETATION if self.has_crown() else OTHER
+        return VEGETATION if rough or leaf else BUILDING
+
+
+def fused_labels(
+    window_m: F32,
+    above_m: F32,
+    counts: tuple[U8, U8, U8, U8],
+    walked: Mask,
+    texture: F32,
+    slots: tuple[Slots, Slots],
+    walls: tuple[F32, F32, F32],
+    levels: U8,
+    beams: tuple[F32, F32],
+    step: np.float32,
+    figures: F32,
+) -> U8:
+    """Label shots; see :func:`prc_cli.kernels.fused.classes.fused_labels`."""
+    named = dict(zip(NAMES, figures, strict=True))
+    points = (*_points(window_m[2:-2], beams), above_m)
+    labels = np.full(texture.shape, MISSING, np.uint8)
+    for line, i in zip(*np.nonzero(~np.isnan(window_m[4:-4])), strict=True):
+        is_walked, soft = bool(walked[line + 2, i]), np.float32(texture[line, i])
+        shot = _Shot(window_m, points, counts, is_walked, soft, slots, walls, levels, step, named, int(line), int(i))
+        labels[line, i] = shot.label()
+    return labels
+
+
+def _points(range_m: F32, beams: tuple[F32, F32]) -> tuple[F32, F32]:
+    """Turn ranges into points of the scan plane."""
+    return range_m * beams[0], -(range_m * beams[1])
+
+
+def vote_labels(
+    labels: U8, range_m: F32, beams: tuple[F32, F32], step: np.float32, half_m: np.float32, near_m: np.float32
+) -> U8:
+    """Let the shots around vote; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
+    voted = labels[1:-1].copy()
+    m = labels.shape[1]
+    for row, i in zip(*np.nonzero((voted != MISSING) & (voted != NOISE) & (voted != GROUND)), strict=True):
+        line, own = row + 1, labels[row + 1, i]
+        asked = (line - 1, i), (line + 1, i), (line, max(i - 4, 0)), (line, min(i + 4, m - 1))
+        if all(labels[place] in (own, MISSING, NOISE) for place in asked):
+            continue
+        columns = min(max(int(half_m / (range_m[line, i] * step)), 2), 60)
+        place = slice(line - 1, line + 2), slice(max(i - columns, 0), i + columns + 1, max(columns // 4, 1))
+        close = np.ones(labels[place].shape, bool)
+        for image in _points(range_m, beams):
+            close &= np.abs(image[place] - image[line, i]) < near_m
+        votes = {label: int((labels[place][close] == label).sum()) for label in (OTHER, BUILDING, VEGETATION)}
+        if votes[own] < max(votes.values()):
+            voted[row, i] = max(votes, key=lambda label: votes[label])
+    return voted

@@ -1,0 +1,312 @@
+"""Slow and obvious twins of the sensor's kernels, shot by shot; see :mod:`prc_cli.reference.prc.stages`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import floor, isnan, nan, sqrt
+
+import numpy as np
+
+from prc_cli.core.types import F32, F64, I32, U8, Mask
+
+_NAMES = [
+    "step",
+    "exit",
+    "divergence",
+    "ambiguity",
+    "pulse",
+    "nearest",
+    "farthest",
+    "half_power",
+    "resolution",
+    "noise",
+    "noise_per_m",
+    "noise_spread",
+    "lost",
+    "edge",
+    "background",
+    "sky",
+    "bright_sky",
+    "cluster",
+    "cluster_m",
+    "pane",
+    "ghost",
+    "leaves",
+    "is_cw",
+    "max_returns",
+]
+_PURPOSES = ("noise", "loss", "stray", "place", "glass", "leaves", "edge", "echo", "sky")
+_WORD = 2**64 - 1
+_WHITE, _FLASH = 0.9, 0.9986
+
+
+@dataclass
+class _Echo:
+    t: float
+    power: float
+    slope: float
+    label: int
+
+
+@dataclass
+class _Surface:
+    """What one shot meets."""
+
+    t: float
+    body: int
+    facing: float
+    reflectance: float = 0.0
+    mirrored: float = 0.0
+    label: int = 0
+    bits: int = 0
+    is_glass: bool = field(init=False)
+    is_leaf: bool = field(init=False)
+    is_flat: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.is_glass, self.is_leaf = bool(self.bits & 1), bool(self.bits & 2)
+        self.is_flat = not self.bits & 6
+
+    def cosine(self) -> float:
+        return float(np.clip(abs(self.facing), 0.02, 1.0))
+
+    def tangent(self) -> float:
+        return sqrt(1.0 - self.cosine() * self.cosine()) / self.cosine()
+
+    def echo(self) -> _Echo:
+        power = self.reflectance * self.cosine() / (self.t * self.t)
+        return _Echo(self.t, power, 0.0 if self.is_leaf else self.tangent(), self.label)
+
+
+def _scramble(x: int) -> int:
+    x = ((x ^ (x >> 30)) * 0xBF58476D1CE4E5B9) & _WORD
+    x = ((x ^ (x >> 27)) * 0x94D049BB133111EB) & _WORD
+    return x ^ (x >> 31)
+
+
+class _Dice:
+    """Numbers in 0..1 of a line."""
+
+    def __init__(self, seed: int, line: int) -> None:
+        self.key = _scramble((_scramble(seed) + line * 0x9E3779B97F4A7C15) & _WORD)
+
+    def throw(self, column: int, purpose: str, echo: int = 0) -> float:
+        number = _PURPOSES.index(purpose) + 16 * echo
+        bits = (self.key + column * 0xD1B54A32D192ED03 + number * 0x8CB92BA72F3D8DD7) & _WORD
+        return (_scramble(bits) >> 11) / 2**53
+
+
+def _surfaces(hits: tuple[F64, I32, F64], i: int, surface: F64, kind: U8) -> list[_Surface | None]:
+    found: list[_Surface | None] = []
+    for t, body, facing in zip(*(part[i].tolist() for part in hits), strict=True):
+        if body < 0:
+            found.append(None)
+        else:
+            reflectance, mirrored = surface[body].tolist()
+            found.append(_Surface(t, body, facing, reflectance, mirrored, *kind[body].tolist()))
+    return found
+
+
+def _looks_behind(own: _Surface, dice: _Dice, column: int, f: dict[str, float]) -> bool:
+    if own.is_glass:
+        return abs(own.facing) < _FLASH and dice.throw(column, "glass") >= f["pane"] + f["ghost"]
+    return own.is_leaf and f["max_returns"] > 1 and dice.throw(column, "leaves") < f["leaves"]
+
+
+def goes_behind(hits: tuple[F64, I32, F64], kind: U8, figures: F64, first_line: int, seed: int) -> Mask:
+    """Mark the shots whose light goes on; see :func:`prc_cli.kernels.simulation.sensor.goes_behind`."""
+    f = dict(zip(_NAMES, figures.tolist(), strict=True))
+    behind = np.zeros(hits[0].shape, dtype=bool)
+    blank = np.zeros((len(kind), 2))
+    for i in range(len(behind)):
+        dice = _Dice(seed, first_line + i)
+        for column, own in enumerate(_surfaces(hits, i, blank, kind)):
+            behind[i, column] = own is not None and _looks_behind(own, dice, column, f)
+    return behind
+
+
+def _neighbour_share(line: list[_Surface | None], column: int, side: int, dice: _Dice, f: dict[str, float]) -> float:
+    """Return the share of the beam on what the neighbour sees."""
+    if not 0 <= column + side < len(line):
+        return 0.0
+    own, other = line[column], line[column + side]
+    seen = [one for one in (own, other) if one is not None]
+    if not seen or any(one.is_glass for one in seen):
+        return 0.0
+    near = min(one.t for one in seen)
+    if len(seen) == 2:
+        gap = abs(seen[0].t - seen[1].t)
+        is_one = seen[0].body == seen[1].body and not seen[0].is_leaf
+        steepest = max([one.tangent() for one in seen if one.is_flat], default=0.0)
+        if is_one or gap <= f["edge"] or gap <= f["edge"] + 2.0 * f["step"] * near * steepest:
+            return 0.0
+    place = dice.throw(min(column, column + side), "edge")
+    away = place if side == 1 else 1.0 - place
+    share = 0.5 - away * (f["step"] * near / (f["exit"] + f["divergence"] * near))
+    return share if share > 0.0 else 0.0
+
+
+def _glass(own: _Surface, dice: _Dice, column: int, f: dict[str, float]) -> list[_Echo]:
+    pane = own.echo()
+    if abs(own.facing) >= _FLASH:
+        pane.power = own.cosine() / (own.t * own.t)
+        return [pane]
+    chance = dice.throw(column, "glass")
+    if chance < f["pane"]:
+        return [pane]
+    if chance < f["pane"] + f["ghost"]:
+        t = own.t * (1.3 + 1.7 * own.mirrored)
+        return [_Echo(t, 0.1 / (t * t), 0.0, 2)]
+    return []
+
+
+def _all_echoes(
+    line: list[_Surface | None], column: int, behind: _Surface | None, dice: _Dice, f: dict[str, float]
+) -> list[_Echo]:
+    own = line[column]
+    if own is None:
+        return []
+    echoes = _glass(own, dice, column, f) if own.is_glass else [own.echo()]
+    if behind is not None and _looks_behind(own, dice, column, f):
+        share = 0.6
+        if echoes:
+            share = 0.2 + 0.6 * dice.throw(column, "echo")
+            echoes[0].power *= 1.0 - share
+        second = behind.echo()
+        second.power = share * second.power
+        echoes.append(second)
+    for side in (-1, 1):
+        share = _neighbour_share(line, column, side, dice, f)
+        if share == 0.0:
+            continue
+        for echo in echoes:
+            echo.power *= 1.0 - share
+        other = line[column + side]
+        if other is not None:
+            beside = other.echo()
+            beside.power = share * beside.power
+            echoes.append(beside)
+        break
+    return sorted(echoes, key=lambda echo: echo.t)
+
+
+def _mixed(echoes: list[_Echo], f: dict[str, float]) -> list[_Echo]:
+    """Make one of echoes that cannot be told apart."""
+    apart: list[_Echo] = []
+    for echo in echoes:
+        if not apart or (not f["is_cw"] and echo.t - apart[-1].t > f["pulse"]):
+            apart.append(echo)
+            continue
+        near = apart[-1]
+        share = echo.power / (near.power + echo.power)
+        gap = echo.t - near.t
+        to_far, to_near = gap * (1.0 - share), gap * share
+        slope, label = near.slope, near.label
+        if to_far <= f["edge"]:
+            slope, label = echo.slope, echo.label
+        elif to_near > f["edge"]:
+            slope, label = 0.0, label if label == echo.label else 2
+        apart[-1] = _Echo(near.t + share * gap, near.power + echo.power, slope, label)
+    return apart
+
+
+def _given(t: float, f: dict[str, float]) -> float:
+    given = float(floor(t / f["resolution"] + 0.5)) * f["resolution"]
+    return given if f["nearest"] <= given <= f["farthest"] else nan
+
+
+def _deviate(uniform: float, quantiles: F64) -> float:
+    place = uniform * (len(quantiles) - 1)
+    low, high = quantiles[floor(place) : floor(place) + 2].tolist()
+    return float(low + (place - floor(place)) * (high - low))
+
+
+def _returns(echoes: list[_Echo], dice: _Dice, column: int, f: dict[str, float], quantiles: F64) -> list[_Echo]:
+    found = []
+    for i, echo in enumerate(echoes):
+        strength = echo.power / f["half_power"]
+        odds = strength * strength * strength * strength
+        if dice.throw(column, "loss", i) * (1.0 + odds) >= odds * (1.0 - f["lost"]):
+            continue
+        width = f["exit"] + f["divergence"] * echo.t
+        sigma = f["noise"] + f["noise_per_m"] * sqrt(_WHITE / echo.power) + f["noise_spread"] * width * echo.slope
+        t = echo.t + _deviate(dice.throw(column, "noise", i), quantiles) * sigma
+        label = echo.label
+        if f["ambiguity"] > 0 and t >= f["ambiguity"]:
+            t, label = t - floor(t / f["ambiguity"]) * f["ambiguity"], 2
+        t = _given(t, f)
+        if not isnan(t):
+            found.append(_Echo(t, echo.power, 0.0, label))
+    if f["max_returns"] == 1:
+        return [max(found, key=lambda echo: echo.power)] if found else []
+    return found[: int(f["max_returns"])]
+
+
+def _bright(seed: int, line: int, column: int, m: int) -> float:
+    patch, late = line // 100, line % 100 / 100
+    place = column * 24 / m
+    j = floor(place)
+    right = place - j
+    corner = [[_Dice(seed, patch + a).throw(j + b, "sky") for b in (0, 1)] for a in (0, 1)]
+    early, later = (pair[0] * (1.0 - right) + pair[1] * right for pair in corner)
+    return float(np.clip(6.0 * (early * (1.0 - late) + later * late) - 3.6, 0.0, 1.0))
+
+
+def _with_background(
+    found: list[_Echo], sky: float | None, dice: _Dice, column: int, f: dict[str, float], quantiles: F64
+) -> list[_Echo]:
+    """Let stray light in; ``sky`` is its brightness where the shot met nothing."""
+    chance, place = dice.throw(column, "stray"), dice.throw(column, "place")
+    share = f["background"] if found else f["sky"]
+    if sky is not None and f["bright_sky"] > 0:
+        share += (f["bright_sky"] - share) * sky
+    if chance < share:
+        t = _given(place * (f["ambiguity"] or f["farthest"]), f)
+        return [] if isnan(t) else [_Echo(t, f["half_power"], 0.0, 2)]
+    if found and chance < share + f["cluster"]:
+        off = _deviate(place, quantiles) * f["cluster_m"]
+        t = _given(found[0].t + off, f)
+        moved = _Echo(t, found[0].power, 0.0, 2 if abs(off) > f["edge"] else found[0].label)
+        return [] if isnan(t) else [moved, *found[1:]]
+    return found
+
+
+def sense(
+    hits: tuple[F64, I32, F64],
+    behind: tuple[F64, I32, F64],
+    surface: F64,
+    kind: U8,
+    figures: F64,
+    quantiles: F64,
+    first_line: int,
+    seed: int,
+) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
+    """Turn what the beams meet into what the scanner says; see :func:`prc_cli.kernels.simulation.sensor.sense`."""
+    f = dict(zip(_NAMES, figures.tolist(), strict=True))
+    n_lines, m = hits[0].shape
+    first: list[_Echo] = []
+    further: list[tuple[int, int, _Echo]] = []
+    for i in range(n_lines):
+        dice = _Dice(seed, first_line + i)
+        line = _surfaces(hits, i, surface, kind)
+        second = _surfaces(behind, i, surface, kind) if len(behind[0]) == n_lines else [None] * m
+        for column, own in enumerate(line):
+            echoes = _mixed(_all_echoes(line, column, second[column], dice, f), f)
+            found = _returns(echoes, dice, column, f, quantiles)
+            if f["is_cw"]:
+                sky = _bright(seed, first_line + i, column, m) if own is None else None
+                found = _with_background(found, sky, dice, column, f, quantiles)
+            first.append(found[0] if found else _Echo(nan, 0.0, 0.0, 0))
+            further += [(i, column, echo) for echo in found[1:]]
+
+    def columns(echoes: list[_Echo]) -> tuple[F32, U8, F32]:
+        intensity = [echo.power / (_WHITE / 100.0) for echo in echoes]
+        return (
+            np.array([echo.t for echo in echoes], dtype=np.float32),
+            np.array([echo.label for echo in echoes], dtype=np.uint8),
+            np.array(intensity, dtype=np.float32),
+        )
+
+    ranges, labels, intensities = (part.reshape(n_lines, m) for part in columns(first))
+    place = np.array([[i, column] for i, column, _ in further], dtype=np.int32).reshape(-1, 2)
+    return ranges, labels, intensities, place, *columns([echo for _, _, echo in further])  # type: ignore[return-value]

@@ -1,0 +1,139 @@
+"""Blocks of k lines with look-ahead: the same however the stream was cut."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
+from prc_cli.stream.blocks import (
+    cut,
+    join,
+    look_ahead_lines,
+    regroup,
+)
+
+
+def stream(n_lines: int, m: int, *, scanner: int = 0, dense: bool = False) -> ScanBlock:
+    """Return a whole stream as one block; every value tells its cell."""
+    rng = np.random.default_rng(n_lines * 1000 + m)
+    flat = np.arange(n_lines * m, dtype=np.float64).reshape(n_lines, m)
+    line = np.sort(rng.integers(0, n_lines, 2 * n_lines)).astype(np.int32)
+    column = rng.integers(0, m, len(line)).astype(np.int32)
+    return ScanBlock(
+        first_line=0,
+        range_m=(flat + 1).astype(np.float32),
+        record=None if dense else flat.astype(np.int64) * 3,
+        scanner=scanner,
+        time_s=flat / 7,
+        xyz_m=np.stack([flat, -flat, 2 * flat], axis=-1).astype(np.float32),
+        intensity=(flat + 0.5).astype(np.float32),
+        angle_rad=np.linspace(0, 1, m),
+        extra=ExtraReturns(line, column, (line * m + column + 0.25).astype(np.float32), np.arange(len(line)) + 10_000),
+    )
+
+
+def pieces(block: ScanBlock, sizes: list[int]) -> Iterator[ScanBlock]:
+    """Cut a stream into blocks of the given sizes (repeated), each with a tally of one collision."""
+    first = 0
+    turn = 0
+    while first < block.n_lines:
+        stop = min(first + sizes[turn % len(sizes)], block.n_lines)
+        yield replace(cut(block, first, stop), tally=ReadTally(n_collisions=1))
+        first, turn = stop, turn + 1
+
+
+def check(found: list[ScanBlock], whole: ScanBlock, k: int) -> None:
+    """Compare with blocks cut straight out of the whole."""
+    assert [block.n_lines for block in found[:-1]] == [k] * (len(found) - 1)
+    assert 1 <= found[-1].n_lines <= k
+    ahead = look_ahead_lines(whole.points_per_line)
+    for i, block in enumerate(found):
+        lines = slice(i * k, i * k + block.n_lines)
+        assert block.first_line == i * k
+        assert block.scanner == whole.scanner
+        assert np.array_equal(block.range_m, whole.range_m[lines])
+        assert block.range_m.flags.c_contiguous
+        assert np.array_equal(block.records(), whole.records()[lines])
+        for name in ("time_s", "xyz_m", "intensity"):
+            assert np.array_equal(getattr(block, name), getattr(whole, name)[lines]), name
+        assert block.angle_rad is whole.angle_rad
+        assert block.next_m is not None
+        assert np.array_equal(block.next_m, whole.range_m[lines.stop : lines.stop + ahead])
+        inside = (whole.extra.line >= lines.start) & (whole.extra.line < lines.stop)
+        assert np.array_equal(block.extra.line, whole.extra.line[inside] - lines.start)
+        assert np.array_equal(block.extra.column, whole.extra.column[inside])
+        assert np.array_equal(block.extra.range_m, whole.extra.range_m[inside])
+        assert np.array_equal(block.extra.record, whole.extra.record[inside])
+
+
+@given(
+    n_lines=st.integers(1, 40),
+    m=st.integers(1, 7),
+    k=st.integers(1, 12),
+    sizes=st.lists(st.integers(1, 15), min_size=1, max_size=5),
+    dense=st.booleans(),
+)
+@settings(deadline=None, max_examples=120)
+def test_any_cut_gives_the_same_blocks(n_lines: int, m: int, k: int, sizes: list[int], dense: bool) -> None:
+    whole = stream(n_lines, m, dense=dense)
+    parts = list(pieces(whole, sizes))
+    found = list(regroup(iter(parts), k))
+    check(found, whole, k)
+    assert sum((block.tally for block in found), ReadTally()) == ReadTally(n_collisions=len(parts))
+
+
+@pytest.mark.parametrize("k", [1, 4, 10])
+def test_scanners_do_not_mix(k: int) -> None:
+    wholes = {1: stream(23, 5, scanner=1), 7: stream(9, 3, scanner=7)}
+    parts = {scanner: list(pieces(whole, [2, 3])) for scanner, whole in wholes.items()}
+    mixed: list[ScanBlock] = []
+    for i in range(max(len(of) for of in parts.values())):
+        mixed += [of[i] for of in parts.values() if i < len(of)]
+    found = list(regroup(iter(mixed), k))
+    for scanner, whole in wholes.items():
+        check([block for block in found if block.scanner == scanner], whole, k)
+    assert sum((block.tally for block in found), ReadTally()).n_collisions == len(mixed)
+
+
+def test_blocks_leave_as_soon_as_they_can() -> None:
+    """What waits is a block and its look-ahead: the memory of a stream without end."""
+    taken = 0
+
+    def endless() -> Iterator[ScanBlock]:
+        nonlocal taken
+        for part in pieces(stream(1000, 4), [1]):
+            taken += 1
+            yield part
+
+    blocks = regroup(endless(), 10)
+    next(blocks)
+    assert taken == 10 + look_ahead_lines(4)
+    next(blocks)
+    assert taken == 20 + look_ahead_lines(4)
+
+
+@pytest.mark.parametrize("m", range(1, 9))
+def test_look_ahead_reaches_the_shots_that_are_asked_for(m: int) -> None:
+    ahead = look_ahead_lines(m)
+    last = m - 1  # of the last line of a block
+    reach = max(last + m + 1, last + 4)
+    assert reach < (1 + ahead) * m
+    assert reach >= ahead * m  # and not a line more
+
+
+def test_an_empty_stream_has_no_blocks() -> None:
+    assert list(regroup(iter([]), 5)) == []
+
+
+def test_fields_that_one_part_lacks_are_dropped() -> None:
+    one = stream(2, 3)
+    other = replace(cut(one, 1, 2), intensity=None)
+    joined = join([cut(one, 0, 1), other])
+    assert joined.intensity is None
+    assert joined.time_s is not None
