@@ -27,7 +27,7 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 _HELPER = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
-def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
+def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
     """Compile a function for the given numba signatures when its module is imported.
 
     No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
@@ -36,8 +36,8 @@ def kernel(*signatures: str) -> Callable[[FunctionT], FunctionT]:
 
     Parameters
     ----------
-    signatures : str
-        Numba signatures; arguments of other types are converted or refused, never compiled anew.
+    signatures : str or numba signature
+        Strings, or signature objects; arguments of other types are converted or refused, never compiled anew.
 
     Returns
     -------

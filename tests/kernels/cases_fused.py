@@ -9,10 +9,17 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.fused import (
-    classes as fused_classes,
+from prc_cli.core.thresholds_fused import (
+    ChordThresholds,
+    DecisionThresholds,
+    NearThresholds,
+    SmoothThresholds,
+    StripThresholds,
+    WalkThresholds,
+    WallThresholds,
+    single,
 )
+from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.fused import (
     ground as fused_ground,
 )
@@ -24,6 +31,12 @@ from prc_cli.kernels.fused import (
 )
 
 AROUND, INNER = 4, 2
+USUAL = DecisionThresholds(
+    least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, walked_m=0.3, level_m=0.12, soil_m=0.06, leaf_share=0.4,
+    leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3, car_top_m=3.75, car_bins=3,
+    car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5, foot_m=0.3, keeps_held=1, ghost_m=1.5,
+    ghost_near=15,
+)  # fmt: skip
 
 
 @dataclass
@@ -82,10 +95,6 @@ def street(rng: Generator) -> Street:
     )  # fmt: skip
 
 
-def figures(*values: float) -> F32:
-    return np.array(values, np.float32)
-
-
 def points_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     return one.window, one.sine, one.cosine
@@ -93,13 +102,17 @@ def points_case(rng: Generator) -> tuple[Any, ...]:
 
 def near_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    chosen = figures(rng.choice([0.4, 0.125, 2.0]), rng.choice([0.0, 3.0]), 0.1, 1.0, rng.choice([0.0, 8.0]))
+    chosen = single(
+        NearThresholds(rng.choice([0.4, 0.125, 2.0]), rng.choice([0.0, 3.0]), 0.1, 1.0, rng.choice([0.0, 8.0]))
+    )
     return *one.seen, chosen
 
 
 def smooth_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    chosen = figures(rng.choice([0.0, 0.006, 0.2]), rng.choice([0.0, 0.01]), rng.choice([0.4, 5.0]), 16.0)
+    chosen = single(
+        SmoothThresholds(rng.choice([0.0, 0.006, 0.2]), rng.choice([0.0, 0.01]), rng.choice([0.4, 5.0]), 16.0)
+    )
     return *one.seen, chosen
 
 
@@ -111,15 +124,18 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         for counts in (near, smooth, upright, level):
             counts[np.isnan(one.range_m)] = 0
         return near, smooth, upright, level
-    near = fused_neighbours.near_counts(*one.seen, figures(0.4, 3, 0.1, 1, 8))
-    smooth = fused_neighbours.smooth_counts(*one.seen, figures(0.006, 0.01, 0.4, 16))
-    chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, figures(0.15, 0.35, 0.02, 2))
+    near = fused_neighbours.near_counts(*one.seen, single(NearThresholds(0.4, 3, 0.1, 1, 8)))
+    smooth = fused_neighbours.smooth_counts(*one.seen, single(SmoothThresholds(0.006, 0.01, 0.4, 16)))
+    usual = single(ChordThresholds(0.15, 0.35, 0.02, 2))
+    chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)
     return near, smooth, *chords
 
 
 def directions_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    chosen = figures(rng.choice([0.15, 2.0, 20.0]), rng.choice([0.35, 0.0]), rng.choice([0.02, 0.0]), 5.0)
+    chosen = single(
+        ChordThresholds(rng.choice([0.15, 2.0, 20.0]), rng.choice([0.35, 0.0]), rng.choice([0.02, 0.0]), 5.0)
+    )
     return one.range_m, random_counts(rng, one)[1], *one.beams, one.step, chosen
 
 
@@ -129,7 +145,18 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
     age = rng.choice([0, 3, 60, 1000], (2, fused_ground.BINS)).astype(np.int32)
     if rng.random() < 0.5:
         age[:] = 1000
-    chosen = figures(3, rng.choice([0.14, 1.0]), 0.3, 0.5, rng.choice([0.0, 0.08]), 0.15, rng.choice([0, 5, 60]), 0.4)
+    chosen = single(
+        WalkThresholds(
+            least_near=3,
+            step_m=rng.choice([0.14, 1.0]),
+            slope=0.3,
+            slope_reach_m=0.5,
+            gap_slope=rng.choice([0.0, 0.08]),
+            known_m=0.15,
+            memory_lines=rng.choice([0, 5, 60]),
+            follow=0.4,
+        )
+    )
     keep = int(rng.integers(0, len(one.range_m) + 1))
     start = np.float32(rng.choice([-2.0, 0.0]))
     sides = one.left, one.right
@@ -145,7 +172,17 @@ def heights(rng: Generator, one: Street) -> F32:
 def strips_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     above, smooth, level = heights(rng, one), rng.choice([3, 0]), rng.choice([6, 2, 0])
-    chosen = figures(3, rng.choice([0.15, 0.0]), 2, smooth, level, rng.choice([3.4, 0.5]), rng.choice([1.0, 9.0]))
+    chosen = single(
+        StripThresholds(
+            least_near=3,
+            foot_m=rng.choice([0.15, 0.0]),
+            rough=2,
+            smooth=smooth,
+            level_smooth=level,
+            level_top_m=rng.choice([3.4, 0.5]),
+            jump_m=rng.choice([1.0, 9.0]),
+        )
+    )
     return one.range_m, above, random_counts(rng, one), one.beams, one.step, chosen
 
 
@@ -171,7 +208,7 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
         top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
         sums = length, wall, (wall * middle).astype(np.float32), top
-    chosen = figures(rng.choice([0.01, 0.5, 1.5]), rng.choice([0.0, 0.3, 1.0]), 1.6)
+    chosen = single(WallThresholds(rng.choice([0.01, 0.5, 1.5]), rng.choice([0.0, 0.3, 1.0]), 1.6))
     return sums, chosen
 
 
@@ -182,15 +219,12 @@ def texture_case(rng: Generator) -> tuple[Any, ...]:
     return one.range_m, near, smooth, one.step, np.float32(rng.choice([0, 3])), half
 
 
-def decision(rng: Generator) -> F32:
+def decision(rng: Generator) -> DecisionThresholds:
     """Numbers of the decision, near to those that are used, some of them off."""
-    usual = [
-        3, 0.7, 0.3, 5, 0.3, 0.12, 0.06, 0.4, 0.2, 1.6, 0.4, 2.5, 0.3, 3.75, 3, 6, 1.0, 0.5, 1.0, 5, 0.3, 1, 1.5, 15
-    ]  # fmt: skip
-    chosen = np.array(usual) * rng.choice([1.0, 1.0, 0.3, 2.0], len(usual))
-    chosen[rng.random(len(usual)) < 0.05] = rng.choice([0.0, 1e9])
-    chosen[fused_classes.CAR_TOP_M] = min(chosen[fused_classes.CAR_TOP_M], 15.0)
-    return figures(*chosen)
+    chosen = np.array(USUAL) * rng.choice([1.0, 1.0, 0.3, 2.0], len(USUAL))
+    chosen[rng.random(len(USUAL)) < 0.05] = rng.choice([0.0, 1e9])
+    thresholds = single(DecisionThresholds._make(chosen))
+    return thresholds._replace(car_top_m=min(thresholds.car_top_m, np.float32(15.0)))
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
@@ -200,10 +234,17 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     n_lines = len(one.range_m) - 2 * INNER
     walked: Mask = (rng.random(above.shape) < 0.2) & ~np.isnan(above)
     every, rough, length, wall, place, top, levels = fused_strips.fill_strips(
-        one.range_m, above, counts, one.beams, one.step, figures(3, 0.15, 2, 3, rng.choice([6, 3]), 3.4, 1)
+        one.range_m,
+        above,
+        counts,
+        one.beams,
+        one.step,
+        single(StripThresholds(3, 0.15, 2, 3, rng.choice([6, 3]), 3.4, 1)),
     )
     wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
-    walls = fused_strips.find_walls((length, wall, place, top), figures(rng.choice([0.1, 1.5]), 0.3, 1.6))
+    walls = fused_strips.find_walls(
+        (length, wall, place, top), single(WallThresholds(rng.choice([0.1, 1.5]), 0.3, 1.6))
+    )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     return (
         one.window, above, counts, walked, texture, wide, walls, fused_strips.widen_levels(levels), one.beams,

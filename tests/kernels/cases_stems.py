@@ -8,10 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.core.thresholds_fused import (
+    ForestThresholds,
+    RunThresholds,
+    StemThresholds,
+    TerrainThresholds,
+    double,
+)
 from prc_cli.core.types import F32, F64
 from prc_cli.kernels.fused import stems
 
-RUN_FIGURES = (0.02, 0.05, 0.004, 0.0003, 1.0, 0.3, 0.1, 0.15, 0.7, 0.03)
+RUNS = RunThresholds(
+    step_rad=0.02, above_m=0.05, tolerance_m=0.004, tolerance_share=0.0003, steep=1.0, gap_m=0.3, gap_steep=0.1,
+    behind_m=0.15, lean=0.7, short_m=0.03,
+)  # fmt: skip
 
 
 def forest(rng: Generator) -> tuple[F32, F64, F64]:
@@ -34,10 +44,12 @@ def forest(rng: Generator) -> tuple[F32, F64, F64]:
 
 
 def profile_case(rng: Generator) -> tuple[Any, ...]:
-    figures = np.array([rng.choice([0.25, 1.0, 0.3]), rng.choice([0.0, 0.5]), 0.1, rng.choice([0.0, 0.05])])
+    chosen = double(
+        TerrainThresholds(rng.choice([0.25, 1.0, 0.3]), rng.choice([0.0, 0.5]), 0.1, rng.choice([0.0, 0.05]))
+    )
     ranges, sine, cosine = forest(rng)
     level = cosine * (rng.random() < 0.9)
-    return ranges, sine, level, int(rng.integers(1, 6)), 2 * int(rng.integers(1, 16)), figures
+    return ranges, sine, level, int(rng.integers(1, 6)), 2 * int(rng.integers(1, 16)), chosen
 
 
 def height_case(rng: Generator) -> tuple[Any, ...]:
@@ -55,31 +67,47 @@ def heights_of(rng: Generator, ranges: F32, cosine: F64) -> F32:
 
 def runs_case(rng: Generator) -> tuple[Any, ...]:
     ranges, sine, cosine = forest(rng)
-    figures = np.array(RUN_FIGURES)
-    figures[stems.ANGLE] = rng.choice([0.02, 0.1])
-    figures[stems.BEHIND] = rng.choice([0.15, np.inf])
-    figures[stems.GAP] = rng.choice([0.3, 2.0])
-    figures[stems.GAP_STEEP] = rng.choice([0.1, -np.inf])
-    return ranges, heights_of(rng, ranges, cosine), sine, cosine, figures
+    chosen = RUNS._replace(
+        step_rad=rng.choice([0.02, 0.1]),
+        behind_m=rng.choice([0.15, np.inf]),
+        gap_m=rng.choice([0.3, 2.0]),
+        gap_steep=rng.choice([0.1, -np.inf]),
+    )
+    return ranges, heights_of(rng, ranges, cosine), sine, cosine, double(chosen)
 
 
 def stems_case(rng: Generator) -> tuple[Any, ...]:
-    ranges, heights, sine, cosine, figures = runs_case(rng)
-    found = stems.upright_runs(ranges, heights, sine, cosine, figures)
-    least = np.array(
-        [rng.choice([0.05, -1.0, 1.0]), 0.005, rng.choice([3, 12]), rng.integers(1, 4), 0.5, 1.0, 0.12, 0.1]
+    ranges, heights, sine, cosine, chosen = runs_case(rng)
+    found = stems.upright_runs(ranges, heights, sine, cosine, chosen)
+    least = StemThresholds(
+        near_m=rng.choice([0.05, -1.0, 1.0]),
+        near_share=0.005,
+        shots=rng.choice([3, 12]),
+        runs=rng.integers(1, 4),
+        extent_m=0.5,
+        total_m=1.0,
+        mean_m=0.12,
+        through_share=0.1,
     )
     if rng.random() < 0.5:
-        least[stems.EXTENT :] = 0.0, 0.0, 0.0, 1.0
-    return ranges, *found, least
+        least = least._replace(extent_m=0.0, total_m=0.0, mean_m=0.0, through_share=1.0)
+    return ranges, *found, double(least)
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
     ranges, _, cosine = forest(rng)
     some = (rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6])) & ~np.isnan(ranges)
     top, company = rng.choice([1e9, 1.0, 3.0]), rng.choice([-1.0, 0.0, 0.25])
-    figures = np.array([0.2, 0.04, rng.choice([0.04, 0.15, 1.0]), 0.04, top, rng.choice([-1.0, 0.0, 0.05]), company])
-    return ranges, heights_of(rng, ranges, cosine), some, int(rng.integers(1, 4)), figures
+    chosen = ForestThresholds(
+        below_m=0.2,
+        soil_m=0.04,
+        cover_m=rng.choice([0.04, 0.15, 1.0]),
+        flat_m=0.04,
+        top_m=top,
+        beside_m=rng.choice([-1.0, 0.0, 0.05]),
+        near_m=company,
+    )
+    return ranges, heights_of(rng, ranges, cosine), some, int(rng.integers(1, 4)), double(chosen)
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

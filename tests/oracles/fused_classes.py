@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import floor
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.thresholds_fused import DecisionThresholds
 from prc_cli.core.types import F32, U8, Mask
 
 MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
 Slots = NDArray[np.uint64]
 
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
-NAMES = [
-    "least", "spike", "below", "leaf_slots", "walked", "level", "soil", "share", "share_before", "before", "front",
-    "behind", "over", "car_top", "car_bins", "car_bins_rough", "pole", "jump", "far", "crown", "foot",
-    "held", "ghost", "ghost_near",
-]  # fmt: skip
 
 
 def mean_smoothness(
@@ -50,7 +45,7 @@ class _Shot:
     walls: tuple[F32, F32, F32]
     levels: U8
     step: np.float32
-    figures: dict[str, Any]
+    thresholds: DecisionThresholds
     line: int
     i: int
 
@@ -105,26 +100,26 @@ class _Shot:
             return False
         at, top = self.walls[0][self.line, self.strip], self.walls[1][self.line, self.strip]
         behind = abs(self.side) - abs(at)
-        if at == 0 or not -self.figures["front"] <= behind <= self.figures["behind"]:
+        if at == 0 or not -self.thresholds.front_m <= behind <= self.thresholds.behind_m:
             return False
         through = self.height * (abs(at) / abs(self.side)) if behind > 0 else self.height
-        return bool(through <= top + self.figures["over"])
+        return bool(through <= top + self.thresholds.over_m)
 
     def is_leaf(self) -> bool:
-        if self.near == 0 or self.strip is None or self.above <= self.figures["foot"] or self.is_in_wall():
+        if self.near == 0 or self.strip is None or self.above <= self.thresholds.foot_m or self.is_in_wall():
             return False
         around = self.filled(1)[max(self.slot - 4, 0) : self.slot + 5]
-        return bool(sum(around) >= self.figures["leaf_slots"])
+        return bool(sum(around) >= self.thresholds.leaf_slots)
 
     def is_held(self) -> bool:
-        on_ground = abs(self.above) < self.figures["soil"]
-        return bool(self.figures["held"] > 0 and (self.smooth > 0 or on_ground or self.is_in_wall()))
+        on_ground = abs(self.above) < self.thresholds.soil_m
+        return bool(self.thresholds.keeps_held > 0 and (self.smooth > 0 or on_ground or self.is_in_wall()))
 
     def is_ghost(self) -> bool:
-        if self.strip is None or not self.near < self.figures["ghost_near"]:
+        if self.strip is None or not self.near < self.thresholds.ghost_near:
             return False
         away, top = abs(self.walls[0][self.line, self.strip]), self.walls[1][self.line, self.strip]
-        if away == 0 or not abs(self.side) - away > self.figures["ghost"]:
+        if away == 0 or not abs(self.side) - away > self.thresholds.ghost_m:
             return False
         return bool(self.height * away <= top * abs(self.side))
 
@@ -134,61 +129,62 @@ class _Shot:
         columns = min(max(int(np.float32(0.1) / (self.range_m * self.step)), 2), 6)
         lines = slice(self.line + 1, self.line + 4)
         place = lines, slice(max(self.i - columns, 0), self.i + columns + 1)
-        counts = self.counts[0][place] >= self.figures["least"]
+        counts = self.counts[0][place] >= self.thresholds.least_near
         pairs = int(np.minimum(self.counts[1][place], 8)[counts].sum())
-        return bool(np.float32(pairs) > self.figures["spike"] * np.float32(8 * int(counts.sum())))
+        return bool(np.float32(pairs) > self.thresholds.spike_share * np.float32(8 * int(counts.sum())))
 
     def is_reflection(self) -> bool:
-        return bool(self.above < -self.figures["below"]) and self.smooth < 3
+        return bool(self.above < -self.thresholds.below_m) and self.smooth < 3
 
     def is_ground(self) -> bool:
         off = abs(self.above)
         return bool(
-            (self.is_walked and off < self.figures["walked"])
-            or (off < self.figures["level"] and self.level > self.upright)
-            or (off < self.figures["soil"] and self.upright <= self.level + 1)
+            (self.is_walked and off < self.thresholds.walked_m)
+            or (off < self.thresholds.level_m and self.level > self.upright)
+            or (off < self.thresholds.soil_m and self.upright <= self.level + 1)
         )
 
     def leaf_share(self) -> np.float32:
         ahead = np.float32(0) if self.strip is None else self.walls[2][self.line, self.strip]
         before = abs(ahead) - abs(self.side)
-        near_wall = ahead != 0 and -WIDTH <= before <= self.figures["before"]
-        return np.float32(self.figures["share_before" if near_wall else "share"])
+        near_wall = ahead != 0 and -WIDTH <= before <= self.thresholds.before_m
+        limits = self.thresholds
+        return np.float32(limits.leaf_share_before_wall if near_wall else limits.leaf_share)
 
     def is_low_with_level(self, *, rough: bool) -> bool:
         if self.strip is None or not self.above >= 0:
             return False
-        top = int(self.figures["car_top"] / SLOT)
+        top = int(self.thresholds.car_top_m / SLOT)
         filled = self.filled(0)
         closed = [filled[k] or (k > 0 and filled[k - 1]) or (k > 1 and filled[k - 2]) for k in range(64)]
         if all(closed[self.slot : top]):
             return False
         b = floor(self.side / np.float32(0.25)) + N
         bins = int(self.levels[self.line, max(b - 6, 0) : b + 7].sum())
-        return bool(bins >= self.figures["car_bins_rough" if rough else "car_bins"])
+        return bool(bins >= (self.thresholds.car_bins_rough if rough else self.thresholds.car_bins))
 
     def is_thin(self) -> bool:
-        if self.strip is None or self.is_in_wall() or self.level > 0 or not self.above > self.figures["foot"]:
+        if self.strip is None or self.is_in_wall() or self.level > 0 or not self.above > self.thresholds.foot_m:
             return False
-        if not self.texture >= self.figures["share"] or not self.figures["pole"] > 0:
+        if not self.texture >= self.thresholds.leaf_share or not self.thresholds.pole_m > 0:
             return False
         return self._is_short_in_line() or self._is_narrow_across()
 
     def _is_short_in_line(self) -> bool:
         ranges, heights = self.window[self.line + 4], self.points[1][self.line + 2]
-        held = self.counts[0][self.line + 2] >= self.figures["least"]
+        held = self.counts[0][self.line + 2] >= self.thresholds.least_near
         heights_met, length = [self.height], 1
         for way in (-1, 1):
             last, gap, j = self.i, 0, self.i + way
             while 0 <= j < len(ranges) and gap <= 3 + length:
                 if not held[j]:
                     gap += 1
-                elif abs(ranges[j] - ranges[last]) < self.figures["jump"]:
+                elif abs(ranges[j] - ranges[last]) < self.thresholds.jump_m:
                     last, gap, length = j, 0, length + 1
                     heights_met.append(heights[j])
-                    if max(heights_met) - min(heights_met) >= self.figures["pole"]:
+                    if max(heights_met) - min(heights_met) >= self.thresholds.pole_m:
                         return False
-                elif ranges[j] <= ranges[last] + self.figures["far"]:
+                elif ranges[j] <= ranges[last] + self.thresholds.far_m:
                     return False
                 else:
                     break
@@ -197,17 +193,17 @@ class _Shot:
 
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + 4
-        free = ~(column <= self.range_m + self.figures["far"])
+        free = ~(column <= self.range_m + self.thresholds.far_m)
         before = [k for k in range(1, 5) if middle - k >= 0 and free[middle - k]]
         after = [k for k in range(1, 5) if middle + k < len(column) and free[middle + k]]
         return bool(before) and bool(after) and before[0] + after[0] <= 5
 
     def has_crown(self) -> bool:
-        return bool(sum(self.filled(1)[self.slot :]) >= self.figures["crown"])
+        return bool(sum(self.filled(1)[self.slot :]) >= self.thresholds.crown_slots)
 
     def label(self) -> int:
         leaf = False
-        if self.near < self.figures["least"]:
+        if self.near < self.thresholds.least_near:
             leaf = self.is_leaf()
             if self.near == 0 or not (leaf or self.is_held()):
                 return NOISE
@@ -236,15 +232,16 @@ def fused_labels(
     levels: U8,
     beams: tuple[F32, F32],
     step: np.float32,
-    figures: F32,
+    thresholds: DecisionThresholds,
 ) -> U8:
     """Label shots; see :func:`prc_cli.kernels.fused.classes.fused_labels`."""
-    named = dict(zip(NAMES, figures, strict=True))
     points = (*_points(window_m[2:-2], beams), above_m)
     labels = np.full(texture.shape, MISSING, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(window_m[4:-4])), strict=True):
         is_walked, soft = bool(walked[line + 2, i]), np.float32(texture[line, i])
-        shot = _Shot(window_m, points, counts, is_walked, soft, slots, walls, levels, step, named, int(line), int(i))
+        shot = _Shot(
+            window_m, points, counts, is_walked, soft, slots, walls, levels, step, thresholds, int(line), int(i)
+        )
         labels[line, i] = shot.label()
     return labels
 

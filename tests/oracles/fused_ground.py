@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from prc_cli.core.thresholds_fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 
 QUARTER, HALF, BINS = np.float32(0.25), np.float32(0.5), 320
@@ -20,12 +21,12 @@ def walk_ground(
     age: I32,
     start_m: np.float32,
     keep: int,
-    figures: F32,
+    thresholds: WalkThresholds,
 ) -> tuple[F32, Mask, F32, I32]:
     """Find the ground; see :func:`prc_cli.kernels.fused.ground.walk_ground`."""
     side_m, height_m = range_m * beams[0], -(range_m * beams[1])
     above, walked = np.full(side_m.shape, np.nan, np.float32), np.zeros(side_m.shape, np.bool_)
-    memories = [_Memory(memory_m[s].copy(), age[s].copy(), figures) for s in range(2)]
+    memories = [_Memory(memory_m[s].copy(), age[s].copy(), thresholds) for s in range(2)]
     kept = None
     for line in range(len(side_m)):
         if line == keep:
@@ -34,10 +35,10 @@ def walk_ground(
         for memory, columns, sign in zip(memories, sides, (1, -1), strict=True):
             on_way = [
                 i for i in columns
-                if counts[0][line, i] >= figures[0] and counts[1][line, i] > 0
+                if counts[0][line, i] >= thresholds.least_near and counts[1][line, i] > 0
                 and counts[3][line, i] > counts[2][line, i]
             ]  # fmt: skip
-            steps = _steps(on_way, side_m[line] * np.float32(sign), height_m[line], memory, start_m, figures)
+            steps = _steps(on_way, side_m[line] * np.float32(sign), height_m[line], memory, start_m, thresholds)
             walked[line, [i for i, _ in steps]] = True
             memory.learn(_means([(place, height_m[line, i]) for i, place in steps]))
             profiles.append(memory.profile(start_m))
@@ -55,9 +56,9 @@ def walk_ground(
 class _Memory:
     """The ground of one side, as last seen."""
 
-    def __init__(self, height: F32, age: I32, figures: F32) -> None:
+    def __init__(self, height: F32, age: I32, thresholds: WalkThresholds) -> None:
         self.height, self.age = height, age
-        self.lines, self.follow = figures[6], figures[7]
+        self.lines, self.follow = thresholds.memory_lines, thresholds.follow
 
     def known(self) -> Mask:
         fresh: Mask = self.age.astype(np.float32) < self.lines
@@ -88,10 +89,9 @@ class _Memory:
 
 
 def _steps(
-    on_way: list[int], out_m: F32, height_m: F32, memory: _Memory, start_m: np.float32, figures: F32
+    on_way: list[int], out_m: F32, height_m: F32, memory: _Memory, start_m: np.float32, thresholds: WalkThresholds
 ) -> list[tuple[int, int]]:
     """Return the columns that the walk goes over, and their places."""
-    step, slope, reach, gap, known_m = figures[1:6]
     known = memory.known()
     at, z = np.float32(0), memory.height[np.argmax(known)] if known.any() else np.float32(start_m)
     steps = []
@@ -100,8 +100,8 @@ def _steps(
         if out_m[i] < 0 or place >= BINS or out_m[i] - at < -np.float32(0.05):
             continue
         out = max(out_m[i] - at, np.float32(0))
-        limit = step + slope * min(out, reach) + gap * out
-        remembered = known[place] and abs(height_m[i] - memory.height[place]) < known_m
+        limit = thresholds.step_m + thresholds.slope * min(out, thresholds.slope_reach_m) + thresholds.gap_slope * out
+        remembered = known[place] and abs(height_m[i] - memory.height[place]) < thresholds.known_m
         if abs(height_m[i] - z) <= limit or remembered:
             steps.append((i, place))
             at, z = out_m[i], height_m[i]

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 
+from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds
 from prc_cli.core.types import F32, U8
 
 PAIRS_IN_LINE = ((-1, 1), (-2, 2), (-2, -1), (1, 2), (-1, 2), (-2, 1))
@@ -23,36 +24,36 @@ def _with_margins(points: tuple[F32, F32]) -> tuple[F32, F32]:
     return side, height
 
 
-def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
+def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
     """Count near neighbours; see :func:`prc_cli.kernels.fused.neighbours.near_counts`."""
-    near_m, near_steps, thin, along_m, along_steps = figures
+    limits = thresholds
     side_m, height_m = _with_margins(plane_points(range_m, sine, cosine))
     around = [(a, b) for a, b in product(range(-2, 3), range(-4, 5)) if (a, b) != (0, 0) and (a == 0 or abs(b) <= 2)]
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
         y, x = line + 2, column + 4
         apart = range_m[y, column] * step
-        near, along = max(near_m, near_steps * apart), max(along_m, along_steps * apart)
+        near = max(limits.near_m, limits.near_steps * apart)
+        along = max(limits.along_m, limits.along_steps * apart)
         for a, b in around:
             to_side = abs(side_m[y + a, x + b] - side_m[y, x])
             up = abs(height_m[y + a, x + b] - height_m[y, x])
             close = to_side < near and up < near
-            level = up < thin and to_side < along
-            upright = to_side < thin and up < along
+            level = up < limits.thin_m and to_side < along
+            upright = to_side < limits.thin_m and up < along
             counts[line, column] += bool(close or level or upright)
     return counts
 
 
-def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
+def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
     """Count smooth pairs; see :func:`prc_cli.kernels.fused.neighbours.smooth_counts`."""
-    base, per_m, gap_m, gap_steps = figures
     points = np.stack(_with_margins(plane_points(range_m, sine, cosine)), axis=-1)
     counts = np.zeros((range_m.shape[0] - 4, range_m.shape[1]), np.uint8)
     for line, column in zip(*np.nonzero(~np.isnan(range_m[2:-2])), strict=True):
         y, x = line + 2, column + 4
         r, own = range_m[y, column], points[y, x]
-        tolerance = base + per_m * r
-        gap = max(gap_m, gap_steps * (r * step))
+        tolerance = thresholds.tolerance_m + thresholds.tolerance_per_m * r
+        gap = max(thresholds.gap_m, thresholds.gap_steps * (r * step))
         for b, c in PAIRS_IN_LINE:
             first, second = points[y, x + b], points[y, x + c]
             along, off = second - first, own - first
@@ -66,14 +67,16 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figure
     return counts
 
 
-def directions(range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, figures: F32) -> tuple[U8, U8]:
+def directions(
+    range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
+) -> tuple[U8, U8]:
     """Count upright and level chords; see :func:`prc_cli.kernels.fused.neighbours.directions`."""
-    chord, slope, slack, longest = figures
+    slope, slack, longest = thresholds.slope, thresholds.slack_m, thresholds.longest_m
     side_m, height_m = plane_points(range_m, sine, cosine)
     m = range_m.shape[1]
     upright, level = np.zeros(range_m.shape, np.uint8), np.zeros(range_m.shape, np.uint8)
     for line, i in zip(*np.nonzero(~np.isnan(range_m)), strict=True):
-        away = int(min(max(chord / (range_m[line, i] * step), 1), 60))
+        away = int(min(max(thresholds.chord_m / (range_m[line, i] * step), 1), 60))
         tries = [away, away + 1, *([away - 1] if away > 1 else [])]
         ends = []
         for way in (-1, 1):

@@ -7,6 +7,7 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds
 from prc_cli.core.types import F32, U8
 
 N, WIDTH, HALF_WIDTH, SLOT = 320, np.float32(0.5), np.float32(0.25), np.float32(0.25)
@@ -21,33 +22,34 @@ def fill_strips(
     counts: tuple[U8, U8, U8, U8],
     beams: tuple[F32, F32],
     step: np.float32,
-    figures: F32,
+    thresholds: StripThresholds,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
     """Sort shots into strips; see :func:`prc_cli.kernels.fused.strips.fill_strips`."""
     ranges, above = range_m, above_m
     side, height = ranges * beams[0], -(ranges * beams[1])
     near, smooth, upright, level = counts
-    least, foot, rough_most, smooth_least, level_least, level_top, jump = figures
     shape = (len(ranges), N)
     every, rough = np.zeros(shape, np.uint64), np.zeros(shape, np.uint64)
     length, wall, place = (np.zeros(shape, np.float32) for _ in range(3))
     top, levels = np.full(shape, NOTHING), np.zeros((len(ranges), 2 * N), np.uint8)
-    for k, i in zip(*np.nonzero((above >= foot) & (near >= least)), strict=True):
+    for k, i in zip(*np.nonzero((above >= thresholds.foot_m) & (near >= thresholds.least_near)), strict=True):
         y, strip = side[k, i], floor(side[k, i] / WIDTH) + N // 2
         if not 0 <= strip < N:
             continue
         bit = np.uint64(1 << min(int(above[k, i] / SLOT), 63))
         every[k, strip] |= bit
-        if smooth[k, i] <= rough_most:
+        if smooth[k, i] <= thresholds.rough:
             rough[k, strip] |= bit
         stands_for = ranges[k, i] * step / max(abs(y) / ranges[k, i], np.float32(0.3))
         length[k, strip] += stands_for
-        if smooth[k, i] >= smooth_least and upright[k, i] >= 2:
+        if smooth[k, i] >= thresholds.smooth and upright[k, i] >= 2:
             wall[k, strip] += stands_for
             place[k, strip] += stands_for * y
             top[k, strip] = max(top[k, strip], height[k, i])
-        if smooth[k, i] >= level_least and level[k, i] > upright[k, i] and above[k, i] < level_top:
-            beside = [side[k, j] for j in (i - 1, i + 1) if 0 <= j < side.shape[1] and abs(side[k, j] - y) < jump]
+        is_level = smooth[k, i] >= thresholds.level_smooth and level[k, i] > upright[k, i]
+        if is_level and above[k, i] < thresholds.level_top_m:
+            adjacent = [side[k, j] for j in (i - 1, i + 1) if 0 <= j < side.shape[1]]
+            beside = [other for other in adjacent if abs(other - y) < thresholds.jump_m]
             low, high = (floor(end / HALF_WIDTH) + N for end in (min([y, *beside]), max([y, *beside])))
             levels[k, max(low, 0) : max(min(high, 2 * N - 1) + 1, 0)] = 1
     return every, rough, length, wall, place, top, levels
@@ -69,28 +71,26 @@ def widen_levels(levels: U8) -> U8:
     return np.stack([levels[k : k + 5].max(axis=0) for k in range(len(levels) - 4)])
 
 
-def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32, F32]:
+def find_walls(sums: tuple[F32, F32, F32, F32], thresholds: WallThresholds) -> tuple[F32, F32, F32]:
     """Find walls; see :func:`prc_cli.kernels.fused.strips.find_walls`."""
-    height, share, before = figures
     n_lines = len(sums[0]) - 4
     at, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
     for line in range(n_lines):
         length, wall, place = (_sum(values[line : line + 5]) for values in sums[:3])
         highest = np.pad(sums[3][line : line + 5].max(axis=0), 1, constant_values=NOTHING)
-        is_wall = (wall >= height * np.float32(5)) & (wall >= share * length) & (wall > 0)
+        is_wall = (wall >= thresholds.height_m * np.float32(5)) & (wall >= thresholds.share * length) & (wall > 0)
         for side in (np.arange(N // 2, N), np.arange(N // 2 - 1, -1, -1)):
             number = np.arange(N // 2)
             inwards = np.maximum.accumulate(np.where(is_wall[side], number, -1))
             outwards = np.minimum.accumulate(np.where(is_wall[side], number, N)[::-1])[::-1]
-            for k in number:
-                if inwards[k] >= 0:
-                    w = side[inwards[k]]
-                    at[line, side[k]], top[line, side[k]] = place[w] / wall[w], highest[w : w + 3].max()
-                if outwards[k] < N:
-                    w = side[outwards[k]]
-                    where = place[w] / wall[w]
-                    if abs(where) - np.float32(k) * WIDTH <= before + WIDTH:
-                        ahead[line, side[k]] = where
+            for k in np.flatnonzero(inwards >= 0):
+                w = side[inwards[k]]
+                at[line, side[k]], top[line, side[k]] = place[w] / wall[w], highest[w : w + 3].max()
+            for k in np.flatnonzero(outwards < N):
+                w = side[outwards[k]]
+                where = place[w] / wall[w]
+                if abs(where) - np.float32(k) * WIDTH <= thresholds.before_m + WIDTH:
+                    ahead[line, side[k]] = where
     return at, top, ahead
 
 

@@ -10,12 +10,15 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from prc_cli.core.thresholds_fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
-def ground_profiles(range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, figures: F64) -> F64:
+def ground_profiles(
+    range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, thresholds: TerrainThresholds
+) -> F64:
     """Find the height of the ground; see :func:`prc_cli.kernels.fused.stems.ground_profiles`."""
-    bin_m, slope, step_m, step_share = figures.tolist()
+    bin_m = thresholds.bin_m
     profiles = []
     for start in range(0, len(range_m), lines_together):
         heights: list[list[float]] = [[] for _ in range(n_bins)]
@@ -24,10 +27,10 @@ def ground_profiles(range_m: F32, sine: F64, cosine: F64, lines_together: int, n
             for one, other in pairwise(columns):
                 r = ranges[other]
                 place = r * sine[other] * (1.0 / bin_m) + n_bins // 2
-                if abs(r - ranges[one]) <= step_m + step_share * r and 0 <= place < n_bins:
+                if abs(r - ranges[one]) <= thresholds.near_m + thresholds.near_share * r and 0 <= place < n_bins:
                     heights[int(place)].append(-r * cosine[other])
         third = np.array([sorted(found)[2] if len(found) > 2 else np.inf for found in heights])
-        profiles.append(_bridged(third, slope * bin_m))
+        profiles.append(_bridged(third, thresholds.slope * bin_m))
     return np.array(profiles)
 
 
@@ -78,37 +81,35 @@ class _Run:
     waiting: int = 0
 
 
-def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, figures: F64) -> tuple[I32, F64]:
+def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
     """Find upright runs; see :func:`prc_cli.kernels.fused.stems.upright_runs`."""
-    lean, short = figures.tolist()[8:]
     runs = np.zeros(range_m.shape, np.int32)
     table = [(0.0, 0.0, 0.0, 0.0)]
     for line, row in enumerate(runs):
-        for run in _runs_of_line(range_m[line].astype(np.float64), height_m[line], sine, cosine, figures):
+        for run in _runs_of_line(range_m[line].astype(np.float64), height_m[line], sine, cosine, thresholds):
             up, aside = abs(run.z[-1] - run.z[0]), abs(run.y[-1] - run.y[0])
             n = len(run.columns)
-            if n >= 3 and up >= short and aside <= lean * up and run.passed <= n / 2:
+            if n >= 3 and up >= thresholds.short_m and aside <= thresholds.lean * up and run.passed <= n / 2:
                 row[run.columns] = len(table)
                 table.append((float(n), float(run.passed), min(run.z[0], run.z[-1]), max(run.z[0], run.z[-1])))
     return runs, np.array(table)
 
 
-def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, figures: F64) -> list[_Run]:
-    angle, low, tolerance_m, tolerance_share, steep, gap, gap_steep, behind = figures.tolist()[:8]
+def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> list[_Run]:
     runs: list[_Run] = []
     recent: deque[_Run] = deque(maxlen=3)
-    for column in np.flatnonzero(heights.astype(np.float64) >= low).tolist():
+    for column in np.flatnonzero(heights.astype(np.float64) >= thresholds.above_m).tolist():
         r = float(ranges[column])
         y, z = r * float(sine[column]), -r * float(cosine[column])
-        spacing = 3.0 * angle * r * r / max(abs(y), 0.3)
+        spacing = 3.0 * thresholds.step_rad * r * r / max(abs(y), 0.3)
 
         def follows(run: _Run, y: float = y, z: float = z, r: float = r, spacing: float = spacing) -> bool:
             up = abs(z - run.z[-1])
-            tolerance = tolerance_m + tolerance_share * r
-            beside = tolerance + steep * up
+            tolerance = thresholds.tolerance_m + thresholds.tolerance_share * r
+            beside = tolerance + thresholds.steep * up
             if up > spacing:
-                beside = tolerance + steep * spacing + gap_steep * (up - spacing)
-            return bool(up <= gap and abs(y - run.y[-1]) <= beside)
+                beside = tolerance + thresholds.steep * spacing + thresholds.gap_steep * (up - spacing)
+            return bool(up <= thresholds.gap_m and abs(y - run.y[-1]) <= beside)
 
         run = next((one for one in recent if follows(one)), None)
         if run is None:
@@ -122,15 +123,14 @@ def _runs_of_line(ranges: F64, heights: F32, sine: F64, cosine: F64, figures: F6
             values.append(value)
         recent.appendleft(run)
         for other in list(recent)[1:]:
-            other.waiting += r > other.r[-1] + behind
+            other.waiting += r > other.r[-1] + thresholds.behind_m
     return runs
 
 
-def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
+def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
     """Mark the shots of stems; see :func:`prc_cli.kernels.fused.stems.stem_shots`."""
-    near, near_share, shots, least_runs, extent, total, mean, through = figures.tolist()
     r = range_m.astype(np.float64)
-    close = np.abs(r[1:] - r[:-1]) < near + near_share * r[1:]
+    close = np.abs(r[1:] - r[:-1]) < thresholds.near_m + thresholds.near_share * r[1:]
     linked = close & (runs[1:] > 0) & (runs[:-1] > 0)
     size = len(table)
     pairs = (np.ones(int(linked.sum())), (runs[1:][linked], runs[:-1][linked]))
@@ -144,39 +144,41 @@ def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
         for run in members:  # in this order, as rounding has it
             length += table[run, 3] - table[run, 2]
         is_stem[members] = (
-            n.sum() >= shots
-            and len(members) >= least_runs
-            and high.max() - low.min() >= extent
-            and length >= total
-            and length >= mean * len(members)
-            and passed.sum() <= through * n.sum()
+            n.sum() >= thresholds.shots
+            and len(members) >= thresholds.runs
+            and high.max() - low.min() >= thresholds.extent_m
+            and length >= thresholds.total_m
+            and length >= thresholds.mean_m * len(members)
+            and passed.sum() <= thresholds.through_share * n.sum()
         )
     mask: Mask = is_stem[runs]
     return mask
 
 
-def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, figures: F64) -> U8:
+def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
     """Label a block of forest; see :func:`prc_cli.kernels.fused.stems.forest_labels`."""
-    below, soil, cover, flat, top, beside, company = figures.tolist()
+    top = thresholds.top_m
     r, height = range_m.astype(np.float64), height_m.astype(np.float64)
-    steps = np.abs(np.diff(height, axis=1)) < flat
+    steps = np.abs(np.diff(height, axis=1)) < thresholds.flat_m
     level = np.zeros(r.shape, bool)
     level[:, 1:-1] = steps[:, :-1] & steps[:, 1:]
-    touching, in_company = np.zeros(r.shape, bool), np.full(r.shape, company < 0)
+    touching, in_company = np.zeros(r.shape, bool), np.full(r.shape, thresholds.near_m < 0)
     lines, columns = r.shape
     for line, column in np.argwhere(~np.isnan(r)):
         around = np.s_[max(line - 1, 0) : line + 2, max(column - 1, 0) : column + 2]
-        touching[line, column] = bool((stems[around] & (np.abs(r[around] - r[line, column]) <= beside)).any())
+        touching[line, column] = bool(
+            (stems[around] & (np.abs(r[around] - r[line, column]) <= thresholds.beside_m)).any()
+        )
         for i in range(max(line - 2, 0), min(line + 3, lines)):
             for k in range(max(column - columns_around, 0), min(column + columns_around + 1, columns)):
-                if (i, k) != (line, column) and abs(r[i, k] - r[line, column]) <= company:
+                if (i, k) != (line, column) and abs(r[i, k] - r[line, column]) <= thresholds.near_m:
                     in_company[line, column] = True
     # the rules from the last to the first, each over those after it
     labels = np.where(in_company, 5, 2)
     labels[touching & (height <= top)] = 6
-    labels[(height <= soil) | (level & (height <= cover))] = 3
+    labels[(height <= thresholds.soil_m) | (level & (height <= thresholds.cover_m))] = 3
     labels[stems & (height <= top)] = 6
     labels[stems & (height > top)] = 5
-    labels[height < -below] = 2
+    labels[height < -thresholds.below_m] = 2
     labels[np.isnan(height)] = 0
     return labels.astype(np.uint8)

@@ -12,6 +12,7 @@ from prc_cli.classifiers.fused.plane import VOTE_LINES, ScanPlane
 from prc_cli.classifiers.fused.strips import Standing, WallParams
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
+from prc_cli.core.thresholds_fused import DecisionThresholds, single
 from prc_cli.core.types import F32, U8
 
 NEVER = 1e9
@@ -90,7 +91,7 @@ def decide(
     texture: F32,
     standing: Standing,
     plane: ScanPlane,
-    figures: F32,
+    thresholds: DecisionThresholds,
 ) -> U8:
     """Label every shot of the lines; see :func:`prc_cli.kernels.fused.classes.fused_labels`.
 
@@ -101,12 +102,12 @@ def decide(
     """
     labels: U8 = kernels.fused_labels(
         window_m, ground.above_m, seen.counts, ground.walked, texture, standing.slots, standing.walls,
-        standing.levels, plane.beams, plane.step_rad, figures,
+        standing.levels, plane.beams, plane.step_rad, thresholds,
     )  # fmt: skip
     return labels
 
 
-def decision_figures(
+def decision_thresholds(
     least_near: int,
     ground: GroundParams,
     walls: WallParams,
@@ -114,36 +115,35 @@ def decision_figures(
     leaves: LeavesParams,
     cars: CarParams,
     poles: PoleParams,
-) -> F32:
-    """Return the numbers of the decision in the order of the loop; steps that are off get numbers that never hold."""
-    return np.array(
-        [
-            least_near,
-            noise.spike_share if noise.spikes else NEVER,
-            ground.below_m,
-            noise.leaf_slots if noise.leaves else NEVER,
-            ground.walked_m,
-            ground.level_m,
-            ground.soil_m,
-            leaves.share,
-            leaves.share_before_walls,
-            walls.before_m,
-            walls.front_m,
-            walls.behind_m,
-            walls.over_m,
-            cars.top_m,
-            cars.level_bins if cars.enabled else NEVER,
-            cars.level_bins_rough if cars.enabled else NEVER,
-            poles.height_m if poles.enabled else 0.0,
-            poles.jump_m,
-            poles.far_m,
-            poles.crown_slots,
-            poles.foot_m,
-            1.0 if noise.held else 0.0,
-            noise.ghost_m,
-            noise.ghost_near if noise.ghosts else 0,
-        ],
-        np.float32,
+) -> DecisionThresholds:
+    """Return what the loop of the decision is given; steps that are off get limits that nothing reaches."""
+    return single(
+        DecisionThresholds(
+            least_near=least_near,
+            spike_share=noise.spike_share if noise.spikes else NEVER,
+            below_m=ground.below_m,
+            leaf_slots=noise.leaf_slots if noise.leaves else NEVER,
+            walked_m=ground.walked_m,
+            level_m=ground.level_m,
+            soil_m=ground.soil_m,
+            leaf_share=leaves.share,
+            leaf_share_before_wall=leaves.share_before_walls,
+            before_m=walls.before_m,
+            front_m=walls.front_m,
+            behind_m=walls.behind_m,
+            over_m=walls.over_m,
+            car_top_m=cars.top_m,
+            car_bins=cars.level_bins if cars.enabled else NEVER,
+            car_bins_rough=cars.level_bins_rough if cars.enabled else NEVER,
+            pole_m=poles.height_m if poles.enabled else 0.0,
+            jump_m=poles.jump_m,
+            far_m=poles.far_m,
+            crown_slots=poles.crown_slots,
+            foot_m=poles.foot_m,
+            keeps_held=1.0 if noise.held else 0.0,
+            ghost_m=noise.ghost_m,
+            ghost_near=noise.ghost_near if noise.ghosts else 0,
+        )
     )
 
 

@@ -18,6 +18,7 @@ from prc_cli.classifiers.fused.stems import StemsParams, find_stems
 from prc_cli.classifiers.fused.terrain import TerrainParams, heights_over_ground
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
+from prc_cli.core.thresholds_fused import ForestThresholds, double
 from prc_cli.core.types import F32, U8, Mask
 
 LEAST_COLUMNS, MOST_COLUMNS = 2, 8
@@ -69,6 +70,22 @@ class ForestParams(Params):
     touching: TouchingParams = TouchingParams()
     company: CompanyParams = CompanyParams()
 
+    def thresholds(self) -> ForestThresholds:
+        """Return what the loop of the labels is given; steps that are off get limits that change nothing."""
+        flat, touching, company = self.flat, self.touching, self.company
+        return double(
+            ForestThresholds(
+                below_m=self.below_m,
+                soil_m=self.soil_m,
+                cover_m=flat.cover_m if flat.enabled else self.soil_m,
+                flat_m=flat.step_m,
+                top_m=self.stem_top_m,
+                # ranges differ by 0 at least
+                beside_m=touching.range_m if touching.enabled else -1.0,
+                near_m=company.range_m if company.enabled else -1.0,
+            )
+        )
+
 
 def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
     """Label a block of forest.
@@ -109,17 +126,6 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
 @stage("classes")
 def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, params: ForestParams) -> U8:
     """Draw ground and stems; what is neither is vegetation in company and noise alone."""
-    flat, touching, company = params.flat, params.touching, params.company
-    columns = round(math.radians(company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
-    figures = (
-        params.below_m,
-        params.soil_m,
-        flat.cover_m if flat.enabled else params.soil_m,
-        flat.step_m,
-        params.stem_top_m,
-        # ranges differ by 0 at least
-        touching.range_m if touching.enabled else -1.0,
-        company.range_m if company.enabled else -1.0,
-    )
+    columns = round(math.radians(params.company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
-    return kernels.forest_labels(range_m, heights_m, stems, around, np.array(figures))
+    return kernels.forest_labels(range_m, heights_m, stems, around, params.thresholds())

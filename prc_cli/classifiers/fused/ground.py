@@ -12,6 +12,7 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.plane import ScanPlane, points_of
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
+from prc_cli.core.thresholds_fused import WalkThresholds, single
 from prc_cli.core.types import F32, I32, Mask
 
 BINS = 320
@@ -45,6 +46,21 @@ class GroundParams(Params):
     start_reach_m: float = Field(
         4.0, gt=0, le=100, description="where nothing is remembered, the ground this far to the side is the start [m]"
     )
+
+    def thresholds(self, least_near: int) -> WalkThresholds:
+        """Return what the loop is given; shots with fewer near neighbours do not count."""
+        return single(
+            WalkThresholds(
+                least_near=least_near,
+                step_m=self.step_m,
+                slope=self.slope,
+                slope_reach_m=self.slope_reach_m,
+                gap_slope=self.gap_slope,
+                known_m=self.known_m,
+                memory_lines=self.memory_lines,
+                follow=self.follow,
+            )
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,16 +131,12 @@ def follow_ground(
     -------
     Ground, GroundMemory
     """
-    figures = [
-        least_near, params.step_m, params.slope, params.slope_reach_m, params.gap_slope, params.known_m,
-        params.memory_lines, params.follow,
-    ]  # fmt: skip
     start_m = memory.nearest_m(params.memory_lines)
     if start_m is None:
         start_m = start_height(*points_of(range_m, plane), seen, params)
     above, walked, height_m, age = kernels.walk_ground(
         range_m, plane.beams, seen.counts, (plane.left, plane.right), memory.height_m, memory.age,
-        np.float32(start_m), keep, np.array(figures, np.float32),
+        np.float32(start_m), keep, params.thresholds(least_near),
     )  # fmt: skip
     return Ground(above, walked), GroundMemory(height_m, age)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
+from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds, single
 from prc_cli.core.types import F32, U8
 
 
@@ -28,6 +28,10 @@ class CompanyParams(Params):
         3, ge=0, le=28, description="shots with fewer near neighbours, of 28, are alone; 0 = none is alone"
     )
 
+    def thresholds(self) -> NearThresholds:
+        """Return what the loop is given."""
+        return single(NearThresholds(self.near_m, self.near_steps, self.thin_m, self.along_m, self.along_steps))
+
 
 class SmoothnessParams(Params):
     """When shots lie on a smooth surface (``[fused.smoothness]``)."""
@@ -39,6 +43,17 @@ class SmoothnessParams(Params):
     gap_m: float = Field(0.4, gt=0, le=100, description="pairs in a line are less apart than this [m] ...")
     gap_steps: float = Field(16.0, gt=0, le=1000, description="... or so many distances of two columns")
 
+    def thresholds(self, noise_m: float, step_rad: float) -> SmoothThresholds:
+        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
+        return single(
+            SmoothThresholds(
+                tolerance_m=max(self.least_m, self.noise_sigmas * noise_m),
+                tolerance_per_m=self.per_metre + self.per_step * step_rad,
+                gap_m=self.gap_m,
+                gap_steps=self.gap_steps,
+            )
+        )
+
 
 class DirectionParams(Params):
     """Which way a surface goes (``[fused.directions]``)."""
@@ -47,6 +62,10 @@ class DirectionParams(Params):
     slope: float = Field(0.4, ge=0, le=1, description="an upright chord leans less than this, a level one rises less")
     slack_m: float = Field(0.02, ge=0, le=10, description="and by no more than this beside [m]")
     longest_m: float = Field(2.0, gt=0, le=1000, description="longer chords say nothing [m]")
+
+    def thresholds(self) -> ChordThresholds:
+        """Return what the loop is given."""
+        return single(ChordThresholds(self.chord_m, self.slope, self.slack_m, self.longest_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,29 +94,20 @@ def near_neighbours(window_m: F32, plane: ScanPlane, params: CompanyParams) -> U
     Near is meant in space, so that a surface at grazing incidence, whose ranges differ by metres from shot to shot,
     keeps its shots together: they are on one level, or above each other.
     """
-    figures = [params.near_m, params.near_steps, params.thin_m, params.along_m, params.along_steps]
-    counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, np.array(figures, np.float32))
+    counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, params.thresholds())
     return counts
 
 
 @stage("smoothness")
 def smooth_pairs(window_m: F32, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
     """Count the pairs of neighbours that every shot is on a smooth surface with, in its line and across lines."""
-    figures = [
-        max(params.least_m, params.noise_sigmas * noise_m),
-        params.per_metre + params.per_step * float(plane.step_rad),
-        params.gap_m,
-        params.gap_steps,
-    ]
-    counts: U8 = kernels.smooth_counts(
-        window_m, plane.sine, plane.cosine, plane.step_rad, np.array(figures, np.float32)
-    )
+    thresholds = params.thresholds(noise_m, float(plane.step_rad))
+    counts: U8 = kernels.smooth_counts(window_m, plane.sine, plane.cosine, plane.step_rad, thresholds)
     return counts
 
 
 @stage("directions")
 def chords(range_m: F32, smooth: U8, plane: ScanPlane, params: DirectionParams) -> tuple[U8, U8]:
     """Count the upright and the level chords through every shot."""
-    figures = np.array([params.chord_m, params.slope, params.slack_m, params.longest_m], np.float32)
-    upright, level = kernels.directions(range_m, smooth, plane.sine, plane.cosine, plane.step_rad, figures)
+    upright, level = kernels.directions(range_m, smooth, plane.sine, plane.cosine, plane.step_rad, params.thresholds())
     return upright, level

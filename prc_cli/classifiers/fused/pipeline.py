@@ -25,7 +25,7 @@ from prc_cli.classifiers.fused.classes import (
     PoleParams,
     VoteParams,
     decide,
-    decision_figures,
+    decision_thresholds,
     texture_of,
     vote,
 )
@@ -203,10 +203,10 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     standing = stand(
         seen.range_m, ground.above_m, seen.neighbours, plane, least, params.cars.top_m, params.strips, params.walls
     )
-    figures = decision_figures(
+    thresholds = decision_thresholds(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    labels = decide(seen.window, seen.neighbours, ground, texture, standing, plane, figures)
+    labels = decide(seen.window, seen.neighbours, ground, texture, standing, plane, thresholds)
     return vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
 
 

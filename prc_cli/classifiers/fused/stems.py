@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.types import F32, F64, Mask
+from prc_cli.core.thresholds_fused import RunThresholds, StemThresholds, double
+from prc_cli.core.types import F32, Mask
 
 
 class GapParams(Params):
@@ -66,6 +66,42 @@ class StemsParams(Params):
     opacity: OpacityParams = OpacityParams()
     joining: JoiningParams = JoiningParams()
 
+    def run_thresholds(self, step_rad: float) -> RunThresholds:
+        """Return what the loop over the runs of a line is given; steps that are off get limits that change nothing."""
+        gaps, opacity = self.gaps, self.opacity
+        return double(
+            RunThresholds(
+                step_rad=step_rad,
+                above_m=self.above_m,
+                tolerance_m=self.tolerance_m,
+                tolerance_share=self.tolerance_share,
+                steep=self.steep,
+                gap_m=gaps.longest_m if gaps.enabled else math.inf,
+                # beyond the spacing of shots on a wall nothing is near enough
+                gap_steep=gaps.steep if gaps.enabled else -math.inf,
+                behind_m=opacity.behind_m if opacity.enabled else math.inf,
+                lean=self.lean,
+                short_m=self.short_m,
+            )
+        )
+
+    def stem_thresholds(self) -> StemThresholds:
+        """Return what the loop over the runs of a block is given."""
+        joining = self.joining
+        return double(
+            StemThresholds(
+                # ranges differ by 0 at least
+                near_m=joining.near_m if joining.enabled else -1.0,
+                near_share=joining.near_share if joining.enabled else 0.0,
+                shots=self.shots,
+                runs=joining.runs if joining.enabled else 1,
+                extent_m=self.extent_m,
+                total_m=self.total_m,
+                mean_m=self.mean_m,
+                through_share=self.opacity.share,
+            )
+        )
+
 
 @stage("stems")
 def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) -> Mask:
@@ -96,41 +132,6 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) 
     >>> heights[stems].min().round(1), stems[:, -1].all()
     (np.float32(0.1), np.True_)
     """
-    runs, table = kernels.upright_runs(range_m, heights_m, plane.sine, plane.cosine, _run_figures(plane, params))
-    return kernels.stem_shots(range_m, runs, table, _stem_figures(params))
-
-
-def _run_figures(plane: Plane, params: StemsParams) -> F64:
-    """Return what :func:`prc_cli.kernels.fused.stems.upright_runs` is told, in its order."""
-    gaps, opacity = params.gaps, params.opacity
-    figures = (
-        plane.step_rad,
-        params.above_m,
-        params.tolerance_m,
-        params.tolerance_share,
-        params.steep,
-        gaps.longest_m if gaps.enabled else math.inf,
-        # beyond the spacing of shots on a wall nothing is near enough
-        gaps.steep if gaps.enabled else -math.inf,
-        opacity.behind_m if opacity.enabled else math.inf,
-        params.lean,
-        params.short_m,
-    )
-    return np.array(figures)
-
-
-def _stem_figures(params: StemsParams) -> F64:
-    """Return what :func:`prc_cli.kernels.fused.stems.stem_shots` is told, in its order."""
-    joining = params.joining
-    figures = (
-        # ranges differ by 0 at least
-        joining.near_m if joining.enabled else -1.0,
-        joining.near_share if joining.enabled else 0.0,
-        params.shots,
-        joining.runs if joining.enabled else 1,
-        params.extent_m,
-        params.total_m,
-        params.mean_m,
-        params.opacity.share,
-    )
-    return np.array(figures, np.float64)
+    thresholds = params.run_thresholds(plane.step_rad)
+    runs, table = kernels.upright_runs(range_m, heights_m, plane.sine, plane.cosine, thresholds)
+    return kernels.stem_shots(range_m, runs, table, params.stem_thresholds())

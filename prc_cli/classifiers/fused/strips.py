@@ -13,6 +13,7 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
+from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds, single
 from prc_cli.core.types import F32, U8
 
 NEVER_M = 1e9
@@ -30,6 +31,20 @@ class StripsParams(Params):
     )
     jump_m: float = Field(1.0, ge=0, le=100, description="a level surface goes on to a neighbour that is nearer [m]")
 
+    def thresholds(self, least_near: int, level_top_m: float) -> StripThresholds:
+        """Return what the loop is given; level surfaces above ``level_top_m`` [m] do not count."""
+        return single(
+            StripThresholds(
+                least_near=least_near,
+                foot_m=self.foot_m,
+                rough=self.rough,
+                smooth=self.smooth,
+                level_smooth=self.level_smooth,
+                level_top_m=level_top_m,
+                jump_m=self.jump_m,
+            )
+        )
+
 
 class WallParams(Params):
     """What a wall is, and what is seen through it (``[fused.walls]``)."""
@@ -45,6 +60,10 @@ class WallParams(Params):
     before_m: float = Field(
         2.0, ge=0, le=100, description="before a wall, up to so far, leaves must be rougher: balconies are there [m]"
     )
+
+    def thresholds(self) -> WallThresholds:
+        """Return what the loop is given."""
+        return single(WallThresholds(self.height_m if self.enabled else NEVER_M, self.share, self.before_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,12 +104,8 @@ def stand(
     strips : StripsParams
     walls : WallParams
     """
-    figures = [least_near, strips.foot_m, strips.rough, strips.smooth, strips.level_smooth, car_top_m, strips.jump_m]
     every, rough, length, wall, place, top, levels = kernels.fill_strips(
-        range_m, above_m, seen.counts, plane.beams, plane.step_rad, np.array(figures, np.float32)
+        range_m, above_m, seen.counts, plane.beams, plane.step_rad, strips.thresholds(least_near, car_top_m)
     )
-    height_m = walls.height_m if walls.enabled else NEVER_M
-    found = kernels.find_walls(
-        (length, wall, place, top), np.array([height_m, walls.share, walls.before_m], np.float32)
-    )
+    found = kernels.find_walls((length, wall, place, top), walls.thresholds())
     return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, kernels.widen_levels(levels))

@@ -9,6 +9,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
+from prc_cli.core.thresholds_fused import TerrainThresholds, double
 from prc_cli.core.types import F32
 
 
@@ -25,6 +26,10 @@ class TerrainParams(Params):
         0.1, ge=0, le=10, description="returns this near to the one before them in the line make the ground [m] ..."
     )
     near_share: float = Field(0.05, ge=0, le=1, description="... plus this share of the range; the rest may be noise")
+
+    def thresholds(self) -> TerrainThresholds:
+        """Return what the loop is given."""
+        return double(TerrainThresholds(self.bin_m, self.slope, self.near_m, self.near_share))
 
 
 @stage("ground")
@@ -58,6 +63,7 @@ def heights_over_ground(range_m: F32, plane: Plane, params: TerrainParams) -> F3
     array([0., 1.], dtype=float32)
     """
     n_bins = 2 * max(int(np.ceil(params.reach_m / params.bin_m)), 1)
-    figures = np.array([params.bin_m, params.slope, params.near_m, params.near_share])
-    profiles = kernels.ground_profiles(range_m, plane.sine, plane.cosine, params.lines_together, n_bins, figures)
+    profiles = kernels.ground_profiles(
+        range_m, plane.sine, plane.cosine, params.lines_together, n_bins, params.thresholds()
+    )
     return kernels.ground_heights(range_m, plane.sine, plane.cosine, profiles, params.lines_together, params.bin_m)

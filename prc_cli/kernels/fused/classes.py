@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import boolean, float32, uint8, uint64
+from numba.types import UniTuple
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
+from prc_cli.core.thresholds_fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.named import named
 
 Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
@@ -25,34 +29,6 @@ STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`prc_cli.kernels.fused.strips`."""
 HALF_STRIP_M = np.float32(0.25)
 """Width of a bin of level surfaces [m]."""
-(
-    LEAST_NEAR,
-    SPIKE_SHARE,
-    BELOW_M,
-    LEAF_SLOTS,
-    WALKED_M,
-    LEVEL_M,
-    SOIL_M,
-    LEAF_SHARE,
-    LEAF_SHARE_BEFORE_WALL,
-    BEFORE_M,
-    FRONT_M,
-    BEHIND_M,
-    OVER_M,
-    CAR_TOP_M,
-    CAR_BINS,
-    CAR_BINS_ROUGH,
-    POLE_M,
-    JUMP_M,
-    FAR_M,
-    CROWN_SLOTS,
-    OBJECT_M,
-    IS_HELD,
-    GHOST_M,
-    GHOST_NEAR,
-    N_FIGURES,
-) = range(25)
-"""Figures of the decision, in this order."""
 SPIKE_PLACE_M = np.float32(0.1)
 """Half width of the place beside a spike [m]."""
 SPIKE_COLUMNS = 6
@@ -228,10 +204,10 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 
 @inlined
-def _is_short(ranges: F32, near: U8, heights: F32, i: int, figures: F32) -> bool:
+def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionThresholds) -> bool:
     """Tell whether the run of a shot along its line is short, with something far or nothing behind both of its ends."""
     m = len(ranges)
-    least, jump, far = figures[LEAST_NEAR], figures[JUMP_M], figures[FAR_M]
+    least, jump, far = thresholds.least_near, thresholds.jump_m, thresholds.far_m
     low, high = heights[i], heights[i]
     length = 1
     for way in (-1, 1):
@@ -247,7 +223,7 @@ def _is_short(ranges: F32, near: U8, heights: F32, i: int, figures: F32) -> bool
                 last, gap = j, 0
                 length += 1
                 low, high = min(low, heights[j]), max(high, heights[j])
-                if high - low >= figures[POLE_M]:
+                if high - low >= thresholds.pole_m:
                     return False
                 j += way
                 continue
@@ -295,31 +271,30 @@ def _is_ground(
     is_walked: bool,
     up: np.uint8,
     flat: np.uint8,
-    walked_m: np.float32,
-    level_m: np.float32,
-    soil_m: np.float32,
+    thresholds: DecisionThresholds,
 ) -> bool:
     """Tell whether a shot is on the ground: walked over, or low and more level than upright."""
     off = abs(h)
     return bool(
-        ((off < walked_m) & is_walked) | ((off < level_m) & (flat > up)) | ((off < soil_m) & (up <= flat + np.uint8(1)))
+        ((off < thresholds.walked_m) & is_walked)
+        | ((off < thresholds.level_m) & (flat > up))
+        | ((off < thresholds.soil_m) & (up <= flat + np.uint8(1)))
     )
 
 
 @helper
 def _label_plain(
-    ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, figures: F32, labels: U8
+    ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, thresholds: DecisionThresholds, labels: U8
 ) -> None:
     """Label what needs no second look: nothing, what is all alone, and ground; mark the rest as open.
 
     No branches, so that many shots are looked at at a time.
     """
     near, smooth, upright, level = counts
-    least, below = figures[LEAST_NEAR], figures[BELOW_M]
-    walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
+    least, below = thresholds.least_near, thresholds.below_m
     for i in range(len(ranges)):
         h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
-        is_ground = _is_ground(h, walked[i], up, flat, walked_m, level_m, soil_m)
+        is_ground = _is_ground(h, walked[i], up, flat, thresholds)
         company = np.float32(near[i])
         is_held = (company >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
         is_odd = (company < least) | (pairs == 0) | (h < -below)
@@ -330,13 +305,12 @@ def _label_plain(
 
 
 @inlined
-def _in_wall(
-    y: np.float32, z: np.float32, at: np.float32, top: np.float32, front: np.float32, far: np.float32, over: np.float32
-) -> bool:
+def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, thresholds: DecisionThresholds) -> bool:
     """Tell whether a shot is in a wall or, seen through it, behind."""
     behind = abs(y) - abs(at)
     through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
-    return bool((at != np.float32(0.0)) & (behind >= -front) & (behind <= far) & (through <= top + over))
+    is_between = (behind >= -thresholds.front_m) & (behind <= thresholds.behind_m)
+    return bool((at != np.float32(0.0)) & is_between & (through <= top + thresholds.over_m))
 
 
 @helper
@@ -353,13 +327,13 @@ def _count_bins(levels: U8, counts: U8) -> None:
 
 
 @helper
-def _find_cars(every: Slots, levels: U8, counts: U8, figures: F32, cars: tuple[F32, F32]) -> None:
+def _find_cars(every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]) -> None:
     """Write for every bin of a line below which height a shot is of a car: a smooth one, and a rough one; 0 = none.
 
     That is where it is level enough around, and up to the gap in what reaches above cars.
     """
-    smooth_bins, rough_bins = figures[CAR_BINS], figures[CAR_BINS_ROUGH]
-    car_slot = int(figures[CAR_TOP_M] / SLOT_M)
+    smooth_bins, rough_bins = thresholds.car_bins, thresholds.car_bins_rough
+    car_slot = int(thresholds.car_top_m / SLOT_M)
     least = min(smooth_bins, rough_bins)
     _count_bins(levels, counts)
     last, below = -1, np.float32(0.0)
@@ -398,7 +372,7 @@ def _label_odd(
     walked: Mask,
     rows: tuple[Slots, F32, F32],
     spikes: tuple[I32, Pairs],
-    figures: F32,
+    thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
     """Label the shots of a line that are noise, or ground all the same; mark lonely leaves."""
@@ -406,10 +380,8 @@ def _label_odd(
     near, smooth, upright, level = counts
     rough, at, top = rows
     columns, so_far = spikes
-    least, below, share = figures[LEAST_NEAR], figures[BELOW_M], figures[SPIKE_SHARE]
-    front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
-    foot, leaf_slots, holds = figures[OBJECT_M], figures[LEAF_SLOTS], figures[IS_HELD] > 0
-    walked_m, level_m, soil_m = figures[WALKED_M], figures[LEVEL_M], figures[SOIL_M]
+    least, below, share = thresholds.least_near, thresholds.below_m, thresholds.spike_share
+    foot, leaf_slots, holds = thresholds.foot_m, thresholds.leaf_slots, thresholds.keeps_held > 0
     for k in range(len(shots)):
         i = shots[k]
         h, pairs = above[i], smooth[i]
@@ -417,9 +389,9 @@ def _label_odd(
         if np.float32(near[i]) < least:
             y = side[i]
             b = _strip(y)
-            is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], front, far, over)
+            is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], thresholds)
             # few as they are, what is left of a far surface agrees with it
-            is_held = holds and (pairs > 0 or is_wall or abs(h) < soil_m)
+            is_held = holds and (pairs > 0 or is_wall or abs(h) < thresholds.soil_m)
             if near[i] > 0 and b >= 0 and h > foot and not is_wall:
                 is_leaf = np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots
             if near[i] == 0 or not (is_leaf or is_held):
@@ -432,7 +404,7 @@ def _label_odd(
         is_spike = (pairs == 0) & (np.float32(pairs_there) > share * np.float32(MOST_SMOOTH * shots_there))
         if is_spike | ((h < -below) & (pairs < BELOW_SMOOTH)):
             labels[i] = _NOISE
-        elif _is_ground(h, walked[i], upright[i], level[i], walked_m, level_m, soil_m):
+        elif _is_ground(h, walked[i], upright[i], level[i], thresholds):
             labels[i] = _GROUND
         elif is_leaf:
             labels[i] = _LEAF
@@ -468,7 +440,7 @@ def _label_things(
     soft: F32,
     bins: I32,
     found: tuple[F32, F32, F32, F32, F32],
-    figures: F32,
+    thresholds: DecisionThresholds,
     labels: U8,
     poles: U8,
 ) -> None:
@@ -479,15 +451,14 @@ def _label_things(
     side, height, above = points
     near, _, _, level = counts
     at, top, ahead, car_below, rough_below = found
-    leaf_share, share_before = figures[LEAF_SHARE], figures[LEAF_SHARE_BEFORE_WALL]
-    front, far, over = figures[FRONT_M], figures[BEHIND_M], figures[OVER_M]
-    before_m, foot, poles_wanted = figures[BEFORE_M], figures[OBJECT_M], figures[POLE_M] > 0
-    ghost_m, ghost_near = figures[GHOST_M], figures[GHOST_NEAR]
+    leaf_share, share_before = thresholds.leaf_share, thresholds.leaf_share_before_wall
+    before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
+    ghost_m, ghost_near = thresholds.ghost_m, thresholds.ghost_near
     nothing = np.float32(0.0)
     for i in range(len(labels)):
         y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
         is_here, wall, end = bins[i] >= 0, abs(at[i]), top[i]
-        is_wall = _in_wall(y, z, at[i], end, front, far, over)
+        is_wall = _in_wall(y, z, at[i], end, thresholds)
         before = abs(ahead[i]) - abs(y)
         is_before = (ahead[i] != nothing) & (before >= -STRIP_M) & (before <= before_m) & is_here
         is_soft = texture < (share_before if is_before else leaf_share)
@@ -513,14 +484,14 @@ def _label_poles(
     points: tuple[F32, F32, F32],
     thin: U8,
     rough: Slots,
-    figures: F32,
+    thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
     """Label the shots among some of a line that are on poles and trunks."""
     ranges = window_m[line]
     side, height, above = points
     m = len(ranges)
-    least, jump, high_m = figures[LEAST_NEAR], figures[JUMP_M], figures[POLE_M]
+    least, jump, high_m = thresholds.least_near, thresholds.jump_m, thresholds.pole_m
     end, low, high = 0, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -540,16 +511,26 @@ def _label_poles(
                 end += 1
         own = height[i]
         is_high = (high - own >= high_m) | (own - low >= high_m)
-        is_short = not is_high and _is_short(ranges, near, height, i, figures)
-        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, figures[FAR_M])):
+        is_short = not is_high and _is_short(ranges, near, height, i, thresholds)
+        if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
-            labels[i] = _VEGETATION if crown >= figures[CROWN_SLOTS] else _OTHER
+            labels[i] = _VEGETATION if crown >= thresholds.crown_slots else _OTHER
 
 
 @kernel(
-    "uint8[:, ::1](float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), boolean[:, ::1], float32[:, ::1],"
-    " UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 3), uint8[:, ::1], UniTuple(float32[::1], 2), float32,"
-    " float32[::1])"
+    uint8[:, ::1](
+        float32[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint8[:, ::1], 4),
+        boolean[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint64[:, ::1], 2),
+        UniTuple(float32[:, ::1], 3),
+        uint8[:, ::1],
+        UniTuple(float32[::1], 2),
+        float32,
+        named(DecisionThresholds, float32),
+    )
 )
 def fused_labels(
     window_m: F32,
@@ -562,7 +543,7 @@ def fused_labels(
     levels: U8,
     beams: tuple[F32, F32],
     step: np.float32,
-    figures: F32,
+    thresholds: DecisionThresholds,
 ) -> U8:
     """Label every shot of consecutive lines.
 
@@ -588,8 +569,7 @@ def fused_labels(
         Sine and cosine of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
-    figures : (N_FIGURES,) float32
-        In the order of the constants above.
+    thresholds : DecisionThresholds of float32
 
     Returns
     -------
@@ -613,7 +593,7 @@ def fused_labels(
     # lines take turns in it, each while it is near enough
     pairs = np.empty((3, m), np.uint32)
     for line in range(2):
-        _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], figures[LEAST_NEAR], pairs[line])
+        _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], thresholds.least_near, pairs[line])
     for line in range(n_lines):
         k, row = line + LINES, labels[line]
         own, ranges = (near[k], smooth[k], upright[k], level[k]), window_m[line + MARGIN]
@@ -621,20 +601,20 @@ def fused_labels(
         place = side, height, above_m[k]
         rows = walls[0][line], walls[1][line], walls[2][line]
         rough = slots[1][line]
-        _label_plain(ranges, place[2], own, walked[k], figures, row)
+        _label_plain(ranges, place[2], own, walked[k], thresholds, row)
         n = _list_marked(row, _ODD, _ODD, shots)
-        _count_pairs(near[k + 1], smooth[k + 1], figures[LEAST_NEAR], pairs[(line + 2) % 3])
+        _count_pairs(near[k + 1], smooth[k + 1], thresholds.least_near, pairs[(line + 2) % 3])
         _sum_up_three(pairs[0], pairs[1], pairs[2], so_far)
         _half_widths(ranges, step, SPIKE_PLACE_M, SPIKE_COLUMNS, columns)
-        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (columns, so_far), figures, row)
+        _label_odd(shots[:n], place, own, walked[k], (rough, rows[0], rows[1]), (columns, so_far), thresholds, row)
         n = _list_marked(row, _ODD, _OPEN, shots)
-        _find_cars(slots[0][line], levels[line], bin_counts, figures, cars)
+        _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
-        _label_things(place, own, texture[line], bins, found, figures, row, marks)
+        _label_things(place, own, texture[line], bins, found, thresholds, row, marks)
         n = _list_marked(marks, 1, 1, shots)
-        _mark_thin(window_m, line + MARGIN, figures[FAR_M], thin)
-        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, figures, row)
+        _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
+        _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)
     return labels
 
 

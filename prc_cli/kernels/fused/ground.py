@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import boolean, float32, int32, int64, uint8
+from numba.types import Tuple, UniTuple
 
+from prc_cli.core.thresholds_fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.named import named
 
 BINS, BIN_M = 320, np.float32(0.25)
 """Places beside the scanner at which the ground is remembered, on either side, and how wide they are [m]."""
-LEAST_NEAR, STEP_M, SLOPE, SLOPE_REACH_M, GAP_SLOPE, KNOWN_M, MEMORY_LINES, FOLLOW = range(8)
-"""Figures of the walk, in this order."""
 BACK_M = np.float32(0.05)
 """Ground may go back so far on its way out, by the noise of ranges [m]."""
 
@@ -50,16 +52,16 @@ def _walk(
     level_shots: I32,
     known: tuple[F32, I32],
     start_m: np.float32,
-    figures: F32,
+    thresholds: WalkThresholds,
     profile: F32,
     seen: U8,
     walked: Mask,
 ) -> None:
     """Follow the ground outwards along one side of a line: from level shot to level shot, in small steps of height."""
     memory, age = known
-    last_y, last_z = np.float32(0.0), _start(memory, age, start_m, figures[MEMORY_LINES])
-    lines, near_m = figures[MEMORY_LINES], figures[KNOWN_M]
-    step, slope, reach, gap = figures[STEP_M], figures[SLOPE], figures[SLOPE_REACH_M], figures[GAP_SLOPE]
+    last_y, last_z = np.float32(0.0), _start(memory, age, start_m, thresholds.memory_lines)
+    lines, near_m = thresholds.memory_lines, thresholds.known_m
+    step, slope, reach, gap = thresholds.step_m, thresholds.slope, thresholds.slope_reach_m, thresholds.gap_slope
     place, total, n = -1, np.float32(0.0), np.float32(0.0)
     n_level = 0
     for k in range(len(columns)):
@@ -90,9 +92,9 @@ def _walk(
 
 
 @helper
-def _remember(profile: F32, seen: U8, memory: F32, age: I32, figures: F32) -> None:
+def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThresholds) -> None:
     """Let the memory follow what a line saw, and the profile show what is remembered where the line saw nothing."""
-    lines, follow = figures[MEMORY_LINES], figures[FOLLOW]
+    lines, follow = thresholds.memory_lines, thresholds.follow
     for b in range(BINS):
         # no branches, so that many places are looked at at a time
         is_seen, mean, known_m = seen[b] != 0, profile[b], memory[b]
@@ -172,9 +174,17 @@ def _copy(heights: F32, ages: I32, to_heights: F32, to_ages: I32) -> None:
 
 
 @kernel(
-    "Tuple((float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[:, ::1]))"
-    "(float32[:, ::1], UniTuple(float32[::1], 2), UniTuple(uint8[:, ::1], 4), UniTuple(int32[::1], 2),"
-    " float32[:, ::1], int32[:, ::1], float32, int64, float32[::1])"
+    Tuple((float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[:, ::1]))(
+        float32[:, ::1],
+        UniTuple(float32[::1], 2),
+        UniTuple(uint8[:, ::1], 4),
+        UniTuple(int32[::1], 2),
+        float32[:, ::1],
+        int32[:, ::1],
+        float32,
+        int64,
+        named(WalkThresholds, float32),
+    )
 )
 def walk_ground(
     range_m: F32,
@@ -185,7 +195,7 @@ def walk_ground(
     age: I32,
     start_m: np.float32,
     keep: int,
-    figures: F32,
+    thresholds: WalkThresholds,
 ) -> tuple[F32, Mask, F32, I32]:
     """Find the ground of consecutive lines, and the height of every shot above it.
 
@@ -207,10 +217,7 @@ def walk_ground(
         Height of the ground where nothing is remembered [m].
     keep : int
         The memory that is given back is that before this line; 0 to lines.
-    figures : (8,) float32
-        Shots with LEAST_NEAR near neighbours count. Ground goes up or down by less than STEP_M from one shot to the
-        next, SLOPE more for every metre between them up to SLOPE_REACH_M, and GAP_SLOPE for every metre; or it lies
-        within KNOWN_M of the memory, which lasts MEMORY_LINES and goes FOLLOW of the way to what a line sees.
+    thresholds : WalkThresholds of float32
 
     Returns
     -------
@@ -236,7 +243,7 @@ def walk_ground(
         if line == keep:
             _copy(memory, ages, kept_memory, kept_ages)
         _lay_out(range_m[line], beams, side, height)
-        _mark_level(near[line], smooth[line], upright[line], level[line], figures[LEAST_NEAR], is_level)
+        _mark_level(near[line], smooth[line], upright[line], level[line], thresholds.least_near, is_level)
         own = walked[line]
         for i in range(m):
             own[i] = False
@@ -247,8 +254,8 @@ def walk_ground(
             for b in range(BINS):
                 seen[b] = 0
                 profile[b] = np.float32(0.0)
-            _walk(columns, sign, (side, height), is_level, level_shots, known, start_m, figures, profile, seen, own)
-            _remember(profile, seen, memory[s], ages[s], figures)
+            _walk(columns, sign, (side, height), is_level, level_shots, known, start_m, thresholds, profile, seen, own)
+            _remember(profile, seen, memory[s], ages[s], thresholds)
             _fill(profile, seen, start_m)
         _places(side, places, shares)
         _grounds(places, shares, profiles, grounds)

@@ -8,18 +8,16 @@ with what is not there is false.
 from __future__ import annotations
 
 import numpy as np
+from numba import float32, uint8
+from numba.types import UniTuple
 
+from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.named import named
 
 LINES, COLUMNS = 2, 4
 """How far neighbours lie away at most."""
-NEAR_M, NEAR_STEPS, THIN_M, ALONG_M, ALONG_STEPS = range(5)
-"""Figures of company, in this order."""
-TOLERANCE_M, TOLERANCE_PER_M, GAP_M, GAP_STEPS = range(4)
-"""Figures of smoothness, in this order."""
-CHORD_M, SLOPE, SLACK_M, LONGEST_M = range(4)
-"""Figures of directions, in this order."""
 MOST_COLUMNS = 60
 """Half a chord is never more columns long."""
 PAD = MOST_COLUMNS + 2
@@ -135,8 +133,8 @@ def _count_across(
         )
 
 
-@kernel("uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, float32[::1])")
-def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
+@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, named(NearThresholds, float32)))
+def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
     """Count the neighbours that a shot has in space: of 8 in its own line and 20 in the two lines before and after.
 
     Parameters
@@ -147,9 +145,7 @@ def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures:
         Of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
-    figures : (5,) float32
-        Near is within NEAR_M metres, or NEAR_STEPS times the distance of two columns, in both directions; or within
-        THIN_M in one of them and ALONG_M, or ALONG_STEPS times that distance, in the other.
+    thresholds : NearThresholds of float32
 
     Returns
     -------
@@ -158,8 +154,8 @@ def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures:
     """
     m = range_m.shape[1]
     n_lines = range_m.shape[0] - 2 * LINES
-    near_m, near_steps, thin = figures[NEAR_M], figures[NEAR_STEPS], figures[THIN_M]
-    along_m, along_steps = figures[ALONG_M], figures[ALONG_STEPS]
+    near_m, near_steps, thin = thresholds.near_m, thresholds.near_steps, thresholds.thin_m
+    along_m, along_steps = thresholds.along_m, thresholds.along_steps
     counts = np.empty((n_lines, m), np.uint8)
     near, along = np.empty(m, np.float32), np.empty(m, np.float32)
     # lines take turns in it, each while it is near enough
@@ -213,10 +209,12 @@ def _between(
 
 
 @helper
-def _pairs_in_line(ranges: F32, side: F32, height: F32, step: np.float32, figures: F32, row: U8) -> None:
+def _pairs_in_line(
+    ranges: F32, side: F32, height: F32, step: np.float32, thresholds: SmoothThresholds, row: U8
+) -> None:
     """Count the pairs of a line, which has margins, that its shots lie on a straight line with."""
-    base, per_m = figures[TOLERANCE_M], figures[TOLERANCE_PER_M]
-    gap_m, gap_steps = figures[GAP_M], figures[GAP_STEPS]
+    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
+    gap_m, gap_steps = thresholds.gap_m, thresholds.gap_steps
     for i in range(len(row)):
         tolerance = base + per_m * ranges[i]
         tolerance = tolerance * tolerance
@@ -236,10 +234,14 @@ def _pairs_in_line(ranges: F32, side: F32, height: F32, step: np.float32, figure
 
 @helper
 def _pairs_across(
-    ranges: F32, lines: tuple[F32, F32, F32, F32, F32], heights: tuple[F32, F32, F32, F32, F32], figures: F32, row: U8
+    ranges: F32,
+    lines: tuple[F32, F32, F32, F32, F32],
+    heights: tuple[F32, F32, F32, F32, F32],
+    thresholds: SmoothThresholds,
+    row: U8,
 ) -> None:
     """Add the pairs of shots before and after a line that its shots lie in the middle between; all have margins."""
-    base, per_m = figures[TOLERANCE_M], figures[TOLERANCE_PER_M]
+    base, per_m = thresholds.tolerance_m, thresholds.tolerance_per_m
     ya, yb, own_y, yd, ye = lines
     za, zb, own_z, zd, ze = heights
     for i in range(len(row)):
@@ -254,8 +256,8 @@ def _pairs_across(
         )
 
 
-@kernel("uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, float32[::1])")
-def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figures: F32) -> U8:
+@kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, named(SmoothThresholds, float32)))
+def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: SmoothThresholds) -> U8:
     """Count the pairs of neighbours that a shot lies on a smooth surface with: 6 in its line, 4 across the lines.
 
     In the line, a shot must lie on the straight line through the pair; across lines, whose distance is not known, in
@@ -267,9 +269,7 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figure
     sine, cosine : (M,) float32
         As for :func:`near_counts`.
     step : float32, radians
-    figures : (4,) float32
-        The tolerance is TOLERANCE_M + TOLERANCE_PER_M times the range; the pair of a line is less than GAP_M, or
-        GAP_STEPS times the distance of two columns, from end to end.
+    thresholds : SmoothThresholds of float32
 
     Returns
     -------
@@ -287,10 +287,10 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, figure
             continue
         ranges, row = range_m[line - LINES], counts[line - 2 * LINES]
         a, b, c, d, e = (line - 4) % room, (line - 3) % room, (line - 2) % room, (line - 1) % room, line % room
-        _pairs_in_line(ranges, side[c], height[c], step, figures, row)
+        _pairs_in_line(ranges, side[c], height[c], step, thresholds, row)
         lines = side[a], side[b], side[c], side[d], side[e]
         heights = height[a], height[b], height[c], height[d], height[e]
-        _pairs_across(ranges, lines, heights, figures, row)
+        _pairs_across(ranges, lines, heights, thresholds, row)
     return counts
 
 
@@ -335,11 +335,16 @@ def _look_up(reach: I32, way: int, ends: tuple[F32, F32], found: tuple[F32, F32]
 
 @helper
 def _count_chords(
-    points: tuple[F32, F32], before: tuple[F32, F32], after: tuple[F32, F32], figures: F32, upright: U8, level: U8
+    points: tuple[F32, F32],
+    before: tuple[F32, F32],
+    after: tuple[F32, F32],
+    thresholds: ChordThresholds,
+    upright: U8,
+    level: U8,
 ) -> None:
     """Count the chords of a line that are upright, and level: to one end, to the other, from end to end."""
-    slope, slack = figures[SLOPE], figures[SLACK_M]
-    longest = figures[LONGEST_M] * figures[LONGEST_M]
+    slope, slack = thresholds.slope, thresholds.slack_m
+    longest = thresholds.longest_m * thresholds.longest_m
     y, z = points
     ay, az = before
     by, bz = after
@@ -360,12 +365,18 @@ def _count_chords(
         )
 
 
-@kernel("UniTuple(uint8[:, ::1], 2)(float32[:, ::1], uint8[:, ::1], float32[::1], float32[::1], float32, float32[::1])")
-def directions(range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, figures: F32) -> tuple[U8, U8]:
+@kernel(
+    UniTuple(uint8[:, ::1], 2)(
+        float32[:, ::1], uint8[:, ::1], float32[::1], float32[::1], float32, named(ChordThresholds, float32)
+    )
+)
+def directions(
+    range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float32, thresholds: ChordThresholds
+) -> tuple[U8, U8]:
     """Count which chords through a shot are upright and which are level.
 
-    A chord reaches as far to both sides as CHORD_M is long at that range, to shots that lie on something smooth; it and
-    its two halves are looked at.
+    A chord reaches as far to both sides as ``chord_m`` is long at that range, to shots that lie on something smooth; it
+    and its two halves are looked at.
 
     Parameters
     ----------
@@ -376,9 +387,7 @@ def directions(range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float3
     sine, cosine : (M,) float32
         Of every column's beam from straight down.
     step : float32, radians
-    figures : (4,) float32
-        CHORD_M; a chord is upright where it goes less than SLOPE times its height, and SLACK_M, to the side, and level
-        the other way round; LONGEST_M, longer ones do not count.
+    thresholds : ChordThresholds of float32
 
     Returns
     -------
@@ -396,7 +405,7 @@ def directions(range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float3
         ends[0][i] = ends[1][i] = np.float32(np.nan)
     before = np.empty(m, np.float32), np.empty(m, np.float32)
     after = np.empty(m, np.float32), np.empty(m, np.float32)
-    chord, most = figures[CHORD_M], np.float32(MOST_COLUMNS)
+    chord, most = thresholds.chord_m, np.float32(MOST_COLUMNS)
     for line in range(n_lines):
         own = range_m[line]
         for i in range(m):
@@ -410,5 +419,5 @@ def directions(range_m: F32, smooth: U8, sine: F32, cosine: F32, step: np.float3
             _ends(side, smooth[line], way, shown, ends[0])
             _ends(height, smooth[line], way, shown, ends[1])
             _look_up(reach, way, ends, before if way < 0 else after)
-        _count_chords((side, height), before, after, figures, upright[line], level[line])
+        _count_chords((side, height), before, after, thresholds, upright[line], level[line])
     return upright, level

@@ -1,24 +1,20 @@
 """Loops that find ground and stems of a forest in the plane of every scan line.
 
 Coordinates in the scan plane are those of range and beam: y = r sin b to the side and z = -r cos b up, with b the
-angle of the beam from straight down. Figures come as one array, so that signatures stay short.
+angle of the beam from straight down.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numba import boolean, float32, float64, int32, int64, uint8
+from numba.types import Tuple
 
+from prc_cli.core.thresholds_fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.named import named
 
-BIN, SLOPE, STEP, STEP_SHARE = range(4)
-"""Places in the figures of :func:`ground_profiles`."""
-ANGLE, LOW, TOLERANCE, TOLERANCE_SHARE, STEEP, GAP, GAP_STEEP, BEHIND, LEAN, SHORT = range(10)
-"""Places in the figures of :func:`upright_runs`."""
-NEAR, NEAR_SHARE, SHOTS, RUNS, EXTENT, TOTAL, MEAN, THROUGH = range(8)
-"""Places in the figures of :func:`stem_shots`."""
-BELOW, SOIL, COVER, FLAT, TOP, BESIDE, COMPANY = range(7)
-"""Places in the figures of :func:`forest_labels`."""
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
 """Columns of the table of runs: shots, shots from behind, and places in the plane [m]."""
 
@@ -71,7 +67,7 @@ def _low_shots(
     ranges: F32,
     beams: tuple[F64, F64],
     n_bins: int,
-    figures: F64,
+    thresholds: TerrainThresholds,
     before: F64,
     bins: I32,
     heights: F64,
@@ -79,8 +75,8 @@ def _low_shots(
 ) -> int:
     """List the shots of a line that may be on the ground, write their bins and heights; return how many there are."""
     sine, cosine = beams
-    half, per_metre = n_bins // 2, 1.0 / figures[BIN]
-    step_m, step_share = figures[STEP], figures[STEP_SHARE]
+    half, per_metre = n_bins // 2, 1.0 / thresholds.bin_m
+    step_m, step_share = thresholds.near_m, thresholds.near_share
     last = np.inf
     for column in range(len(ranges)):
         r = np.float64(ranges[column])
@@ -114,8 +110,10 @@ def _keep_lowest(shots: I32, bins: I32, heights: F64, lowest: tuple[F64, F64, F6
             three[b] = max(z, middle)
 
 
-@kernel("float64[:, ::1](float32[:, ::1], float64[::1], float64[::1], int64, int64, float64[::1])")
-def ground_profiles(range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, figures: F64) -> F64:
+@kernel(float64[:, ::1](float32[:, ::1], float64[::1], float64[::1], int64, int64, named(TerrainThresholds, float64)))
+def ground_profiles(
+    range_m: F32, sine: F64, cosine: F64, lines_together: int, n_bins: int, thresholds: TerrainThresholds
+) -> F64:
     """Find the height of the ground to the left and right of the scanner, for a few lines together.
 
     In every bin to the side the third-lowest return counts that is about as far as the return before it in its line.
@@ -131,8 +129,7 @@ def ground_profiles(range_m: F32, sine: F64, cosine: F64, lines_together: int, n
         Lines of a profile.
     n_bins : int
         Even; half of them on either side.
-    figures : (4,) float64
-        Width of a bin [m], greatest slope, and how much farther or nearer the return before may be [m, share of r].
+    thresholds : TerrainThresholds of float64
 
     Returns
     -------
@@ -148,12 +145,12 @@ def ground_profiles(range_m: F32, sine: F64, cosine: F64, lines_together: int, n
         for b in range(n_bins):
             one[b] = two[b] = three[b] = np.inf
         for line in range(group * lines_together, min((group + 1) * lines_together, n_lines)):
-            n_shots = _low_shots(range_m[line], (sine, cosine), n_bins, figures, before, bins, heights, shots)
+            n_shots = _low_shots(range_m[line], (sine, cosine), n_bins, thresholds, before, bins, heights, shots)
             _keep_lowest(shots[:n_shots], bins, heights, (one, two, three))
         profile = profiles[group]
         for b in range(n_bins):
             profile[b] = three[b]
-        _lower_towards_neighbours(profile, figures[SLOPE] * figures[BIN])
+        _lower_towards_neighbours(profile, thresholds.slope * thresholds.bin_m)
         _bridge(profile, three)
     return profiles
 
@@ -224,13 +221,18 @@ def ground_heights(range_m: F32, sine: F64, cosine: F64, profiles: F64, lines_to
 
 @helper
 def _aim(
-    ranges: F32, heights: F32, beams: tuple[F64, F64], figures: F64, points: tuple[F64, F64, F64, F64, F64], shots: I32
+    ranges: F32,
+    heights: F32,
+    beams: tuple[F64, F64],
+    thresholds: RunThresholds,
+    points: tuple[F64, F64, F64, F64, F64],
+    shots: I32,
 ) -> int:
     """Write place, range, tolerance and spacing of the shots of a line; list those high enough, return how many."""
     sine, cosine = beams
     side, up, far, tolerances, spacings = points
-    low, base, share = figures[LOW], figures[TOLERANCE], figures[TOLERANCE_SHARE]
-    angle = SPACINGS * figures[ANGLE]
+    low, base, share = thresholds.above_m, thresholds.tolerance_m, thresholds.tolerance_share
+    angle = SPACINGS * thresholds.step_rad
     for column in range(len(ranges)):
         r = np.float64(ranges[column])
         y = r * sine[column]
@@ -256,7 +258,7 @@ def _goes_on(
 
 @helper
 def _put_away(
-    run: int, n: float, passed: float, y: float, z: float, figures: F64, firsts: tuple[F64, F64], ends: F64
+    run: int, n: float, passed: float, y: float, z: float, thresholds: RunThresholds, firsts: tuple[F64, F64], ends: F64
 ) -> None:
     """Note of a run that gets no more shots how many it has and how many passed it, and its ends; 0 shots: none."""
     y_first, z_first = firsts
@@ -264,8 +266,8 @@ def _put_away(
         return
     ends[run, COUNT] = 0.0
     up = abs(z - z_first[run])
-    is_kept = (n >= MIN_SHOTS) & (2.0 * passed <= n) & (up >= figures[SHORT])
-    if is_kept & (abs(y - y_first[run]) <= figures[LEAN] * up):
+    is_kept = (n >= MIN_SHOTS) & (2.0 * passed <= n) & (up >= thresholds.short_m)
+    if is_kept & (abs(y - y_first[run]) <= thresholds.lean * up):
         ends[run, COUNT], ends[run, PASSED] = n, passed
         ends[run, LOWEST], ends[run, HIGHEST] = min(z_first[run], z), max(z_first[run], z)
 
@@ -274,7 +276,7 @@ def _put_away(
 def _line_runs(
     shots: I32,
     points: tuple[F64, F64, F64, F64, F64],
-    figures: F64,
+    thresholds: RunThresholds,
     mine: I32,
     firsts: tuple[F64, F64],
     ends: F64,
@@ -286,7 +288,7 @@ def _line_runs(
     registers of the processor.
     """
     side, up, far, tolerances, spacings = points
-    steep, gap, gap_steep, behind = figures[STEEP], figures[GAP], figures[GAP_STEEP], figures[BEHIND]
+    steep, gap, gap_steep, behind = thresholds.steep, thresholds.gap_m, thresholds.gap_steep, thresholds.behind_m
     y_first, z_first = firsts
     nothing = np.float64(np.nan)
     run0, y0, z0, r0, n0, passed0, waiting0 = -1, nothing, nothing, nothing, 0.0, 0.0, 0.0
@@ -304,7 +306,7 @@ def _line_runs(
                 if not _goes_on(abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep):
                     # short ones are told here: to hand arrays over for each of them would take longer than the rest
                     if n2 >= MIN_SHOTS:
-                        _put_away(run2, n2, passed2, y2, z2, figures, firsts, ends)
+                        _put_away(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
                     elif run2 >= 0:
                         ends[run2, COUNT] = 0.0
                     run, n, passed = n_runs, 0.0, 0.0
@@ -320,17 +322,18 @@ def _line_runs(
         waiting1 += 1.0 if r > r1 + behind else 0.0
         waiting2 += 1.0 if r > r2 + behind else 0.0
         mine[k] = run0
-    _put_away(run0, n0, passed0, y0, z0, figures, firsts, ends)
-    _put_away(run1, n1, passed1, y1, z1, figures, firsts, ends)
-    _put_away(run2, n2, passed2, y2, z2, figures, firsts, ends)
+    _put_away(run0, n0, passed0, y0, z0, thresholds, firsts, ends)
+    _put_away(run1, n1, passed1, y1, z1, thresholds, firsts, ends)
+    _put_away(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
     return n_runs
 
 
 @kernel(
-    "Tuple((int32[:, ::1], float64[:, ::1]))"
-    "(float32[:, ::1], float32[:, ::1], float64[::1], float64[::1], float64[::1])"
+    Tuple((int32[:, ::1], float64[:, ::1]))(
+        float32[:, ::1], float32[:, ::1], float64[::1], float64[::1], named(RunThresholds, float64)
+    )
 )
-def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, figures: F64) -> tuple[I32, F64]:
+def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
     """Find runs of returns of a line that go straight up or down in the scan plane.
 
     A return goes on with the first run, of the last three, that it follows steeply. Returns in between may be nearer,
@@ -345,11 +348,7 @@ def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, figures: F
         From :func:`ground_heights`.
     sine, cosine : (M,) float64
         Of the angle of every column's beam from straight down.
-    figures : (10,) float64
-        Angle between columns [rad]; height from which on there are runs [m]; how far beside the run a return may be
-        [m, share of r] and for every metre up; longest gap [m] and, within gaps, how far beside for every metre up;
-        how much farther a return is that is behind [m]; how far a run may lean for every metre up; its least length
-        up [m].
+    thresholds : RunThresholds of float64
 
     Returns
     -------
@@ -373,8 +372,8 @@ def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, figures: F
         np.empty(n_columns, np.int32),
     )
     for line in range(n_lines):
-        n_shots = _aim(range_m[line], height_m[line], (sine, cosine), figures, points, shots)
-        n_runs = _line_runs(shots[:n_shots], points, figures, mine, firsts, ends)
+        n_shots = _aim(range_m[line], height_m[line], (sine, cosine), thresholds, points, shots)
+        n_runs = _line_runs(shots[:n_shots], points, thresholds, mine, firsts, ends)
         for i in range(n_runs):
             number[i] = 0
             if ends[i, COUNT] > 0.0:
@@ -403,11 +402,13 @@ def _root(parent: I32, run: int) -> int:
 
 
 @helper
-def _join_lines(ranges: tuple[F32, F32], runs: tuple[I32, I32], figures: F64, linked: I32, parent: I32) -> None:
+def _join_lines(
+    ranges: tuple[F32, F32], runs: tuple[I32, I32], thresholds: StemThresholds, linked: I32, parent: I32
+) -> None:
     """Join the runs of two successive lines that have shots of a column near to each other."""
     earlier, later = ranges
     before, own = runs
-    near, share = figures[NEAR], figures[NEAR_SHARE]
+    near, share = thresholds.near_m, thresholds.near_share
     n_linked = 0
     for column in range(len(own)):
         linked[n_linked] = column
@@ -426,8 +427,8 @@ def _join_lines(ranges: tuple[F32, F32], runs: tuple[I32, I32], figures: F64, li
             last_run, last_before = run, other
 
 
-@kernel("boolean[:, ::1](float32[:, ::1], int32[:, ::1], float64[:, ::1], float64[::1])")
-def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
+@kernel(boolean[:, ::1](float32[:, ::1], int32[:, ::1], float64[:, ::1], named(StemThresholds, float64)))
+def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) -> Mask:
     """Mark the runs that are stems: those that go on from line to line and are high, long and opaque together.
 
     Parameters
@@ -438,10 +439,7 @@ def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
         From :func:`upright_runs`.
     table : (n_runs + 1, 4) float64
         Likewise.
-    figures : (8,) float64
-        Runs of successive lines belong together where shots of a column are this near [m, share of r]. Together they
-        have at least so many shots, so many runs, so much from the lowest to the highest end [m], so many metres of
-        runs in all and on average, and at most this share of shots from behind.
+    thresholds : StemThresholds of float64
 
     Returns
     -------
@@ -459,7 +457,7 @@ def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
             sums[run, one] = 0.0
     linked = np.empty(n_columns + 1, np.int32)
     for line in range(1, n_lines):
-        _join_lines((range_m[line - 1], range_m[line]), (runs[line - 1], runs[line]), figures, linked, parent)
+        _join_lines((range_m[line - 1], range_m[line]), (runs[line - 1], runs[line]), thresholds, linked, parent)
     for run in range(1, n_runs):
         root = _root(parent, run)
         sums[root, 0] += table[run, COUNT]
@@ -473,12 +471,12 @@ def stem_shots(range_m: F32, runs: I32, table: F64, figures: F64) -> Mask:
     for run in range(1, n_runs):
         root = _root(parent, run)
         is_stem[run] = (
-            sums[root, 0] >= figures[SHOTS]
-            and sums[root, 2] >= figures[RUNS]
-            and high[root] - low[root] >= figures[EXTENT]
-            and sums[root, 3] >= figures[TOTAL]
-            and sums[root, 3] >= figures[MEAN] * sums[root, 2]
-            and sums[root, 1] <= figures[THROUGH] * sums[root, 0]
+            sums[root, 0] >= thresholds.shots
+            and sums[root, 2] >= thresholds.runs
+            and high[root] - low[root] >= thresholds.extent_m
+            and sums[root, 3] >= thresholds.total_m
+            and sums[root, 3] >= thresholds.mean_m * sums[root, 2]
+            and sums[root, 1] <= thresholds.through_share * sums[root, 0]
         )
     stems = np.empty((n_lines, n_columns), np.bool_)
     for line in range(n_lines):
@@ -531,13 +529,13 @@ def _mark_company(ranges: F32, limit: float, links: U8, company: U8) -> None:
 
 
 @helper
-def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], figures: F64, labels: U8) -> None:
+def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds: ForestThresholds, labels: U8) -> None:
     """Label the shots of a line that tell at once what they are, and mark the others.
 
     No branches, so that many shots are looked at at a time.
     """
     flat, beside, company = marks
-    below, soil, cover, top = -figures[BELOW], figures[SOIL], figures[COVER], figures[TOP]
+    below, soil, cover, top = -thresholds.below_m, thresholds.soil_m, thresholds.cover_m, thresholds.top_m
     for i in range(len(heights)):
         height = np.float64(heights[i])
         is_ground = (height <= soil) | ((height <= cover) & (flat[i] != 0))
@@ -580,8 +578,8 @@ def _has_company(range_m: F32, line: int, column: int, columns_around: int, limi
     return False
 
 
-@kernel("uint8[:, ::1](float32[:, ::1], float32[:, ::1], boolean[:, ::1], int64, float64[::1])")
-def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, figures: F64) -> U8:
+@kernel(uint8[:, ::1](float32[:, ::1], float32[:, ::1], boolean[:, ::1], int64, named(ForestThresholds, float64)))
+def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int, thresholds: ForestThresholds) -> U8:
     """Label a block of forest.
 
     Parameters
@@ -594,11 +592,7 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
         From :func:`stem_shots`.
     columns_around : int
         Columns on either side in which company is looked for.
-    figures : (7,) float64
-        How far below the ground a return may be [m]; up to which height all is ground, up to which it is where it is
-        flat, and what is flat [m from shot to shot]; the height up to which stems are stems [m]; how far from a stem's
-        shot, in range, what touches it may be, and how far from each other shots in company may be [m], below 0 for
-        whatever company.
+    thresholds : ForestThresholds of float64
 
     Returns
     -------
@@ -609,21 +603,21 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
     labels = np.empty((n_lines, n_columns), np.uint8)
     flat, across, beside = np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8)
     company, shots = np.empty(n_columns, np.uint8), np.empty(n_columns + 1, np.int32)
-    limit = figures[COMPANY]
+    limit = thresholds.near_m
     for line in range(n_lines):
         row = labels[line]
-        _mark_flat(height_m[line], figures[FLAT], flat)
+        _mark_flat(height_m[line], thresholds.flat_m, flat)
         _mark_beside(stems, line, across, beside)
         # negative ones are smaller than every distance
         _mark_company(range_m[line], limit if limit >= 0.0 else np.inf, across, company)
-        _label_plain(height_m[line], stems[line], (flat, beside, company), figures, row)
+        _label_plain(height_m[line], stems[line], (flat, beside, company), thresholds, row)
         n_shots = 0
         for column in range(n_columns):
             shots[n_shots] = column
             n_shots += row[column] >= _TOUCHING
         for k in range(n_shots):
             column = shots[k]
-            if row[column] == _TOUCHING and _touches_stem(range_m, stems, line, column, figures[BESIDE]):
+            if row[column] == _TOUCHING and _touches_stem(range_m, stems, line, column, thresholds.beside_m):
                 row[column] = LABEL_STEM
             else:
                 plant = limit < 0.0 or company[column] or _has_company(range_m, line, column, columns_around, limit)

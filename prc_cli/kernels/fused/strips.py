@@ -8,10 +8,14 @@ and what stands upright stays in its strip from line to line.
 from __future__ import annotations
 
 import numpy as np
+from numba import float32, uint8, uint64
+from numba.types import Tuple, UniTuple
 from numpy.typing import NDArray
 
+from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
+from prc_cli.kernels.named import named
 
 Slots = NDArray[np.uint64]
 
@@ -23,14 +27,10 @@ LINES = 2
 """Lines before and after that are put together with a line."""
 NO_TOP = np.float32(-1e9)
 """Top of nothing [m]."""
-LEAST_NEAR, FOOT_M, ROUGH, SMOOTH, LEVEL_SMOOTH, LEVEL_TOP_M, JUMP_M = range(7)
-"""Figures of the strips, in this order."""
 LEAST_COSINE = np.float32(0.3)
 """Surfaces are not taken to be met at more than this cosine when the height that a shot stands for is reckoned."""
 UPRIGHT_CHORDS = 2
 """Upright chords, of three, of a shot on an upright surface."""
-WALL_M, WALL_SHARE, BEFORE_M = range(3)
-"""Figures of walls, in this order."""
 
 
 _FAR_BINS = np.float32(1e6)
@@ -50,7 +50,7 @@ def _list_counted(
     above: F32,
     near: U8,
     step: np.float32,
-    figures: F32,
+    thresholds: StripThresholds,
     strips: I32,
     stand_for: F32,
     shots: I32,
@@ -59,7 +59,7 @@ def _list_counted(
 
     One result a loop: of more, the compiler does not see that they lie apart.
     """
-    least, foot = figures[LEAST_NEAR], figures[FOOT_M]
+    least, foot = thresholds.least_near, thresholds.foot_m
     for i in range(len(ranges)):
         counted = (above[i] >= foot) & (np.float32(near[i]) >= least)
         b = _bin(side[i] if counted else np.float32(0.0), STRIP_M) + np.int32(STRIPS // 2)
@@ -75,12 +75,12 @@ def _list_counted(
 
 @helper
 def _mark_kinds(
-    above: F32, counts: tuple[U8, U8, U8, U8], figures: F32, slots: U8, rough: U8, upright: U8, level: U8
+    above: F32, counts: tuple[U8, U8, U8, U8], thresholds: StripThresholds, slots: U8, rough: U8, upright: U8, level: U8
 ) -> None:
     """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces."""
     _, pairs, up, flat = counts
-    foot, most_rough, least_smooth = figures[FOOT_M], figures[ROUGH], figures[SMOOTH]
-    least_level, level_top = figures[LEVEL_SMOOTH], figures[LEVEL_TOP_M]
+    foot, most_rough, least_smooth = thresholds.foot_m, thresholds.rough, thresholds.smooth
+    least_level, level_top = thresholds.level_smooth, thresholds.level_top_m
     for i in range(len(above)):
         h = above[i] if above[i] >= foot else np.float32(0.0)
         slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
@@ -162,9 +162,24 @@ def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8)
 
 
 @kernel(
-    "Tuple((uint64[:, ::1], uint64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1],"
-    " uint8[:, ::1]))"
-    "(float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), UniTuple(float32[::1], 2), float32, float32[::1])"
+    Tuple(
+        (
+            uint64[:, ::1],
+            uint64[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            float32[:, ::1],
+            uint8[:, ::1],
+        )
+    )(
+        float32[:, ::1],
+        float32[:, ::1],
+        UniTuple(uint8[:, ::1], 4),
+        UniTuple(float32[::1], 2),
+        float32,
+        named(StripThresholds, float32),
+    )
 )
 def fill_strips(
     range_m: F32,
@@ -172,7 +187,7 @@ def fill_strips(
     counts: tuple[U8, U8, U8, U8],
     beams: tuple[F32, F32],
     step: np.float32,
-    figures: F32,
+    thresholds: StripThresholds,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
     """Sort what stands above the ground into strips, line by line.
 
@@ -186,10 +201,7 @@ def fill_strips(
         Sine and cosine of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
-    figures : (7,) float32
-        Shots with LEAST_NEAR near neighbours that are FOOT_M above the ground count. With ROUGH smooth pairs or fewer
-        they are rough, with SMOOTH or more smooth. Level surfaces of LEVEL_SMOOTH pairs below LEVEL_TOP_M count; they
-        reach to the shots before and after that are less than JUMP_M away.
+    thresholds : StripThresholds of float32
 
     Returns
     -------
@@ -222,13 +234,13 @@ def fill_strips(
             side[i] = own[i] * beams[0][i]
         for i in range(m):
             height[i] = -(own[i] * beams[1][i])
-        n = _list_counted(own, side, above, counts[0][k], step, figures, strips, heights[0], shots)
+        n = _list_counted(own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots)
         seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
-        _mark_kinds(above, seen, figures, slot, marks[0], marks[1], marks[2])
+        _mark_kinds(above, seen, thresholds, slot, marks[0], marks[1], marks[2])
         _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
         sums = length[k], wall[k], place[k], top[k]
         _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)
-        _mark_levels(shots[:n], marks[2], side, figures[JUMP_M], levels[k])
+        _mark_levels(shots[:n], marks[2], side, thresholds.jump_m, levels[k])
     return every, rough, length, wall, place, top, levels
 
 
@@ -306,7 +318,7 @@ def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
 
 
 @helper
-def _look_out(is_wall: U8, wall_at: F32, tops: F32, figures: F32, found: tuple[F32, F32, F32]) -> None:
+def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, found: tuple[F32, F32, F32]) -> None:
     """Tell every strip of a line of the wall before it, seen from the scanner, and of the wall behind it."""
     at, top, ahead = found
     half = STRIPS // 2
@@ -325,21 +337,19 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, figures: F32, found: tuple[F
             b = first + way * k
             if is_wall[b]:
                 last = b
-            if last >= 0 and abs(wall_at[last]) - np.float32(k) * STRIP_M <= figures[BEFORE_M] + STRIP_M:
+            if last >= 0 and abs(wall_at[last]) - np.float32(k) * STRIP_M <= thresholds.before_m + STRIP_M:
                 ahead[b] = wall_at[last]
 
 
-@kernel("UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), float32[::1])")
-def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32, F32]:
+@kernel(UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), named(WallThresholds, float32)))
+def find_walls(sums: tuple[F32, F32, F32, F32], thresholds: WallThresholds) -> tuple[F32, F32, F32]:
     """Find the walls beside every line: strips where most of what stands is smooth and upright, and high enough.
 
     Parameters
     ----------
     sums : tuple of (lines + 4, STRIPS) float32
         Of :func:`fill_strips`.
-    figures : (3,) float32
-        A wall is WALL_M high in the mean of the lines and WALL_SHARE of all that its strips show. It is told to all
-        strips behind it up to the next wall, and to those up to BEFORE_M before it.
+    thresholds : WallThresholds of float32
 
     Returns
     -------
@@ -354,7 +364,7 @@ def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32,
     ahead, lines = np.empty((n_lines, STRIPS), np.float32), np.empty(STRIPS + 2, np.float32)
     lengths, walls, places = (np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32))
     highest, wall_at, is_wall = np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.uint8)
-    enough = figures[WALL_M] * np.float32(2 * LINES + 1)
+    enough = thresholds.height_m * np.float32(2 * LINES + 1)
     for line in range(n_lines):
         _sum_around(length, line, lines, lengths)
         _sum_around(wall, line, lines, walls)
@@ -362,7 +372,7 @@ def find_walls(sums: tuple[F32, F32, F32, F32], figures: F32) -> tuple[F32, F32,
         _top_around(top, line, lines, highest)
         for b in range(STRIPS):
             at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
-            is_wall[b] = (walls[b] >= enough) & (walls[b] >= figures[WALL_SHARE] * lengths[b]) & (walls[b] > 0)
+            is_wall[b] = (walls[b] >= enough) & (walls[b] >= thresholds.share * lengths[b]) & (walls[b] > 0)
             wall_at[b] = places[b] / walls[b] if is_wall[b] else np.float32(0.0)
-        _look_out(is_wall, wall_at, highest, figures, (at[line], tops[line], ahead[line]))
+        _look_out(is_wall, wall_at, highest, thresholds, (at[line], tops[line], ahead[line]))
     return at, tops, ahead
