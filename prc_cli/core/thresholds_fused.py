@@ -14,166 +14,166 @@ import numpy as np
 ThresholdsT = TypeVar("ThresholdsT", bound="tuple[Any, ...]")
 
 
-def single(thresholds: ThresholdsT) -> ThresholdsT:
-    """Return thresholds of the same class, each a float32.
+def single(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
+    """Return thresholds of a class, each converted to float32.
 
-    >>> single(WallThresholds(1.5, 0.3, 2)).before_m
+    >>> single(WallThresholds, height_m=1.5, share=0.3, before_m=2).before_m
     np.float32(2.0)
     """
-    return type(thresholds)._make(np.float32(value) for value in thresholds)  # type: ignore[attr-defined, no-any-return]
+    return kind(**{name: np.float32(value) for name, value in values.items()})
 
 
-def double(thresholds: ThresholdsT) -> ThresholdsT:
-    """Return thresholds of the same class, each a float of 64 bits.
+def double(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
+    """Return thresholds of a class, each converted to float64.
 
-    >>> double(TerrainThresholds(1, 0.5, 0.1, 0)).bin_m
+    >>> double(TerrainThresholds, bin_m=1, slope=0.5, near_m=0.1, near_share=0).bin_m
     1.0
     """
-    return type(thresholds)._make(float(value) for value in thresholds)  # type: ignore[attr-defined, no-any-return]
+    return kind(**{name: float(value) for name, value in values.items()})
 
 
 class NearThresholds(NamedTuple):
     """Distance limits for near neighbours, in the scan plane."""
 
-    near_m: float
+    near_m: np.float32
     """Greatest distance to the side and in height, each [m] ..."""
-    near_steps: float
+    near_steps: np.float32
     """... or so many distances between adjacent columns, if that is more."""
-    thin_m: float
+    thin_m: np.float32
     """On one level or upright surface: greatest distance across it [m]."""
-    along_m: float
+    along_m: np.float32
     """Greatest distance along such a surface [m] ..."""
-    along_steps: float
+    along_steps: np.float32
     """... or so many distances between adjacent columns, if that is more."""
 
 
 class SmoothThresholds(NamedTuple):
     """When a shot and a pair of neighbours lie on a smooth surface."""
 
-    tolerance_m: float
+    tolerance_m: np.float32
     """Greatest distance from the line through the pair at range 0 [m]."""
-    tolerance_per_m: float
+    tolerance_per_m: np.float32
     """Added to it per metre of range."""
-    gap_m: float
+    gap_m: np.float32
     """Greatest distance between the two of a pair within a line [m] ..."""
-    gap_steps: float
+    gap_steps: np.float32
     """... or so many distances between adjacent columns, if that is more."""
 
 
 class ChordThresholds(NamedTuple):
     """When a chord through a shot is upright or level."""
 
-    chord_m: float
+    chord_m: np.float32
     """Half length of the chord [m]."""
-    slope: float
+    slope: np.float32
     """An upright chord goes less than this times its height to the side; a level one the other way round."""
-    slack_m: float
+    slack_m: np.float32
     """Added to that limit [m]."""
-    longest_m: float
+    longest_m: np.float32
     """Longer chords do not count [m]."""
 
 
 class WalkThresholds(NamedTuple):
     """How the ground is followed from shot to shot and from line to line."""
 
-    least_near: float
+    least_near: np.float32
     """Near neighbours that a shot needs."""
-    step_m: float
+    step_m: np.float32
     """Greatest step in height from one shot to the next [m]."""
-    slope: float
+    slope: np.float32
     """Added to the step per metre between the two shots ..."""
-    slope_reach_m: float
+    slope_reach_m: np.float32
     """... up to this distance [m]."""
-    gap_slope: float
+    gap_slope: np.float32
     """Added to the step per metre between the two shots, at any distance."""
-    known_m: float
+    known_m: np.float32
     """Greatest difference to the remembered height of the place [m]; enough without the other limits."""
-    memory_lines: float
+    memory_lines: np.float32
     """Lines that a place is remembered for."""
-    follow: float
+    follow: np.float32
     """Share of a new height in the memory of its place."""
 
 
 class StripThresholds(NamedTuple):
     """Which shots count in a strip, and as what."""
 
-    least_near: float
+    least_near: np.float32
     """Near neighbours that a shot needs."""
-    foot_m: float
+    foot_m: np.float32
     """Least height above the ground [m]."""
-    rough: float
+    rough: np.float32
     """Most smooth pairs of a rough shot."""
-    smooth: float
+    smooth: np.float32
     """Fewest smooth pairs of a smooth shot."""
-    level_smooth: float
+    level_smooth: np.float32
     """Fewest smooth pairs of a shot on a level surface."""
-    level_top_m: float
+    level_top_m: np.float32
     """Level surfaces are lower than this above the ground [m]."""
-    jump_m: float
+    jump_m: np.float32
     """A level surface reaches to adjacent shots that are less than this to the side [m]."""
 
 
 class WallThresholds(NamedTuple):
     """What a wall is."""
 
-    height_m: float
+    height_m: np.float32
     """Least height of its smooth upright surface, mean of five lines [m]."""
-    share: float
+    share: np.float32
     """Least share of that surface in everything in the strip."""
-    before_m: float
+    before_m: np.float32
     """A wall is reported to strips up to this far in front of it [m]."""
 
 
 class DecisionThresholds(NamedTuple):
     """Limits of the questions that label a shot."""
 
-    least_near: float
+    least_near: np.float32
     """A shot with fewer near neighbours is lonely."""
-    spike_share: float
+    spike_share: np.float32
     """A rough shot is a spike where the share of smooth pairs around it is greater."""
-    below_m: float
+    below_m: np.float32
     """Rough shots farther below the ground are noise [m]."""
-    leaf_slots: float
+    leaf_slots: np.float32
     """Slots with rough shots around a lonely shot that make it a leaf."""
-    walked_m: float
+    walked_m: np.float32
     """Shots that the walk went over are ground up to this height difference [m]."""
-    level_m: float
+    level_m: np.float32
     """So are shots that are more level than upright, up to this [m]."""
-    soil_m: float
+    soil_m: np.float32
     """So are shots that are not upright, up to this [m]."""
-    leaf_share: float
+    leaf_share: np.float32
     """A place with a smaller share of smooth pairs is foliage."""
-    leaf_share_before_wall: float
+    leaf_share_before_wall: np.float32
     """The same close in front of a wall."""
-    before_m: float
+    before_m: np.float32
     """Greatest distance in front of a wall that is close [m]."""
-    front_m: float
+    front_m: np.float32
     """Shots up to this far in front of a wall are part of it [m]."""
-    behind_m: float
+    behind_m: np.float32
     """So are shots seen through it, up to this far behind [m]."""
-    over_m: float
+    over_m: np.float32
     """Lines of sight up to this far above its top count as through it [m]."""
-    car_top_m: float
+    car_top_m: np.float32
     """Things that reach above this are no cars [m]."""
-    car_bins: float
+    car_bins: np.float32
     """Bins with a level surface around a smooth shot that make it part of a car."""
-    car_bins_rough: float
+    car_bins_rough: np.float32
     """The same of a rough shot."""
-    pole_m: float
+    pole_m: np.float32
     """Runs of a line that are less high are poles [m]; 0 = there are none."""
-    jump_m: float
+    jump_m: np.float32
     """Difference in range at which a run ends [m]."""
-    far_m: float
+    far_m: np.float32
     """What is beside a pole is farther than it by more than this [m]."""
-    crown_slots: float
+    crown_slots: np.float32
     """Slots with rough shots above a pole that make it a trunk."""
-    foot_m: float
+    foot_m: np.float32
     """Lower shots are neither poles nor lonely leaves [m]."""
-    keeps_held: float
+    keeps_held: np.float32
     """1 = lonely shots that agree with a surface are kept; 0 = they are noise."""
-    ghost_m: float
+    ghost_m: np.float32
     """Shots farther behind a wall than this may be ghosts [m] ..."""
-    ghost_near: float
+    ghost_near: np.float32
     """... if they have fewer near neighbours than this."""
 
 

@@ -31,7 +31,8 @@ from prc_cli.kernels.fused import (
 )
 
 AROUND, INNER = 4, 2
-USUAL = DecisionThresholds(
+USUAL = single(
+    DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, walked_m=0.3, level_m=0.12, soil_m=0.06, leaf_share=0.4,
     leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3, car_top_m=3.75, car_bins=3,
     car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5, foot_m=0.3, keeps_held=1, ghost_m=1.5,
@@ -103,7 +104,12 @@ def points_case(rng: Generator) -> tuple[Any, ...]:
 def near_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     chosen = single(
-        NearThresholds(rng.choice([0.4, 0.125, 2.0]), rng.choice([0.0, 3.0]), 0.1, 1.0, rng.choice([0.0, 8.0]))
+        NearThresholds,
+        near_m=rng.choice([0.4, 0.125, 2.0]),
+        near_steps=rng.choice([0.0, 3.0]),
+        thin_m=0.1,
+        along_m=1.0,
+        along_steps=rng.choice([0.0, 8.0]),
     )
     return *one.seen, chosen
 
@@ -111,7 +117,11 @@ def near_case(rng: Generator) -> tuple[Any, ...]:
 def smooth_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     chosen = single(
-        SmoothThresholds(rng.choice([0.0, 0.006, 0.2]), rng.choice([0.0, 0.01]), rng.choice([0.4, 5.0]), 16.0)
+        SmoothThresholds,
+        tolerance_m=rng.choice([0.0, 0.006, 0.2]),
+        tolerance_per_m=rng.choice([0.0, 0.01]),
+        gap_m=rng.choice([0.4, 5.0]),
+        gap_steps=16.0,
     )
     return *one.seen, chosen
 
@@ -124,9 +134,13 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
         for counts in (near, smooth, upright, level):
             counts[np.isnan(one.range_m)] = 0
         return near, smooth, upright, level
-    near = fused_neighbours.near_counts(*one.seen, single(NearThresholds(0.4, 3, 0.1, 1, 8)))
-    smooth = fused_neighbours.smooth_counts(*one.seen, single(SmoothThresholds(0.006, 0.01, 0.4, 16)))
-    usual = single(ChordThresholds(0.15, 0.35, 0.02, 2))
+    near = fused_neighbours.near_counts(
+        *one.seen, single(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8)
+    )
+    smooth = fused_neighbours.smooth_counts(
+        *one.seen, single(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16)
+    )
+    usual = single(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
     chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)
     return near, smooth, *chords
 
@@ -134,7 +148,11 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
 def directions_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     chosen = single(
-        ChordThresholds(rng.choice([0.15, 2.0, 20.0]), rng.choice([0.35, 0.0]), rng.choice([0.02, 0.0]), 5.0)
+        ChordThresholds,
+        chord_m=rng.choice([0.15, 2.0, 20.0]),
+        slope=rng.choice([0.35, 0.0]),
+        slack_m=rng.choice([0.02, 0.0]),
+        longest_m=5.0,
     )
     return one.range_m, random_counts(rng, one)[1], *one.beams, one.step, chosen
 
@@ -146,16 +164,15 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
     if rng.random() < 0.5:
         age[:] = 1000
     chosen = single(
-        WalkThresholds(
-            least_near=3,
-            step_m=rng.choice([0.14, 1.0]),
-            slope=0.3,
-            slope_reach_m=0.5,
-            gap_slope=rng.choice([0.0, 0.08]),
-            known_m=0.15,
-            memory_lines=rng.choice([0, 5, 60]),
-            follow=0.4,
-        )
+        WalkThresholds,
+        least_near=3,
+        step_m=rng.choice([0.14, 1.0]),
+        slope=0.3,
+        slope_reach_m=0.5,
+        gap_slope=rng.choice([0.0, 0.08]),
+        known_m=0.15,
+        memory_lines=rng.choice([0, 5, 60]),
+        follow=0.4,
     )
     keep = int(rng.integers(0, len(one.range_m) + 1))
     start = np.float32(rng.choice([-2.0, 0.0]))
@@ -173,15 +190,14 @@ def strips_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     above, smooth, level = heights(rng, one), rng.choice([3, 0]), rng.choice([6, 2, 0])
     chosen = single(
-        StripThresholds(
-            least_near=3,
-            foot_m=rng.choice([0.15, 0.0]),
-            rough=2,
-            smooth=smooth,
-            level_smooth=level,
-            level_top_m=rng.choice([3.4, 0.5]),
-            jump_m=rng.choice([1.0, 9.0]),
-        )
+        StripThresholds,
+        least_near=3,
+        foot_m=rng.choice([0.15, 0.0]),
+        rough=2,
+        smooth=smooth,
+        level_smooth=level,
+        level_top_m=rng.choice([3.4, 0.5]),
+        jump_m=rng.choice([1.0, 9.0]),
     )
     return one.range_m, above, random_counts(rng, one), one.beams, one.step, chosen
 
@@ -208,7 +224,9 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
         top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
         sums = length, wall, (wall * middle).astype(np.float32), top
-    chosen = single(WallThresholds(rng.choice([0.01, 0.5, 1.5]), rng.choice([0.0, 0.3, 1.0]), 1.6))
+    chosen = single(
+        WallThresholds, height_m=rng.choice([0.01, 0.5, 1.5]), share=rng.choice([0.0, 0.3, 1.0]), before_m=1.6
+    )
     return sums, chosen
 
 
@@ -223,7 +241,7 @@ def decision(rng: Generator) -> DecisionThresholds:
     """Numbers of the decision, near to those that are used, some of them off."""
     chosen = np.array(USUAL) * rng.choice([1.0, 1.0, 0.3, 2.0], len(USUAL))
     chosen[rng.random(len(USUAL)) < 0.05] = rng.choice([0.0, 1e9])
-    thresholds = single(DecisionThresholds._make(chosen))
+    thresholds = DecisionThresholds._make(np.float32(value) for value in chosen)
     return thresholds._replace(car_top_m=min(thresholds.car_top_m, np.float32(15.0)))
 
 
@@ -239,11 +257,20 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         counts,
         one.beams,
         one.step,
-        single(StripThresholds(3, 0.15, 2, 3, rng.choice([6, 3]), 3.4, 1)),
+        single(
+            StripThresholds,
+            least_near=3,
+            foot_m=0.15,
+            rough=2,
+            smooth=3,
+            level_smooth=rng.choice([6, 3]),
+            level_top_m=3.4,
+            jump_m=1,
+        ),
     )
     wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
     walls = fused_strips.find_walls(
-        (length, wall, place, top), single(WallThresholds(rng.choice([0.1, 1.5]), 0.3, 1.6))
+        (length, wall, place, top), single(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, before_m=1.6)
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     return (

@@ -18,7 +18,8 @@ from prc_cli.core.thresholds_fused import (
 from prc_cli.core.types import F32, F64
 from prc_cli.kernels.fused import stems
 
-RUNS = RunThresholds(
+RUNS = double(
+    RunThresholds,
     step_rad=0.02, above_m=0.05, tolerance_m=0.004, tolerance_share=0.0003, steep=1.0, gap_m=0.3, gap_steep=0.1,
     behind_m=0.15, lean=0.7, short_m=0.03,
 )  # fmt: skip
@@ -45,7 +46,11 @@ def forest(rng: Generator) -> tuple[F32, F64, F64]:
 
 def profile_case(rng: Generator) -> tuple[Any, ...]:
     chosen = double(
-        TerrainThresholds(rng.choice([0.25, 1.0, 0.3]), rng.choice([0.0, 0.5]), 0.1, rng.choice([0.0, 0.05]))
+        TerrainThresholds,
+        bin_m=rng.choice([0.25, 1.0, 0.3]),
+        slope=rng.choice([0.0, 0.5]),
+        near_m=0.1,
+        near_share=rng.choice([0.0, 0.05]),
     )
     ranges, sine, cosine = forest(rng)
     level = cosine * (rng.random() < 0.9)
@@ -73,13 +78,14 @@ def runs_case(rng: Generator) -> tuple[Any, ...]:
         gap_m=rng.choice([0.3, 2.0]),
         gap_steep=rng.choice([0.1, -np.inf]),
     )
-    return ranges, heights_of(rng, ranges, cosine), sine, cosine, double(chosen)
+    return ranges, heights_of(rng, ranges, cosine), sine, cosine, chosen
 
 
 def stems_case(rng: Generator) -> tuple[Any, ...]:
     ranges, heights, sine, cosine, chosen = runs_case(rng)
     found = stems.upright_runs(ranges, heights, sine, cosine, chosen)
-    least = StemThresholds(
+    least = double(
+        StemThresholds,
         near_m=rng.choice([0.05, -1.0, 1.0]),
         near_share=0.005,
         shots=rng.choice([3, 12]),
@@ -91,14 +97,15 @@ def stems_case(rng: Generator) -> tuple[Any, ...]:
     )
     if rng.random() < 0.5:
         least = least._replace(extent_m=0.0, total_m=0.0, mean_m=0.0, through_share=1.0)
-    return ranges, *found, double(least)
+    return ranges, *found, least
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
     ranges, _, cosine = forest(rng)
     some = (rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6])) & ~np.isnan(ranges)
     top, company = rng.choice([1e9, 1.0, 3.0]), rng.choice([-1.0, 0.0, 0.25])
-    chosen = ForestThresholds(
+    chosen = double(
+        ForestThresholds,
         below_m=0.2,
         soil_m=0.04,
         cover_m=rng.choice([0.04, 0.15, 1.0]),
@@ -107,7 +114,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         beside_m=rng.choice([-1.0, 0.0, 0.05]),
         near_m=company,
     )
-    return ranges, heights_of(rng, ranges, cosine), some, int(rng.integers(1, 4)), double(chosen)
+    return ranges, heights_of(rng, ranges, cosine), some, int(rng.integers(1, 4)), chosen
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

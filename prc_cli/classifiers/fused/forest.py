@@ -74,16 +74,15 @@ class ForestParams(Params):
         """Return what the loop of the labels is given; steps that are off get limits that change nothing."""
         flat, touching, company = self.flat, self.touching, self.company
         return double(
-            ForestThresholds(
-                below_m=self.below_m,
-                soil_m=self.soil_m,
-                cover_m=flat.cover_m if flat.enabled else self.soil_m,
-                flat_m=flat.step_m,
-                top_m=self.stem_top_m,
-                # ranges differ by 0 at least
-                beside_m=touching.range_m if touching.enabled else -1.0,
-                near_m=company.range_m if company.enabled else -1.0,
-            )
+            ForestThresholds,
+            below_m=self.below_m,
+            soil_m=self.soil_m,
+            cover_m=flat.cover_m if flat.enabled else self.soil_m,
+            flat_m=flat.step_m,
+            top_m=self.stem_top_m,
+            # ranges differ by 0 at least
+            beside_m=touching.range_m if touching.enabled else -1.0,
+            near_m=company.range_m if company.enabled else -1.0,
         )
 
 

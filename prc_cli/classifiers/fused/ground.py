@@ -50,16 +50,15 @@ class GroundParams(Params):
     def thresholds(self, least_near: int) -> WalkThresholds:
         """Return what the loop is given; shots with fewer near neighbours do not count."""
         return single(
-            WalkThresholds(
-                least_near=least_near,
-                step_m=self.step_m,
-                slope=self.slope,
-                slope_reach_m=self.slope_reach_m,
-                gap_slope=self.gap_slope,
-                known_m=self.known_m,
-                memory_lines=self.memory_lines,
-                follow=self.follow,
-            )
+            WalkThresholds,
+            least_near=least_near,
+            step_m=self.step_m,
+            slope=self.slope,
+            slope_reach_m=self.slope_reach_m,
+            gap_slope=self.gap_slope,
+            known_m=self.known_m,
+            memory_lines=self.memory_lines,
+            follow=self.follow,
         )
 
 

@@ -30,7 +30,14 @@ class CompanyParams(Params):
 
     def thresholds(self) -> NearThresholds:
         """Return what the loop is given."""
-        return single(NearThresholds(self.near_m, self.near_steps, self.thin_m, self.along_m, self.along_steps))
+        return single(
+            NearThresholds,
+            near_m=self.near_m,
+            near_steps=self.near_steps,
+            thin_m=self.thin_m,
+            along_m=self.along_m,
+            along_steps=self.along_steps,
+        )
 
 
 class SmoothnessParams(Params):
@@ -46,12 +53,11 @@ class SmoothnessParams(Params):
     def thresholds(self, noise_m: float, step_rad: float) -> SmoothThresholds:
         """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
         return single(
-            SmoothThresholds(
-                tolerance_m=max(self.least_m, self.noise_sigmas * noise_m),
-                tolerance_per_m=self.per_metre + self.per_step * step_rad,
-                gap_m=self.gap_m,
-                gap_steps=self.gap_steps,
-            )
+            SmoothThresholds,
+            tolerance_m=max(self.least_m, self.noise_sigmas * noise_m),
+            tolerance_per_m=self.per_metre + self.per_step * step_rad,
+            gap_m=self.gap_m,
+            gap_steps=self.gap_steps,
         )
 
 
@@ -65,7 +71,9 @@ class DirectionParams(Params):
 
     def thresholds(self) -> ChordThresholds:
         """Return what the loop is given."""
-        return single(ChordThresholds(self.chord_m, self.slope, self.slack_m, self.longest_m))
+        return single(
+            ChordThresholds, chord_m=self.chord_m, slope=self.slope, slack_m=self.slack_m, longest_m=self.longest_m
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,36 +70,34 @@ class StemsParams(Params):
         """Return what the loop over the runs of a line is given; steps that are off get limits that change nothing."""
         gaps, opacity = self.gaps, self.opacity
         return double(
-            RunThresholds(
-                step_rad=step_rad,
-                above_m=self.above_m,
-                tolerance_m=self.tolerance_m,
-                tolerance_share=self.tolerance_share,
-                steep=self.steep,
-                gap_m=gaps.longest_m if gaps.enabled else math.inf,
-                # beyond the spacing of shots on a wall nothing is near enough
-                gap_steep=gaps.steep if gaps.enabled else -math.inf,
-                behind_m=opacity.behind_m if opacity.enabled else math.inf,
-                lean=self.lean,
-                short_m=self.short_m,
-            )
+            RunThresholds,
+            step_rad=step_rad,
+            above_m=self.above_m,
+            tolerance_m=self.tolerance_m,
+            tolerance_share=self.tolerance_share,
+            steep=self.steep,
+            gap_m=gaps.longest_m if gaps.enabled else math.inf,
+            # beyond the spacing of shots on a wall nothing is near enough
+            gap_steep=gaps.steep if gaps.enabled else -math.inf,
+            behind_m=opacity.behind_m if opacity.enabled else math.inf,
+            lean=self.lean,
+            short_m=self.short_m,
         )
 
     def stem_thresholds(self) -> StemThresholds:
         """Return what the loop over the runs of a block is given."""
         joining = self.joining
         return double(
-            StemThresholds(
-                # ranges differ by 0 at least
-                near_m=joining.near_m if joining.enabled else -1.0,
-                near_share=joining.near_share if joining.enabled else 0.0,
-                shots=self.shots,
-                runs=joining.runs if joining.enabled else 1,
-                extent_m=self.extent_m,
-                total_m=self.total_m,
-                mean_m=self.mean_m,
-                through_share=self.opacity.share,
-            )
+            StemThresholds,
+            # ranges differ by 0 at least
+            near_m=joining.near_m if joining.enabled else -1.0,
+            near_share=joining.near_share if joining.enabled else 0.0,
+            shots=self.shots,
+            runs=joining.runs if joining.enabled else 1,
+            extent_m=self.extent_m,
+            total_m=self.total_m,
+            mean_m=self.mean_m,
+            through_share=self.opacity.share,
         )
 
 

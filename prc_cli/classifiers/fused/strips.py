@@ -34,15 +34,14 @@ class StripsParams(Params):
     def thresholds(self, least_near: int, level_top_m: float) -> StripThresholds:
         """Return what the loop is given; level surfaces above ``level_top_m`` [m] do not count."""
         return single(
-            StripThresholds(
-                least_near=least_near,
-                foot_m=self.foot_m,
-                rough=self.rough,
-                smooth=self.smooth,
-                level_smooth=self.level_smooth,
-                level_top_m=level_top_m,
-                jump_m=self.jump_m,
-            )
+            StripThresholds,
+            least_near=least_near,
+            foot_m=self.foot_m,
+            rough=self.rough,
+            smooth=self.smooth,
+            level_smooth=self.level_smooth,
+            level_top_m=level_top_m,
+            jump_m=self.jump_m,
         )
 
 
@@ -63,7 +62,12 @@ class WallParams(Params):
 
     def thresholds(self) -> WallThresholds:
         """Return what the loop is given."""
-        return single(WallThresholds(self.height_m if self.enabled else NEVER_M, self.share, self.before_m))
+        return single(
+            WallThresholds,
+            height_m=self.height_m if self.enabled else NEVER_M,
+            share=self.share,
+            before_m=self.before_m,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,7 +29,9 @@ class TerrainParams(Params):
 
     def thresholds(self) -> TerrainThresholds:
         """Return what the loop is given."""
-        return double(TerrainThresholds(self.bin_m, self.slope, self.near_m, self.near_share))
+        return double(
+            TerrainThresholds, bin_m=self.bin_m, slope=self.slope, near_m=self.near_m, near_share=self.near_share
+        )
 
 
 @stage("ground")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import boolean, float32, uint8, uint64
-from numba.types import UniTuple
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
 from prc_cli.core.thresholds_fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.named import named
+from prc_cli.kernels.signatures import UniTuple, boolean, float32, named, uint8, uint64
 
 Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
@@ -393,7 +391,7 @@ def _label_odd(
             # few as they are, what is left of a far surface agrees with it
             is_held = holds and (pairs > 0 or is_wall or abs(h) < thresholds.soil_m)
             if near[i] > 0 and b >= 0 and h > foot and not is_wall:
-                is_leaf = np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots
+                is_leaf = bool(np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots)
             if near[i] == 0 or not (is_leaf or is_held):
                 labels[i] = _NOISE
                 continue

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import boolean, float32, int32, int64, uint8
-from numba.types import Tuple, UniTuple
 
 from prc_cli.core.thresholds_fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.named import named
+from prc_cli.kernels.signatures import Tuple, UniTuple, boolean, float32, int32, int64, named, uint8
 
 BINS, BIN_M = 320, np.float32(0.25)
 """Places beside the scanner at which the ground is remembered, on either side, and how wide they are [m]."""

@@ -8,13 +8,11 @@ with what is not there is false.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, uint8
-from numba.types import UniTuple
 
 from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.named import named
+from prc_cli.kernels.signatures import UniTuple, float32, named, uint8
 
 LINES, COLUMNS = 2, 4
 """How far neighbours lie away at most."""

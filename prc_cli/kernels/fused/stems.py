@@ -7,13 +7,11 @@ angle of the beam from straight down.
 from __future__ import annotations
 
 import numpy as np
-from numba import boolean, float32, float64, int32, int64, uint8
-from numba.types import Tuple
 
 from prc_cli.core.thresholds_fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.named import named
+from prc_cli.kernels.signatures import Tuple, boolean, float32, float64, int32, int64, named, uint8
 
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
 """Columns of the table of runs: shots, shots from behind, and places in the plane [m]."""
@@ -243,7 +241,7 @@ def _aim(
     for column in range(len(ranges)):
         shots[n_shots] = column
         # missing heights are not above anything either
-        n_shots += np.float64(heights[column]) >= low
+        n_shots += int(np.float64(heights[column]) >= low)
     return n_shots
 
 

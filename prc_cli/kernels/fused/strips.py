@@ -8,14 +8,12 @@ and what stands upright stays in its strip from line to line.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, uint8, uint64
-from numba.types import Tuple, UniTuple
 from numpy.typing import NDArray
 
 from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.named import named
+from prc_cli.kernels.signatures import Tuple, UniTuple, float32, named, uint8, uint64
 
 Slots = NDArray[np.uint64]
 
