@@ -16,15 +16,20 @@ boolean, uint8, uint64 = _types.boolean, _types.uint8, _types.uint64
 int32, int64, float32, float64 = _types.int32, _types.int64, _types.float32, _types.float64
 
 
-def named(thresholds: type[tuple[Any, ...]], number: Any) -> Any:
-    """Return the numba type of a ``NamedTuple`` all of whose fields are numbers of one type.
+def named(kind: type[tuple[Any, ...]], number: Any, /, **others: Any) -> Any:
+    """Return the numba type of a ``NamedTuple``.
 
     Parameters
     ----------
-    thresholds : type
+    kind : type
         The class.
     number : numba type
-        Such as :data:`float32`.
+        Of its fields, such as :data:`float32` ...
+    others : numba type
+        ... but for these.
     """
-    fields: tuple[str, ...] = thresholds._fields  # type: ignore[attr-defined]
-    return _types.NamedUniTuple(number, len(fields), thresholds)
+    fields: tuple[str, ...] = kind._fields  # type: ignore[attr-defined]
+    # as numba.typeof has it
+    if not others:
+        return _types.NamedUniTuple(number, len(fields), kind)
+    return _types.NamedTuple([others.get(field, number) for field in fields], kind)

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from prc_cli import kernels
+from prc_cli.core.simulated import CastBodies
 from prc_cli.core.types import F64, I32, I64
 from prc_cli.simulation.world import Bodies, Shape
 
@@ -67,23 +68,16 @@ def cast(
     times = np.broadcast_to(times[:, None] if times.ndim == 1 else times, shape)
     t_min = np.zeros(shape) if t_min_m is None else t_min_m
     yaw = np.where(bodies.shape >= Shape.ELLIPSOID, bodies.numbers[:, 6], 0.0)
-    return Hits(
-        *kernels.cast_shots(
-            _plain(origin_m),
-            _plain(direction),
-            _plain(times),
-            _plain(t_min),
-            first_shot,
-            np.require(bodies.shape, np.uint8, ["C", "W"]),
-            _plain(bodies.numbers),
-            np.stack([np.cos(yaw), np.sin(yaw)], axis=1),
-            _plain(bodies.density),
-            _plain(bodies.velocity),
-            _plain(bodies.number),
-            search_order(bodies),
-            _QUANTILES,
-        )
+    given = CastBodies(
+        shape=np.require(bodies.shape, np.uint8, ["C", "W"]),
+        numbers=_plain(bodies.numbers),
+        turn=np.stack([np.cos(yaw), np.sin(yaw)], axis=1),
+        density=_plain(bodies.density),
+        velocity=_plain(bodies.velocity),
+        number=_plain(bodies.number),
     )
+    rays = _plain(origin_m), _plain(direction), _plain(times), _plain(t_min)
+    return Hits(*kernels.cast_shots(*rays, first_shot, given, search_order(bodies), _QUANTILES))
 
 
 def _plain(numbers: F64) -> F64:

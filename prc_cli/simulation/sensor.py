@@ -28,6 +28,7 @@ from typing import Protocol
 import numpy as np
 
 from prc_cli import kernels
+from prc_cli.core.simulated import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.simulation.hashing import hashed
 from prc_cli.simulation.scanners import Scanner
@@ -98,7 +99,7 @@ def goes_behind(hits: Struck, bodies: Bodies, scanner: Scanner, first_line: int,
     (lines, M) bool
     """
     _, kind = _about(bodies)
-    mask: Mask = kernels.goes_behind(_arrays(hits), kind, _figures(scanner), first_line, seed)
+    mask: Mask = kernels.goes_behind(_arrays(hits), kind, _model(scanner), first_line, seed)
     return mask
 
 
@@ -131,7 +132,7 @@ def scan(
     nothing = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
     second = nothing if behind is None else _arrays(behind)
     ranges, labels, intensities, extra, extra_range, extra_label, extra_intensity = kernels.sense(
-        _arrays(hits), second, surface, kind, _figures(scanner), _quantiles(), first_line, seed
+        _arrays(hits), second, surface, kind, _model(scanner), _quantiles(), first_line, seed
     )
     lines, columns = np.ascontiguousarray(extra[:, 0]), np.ascontiguousarray(extra[:, 1])
     return Measured(ranges, labels, intensities, lines, columns, extra_range, extra_label, extra_intensity)
@@ -158,35 +159,34 @@ def _about(bodies: Bodies) -> tuple[F64, U8]:
     return surface, np.stack([label[bodies.material], bits.astype(np.uint8)], axis=1)
 
 
-def _figures(scanner: Scanner) -> F64:
-    """Return the scanner's numbers in the order of the kernel."""
-    figures = [
-        scanner.step_rad,
-        scanner.exit_mm / 1000.0,
-        scanner.divergence_mrad / 1000.0,
-        scanner.ambiguity_m,
-        scanner.pulse_m,
-        scanner.min_range_m,
-        scanner.max_range_m,
-        0.9 / scanner.half_range_m**2,
-        scanner.resolution_m,
-        scanner.noise_m,
-        scanner.noise_per_m,
-        scanner.noise_spread,
-        scanner.lost_share,
-        scanner.edge_m,
-        scanner.background_share,
-        scanner.sky_share,
-        scanner.bright_sky_share,
-        scanner.cluster_share,
-        scanner.cluster_m,
-        scanner.pane_share,
-        scanner.ghost_share,
-        scanner.leaves_share,
-        scanner.principle == "cw",
-        scanner.max_returns,
-    ]
-    return np.array(figures, dtype=np.float64)
+def _model(scanner: Scanner) -> SensorModel:
+    """Return what the loop is given of a scanner."""
+    return SensorModel(
+        step_rad=scanner.step_rad,
+        exit_m=scanner.exit_mm / 1000.0,
+        divergence=scanner.divergence_mrad / 1000.0,
+        ambiguity_m=scanner.ambiguity_m,
+        pulse_m=scanner.pulse_m,
+        nearest_m=scanner.min_range_m,
+        farthest_m=scanner.max_range_m,
+        half_power=0.9 / scanner.half_range_m**2,
+        resolution_m=scanner.resolution_m,
+        noise_m=scanner.noise_m,
+        noise_per_m=scanner.noise_per_m,
+        noise_spread=scanner.noise_spread,
+        lost_share=scanner.lost_share,
+        edge_m=scanner.edge_m,
+        background_share=scanner.background_share,
+        sky_share=scanner.sky_share,
+        bright_sky_share=scanner.bright_sky_share,
+        cluster_share=scanner.cluster_share,
+        cluster_m=scanner.cluster_m,
+        pane_share=scanner.pane_share,
+        ghost_share=scanner.ghost_share,
+        leaves_share=scanner.leaves_share,
+        is_cw=scanner.principle == "cw",
+        max_returns=scanner.max_returns,
+    )
 
 
 @lru_cache(maxsize=1)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.core.simulated import CastBodies
 from prc_cli.core.types import F64
 
 N_QUANTILES = 64
@@ -102,12 +103,14 @@ def cast_case(rng: Generator) -> tuple[Any, ...]:
         time,
         t_min,
         int(rng.choice([0, 2**40])),
-        shape,
-        numbers,
-        np.stack([np.cos(yaw), np.sin(yaw)], axis=1),
-        rng.choice([0.0, 0.5, 5.0], n),
-        velocity,
-        rng.integers(0, 2**53, n).astype(np.float64),
+        CastBodies(
+            shape=shape,
+            numbers=numbers,
+            turn=np.stack([np.cos(yaw), np.sin(yaw)], axis=1),
+            density=rng.choice([0.0, 0.5, 5.0], n),
+            velocity=velocity,
+            number=rng.integers(0, 2**53, n).astype(np.float64),
+        ),
         rng.permutation(n),
         QUANTILES,
     )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.core.simulated import SensorModel
 from prc_cli.core.types import F64, I32, U8
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
@@ -40,14 +41,36 @@ def bodies(rng: Generator) -> tuple[F64, U8]:
     return surface, kind.astype(np.uint8)
 
 
-def figures(rng: Generator) -> F64:
-    is_cw = float(rng.integers(2))
-    ambiguity = float(rng.choice([0.0, 150.0]))
-    beam = [float(rng.choice([0.0005, 0.003])), 0.004, float(rng.choice([0.0002, 0.01])), ambiguity, 0.45]
-    limits = [0.5, float(rng.choice([76.0, 300.0])), float(rng.choice([1e-6, 1e-4])), float(rng.choice([1e-4, 0.01]))]
-    noise = [0.001, 0.0001, 0.05, float(rng.choice([0.0, 0.1])), 0.05]
-    stray = [0.1, 0.2, float(rng.choice([0.0, 0.8])), 0.1, 0.3]
-    return np.array([*beam, *limits, *noise, *stray, 0.3, 0.3, 0.5, is_cw, float(rng.integers(1, 5))])
+def model(rng: Generator) -> SensorModel:
+    """Numbers of a sensor; drawn in the order of the fields, but for these two."""
+    is_cw = bool(rng.integers(2))
+    ambiguity_m = float(rng.choice([0.0, 150.0]))
+    return SensorModel(
+        step_rad=float(rng.choice([0.0005, 0.003])),
+        exit_m=0.004,
+        divergence=float(rng.choice([0.0002, 0.01])),
+        ambiguity_m=ambiguity_m,
+        pulse_m=0.45,
+        nearest_m=0.5,
+        farthest_m=float(rng.choice([76.0, 300.0])),
+        half_power=float(rng.choice([1e-6, 1e-4])),
+        resolution_m=float(rng.choice([1e-4, 0.01])),
+        noise_m=0.001,
+        noise_per_m=0.0001,
+        noise_spread=0.05,
+        lost_share=float(rng.choice([0.0, 0.1])),
+        edge_m=0.05,
+        background_share=0.1,
+        sky_share=0.2,
+        bright_sky_share=float(rng.choice([0.0, 0.8])),
+        cluster_share=0.1,
+        cluster_m=0.3,
+        pane_share=0.3,
+        ghost_share=0.3,
+        leaves_share=0.5,
+        is_cw=is_cw,
+        max_returns=int(rng.integers(1, 5)),
+    )
 
 
 def sense_case(rng: Generator) -> tuple[Any, ...]:
@@ -59,7 +82,7 @@ def sense_case(rng: Generator) -> tuple[Any, ...]:
         second = (np.empty((0, 0)), np.empty((0, 0), np.int32), np.empty((0, 0)))
     quantiles = np.sort(rng.normal(size=17))
     seed = int(rng.choice([0, 1, 2**63 - 1]))
-    return (first, second, *bodies(rng), figures(rng), quantiles, int(rng.choice([0, 99, 10**9])), seed)
+    return (first, second, *bodies(rng), model(rng), quantiles, int(rng.choice([0, 99, 10**9])), seed)
 
 
 def behind_case(rng: Generator) -> tuple[Any, ...]:

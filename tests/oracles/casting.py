@@ -9,7 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.types import F64, I32, I64, U8, Mask
+from prc_cli.core.simulated import CastBodies
+from prc_cli.core.types import F64, I32, I64, Mask
 
 U64: TypeAlias = NDArray[np.uint64]
 Surfaces: TypeAlias = tuple[F64, F64, F64, F64]
@@ -24,16 +25,12 @@ def cast_shots(
     time_s: F64,
     t_min: F64,
     first_shot: int,
-    shape: U8,
-    numbers: F64,
-    turn: F64,
-    density: F64,
-    velocity: F64,
-    number: F64,
+    bodies: CastBodies,
     order: I64,
     quantiles: F64,
 ) -> tuple[F64, I32, F64]:
     """Find the nearest surface of every shot; see :func:`prc_cli.kernels.simulation.casting.cast_shots`."""
+    shape, numbers, turn, density, velocity, number = bodies
     t = np.full(time_s.shape, INF)
     body = np.full(time_s.shape, -1, dtype=np.int32)
     facing = np.zeros(time_s.shape)

@@ -7,34 +7,9 @@ from math import floor, isnan, nan, sqrt
 
 import numpy as np
 
+from prc_cli.core.simulated import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
-_NAMES = [
-    "step",
-    "exit",
-    "divergence",
-    "ambiguity",
-    "pulse",
-    "nearest",
-    "farthest",
-    "half_power",
-    "resolution",
-    "noise",
-    "noise_per_m",
-    "noise_spread",
-    "lost",
-    "edge",
-    "background",
-    "sky",
-    "bright_sky",
-    "cluster",
-    "cluster_m",
-    "pane",
-    "ghost",
-    "leaves",
-    "is_cw",
-    "max_returns",
-]
 _PURPOSES = ("noise", "loss", "stray", "place", "glass", "leaves", "edge", "echo", "sky")
 _WORD = 2**64 - 1
 _WHITE, _FLASH = 0.9, 0.9986
@@ -107,25 +82,24 @@ def _surfaces(hits: tuple[F64, I32, F64], i: int, surface: F64, kind: U8) -> lis
     return found
 
 
-def _looks_behind(own: _Surface, dice: _Dice, column: int, f: dict[str, float]) -> bool:
+def _looks_behind(own: _Surface, dice: _Dice, column: int, model: SensorModel) -> bool:
     if own.is_glass:
-        return abs(own.facing) < _FLASH and dice.throw(column, "glass") >= f["pane"] + f["ghost"]
-    return own.is_leaf and f["max_returns"] > 1 and dice.throw(column, "leaves") < f["leaves"]
+        return abs(own.facing) < _FLASH and dice.throw(column, "glass") >= model.pane_share + model.ghost_share
+    return own.is_leaf and model.max_returns > 1 and dice.throw(column, "leaves") < model.leaves_share
 
 
-def goes_behind(hits: tuple[F64, I32, F64], kind: U8, figures: F64, first_line: int, seed: int) -> Mask:
+def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
     """Mark the shots whose light goes on; see :func:`prc_cli.kernels.simulation.sensor.goes_behind`."""
-    f = dict(zip(_NAMES, figures.tolist(), strict=True))
     behind = np.zeros(hits[0].shape, dtype=bool)
     blank = np.zeros((len(kind), 2))
     for i in range(len(behind)):
         dice = _Dice(seed, first_line + i)
         for column, own in enumerate(_surfaces(hits, i, blank, kind)):
-            behind[i, column] = own is not None and _looks_behind(own, dice, column, f)
+            behind[i, column] = own is not None and _looks_behind(own, dice, column, model)
     return behind
 
 
-def _neighbour_share(line: list[_Surface | None], column: int, side: int, dice: _Dice, f: dict[str, float]) -> float:
+def _neighbour_share(line: list[_Surface | None], column: int, side: int, dice: _Dice, model: SensorModel) -> float:
     """Return the share of the beam on what the neighbour sees."""
     if not 0 <= column + side < len(line):
         return 0.0
@@ -138,36 +112,36 @@ def _neighbour_share(line: list[_Surface | None], column: int, side: int, dice: 
         gap = abs(seen[0].t - seen[1].t)
         is_one = seen[0].body == seen[1].body and not seen[0].is_leaf
         steepest = max([one.tangent() for one in seen if one.is_flat], default=0.0)
-        if is_one or gap <= f["edge"] or gap <= f["edge"] + 2.0 * f["step"] * near * steepest:
+        if is_one or gap <= model.edge_m or gap <= model.edge_m + 2.0 * model.step_rad * near * steepest:
             return 0.0
     place = dice.throw(min(column, column + side), "edge")
     away = place if side == 1 else 1.0 - place
-    share = 0.5 - away * (f["step"] * near / (f["exit"] + f["divergence"] * near))
+    share = 0.5 - away * (model.step_rad * near / (model.exit_m + model.divergence * near))
     return share if share > 0.0 else 0.0
 
 
-def _glass(own: _Surface, dice: _Dice, column: int, f: dict[str, float]) -> list[_Echo]:
+def _glass(own: _Surface, dice: _Dice, column: int, model: SensorModel) -> list[_Echo]:
     pane = own.echo()
     if abs(own.facing) >= _FLASH:
         pane.power = own.cosine() / (own.t * own.t)
         return [pane]
     chance = dice.throw(column, "glass")
-    if chance < f["pane"]:
+    if chance < model.pane_share:
         return [pane]
-    if chance < f["pane"] + f["ghost"]:
+    if chance < model.pane_share + model.ghost_share:
         t = own.t * (1.3 + 1.7 * own.mirrored)
         return [_Echo(t, 0.1 / (t * t), 0.0, 2)]
     return []
 
 
 def _all_echoes(
-    line: list[_Surface | None], column: int, behind: _Surface | None, dice: _Dice, f: dict[str, float]
+    line: list[_Surface | None], column: int, behind: _Surface | None, dice: _Dice, model: SensorModel
 ) -> list[_Echo]:
     own = line[column]
     if own is None:
         return []
-    echoes = _glass(own, dice, column, f) if own.is_glass else [own.echo()]
-    if behind is not None and _looks_behind(own, dice, column, f):
+    echoes = _glass(own, dice, column, model) if own.is_glass else [own.echo()]
+    if behind is not None and _looks_behind(own, dice, column, model):
         share = 0.6
         if echoes:
             share = 0.2 + 0.6 * dice.throw(column, "echo")
@@ -176,7 +150,7 @@ def _all_echoes(
         second.power = share * second.power
         echoes.append(second)
     for side in (-1, 1):
-        share = _neighbour_share(line, column, side, dice, f)
+        share = _neighbour_share(line, column, side, dice, model)
         if share == 0.0:
             continue
         for echo in echoes:
@@ -190,11 +164,11 @@ def _all_echoes(
     return sorted(echoes, key=lambda echo: echo.t)
 
 
-def _mixed(echoes: list[_Echo], f: dict[str, float]) -> list[_Echo]:
+def _mixed(echoes: list[_Echo], model: SensorModel) -> list[_Echo]:
     """Make one of echoes that cannot be told apart."""
     apart: list[_Echo] = []
     for echo in echoes:
-        if not apart or (not f["is_cw"] and echo.t - apart[-1].t > f["pulse"]):
+        if not apart or (not model.is_cw and echo.t - apart[-1].t > model.pulse_m):
             apart.append(echo)
             continue
         near = apart[-1]
@@ -202,17 +176,17 @@ def _mixed(echoes: list[_Echo], f: dict[str, float]) -> list[_Echo]:
         gap = echo.t - near.t
         to_far, to_near = gap * (1.0 - share), gap * share
         slope, label = near.slope, near.label
-        if to_far <= f["edge"]:
+        if to_far <= model.edge_m:
             slope, label = echo.slope, echo.label
-        elif to_near > f["edge"]:
+        elif to_near > model.edge_m:
             slope, label = 0.0, label if label == echo.label else 2
         apart[-1] = _Echo(near.t + share * gap, near.power + echo.power, slope, label)
     return apart
 
 
-def _given(t: float, f: dict[str, float]) -> float:
-    given = float(floor(t / f["resolution"] + 0.5)) * f["resolution"]
-    return given if f["nearest"] <= given <= f["farthest"] else nan
+def _given(t: float, model: SensorModel) -> float:
+    given = float(floor(t / model.resolution_m + 0.5)) * model.resolution_m
+    return given if model.nearest_m <= given <= model.farthest_m else nan
 
 
 def _deviate(uniform: float, quantiles: F64) -> float:
@@ -221,25 +195,25 @@ def _deviate(uniform: float, quantiles: F64) -> float:
     return float(low + (place - floor(place)) * (high - low))
 
 
-def _returns(echoes: list[_Echo], dice: _Dice, column: int, f: dict[str, float], quantiles: F64) -> list[_Echo]:
+def _returns(echoes: list[_Echo], dice: _Dice, column: int, model: SensorModel, quantiles: F64) -> list[_Echo]:
     found = []
     for i, echo in enumerate(echoes):
-        strength = echo.power / f["half_power"]
+        strength = echo.power / model.half_power
         odds = strength * strength * strength * strength
-        if dice.throw(column, "loss", i) * (1.0 + odds) >= odds * (1.0 - f["lost"]):
+        if dice.throw(column, "loss", i) * (1.0 + odds) >= odds * (1.0 - model.lost_share):
             continue
-        width = f["exit"] + f["divergence"] * echo.t
-        sigma = f["noise"] + f["noise_per_m"] * sqrt(_WHITE / echo.power) + f["noise_spread"] * width * echo.slope
+        width = model.exit_m + model.divergence * echo.t
+        sigma = model.noise_m + model.noise_per_m * sqrt(_WHITE / echo.power) + model.noise_spread * width * echo.slope
         t = echo.t + _deviate(dice.throw(column, "noise", i), quantiles) * sigma
         label = echo.label
-        if f["ambiguity"] > 0 and t >= f["ambiguity"]:
-            t, label = t - floor(t / f["ambiguity"]) * f["ambiguity"], 2
-        t = _given(t, f)
+        if model.ambiguity_m > 0 and t >= model.ambiguity_m:
+            t, label = t - floor(t / model.ambiguity_m) * model.ambiguity_m, 2
+        t = _given(t, model)
         if not isnan(t):
             found.append(_Echo(t, echo.power, 0.0, label))
-    if f["max_returns"] == 1:
+    if model.max_returns == 1:
         return [max(found, key=lambda echo: echo.power)] if found else []
-    return found[: int(f["max_returns"])]
+    return found[: int(model.max_returns)]
 
 
 def _bright(seed: int, line: int, column: int, m: int) -> float:
@@ -253,20 +227,20 @@ def _bright(seed: int, line: int, column: int, m: int) -> float:
 
 
 def _with_background(
-    found: list[_Echo], sky: float | None, dice: _Dice, column: int, f: dict[str, float], quantiles: F64
+    found: list[_Echo], sky: float | None, dice: _Dice, column: int, model: SensorModel, quantiles: F64
 ) -> list[_Echo]:
     """Let stray light in; ``sky`` is its brightness where the shot met nothing."""
     chance, place = dice.throw(column, "stray"), dice.throw(column, "place")
-    share = f["background"] if found else f["sky"]
-    if sky is not None and f["bright_sky"] > 0:
-        share += (f["bright_sky"] - share) * sky
+    share = model.background_share if found else model.sky_share
+    if sky is not None and model.bright_sky_share > 0:
+        share += (model.bright_sky_share - share) * sky
     if chance < share:
-        t = _given(place * (f["ambiguity"] or f["farthest"]), f)
-        return [] if isnan(t) else [_Echo(t, f["half_power"], 0.0, 2)]
-    if found and chance < share + f["cluster"]:
-        off = _deviate(place, quantiles) * f["cluster_m"]
-        t = _given(found[0].t + off, f)
-        moved = _Echo(t, found[0].power, 0.0, 2 if abs(off) > f["edge"] else found[0].label)
+        t = _given(place * (model.ambiguity_m or model.farthest_m), model)
+        return [] if isnan(t) else [_Echo(t, model.half_power, 0.0, 2)]
+    if found and chance < share + model.cluster_share:
+        off = _deviate(place, quantiles) * model.cluster_m
+        t = _given(found[0].t + off, model)
+        moved = _Echo(t, found[0].power, 0.0, 2 if abs(off) > model.edge_m else found[0].label)
         return [] if isnan(t) else [moved, *found[1:]]
     return found
 
@@ -276,13 +250,12 @@ def sense(
     behind: tuple[F64, I32, F64],
     surface: F64,
     kind: U8,
-    figures: F64,
+    model: SensorModel,
     quantiles: F64,
     first_line: int,
     seed: int,
 ) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
     """Turn what the beams meet into what the scanner says; see :func:`prc_cli.kernels.simulation.sensor.sense`."""
-    f = dict(zip(_NAMES, figures.tolist(), strict=True))
     n_lines, m = hits[0].shape
     first: list[_Echo] = []
     further: list[tuple[int, int, _Echo]] = []
@@ -291,11 +264,11 @@ def sense(
         line = _surfaces(hits, i, surface, kind)
         second = _surfaces(behind, i, surface, kind) if len(behind[0]) == n_lines else [None] * m
         for column, own in enumerate(line):
-            echoes = _mixed(_all_echoes(line, column, second[column], dice, f), f)
-            found = _returns(echoes, dice, column, f, quantiles)
-            if f["is_cw"]:
+            echoes = _mixed(_all_echoes(line, column, second[column], dice, model), model)
+            found = _returns(echoes, dice, column, model, quantiles)
+            if model.is_cw:
                 sky = _bright(seed, first_line + i, column, m) if own is None else None
-                found = _with_background(found, sky, dice, column, f, quantiles)
+                found = _with_background(found, sky, dice, column, model, quantiles)
             first.append(found[0] if found else _Echo(nan, 0.0, 0.0, 0))
             further += [(i, column, echo) for echo in found[1:]]
 

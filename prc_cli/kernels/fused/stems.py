@@ -270,6 +270,24 @@ def _put_away(
         ends[run, LOWEST], ends[run, HIGHEST] = min(z_first[run], z), max(z_first[run], z)
 
 
+@inlined
+def _drop(
+    run: int,
+    n: float,
+    passed: float,
+    y: float,
+    z: float,
+    thresholds: RunThresholds,
+    firsts: tuple[F64, F64],
+    ends: F64,
+) -> None:
+    """Put a run away, if there is one; of short ones, which are most, nothing is handed over, to save the time."""
+    if n >= MIN_SHOTS:
+        _put_away(run, n, passed, y, z, thresholds, firsts, ends)
+    elif run >= 0:
+        ends[run, COUNT] = 0.0
+
+
 @helper
 def _line_runs(
     shots: I32,
@@ -302,11 +320,7 @@ def _line_runs(
             if not _goes_on(abs(y - y1), abs(z - z1), spacing, tolerance, steep, gap, gap_steep):
                 run, n, passed = run2, n2, passed2 + waiting2
                 if not _goes_on(abs(y - y2), abs(z - z2), spacing, tolerance, steep, gap, gap_steep):
-                    # short ones are told here: to hand arrays over for each of them would take longer than the rest
-                    if n2 >= MIN_SHOTS:
-                        _put_away(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
-                    elif run2 >= 0:
-                        ends[run2, COUNT] = 0.0
+                    _drop(run2, n2, passed2, y2, z2, thresholds, firsts, ends)
                     run, n, passed = n_runs, 0.0, 0.0
                     y_first[n_runs], z_first[n_runs] = y, z
                     n_runs += 1

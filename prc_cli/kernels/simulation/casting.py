@@ -8,10 +8,16 @@ changes a result.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from prc_cli.core.types import F64, I32, I64, U8
+from prc_cli.core.simulated import CastBodies
+from prc_cli.core.types import F64, I32, I64
 from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.signatures import Tuple, float64, int32, int64, named, uint8
+
+_BODIES = named(CastBodies, float64[:, ::1], shape=uint8[::1], density=float64[::1], number=float64[::1])
 
 _TRIANGLE, _CONE, _ELLIPSOID = 0, 1, 2
 _GROUP = 16  # bodies that are cut together
@@ -21,14 +27,43 @@ _EDGE = 1e-9  # share of an edge by which triangles overlap, so that no shot sli
 _IS_READY = 13  # place of the mark that a body is prepared
 _FARTHEST_M = 1e9  # a shot that begins behind this is not cast
 
-# what is known of a line
-_CENTRE = 9  # after the normal of its plane and two axes within it, three numbers each
-_STRAY, _STRAY_OUT, _TILT, _FIRST, _LAST, _SCALE, _TIME, _HALF_TIME, _N_FRAME = 12, 13, 14, 15, 16, 17, 18, 19, 20
-
 # odd numbers that keep apart what is drawn from the same seed
 _BODY, _SHOT, _CAST = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD1B54A32D192ED03), np.uint64(0x8CB92BA72F3D8DD7)
 _PATH, _LEAF, _ZERO = np.uint64(0xABC98388FB8FAC03), np.uint64(0x2545F4914F6CDD1D), np.uint64(0)
 _X, _Y, _Z = np.uint64(0xD6E8FEB86659FD93), np.uint64(0xA0761D6478BD642F), np.uint64(0xE7037ED1A0B428DB)
+
+
+class _Frame(NamedTuple):
+    """The plane in which the shots of a line lie, nearly, and how far they stray from it."""
+
+    normal: tuple[float, float, float]
+    first: tuple[float, float, float]
+    """Axis in the plane, along the first shot."""
+    second: tuple[float, float, float]
+    """Axis in the plane, square to both."""
+    centre: tuple[float, float, float]
+    """Middle of the places where shots begin [m]."""
+    stray_m: float
+    """Greatest distance of such a place from the centre [m] ..."""
+    stray_out_m: float
+    """... and from the plane through the centre [m]."""
+    tilt: float
+    """Greatest sine of the angle between a shot and the plane."""
+    time_s: float
+    """Middle of the times of the shots [s]."""
+    half_time_s: float
+    """From there to the first or last of them [s]."""
+
+
+class _Bins(NamedTuple):
+    """Steps of angle (diamond) of a table of columns."""
+
+    first: float
+    """Where the first begins."""
+    last: float
+    """Where the last ends."""
+    scale: float
+    """Steps per unit of angle."""
 
 
 @helper
@@ -140,37 +175,36 @@ def _read_line(origin: F64, direction: F64, time_s: F64, t_min: F64, line: int, 
 
 
 @helper
-def _measure_line(rays: F64, frame: F64, angle: F64) -> None:
+def _measure_line(rays: F64, angle: F64) -> _Frame:
     """Lay a plane through the shots of a line, and measure how far they stray from it."""
-    m = rays.shape[1]
-    _lay_plane(rays, frame)
-    for k in range(3):
-        frame[_CENTRE + k] = _middle(rays[k])[0]
+    normal, first, second = _lay_plane(rays)
+    centre = _middle(rays[0])[0], _middle(rays[1])[0], _middle(rays[2])[0]
     stray = out = tilt = 0.0
     turns = 0.0
     before = 0.0
-    for i in range(m):
-        x, y, z = rays[0, i] - frame[9], rays[1, i] - frame[10], rays[2, i] - frame[11]
+    for i in range(rays.shape[1]):
+        x, y, z = rays[0, i] - centre[0], rays[1, i] - centre[1], rays[2, i] - centre[2]
         square = x * x + y * y + z * z
-        h = x * frame[0] + y * frame[1] + z * frame[2]
+        h = x * normal[0] + y * normal[1] + z * normal[2]
         stray = max(stray, square)
         out = max(out, abs(h))
         dx, dy, dz = rays[3, i], rays[4, i], rays[5, i]
-        up = dx * frame[0] + dy * frame[1] + dz * frame[2]
+        up = dx * normal[0] + dy * normal[1] + dz * normal[2]
         tilt = max(tilt, abs(up) / np.sqrt(dx * dx + dy * dy + dz * dz))
-        here = _diamond(dx * frame[3] + dy * frame[4] + dz * frame[5], dx * frame[6] + dy * frame[7] + dz * frame[8])
+        here = _diamond(dx * first[0] + dy * first[1] + dz * first[2], dx * second[0] + dy * second[1] + dz * second[2])
         if i > 0:
             turns -= np.floor((here - before + 2.0) / 4.0)
         angle[i] = here + 4.0 * turns
         before = here
-    frame[_STRAY] = np.sqrt(stray)
-    frame[_STRAY_OUT] = out
-    frame[_TILT] = min(tilt * (1.0 + 1e-9) + 1e-12, 1.0)
-    frame[_TIME], frame[_HALF_TIME] = _middle(rays[6])
+    tilt = min(tilt * (1.0 + 1e-9) + 1e-12, 1.0)
+    time_s, half_time_s = _middle(rays[6])
+    return _Frame(normal, first, second, centre, np.sqrt(stray), out, tilt, time_s, half_time_s)
 
 
 @helper
-def _lay_plane(rays: F64, frame: F64) -> None:
+def _lay_plane(
+    rays: F64,
+) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
     """Find the axes of a line: the normal of its plane, where its first shot goes, and what is square to both."""
     m = rays.shape[1]
     quarter = max(m // 4, 1)
@@ -193,9 +227,7 @@ def _lay_plane(rays: F64, frame: F64) -> None:
             break
         ux, uy, uz = (1.0, 0.0, 0.0) if abs(nx) < 0.7 else (0.0, 1.0, 0.0)
     ux, uy, uz = ux / length, uy / length, uz / length
-    frame[0], frame[1], frame[2] = nx, ny, nz
-    frame[3], frame[4], frame[5] = ux, uy, uz
-    frame[6], frame[7], frame[8] = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+    return (nx, ny, nz), (ux, uy, uz), (ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux)
 
 
 @helper
@@ -210,55 +242,57 @@ def _diamond(x: float, y: float) -> float:
 
 
 @helper
-def _tabulate(angle: F64, frame: F64, first: I64, last: I64) -> None:
+def _tabulate(angle: F64, first: I64, last: I64) -> _Bins:
     """Note for every small step of angle the first column at or after it, and the last at or before it."""
     m, n_bins = len(angle), len(first)
     middle, half = _middle(angle)
-    frame[_FIRST], frame[_LAST] = middle - half - 1e-9, middle + half + 1e-9
-    frame[_SCALE] = (n_bins - 1) / (frame[_LAST] - frame[_FIRST])
+    begin, end = middle - half - 1e-9, middle + half + 1e-9
+    bins = _Bins(begin, end, (n_bins - 1) / (end - begin))
     for k in range(n_bins):
         first[k] = m
         last[k] = -1
     for i in range(m):
-        k = _bin(angle[i], frame, n_bins)
+        k = _bin(angle[i], bins, n_bins)
         first[k] = min(first[k], i)
         last[k] = max(last[k], i)
     for k in range(1, n_bins):
         last[k] = max(last[k], last[k - 1])
         first[n_bins - 1 - k] = min(first[n_bins - 1 - k], first[n_bins - k])
+    return bins
 
 
 @helper
-def _bin(angle: float, frame: F64, n_bins: int) -> int:
-    return int(min(max((angle - frame[_FIRST]) * frame[_SCALE], 0.0), n_bins - 1.0))
+def _bin(angle: float, bins: _Bins, n_bins: int) -> int:
+    return int(min(max((angle - bins.first) * bins.scale, 0.0), n_bins - 1.0))
 
 
 @helper
 def _look_around(
-    groups: F64, hull: F64, velocity: F64, order: I64, frame: F64, corners: F64, seen: I64, spans: F64
+    groups: F64, hull: F64, velocity: F64, order: I64, frame: _Frame, corners: F64, seen: I64, spans: F64
 ) -> int:
     """List the bodies that shots of a line can meet: place in the order, first and last angle, nearest distance."""
+    normal, first, second, centre = frame.normal, frame.first, frame.second, frame.centre
     n_seen = 0
     for g in range(len(groups)):
-        x, y, z = groups[g, 0] - frame[9], groups[g, 1] - frame[10], groups[g, 2] - frame[11]
-        height = x * frame[0] + y * frame[1] + z * frame[2]
+        x, y, z = groups[g, 0] - centre[0], groups[g, 1] - centre[1], groups[g, 2] - centre[2]
+        height = x * normal[0] + y * normal[1] + z * normal[2]
         far = np.sqrt(x * x + y * y + z * z) + groups[g, 3]
         # how far off the plane of the line a shot can be there
-        off = frame[_STRAY_OUT] + frame[_TILT] * (far + frame[_STRAY]) + 1e-5 + 1e-6 * far
+        off = frame.stray_out_m + frame.tilt * (far + frame.stray_m) + 1e-5 + 1e-6 * far
         if abs(height) > groups[g, 3] + off:
             continue
         for j in range(g * _GROUP, min((g + 1) * _GROUP, len(order))):
             vx, vy = velocity[order[j], 0], velocity[order[j], 1]
             around = hull[j, 9]
             if vx != 0.0 or vy != 0.0:
-                around += frame[_HALF_TIME] * np.sqrt(vx * vx + vy * vy)
-            x, y, z = vx * frame[_TIME] - frame[9], vy * frame[_TIME] - frame[10], -frame[11]
+                around += frame.half_time_s * np.sqrt(vx * vx + vy * vy)
+            x, y, z = vx * frame.time_s - centre[0], vy * frame.time_s - centre[1], -centre[2]
             above = below = True
             for k in range(3):
                 h = (
-                    (hull[j, 3 * k] + x) * frame[0]
-                    + (hull[j, 3 * k + 1] + y) * frame[1]
-                    + (hull[j, 3 * k + 2] + z) * frame[2]
+                    (hull[j, 3 * k] + x) * normal[0]
+                    + (hull[j, 3 * k + 1] + y) * normal[1]
+                    + (hull[j, 3 * k + 2] + z) * normal[2]
                 )
                 corners[k, 0] = h
                 above = above and h > around + off
@@ -267,9 +301,9 @@ def _look_around(
                 continue
             for k in range(3):
                 p, q, r = hull[j, 3 * k] + x, hull[j, 3 * k + 1] + y, hull[j, 3 * k + 2] + z
-                corners[k, 1] = p * frame[3] + q * frame[4] + r * frame[5]
-                corners[k, 2] = p * frame[6] + q * frame[7] + r * frame[8]
-            low, high, near = _span(corners, around + off, around + frame[_STRAY] + 1e-5 + 1e-6 * far)
+                corners[k, 1] = p * first[0] + q * first[1] + r * first[2]
+                corners[k, 2] = p * second[0] + q * second[1] + r * second[2]
+            low, high, near = _span(corners, around + off, around + frame.stray_m + 1e-5 + 1e-6 * far)
             if low <= high:
                 seen[n_seen] = j
                 spans[n_seen, 0], spans[n_seen, 1], spans[n_seen, 2] = low, high, near
@@ -328,13 +362,13 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
 
 
 @helper
-def _list_windows(low: float, high: float, frame: F64, first: I64, last: I64, windows: I64) -> int:
+def _list_windows(low: float, high: float, bins: _Bins, first: I64, last: I64, windows: I64) -> int:
     """List the windows of columns, first and one past the last, whose shots go between two angles, at any turn."""
     n = 0
-    turns = np.ceil((frame[_FIRST] - high) / 4.0)
-    while low + 4.0 * turns <= frame[_LAST]:
-        start = first[_bin(low + 4.0 * turns, frame, len(first))]
-        stop = last[_bin(high + 4.0 * turns, frame, len(first))] + 1
+    turns = np.ceil((bins.first - high) / 4.0)
+    while low + 4.0 * turns <= bins.last:
+        start = first[_bin(low + 4.0 * turns, bins, len(first))]
+        stop = last[_bin(high + 4.0 * turns, bins, len(first))] + 1
         turns += 1.0
         if start >= stop:
             continue
@@ -650,23 +684,18 @@ def _walk(
 
 
 @kernel(
-    "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))"
-    "(float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1], int64,"
-    " uint8[::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], float64[::1],"
-    " int64[::1], float64[::1])"
-)
+    Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))(
+        float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1], int64, _BODIES, int64[::1],
+        float64[::1],
+    )
+)  # fmt: skip
 def cast_shots(
     origin: F64,
     direction: F64,
     time_s: F64,
     t_min: F64,
     first_shot: int,
-    shape: U8,
-    numbers: F64,
-    turn: F64,
-    density: F64,
-    velocity: F64,
-    number: F64,
+    bodies: CastBodies,
     order: I64,
     quantiles: F64,
 ) -> tuple[F64, I32, F64]:
@@ -683,10 +712,7 @@ def cast_shots(
         Only what lies behind this is met [m], zero or above; from 1e9 on the shot is not cast.
     first_shot : int
         Number of the first shot, counted from the beginning of the scan; it seeds the leaves.
-    shape, numbers, density, velocity, number : (n, ...)
-        As in :class:`prc_cli.simulation.world.Bodies`.
-    turn : (n, 2) float64
-        Cosine and sine of the yaw of ellipsoids and boxes.
+    bodies : CastBodies
     order : (n,) int64
         Every body once, neighbours beside each other. It decides how quick the search is, and nothing else.
     quantiles : (2^k,) float64
@@ -708,6 +734,7 @@ def cast_shots(
     adds up to an exponential number.
     """
     n_lines, n_columns = time_s.shape
+    shape, numbers, turn, density, velocity, number = bodies
     n = len(order)
     t = np.empty((n_lines, n_columns))
     body = np.empty((n_lines, n_columns), np.int32)
@@ -722,15 +749,15 @@ def cast_shots(
     middle, half = _middle(time_s.ravel())
     groups = _bound_groups(hull, velocity, order, middle, half)
     rays = np.empty((8, n_columns))  # one row per number, so that a window of columns is read in one go
-    angle, frame, corners = np.empty(n_columns), np.empty(_N_FRAME), np.empty((3, 3))
+    angle, corners = np.empty(n_columns), np.empty((3, 3))
     first, last = np.empty(2 * n_columns, np.int64), np.empty(2 * n_columns, np.int64)
     seen, rows, spans = np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3))
     windows = np.empty((4, 2), np.int64)
     for line in range(n_lines):
         shot = first_shot + line * n_columns
         _read_line(origin, direction, time_s, t_min, line, rays)
-        _measure_line(rays, frame, angle)
-        _tabulate(angle, frame, first, last)
+        frame = _measure_line(rays, angle)
+        bins = _tabulate(angle, first, last)
         n_seen = _look_around(groups, hull, velocity, order, frame, corners, seen, spans)
         # surfaces first, then the nearest leaves: no way through leaves is walked that lies behind a hit
         for k in range(n_seen):
@@ -747,7 +774,7 @@ def cast_shots(
         for row in range(n_seen):
             k = rows[row]
             j, b = seen[k], order[seen[k]]
-            for w in range(_list_windows(spans[k, 0], spans[k, 1], frame, first, last, windows)):
+            for w in range(_list_windows(spans[k, 0], spans[k, 1], bins, first, last, windows)):
                 start, stop = windows[w, 0], windows[w, 1]
                 if shape[b] == _TRIANGLE:
                     _cast_triangle(rays, start, stop, velocity[b], ready[j], b, near, near_body)

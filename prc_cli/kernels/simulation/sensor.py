@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from prc_cli.core.simulated import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, kernel
-
-STEP, EXIT, DIVERGENCE, AMBIGUITY, PULSE, NEAREST, FARTHEST, HALF_POWER, RESOLUTION = range(9)
-"""Places in ``figures``; angles in radians, lengths in metres. Ambiguity 0 = none."""
-NOISE, NOISE_PER_M, NOISE_SPREAD, LOST, EDGE, BACKGROUND, SKY, BRIGHT_SKY, CLUSTER, CLUSTER_M = range(9, 19)
-PANE, GHOST, LEAVES, IS_CW, MAX_RETURNS = range(19, 24)
+from prc_cli.kernels.signatures import Tuple, boolean, float32, float64, int32, int64, named, uint8
 
 GLASS, LEAVED, CURVED = 1, 2, 4
 """Bits of what a body is."""
@@ -36,7 +33,8 @@ _NOTHING = 128
 _T, _POWER, _SLOPE, _STEEP, _LABEL, _BEFORE, _AFTER, _N_WORK = range(8)
 """Rows of what is worked out for a line: of its shots, and the shares of their beams on what the neighbours see."""
 
-_HITS = "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))"
+_HITS = Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))
+_MODEL = named(SensorModel, float64, is_cw=boolean, max_returns=int64)
 
 
 @helper
@@ -80,15 +78,15 @@ def _slope(facing: float) -> float:
 
 
 @helper
-def _goes_on(key: np.uint64, column: int, what: int, facing: float, figures: F64) -> bool:
+def _goes_on(key: np.uint64, column: int, what: int, facing: float, model: SensorModel) -> bool:
     """Tell whether what lies behind the first surface matters: seen through glass, or passing by a leaf."""
     if what & GLASS:
-        return abs(facing) < _FLASH and _draw(key, column, _FOR_GLASS) >= figures[PANE] + figures[GHOST]
-    return what & LEAVED != 0 and figures[MAX_RETURNS] > 1.0 and _draw(key, column, _FOR_LEAVES) < figures[LEAVES]
+        return abs(facing) < _FLASH and _draw(key, column, _FOR_GLASS) >= model.pane_share + model.ghost_share
+    return what & LEAVED != 0 and model.max_returns > 1 and _draw(key, column, _FOR_LEAVES) < model.leaves_share
 
 
 @helper
-def _prepare(t: F64, body: I32, facing: F64, surface: F64, kind: U8, figures: F64, work: F64, what: U8) -> None:
+def _prepare(t: F64, body: I32, facing: F64, surface: F64, kind: U8, model: SensorModel, work: F64, what: U8) -> None:
     """Write power, slope and label of what every shot of a line meets, and what it is."""
     for column in range(t.shape[0]):
         one = body[column]
@@ -107,7 +105,7 @@ def _prepare(t: F64, body: I32, facing: F64, surface: F64, kind: U8, figures: F6
 
 
 @helper
-def _split(key: np.uint64, body: I32, work: F64, what: U8, figures: F64) -> None:
+def _split(key: np.uint64, body: I32, work: F64, what: U8, model: SensorModel) -> None:
     """Write the shares of every beam, up to half, that fall on what its neighbours see.
 
     An edge lies anywhere between two shots, each of which it splits if it is within its width.
@@ -123,19 +121,21 @@ def _split(key: np.uint64, body: I32, work: F64, what: U8, figures: F64) -> None
         near = min(work[_T, column], work[_T, column + 1])
         if not both & _NOTHING:
             gap = abs(work[_T, column + 1] - work[_T, column])
-            if gap <= figures[EDGE] or (body[column] == body[column + 1] and not both & LEAVED):
+            if gap <= model.edge_m or (body[column] == body[column + 1] and not both & LEAVED):
                 continue
             steepest = max(work[_STEEP, column], work[_STEEP, column + 1])
-            if gap <= figures[EDGE] + 2.0 * figures[STEP] * near * steepest:
+            if gap <= model.edge_m + 2.0 * model.step_rad * near * steepest:
                 continue
         beside = _draw(key, column, _FOR_EDGE)
-        shots_apart = figures[STEP] * near / (figures[EXIT] + figures[DIVERGENCE] * near)
+        shots_apart = model.step_rad * near / (model.exit_m + model.divergence * near)
         work[_AFTER, column] = max(0.5 - beside * shots_apart, 0.0)
         work[_BEFORE, column + 1] = max(0.5 - (1.0 - beside) * shots_apart, 0.0)
 
 
 @helper
-def _pane_echo(key: np.uint64, column: int, facing: float, mirrored: float, work: F64, figures: F64, echo: F64) -> int:
+def _pane_echo(
+    key: np.uint64, column: int, facing: float, mirrored: float, work: F64, model: SensorModel, echo: F64
+) -> int:
     """Write what glass answers of itself; return how many echoes that are."""
     t = work[_T, column]
     echo[0, 0] = t
@@ -146,9 +146,9 @@ def _pane_echo(key: np.uint64, column: int, facing: float, mirrored: float, work
         echo[0, 1] = _cosine(facing) / (t * t)
         return 1
     chance = _draw(key, column, _FOR_GLASS)
-    if chance >= figures[PANE] + figures[GHOST]:
+    if chance >= model.pane_share + model.ghost_share:
         return 0
-    if chance >= figures[PANE]:
+    if chance >= model.pane_share:
         # what the pane mirrors lies as far before it as it seems behind; the same for all of a pane
         echo[0, 0] = t * (1.3 + 1.7 * mirrored)
         echo[0, 1] = _GHOST_REFLECTANCE / (echo[0, 0] * echo[0, 0])
@@ -173,21 +173,21 @@ def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: in
 
 
 @helper
-def _merge(echo: F64, n: int, figures: F64) -> int:
+def _merge(echo: F64, n: int, model: SensorModel) -> int:
     """Make one of echoes that the scanner cannot tell apart: all of them, or those within a pulse."""
     kept = 0
     for i in range(1, n):
         gap = echo[i, 0] - echo[kept, 0]
-        if figures[IS_CW] == 0.0 and gap > figures[PULSE]:
+        if not model.is_cw and gap > model.pulse_m:
             kept += 1
             for j in range(4):
                 echo[kept, j] = echo[i, j]
             continue
         share = echo[i, 1] / (echo[kept, 1] + echo[i, 1])
-        if gap * (1.0 - share) <= figures[EDGE]:
+        if gap * (1.0 - share) <= model.edge_m:
             echo[kept, 2] = echo[i, 2]
             echo[kept, 3] = echo[i, 3]
-        elif gap * share > figures[EDGE]:
+        elif gap * share > model.edge_m:
             echo[kept, 2] = 0.0
             # between two leaves it is still the tree
             if echo[kept, 3] != echo[i, 3]:
@@ -198,20 +198,18 @@ def _merge(echo: F64, n: int, figures: F64) -> int:
 
 
 @helper
-def _is_answered(power: float, chance: float, figures: F64) -> bool:
+def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
     """Tell whether an echo is found: half of those at the power of the half range, by the fourth power of it."""
-    strength = power / figures[HALF_POWER]
+    strength = power / model.half_power
     fourth = strength * strength * strength * strength
-    return bool(chance * (1.0 + fourth) < fourth * (1.0 - figures[LOST]))
+    return bool(chance * (1.0 + fourth) < fourth * (1.0 - model.lost_share))
 
 
 @helper
-def _sigma(power: float, t: float, slope: float, figures: F64) -> float:
+def _sigma(power: float, t: float, slope: float, model: SensorModel) -> float:
     """Return the range noise: by weakness, and by the depth that the beam's width spans on a slanted surface."""
-    width = figures[EXIT] + figures[DIVERGENCE] * t
-    return float(
-        figures[NOISE] + figures[NOISE_PER_M] * np.sqrt(_WHITE / power) + figures[NOISE_SPREAD] * width * slope
-    )
+    width = model.exit_m + model.divergence * t
+    return float(model.noise_m + model.noise_per_m * np.sqrt(_WHITE / power) + model.noise_spread * width * slope)
 
 
 @helper
@@ -229,14 +227,14 @@ def _brightness(seed: int, line: int, column: int, n_columns: int) -> float:
 
 
 @helper
-def _rounded(t: float, figures: F64) -> float:
+def _rounded(t: float, model: SensorModel) -> float:
     """Return the range as it is given, NaN outside of the limits."""
-    steps = np.floor(t / figures[RESOLUTION] + 0.5) * figures[RESOLUTION]
-    return steps if figures[NEAREST] <= steps <= figures[FARTHEST] else np.nan
+    steps = np.floor(t / model.resolution_m + 0.5) * model.resolution_m
+    return steps if model.nearest_m <= steps <= model.farthest_m else np.nan
 
 
-@kernel(f"boolean[:, ::1]({_HITS}, uint8[:, ::1], float64[::1], int64, int64)")
-def goes_behind(hits: tuple[F64, I32, F64], kind: U8, figures: F64, first_line: int, seed: int) -> Mask:
+@kernel(boolean[:, ::1](_HITS, uint8[:, ::1], _MODEL, int64, int64))
+def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
     """Mark the shots whose light goes on behind the surface that it meets first.
 
     Parameters
@@ -245,8 +243,7 @@ def goes_behind(hits: tuple[F64, I32, F64], kind: U8, figures: F64, first_line: 
         Range (lines, M) float64 [m], body (lines, M) int32, -1 = none, cosine of incidence (lines, M) float64.
     kind : (n, 2) uint8
         Label of every body, and bits of what it is.
-    figures : (24,) float64
-        Of the scanner.
+    model : SensorModel
     first_line : int
     seed : int
         At least 0.
@@ -262,7 +259,7 @@ def goes_behind(hits: tuple[F64, I32, F64], kind: U8, figures: F64, first_line: 
         for column in range(body.shape[1]):
             one = body[i, column]
             if one >= 0 and kind[one, 1] & (GLASS | LEAVED):
-                behind[i, column] = _goes_on(key, column, kind[one, 1], facing[i, column], figures)
+                behind[i, column] = _goes_on(key, column, kind[one, 1], facing[i, column], model)
     return behind
 
 
@@ -275,21 +272,21 @@ def _echoes(
     bodies: tuple[I32, F64, U8],
     work: F64,
     what: U8,
-    figures: F64,
+    model: SensorModel,
     echo: F64,
 ) -> int:
     """Write all that comes back of a shot, from near to far; return how many echoes that are."""
     body, surface, kind = bodies
     n = 1
     if what[column] & GLASS:
-        n = _pane_echo(key, column, facing, surface[body[column], 1], work, figures, echo)
+        n = _pane_echo(key, column, facing, surface[body[column], 1], work, model, echo)
     else:
         echo[0, 0] = work[_T, column]
         echo[0, 1] = work[_POWER, column]
         echo[0, 2] = work[_SLOPE, column]
         echo[0, 3] = work[_LABEL, column]
     two = behind[1]
-    if two >= 0 and _goes_on(key, column, what[column], facing, figures):
+    if two >= 0 and _goes_on(key, column, what[column], facing, model):
         part = 0.6
         if n == 1:
             part = 0.2 + 0.6 * _draw(key, column, _FOR_ECHO)
@@ -306,39 +303,39 @@ def _echoes(
         if not what[other] & _NOTHING:
             power = share * work[_POWER, other]
             n = _add_echo(echo, n, work[_T, other], power, work[_SLOPE, other], work[_LABEL, other])
-    return _merge(echo, n, figures)
+    return _merge(echo, n, model)
 
 
 @helper
 def _measure(
-    key: np.uint64, column: int, number: int, t: float, power: float, slope: float, figures: F64, quantiles: F64
+    key: np.uint64, column: int, number: int, t: float, power: float, slope: float, model: SensorModel, quantiles: F64
 ) -> tuple[float, bool]:
     """Return the range that is given for an echo, NaN = not found, and whether it was wrapped."""
-    if not _is_answered(power, _draw(key, column, _FOR_LOSS + 16 * number), figures):
+    if not _is_answered(power, _draw(key, column, _FOR_LOSS + 16 * number), model):
         return np.nan, False
     deviate = _normal(_draw(key, column, _FOR_NOISE + 16 * number), quantiles)
-    t = t + deviate * _sigma(power, t, slope, figures)
-    wraps = figures[AMBIGUITY] > 0.0 and t >= figures[AMBIGUITY]
+    t = t + deviate * _sigma(power, t, slope, model)
+    wraps = model.ambiguity_m > 0.0 and t >= model.ambiguity_m
     if wraps:
-        t -= np.floor(t / figures[AMBIGUITY]) * figures[AMBIGUITY]
-    return _rounded(t, figures), wraps
+        t -= np.floor(t / model.ambiguity_m) * model.ambiguity_m
+    return _rounded(t, model), wraps
 
 
 @helper
-def _find(key: np.uint64, column: int, figures: F64, quantiles: F64, echo: F64, n: int) -> int:
+def _find(key: np.uint64, column: int, model: SensorModel, quantiles: F64, echo: F64, n: int) -> int:
     """Keep the echoes that are found, at most as many as the scanner gives, with noise on their ranges."""
     found = 0
     for i in range(n):
         power, label = echo[i, 1], echo[i, 3]
-        t, wraps = _measure(key, column, i, echo[i, 0], power, echo[i, 2], figures, quantiles)
+        t, wraps = _measure(key, column, i, echo[i, 0], power, echo[i, 2], model, quantiles)
         if np.isnan(t):
             continue
         # a scanner of one return takes the strongest
-        if figures[MAX_RETURNS] == 1.0 and found == 1:
+        if model.max_returns == 1 and found == 1:
             if power <= echo[0, 1]:
                 continue
             found = 0
-        if found < figures[MAX_RETURNS]:
+        if found < model.max_returns:
             echo[found, 0] = t
             echo[found, 1] = power
             echo[found, 3] = LABEL_NOISE if wraps else label
@@ -353,29 +350,29 @@ def _stray(
     seed: int,
     chance: float,
     is_sky: bool,
-    figures: F64,
+    model: SensorModel,
     quantiles: F64,
     echo: F64,
     n: int,
 ) -> int:
     """Let background light replace or move the range of a continuous wave; return how many returns that makes."""
     line, column, n_columns = place
-    share = figures[BACKGROUND]
+    share = model.background_share
     if n == 0:
-        share = figures[SKY]
-        if is_sky and figures[BRIGHT_SKY] > 0.0:
-            share += (figures[BRIGHT_SKY] - share) * _brightness(seed, line, column, n_columns)
-    elif share <= chance < share + figures[CLUSTER]:
-        off = _normal(_draw(key, column, _FOR_PLACE), quantiles) * figures[CLUSTER_M]
-        echo[0, 0] = _rounded(echo[0, 0] + off, figures)
-        if abs(off) > figures[EDGE]:
+        share = model.sky_share
+        if is_sky and model.bright_sky_share > 0.0:
+            share += (model.bright_sky_share - share) * _brightness(seed, line, column, n_columns)
+    elif share <= chance < share + model.cluster_share:
+        off = _normal(_draw(key, column, _FOR_PLACE), quantiles) * model.cluster_m
+        echo[0, 0] = _rounded(echo[0, 0] + off, model)
+        if abs(off) > model.edge_m:
             echo[0, 3] = LABEL_NOISE
         return 0 if np.isnan(echo[0, 0]) else n
     if chance >= share:
         return n
-    reach = figures[AMBIGUITY] if figures[AMBIGUITY] > 0.0 else figures[FARTHEST]
-    echo[0, 0] = _rounded(_draw(key, column, _FOR_PLACE) * reach, figures)
-    echo[0, 1] = figures[HALF_POWER]
+    reach = model.ambiguity_m if model.ambiguity_m > 0.0 else model.farthest_m
+    echo[0, 0] = _rounded(_draw(key, column, _FOR_PLACE) * reach, model)
+    echo[0, 1] = model.half_power
     echo[0, 3] = LABEL_NOISE
     return 0 if np.isnan(echo[0, 0]) else 1
 
@@ -393,15 +390,16 @@ def _keep(
 
 
 @kernel(
-    "Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))"
-    f"({_HITS}, {_HITS}, float64[:, ::1], uint8[:, ::1], float64[::1], float64[::1], int64, int64)"
+    Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))(
+        _HITS, _HITS, float64[:, ::1], uint8[:, ::1], _MODEL, float64[::1], int64, int64
+    )
 )
 def sense(
     hits: tuple[F64, I32, F64],
     behind: tuple[F64, I32, F64],
     surface: F64,
     kind: U8,
-    figures: F64,
+    model: SensorModel,
     quantiles: F64,
     first_line: int,
     seed: int,
@@ -417,8 +415,7 @@ def sense(
         Of every body: share of light that comes back, and a number in 0..1 that tells what it mirrors.
     kind : (n, 2) uint8
         Of every body: label, and bits of what it is.
-    figures : (24,) float64
-        Of the scanner, in the order of the constants above.
+    model : SensorModel
     quantiles : (k,) float64
         Of the standard normal law, evenly spaced from 0 to 1, finite.
     first_line : int
@@ -443,7 +440,7 @@ def sense(
     ranges = np.full((n_lines, m), np.float32(np.nan), np.float32)
     labels = np.zeros((n_lines, m), np.uint8)
     intensities = np.zeros((n_lines, m), np.float32)
-    room = n_lines * m * 2 if figures[MAX_RETURNS] > 1.0 else 0
+    room = n_lines * m * 2 if model.max_returns > 1 else 0
     extra = np.empty((room, 2), np.int32)
     extra_range, extra_label = np.empty(room, np.float32), np.empty(room, np.uint8)
     extra_intensity = np.empty(room, np.float32)
@@ -451,40 +448,38 @@ def sense(
     echo = np.empty((4, 4))
     work, what = np.empty((_N_WORK, m)), np.empty(m, np.uint8)
     looked = behind[0].shape[0] == n_lines
-    splits = GLASS | LEAVED if figures[MAX_RETURNS] > 1.0 else GLASS
-    is_cw = figures[IS_CW] != 0.0
-    stray_with = figures[BACKGROUND] + figures[CLUSTER]
-    stray_without = max(figures[SKY], figures[BRIGHT_SKY])
+    splits = GLASS | LEAVED if model.max_returns > 1 else GLASS
+    stray_with = model.background_share + model.cluster_share
+    stray_without = max(model.sky_share, model.bright_sky_share)
     for i in range(n_lines):
         key = _key(seed, first_line + i)
         body = hits[1][i]
-        _prepare(hits[0][i], body, hits[2][i], surface, kind, figures, work, what)
-        _split(key, body, work, what, figures)
+        _prepare(hits[0][i], body, hits[2][i], surface, kind, model, work, what)
+        _split(key, body, work, what, model)
         for column in range(m):
             n = 0
-            if what[column] & splits or work[_BEFORE, column] + work[_AFTER, column] > 0.0:
-                if not what[column] & _NOTHING:
-                    second = (np.inf, -1, 1.0)
-                    if looked and what[column] & splits:
-                        second = (behind[0][i, column], int(behind[1][i, column]), behind[2][i, column])
-                    n = _echoes(
-                        key, column, hits[2][i, column], second, (body, surface, kind), work, what, figures, echo
-                    )
-                    n = _find(key, column, figures, quantiles, echo, n)
-            elif not what[column] & _NOTHING:
+            is_there = not what[column] & _NOTHING
+            is_split = what[column] & splits != 0 or work[_BEFORE, column] + work[_AFTER, column] > 0.0
+            if is_there and is_split:
+                second = (np.inf, -1, 1.0)
+                if looked and what[column] & splits:
+                    second = (behind[0][i, column], int(behind[1][i, column]), behind[2][i, column])
+                n = _echoes(key, column, hits[2][i, column], second, (body, surface, kind), work, what, model, echo)
+                n = _find(key, column, model, quantiles, echo, n)
+            elif is_there:
                 power = work[_POWER, column]
-                t, wraps = _measure(key, column, 0, work[_T, column], power, work[_SLOPE, column], figures, quantiles)
+                t, wraps = _measure(key, column, 0, work[_T, column], power, work[_SLOPE, column], model, quantiles)
                 if not np.isnan(t):
                     n = 1
                     echo[0, 0] = t
                     echo[0, 1] = power
                     echo[0, 3] = LABEL_NOISE if wraps else work[_LABEL, column]
-            if is_cw:
+            if model.is_cw:
                 # most shots are far from straying
                 chance = _draw(key, column, _FOR_STRAY)
                 if chance < (stray_with if n > 0 else stray_without):
                     place = (first_line + i, column, m)
-                    n = _stray(key, place, seed, chance, what[column] == _NOTHING, figures, quantiles, echo, n)
+                    n = _stray(key, place, seed, chance, what[column] == _NOTHING, model, quantiles, echo, n)
             if n > 0:
                 ranges[i, column] = np.float32(echo[0, 0])
                 labels[i, column] = np.uint8(echo[0, 3])
