@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import prc_cli
 from prc_cli.cli import COMMANDS, cli
-from prc_cli.config import PRESETS, load_config
+from prc_cli.config import load_config
 from prc_cli.evaluation import mapping
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -80,12 +80,6 @@ def test_every_command_has_help_with_an_example(name: str) -> None:
     result = CliRunner().invoke(cli, [name, "--help"])
     assert result.exit_code == 0
     assert "Example" in result.output, f"prc {name} --help shows no example"
-
-
-@pytest.mark.parametrize("name", sorted(PRESETS))
-def test_sample_configs_are_the_presets(name: str) -> None:
-    path = ROOT / "sample_configs" / f"{name.replace('-', '_')}.toml"
-    assert load_config(path).config == load_config(preset=name).config
 
 
 def test_sample_layouts_and_mappings_are_valid() -> None:
