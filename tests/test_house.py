@@ -99,3 +99,10 @@ def test_generated_pages_match_the_code() -> None:
         [sys.executable, "docs/generate.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert result.returncode == 0, result.stderr
+
+
+def test_the_citation_names_this_version_and_both_papers() -> None:
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {prc_cli.__version__}\n" in citation
+    assert "doi: 10.1109/TGRS.2019.2909351\n" in citation
+    assert "title: Online algorithms for classification of urban objects in 3D point clouds\n" in citation
