@@ -30,7 +30,7 @@ VALUES = dict(values("", SequentialAngleParams()))
 def documented() -> dict[str, str]:
     """Keys and defaults of the table of constants."""
     table = PAGE[PAGE.index("## Constants") :]
-    rows = re.findall(r"^\|[^|\n]*\| `([a-z0-9_.]+)` \|([^|\n]*)\|", table, re.MULTILINE)
+    rows = re.findall(r"^\| `([a-z0-9_.]+)` \|([^|\n]*)\|", table, re.MULTILINE)
     return {key: default.strip().replace("−", "-") for key, default in rows}
 
 
