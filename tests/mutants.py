@@ -82,7 +82,7 @@ def _changed(node: ast.AST) -> str | None:
         case ast.UnaryOp(op=ast.Not()):
             return f"({ast.unparse(node.operand)})"
         case ast.Constant(value=value) if type(value) in (int, float):
-            return repr(value + 1 if isinstance(value, int) else value * 1.5 + 1e-3)
+            return repr(value + 1) if isinstance(value, int) else repr(float(str(value)) * 1.5 + 1e-3)
         case ast.Call(func=ast.Name(id=name)) if name in SWAPPED:
             return SWAPPED[name] + ast.unparse(node)[len(name) :]
     return None
