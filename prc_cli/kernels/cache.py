@@ -10,9 +10,10 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -51,7 +52,7 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
         folder = writable_cache()
         if folder is not None:
             try:
-                with _numba_cache(folder):
+                with _numba_cache(folder / _layout(signatures)):
                     cached: FunctionT = jit(list(signatures), cache=True, **options)(function)
                 return cached
             except NumbaError:
@@ -62,6 +63,18 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
         return in_memory
 
     return compiled
+
+
+def _layout(signatures: Iterable[Any]) -> str:
+    """Return the name of a sub-folder of the cache for the fields of the NamedTuples in signatures; empty without any.
+
+    Numba tells NamedTuples apart by class and number of fields, and looks only at the kernel's own source for changes:
+    without this, a cached loop would go on reading the places where fields were before they changed order.
+    """
+    types: Any = numba.types
+    arguments = (argument for signature in signatures if not isinstance(signature, str) for argument in signature.args)
+    fields = [one.fields for one in arguments if isinstance(one, (types.NamedTuple, types.NamedUniTuple))]
+    return sha256(repr(fields).encode()).hexdigest()[:16] if fields else ""
 
 
 def helper(function: FunctionT) -> FunctionT:

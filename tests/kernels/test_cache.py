@@ -85,6 +85,38 @@ def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
 
 
 @needs_compiler
+def test_thresholds_whose_fields_change_places_are_compiled_anew(tmp_path: Path) -> None:
+    """Numba knows a NamedTuple by its class and the number of its fields, which are read by their places."""
+    (tmp_path / "some_kernels.py").write_text(
+        "import some_thresholds\n"
+        "from prc_cli.kernels.cache import kernel\n"
+        "from prc_cli.kernels.signatures import float64, named\n"
+        "@kernel(float64(named(some_thresholds.Limits, float64)))\n"
+        "def low_of(limits):\n    return limits.low\n"
+    )
+    code = (
+        "import some_kernels, some_thresholds\n"
+        "print(some_kernels.low_of(some_thresholds.Limits(low=1.0, high=2.0)),"
+        " sum(some_kernels.low_of.stats.cache_hits.values()))"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    printed = []
+    for fields in ("low high", "low high", "high low"):
+        definition = "from collections import namedtuple\nLimits = namedtuple('Limits', '" + fields + "')\n"
+        (tmp_path / "some_thresholds.py").write_text(definition)
+        result = subprocess.run(
+            # -B: both definitions have one size and, by the clock of the file system, maybe one age
+            [sys.executable, "-B", "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        printed.append(result.stdout)
+    assert printed == ["1.0 0\n", "1.0 1\n", "1.0 0\n"]
+
+
+@needs_compiler
 def test_users_choice_of_folder_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "chosen"))
     assert compile_module(tmp_path).twice(21) == 42
