@@ -12,6 +12,7 @@ import pytest
 from prc_cli.config import PRESETS, load_config
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import open_stream
 from prc_cli.stream.beams import with_beams
@@ -43,6 +44,25 @@ def test_what_tells_nothing_gives_nothing() -> None:
     assert nadir_of_ground(BEAM, ranges[:2]) is None
     assert nadir_of_ground(BEAM, np.full_like(ranges, np.nan)) is None
     assert nadir_of_ground(BEAM, rng.uniform(1, 60, (1, len(BEAM))).repeat(20, axis=0).astype(np.float32)) is None
+
+
+def level_ground(width_deg: float, n_lines: int = 20) -> F32:
+    """Ground 2 m below, seen so far around straight down, and nothing else."""
+    is_seen = np.abs(BEAM) < np.deg2rad(width_deg / 2)
+    depth = np.where(is_seen, 2.0 / np.cos(np.where(is_seen, BEAM, 0.0)), np.nan)
+    return np.tile(depth, (n_lines, 1)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("width_deg", "is_enough"), [(13, False), (24, False), (26, True), (60, True)])
+def test_less_than_25_degrees_of_ground_are_too_few(width_deg: float, is_enough: bool) -> None:
+    assert (nadir_of_ground(BEAM, level_ground(width_deg)) is not None) == is_enough
+
+
+@pytest.mark.parametrize(("n_seen", "is_enough"), [(5, False), (10, False), (11, True)])
+def test_a_column_counts_where_most_lines_have_a_return(n_seen: int, is_enough: bool) -> None:
+    ranges = level_ground(60.0)
+    ranges[n_seen:] = np.nan
+    assert (nadir_of_ground(BEAM, ranges) is not None) == is_enough
 
 
 class Lines:

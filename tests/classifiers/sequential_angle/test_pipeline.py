@@ -18,7 +18,9 @@ from prc_cli.classifiers.sequential_angle.pipeline import (
     Undecided,
     classify_block,
     combine,
+    follow_ground,
     initial_state,
+    within_lines,
 )
 from prc_cli.config import RunConfig, load_config
 from prc_cli.core.classes import Label, Surface
@@ -152,6 +154,21 @@ def wall(n_lines: int, n_beams: int = 40) -> tuple[F32, F64]:
     beam = np.pi / 2 + np.deg2rad(np.linspace(-5, 60, n_beams))
     ranges = (5.0 / np.sin(beam)).astype(np.float32)
     return np.tile(ranges, (n_lines, 1)), beam
+
+
+def test_lines_wait_for_the_fiftieth_height_of_the_ground_and_no_longer() -> None:
+    block, _ = scan()
+    assert block.beam_rad is not None
+    before = initial_state(block.beam_rad, PARAMS)
+    ground, n_heights, known_at = before.ground, 0, 0
+    for part in cuts(block):
+        rows = within_lines(part.range_m, part.xyz_m, before, PARAMS)
+        n_heights += int(np.isfinite(rows.potential.height_m).sum())
+        ready, ground = follow_ground(rows, ground, PARAMS, last=False)
+        if ready:
+            known_at = n_heights
+            break
+    assert known_at == PARAMS.ground.start_heights == 50
 
 
 def test_without_ground_lines_wait_so_long_and_no_longer() -> None:
