@@ -1,8 +1,11 @@
-"""The whole PRC method written from the paper (Lehtola et al. 2019), slow and obvious.
+"""The whole PRC method, written from the paper, in its order and symbols.
 
-It sees the whole stream at once: support and background are computed on all of it and cut into blocks afterwards,
-running totals are kept for ever. The shipped classifier sees one block and a bounded state and must give the same
-labels and segments, bit for bit. Only NumPy, SciPy and scikit-image; it shares no code with classifier and kernels.
+V. V. Lehtola et al. (2019), "Preregistration classification of mobile LIDAR data using spatial correlations", IEEE
+TGRS 57(9), sections II-A to II-F and Algorithm 1, whose steps are numbered here.
+
+Slow: support and background are computed for the whole stream before it is cut into blocks, and the areas of all
+segments are kept. The compiled classifier sees one block and a bounded state, and must give the same labels and
+segments, bit for bit. This module shares no code with it.
 """
 
 from __future__ import annotations
@@ -15,35 +18,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F32, I64, U8, Mask
-from prc_cli.reference.prc.stages import (
-    dilate,
-    fill_holes,
-    is_intersection,
-    label_components,
-)
+from prc_cli.core.types import F32, I32, I64, U8, Mask
+from prc_cli.reference.prc.stages import dilate, fill_holes, is_intersection, label_components
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Parameters under the paper's symbols; ``area`` belongs to a full block of ``k`` lines."""
+    """Parameters, under the paper's symbols; where the paper leaves a choice, it has a name of its own."""
 
     k: int = 99
+    """Scan lines of a block."""
     environment: str = "urban"
     zeta_s: float = 1.0
+    """Greatest range difference to shots of adjacent lines [m]."""
     zeta_p: float = 1.0
+    """Greatest range difference within the line [m]."""
     rho_c: float = 1 / 3
+    """Least share of the neighbourhood that supports a shot."""
     rounding: str = "ceil"
+    """How ``rho_c |N|`` becomes a count: "ceil" as (3) has it, 3 of 8 and 2 of 6; "floor" 2 and 2."""
     form: str = "centred"
+    """Reading of (9), see :func:`prc_cli.reference.prc.stages.is_intersection`."""
     alpha: float = 0.3
     d_c: float = 0.05
+    """Least length of physical objects [m]."""
     min_votes: int = 3
     area: float = 30.0
+    """A, pixels of a smooth segment in a block of k lines."""
     gamma: int = 2
+    """Iterations of the dilation."""
     ground: str = "running-total"
+    """Which smooth segment is largest: by its pixels of all blocks, or of this one."""
     column_step: int = 10
     density: float = 1 / 3
     noise_in_ground_columns: bool = True
+    """Whether ground overwrites noise as well, in the forest."""
 
 
 @dataclass
@@ -51,12 +60,14 @@ class Memory:
     """What a block leaves to the next one."""
 
     last_line: list[int]
+    """Labels of the smooth shots of its last line, 0 = none."""
     totals: Counter[int] = field(default_factory=Counter)
+    """Pixels of every smooth segment so far."""
     next_id: int = 1
 
 
 def classify_stream(range_m: F32, settings: Settings) -> tuple[U8, I64]:
-    """Label a whole stream.
+    """Label a whole stream (Algorithm 1).
 
     Parameters
     ----------
@@ -67,7 +78,9 @@ def classify_stream(range_m: F32, settings: Settings) -> tuple[U8, I64]:
     Returns
     -------
     labels : (n_lines, M) uint8
+        :class:`prc_cli.core.classes.Label`.
     segments : (n_lines, M) int64
+        R, 0 = none.
     """
     supported = support(range_m, settings)
     background = extended_background(range_m, supported, settings)
@@ -75,89 +88,105 @@ def classify_stream(range_m: F32, settings: Settings) -> tuple[U8, I64]:
     segments = np.zeros(range_m.shape, dtype=np.int64)
     memory = Memory(last_line=[0] * range_m.shape[1])
     for first in range(0, len(range_m), settings.k):
-        lines = slice(first, first + settings.k)
-        labels[lines], segments[lines] = _classify_block(
-            ~np.isnan(range_m[lines]), supported[lines], background[lines], memory, settings
+        block = slice(first, first + settings.k)
+        labels[block], segments[block] = _classify_block(
+            ~np.isnan(range_m[block]), supported[block], background[block], memory, settings
         )
     return labels, segments
 
 
+# II-B. Supported measurements
+
+
 def support(range_m: F32, settings: Settings) -> Mask:
-    """Supported measurements of a whole stream (II-B): neighbours by flat index, absent ones do not count."""
-    flat = range_m.ravel()
+    """Return S, the shots that enough of their neighbours support (4).
+
+    Neighbours are counted along the stream, so the shots at the end of a line are next to those at the beginning of the
+    next one. Missing ones support nothing.
+    """
+    r = range_m.ravel()
     m = range_m.shape[1]
-    in_slice = [-4, -3, -2, -1, 1, 2, 3, 4]
-    adjacent = [shift for shift in (-m - 1, -m, -m + 1, m - 1, m, m + 1) if shift != 0]
-    need_in_slice, need_adjacent = settings.rho_c * 8, settings.rho_c * 6
+    n_adjacent = (-m - 1, -m, -m + 1, m - 1, m, m + 1)  # (7)
+    n_in_slice = (-4, -3, -2, -1, 1, 2, 3, 4)  # (8)
+    need_in_slice, need_adjacent = settings.rho_c * len(n_in_slice), settings.rho_c * len(n_adjacent)
     if settings.rounding == "floor":
         need_in_slice, need_adjacent = math.floor(need_in_slice), math.floor(need_adjacent)
-    mask = (
-        ~np.isnan(flat)
-        & (_count_agreeing(flat, in_slice, settings.zeta_p) >= need_in_slice)
-        & (_count_agreeing(flat, adjacent, settings.zeta_s) >= need_adjacent)
+    supported = (
+        ~np.isnan(r)
+        & (_cover(r, n_in_slice, settings.zeta_p) >= need_in_slice)
+        & (_cover(r, n_adjacent, settings.zeta_s) >= need_adjacent)
     )
-    return mask.reshape(range_m.shape)
+    return supported.reshape(range_m.shape)
 
 
-def _count_agreeing(flat: F32, shifts: list[int], zeta: float) -> NDArray[np.int64]:
-    """Count neighbours whose range differs by less than zeta (eqs. 5 and 6)."""
-    count = np.zeros(len(flat), dtype=np.int64)
-    for shift in shifts:
-        here = np.arange(len(flat))
-        here = here[(here + shift >= 0) & (here + shift < len(flat))]
-        difference = np.abs(flat[here] - flat[here + shift])
-        count[here] += difference.astype(np.float64) < np.float64(zeta)
-    return count
+def _cover(r: F32, neighbourhood: tuple[int, ...], zeta: float) -> NDArray[np.int64]:
+    """Return C, how many neighbours differ by less than zeta in range (5, 6)."""
+    cover = np.zeros(len(r), dtype=np.int64)
+    i = np.arange(len(r))
+    for shift in neighbourhood:
+        if shift != 0:  # in lines of one shot, a neighbour of (7) is the shot itself
+            inside = i[(i + shift >= 0) & (i + shift < len(r))]
+            difference = np.abs(r[inside] - r[inside + shift])
+            cover[inside] += difference.astype(np.float64) < np.float64(zeta)
+    return cover
+
+
+# II-C. Extension of background
 
 
 def extended_background(range_m: F32, supported: Mask, settings: Settings) -> Mask:
-    """Supported shots at intersections of surfaces (II-C), over a whole stream."""
-    flat = range_m.ravel().astype(np.float64).tolist()
-    mask = np.zeros(range_m.size, dtype=bool)
+    """Return G, the supported shots where two surfaces meet (9); both neighbours along the stream must be there."""
+    r = range_m.ravel().astype(np.float64).tolist()
+    background = np.zeros(range_m.size, dtype=bool)
     for i in np.flatnonzero(supported).tolist():
-        if i == 0 or i == len(flat) - 1 or math.isnan(flat[i - 1]) or math.isnan(flat[i + 1]):
-            continue
-        mask[i] = is_intersection(flat[i - 1], flat[i], flat[i + 1], settings.form, settings.alpha, settings.d_c)
-    return mask.reshape(range_m.shape)
+        if 0 < i < len(r) - 1 and not math.isnan(r[i - 1] + r[i + 1]):
+            background[i] = is_intersection(r[i - 1], r[i], r[i + 1], settings.form, settings.alpha, settings.d_c)
+    return background.reshape(range_m.shape)
 
 
 def _classify_block(
     valid: Mask, supported: Mask, background: Mask, memory: Memory, settings: Settings
 ) -> tuple[U8, I64]:
-    """Do steps 3 to 6 of Algorithm 1 for one block and bring the memory up to date."""
-    components, n_components = label_components(supported & ~background)
-    components = fill_holes(components, background)
-    ids = _carry_labels(components, n_components, memory, settings.min_votes)
-    h_image = np.array([ids[c] for c in components.ravel().tolist()], dtype=np.int64).reshape(valid.shape)
-
-    areas = Counter(h_image[h_image > 0].tolist())
-    wanted = settings.area * len(valid) / settings.k
-    small = {label for label, area in areas.items() if area < wanted}
-    seeds = np.isin(h_image, list(small)) | (background & (h_image == 0))
-    patches, n_patches = label_components(dilate(seeds, settings.gamma))
-    in_patch = supported & (patches > 0)
-    segments = np.where(in_patch, patches + (memory.next_id - 1), np.where(supported, h_image, 0))
+    """Take a block through steps 3 to 6 and bring the memory up to date; return labels and segments R."""
+    h = _smooth_image(supported, background, memory, settings)
+    v, n_patches = _nonsmooth_image(h, background, settings)
+    # step 5: R has the labels of V where there are any, else those of H
+    in_v = supported & (v > 0)
+    segments = np.where(in_v, v.astype(np.int64) + (memory.next_id - 1), np.where(supported, h, 0))
     memory.next_id += n_patches
-    smooth = supported & ~in_patch
-
-    memory.last_line = [
-        int(label) if is_smooth else 0 for label, is_smooth in zip(segments[-1], smooth[-1], strict=True)
-    ]
-    paint = _forest if settings.environment == "forest" else _urban
-    labels = paint(valid, supported, smooth, segments, memory, settings)
+    smooth = supported & ~in_v
+    memory.last_line = np.where(smooth[-1], segments[-1], 0).tolist()
+    # step 6
+    classify = _forest if settings.environment == "forest" else _urban
+    labels = classify(valid, supported, smooth, segments, memory, settings)
     labels[~valid] = Label.MISSING
     return labels, segments
 
 
-def _carry_labels(components: NDArray[np.int32], n_components: int, memory: Memory, min_votes: int) -> list[int]:
-    """Segment id of every component: carried over the block boundary by votes, or new (II-D.2)."""
-    votes: dict[int, Counter[int]] = {c: Counter() for c in range(1, n_components + 1)}
-    for component, old in zip(components[0].tolist(), memory.last_line, strict=True):
-        if component != 0 and old != 0:
-            votes[component][old] += 1
+# II-D. Connected components in 2-D
+
+
+def _smooth_image(supported: Mask, background: Mask, memory: Memory, settings: Settings) -> I64:
+    """Return H (step 3)."""
+    components, n_components = label_components(supported & ~background)  # a to c
+    components = fill_holes(components, background)  # d, II-D.1
+    ids = _carry_labels(components, n_components, memory, settings.min_votes)  # e, II-D.2
+    return np.array(ids, dtype=np.int64)[components]
+
+
+def _carry_labels(components: I32, n_components: int, memory: Memory, min_votes: int) -> list[int]:
+    """Return the label of every component: that of the block before with most votes, of equals the smallest, or new.
+
+    Every shot of the first line votes for the label of the last line of the block before, in its column.
+    """
+    votes = Counter(
+        (component, old)
+        for component, old in zip(components[0].tolist(), memory.last_line, strict=True)
+        if component != 0 and old != 0
+    )
     ids = [0]
     for component in range(1, n_components + 1):
-        won = [(-count, old) for old, count in votes[component].items() if count >= min_votes]
+        won = [(-n, old) for (one, old), n in votes.items() if one == component and n >= min_votes]
         if won:
             ids.append(min(won)[1])
         else:
@@ -166,28 +195,45 @@ def _carry_labels(components: NDArray[np.int32], n_components: int, memory: Memo
     return ids
 
 
+# II-E. Smooth and nonsmooth surfaces
+
+
+def _nonsmooth_image(h: I64, background: Mask, settings: Settings) -> tuple[I32, int]:
+    """Return V and the number of its segments (step 4): small segments of H (11), dilated and connected anew.
+
+    A / (k M) is constant, so the last block of a stream, of fewer lines, has a smaller A. Shots of G that no component
+    took are small as well.
+    """
+    area = settings.area * len(h) / settings.k
+    label, pixels = np.unique(h[h > 0], return_counts=True)
+    small = np.isin(h, label[pixels < area]) | (background & (h == 0))
+    return label_components(dilate(small, settings.gamma))
+
+
+# II-F. Classification
+
+
 def _urban(valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings) -> U8:
-    """Ground is the largest smooth segment so far, other smooth ones are buildings (II-F)."""
+    """Label noise, ground, buildings and vegetation: ground is the largest smooth segment, connected over blocks."""
     here = Counter(segments[smooth].tolist())
     memory.totals.update(here)
     size = memory.totals if settings.ground == "running-total" else here
-    ground = min(here, key=lambda label: (-size[label], label), default=0)
+    largest = min(here, key=lambda label: (-size[label], label), default=0)
     labels = np.full(valid.shape, Label.NOISE, dtype=np.uint8)
     labels[supported] = Label.VEGETATION
     labels[smooth] = Label.BUILDING
-    labels[smooth & (segments == ground)] = Label.GROUND
+    labels[smooth & (segments == largest)] = Label.GROUND
     return labels
 
 
 def _forest(valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings) -> U8:
-    """Smooth is stem, columns that are smooth often enough are ground (II-F, eq. 12)."""
+    """Label noise, stems, other vegetation, and ground: columns whose share of smooth shots is high enough (12)."""
     labels = np.full(valid.shape, Label.NOISE, dtype=np.uint8)
     labels[supported] = Label.VEGETATION
     labels[smooth] = Label.STEM
     for column in range(0, valid.shape[1], settings.column_step):
         if np.mean(smooth[:, column]) > settings.density:
-            group = np.zeros(valid.shape, dtype=bool)
-            group[:, column : column + settings.column_step] = True
+            columns = slice(column, column + settings.column_step)
             overwritten = valid if settings.noise_in_ground_columns else supported
-            labels[group & overwritten] = Label.GROUND
+            labels[:, columns][overwritten[:, columns]] = Label.GROUND
     return labels

@@ -1,7 +1,7 @@
-"""Slow and obvious twins of the kernels, from NumPy, SciPy and scikit-image alone.
+"""The steps of PRC one by one, from NumPy, SciPy and scikit-image, in the order of Lehtola et al. (2019), section II.
 
-Same names, arguments and results as the kernels, none of their code. Tests compare them bit for bit; nothing else
-uses this module. The whole method, written from the paper, is in :mod:`prc_cli.reference.prc.method`.
+Names, arguments and results are those of the compiled loops in :mod:`prc_cli.kernels.prc`, none of their code is used.
+The whole method is in :mod:`prc_cli.reference.prc.method`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,38 @@ CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=bool)
 """A pixel and its four neighbours."""
 
 
+# II-A. From range image to binary image
+
+
+def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
+    """Make ranges out of bounds missing; see :func:`prc_cli.kernels.prc.support.clean_ranges`."""
+    cleaned = np.full_like(ranges, np.nan)
+    counts = [0, 0, 0]
+    for i, value in enumerate(ranges.tolist()):
+        if float(low) < value <= float(high):
+            cleaned[i] = ranges[i]
+        elif math.isinf(value):
+            counts[0] += 1
+        elif value <= 0:
+            counts[1] += 1
+        elif value > 0:
+            counts[2] += 1
+    return cleaned, counts[0], counts[1], counts[2]
+
+
+def _inside(window: F32, image: Mask) -> F32:
+    """Cut the block out of its window."""
+    reach = max(image.shape[1] + 1, 4)
+    return window[reach : reach + image.size].reshape(image.shape)
+
+
+# II-B. Supported measurements
+
+
 def support_mask(
     window: F32, n_lines: int, n_columns: int, zeta_p: float, zeta_s: float, min_in_slice: int, min_adjacent: int
 ) -> Mask:
-    """Mark shots that enough neighbours agree with; see :func:`prc_cli.kernels.prc.support.support_mask`."""
+    """Mark shots that enough neighbours support (4 to 8); see :func:`prc_cli.kernels.prc.support.support_mask`."""
     m = n_columns
     shot = np.arange(n_lines * m) + max(m + 1, 4)
     ranges = window[shot]
@@ -40,8 +68,11 @@ def support_mask(
     return mask.reshape(n_lines, m)
 
 
+# II-C. Extension of background
+
+
 def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: float) -> Mask:
-    """Mark abrupt changes of range; see :func:`prc_cli.kernels.prc.support.background_mask`."""
+    """Mark shots where surfaces meet (9); see :func:`prc_cli.kernels.prc.support.background_mask`."""
     n_lines, n_columns = supported.shape
     reach = max(n_columns + 1, 4)
     mask = np.zeros((n_lines, n_columns), dtype=bool)
@@ -57,7 +88,12 @@ def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: 
 
 
 def is_intersection(before: float, here: float, after: float, form: str, alpha: float, d_c: float) -> bool:
-    """Tell whether eq. 9, or another reading of it, does not hold for three successive ranges."""
+    """Tell whether three successive ranges are of two surfaces that meet: (9) does not hold.
+
+    ``form`` is how (9) is read: "literal"; "abs", with absolute differences, since ranges may fall as well as rise;
+    "centred", the distance from the middle of the neighbours, which is (9) where they rise by ``d_c`` or more, and
+    symmetric; "guard", the same, but never where the neighbours differ by less than ``d_c``.
+    """
     if form == "literal":
         return not alpha < (here - before) / max(after - before, d_c) < 1.0 - alpha
     if form == "abs":
@@ -66,6 +102,9 @@ def is_intersection(before: float, here: float, after: float, form: str, alpha: 
         return False
     middle = (before + after) / 2.0
     return abs(here - middle) >= (0.5 - alpha) * max(abs(after - before), d_c)
+
+
+# II-D. Connected components in 2-D
 
 
 def label_components(image: Mask) -> tuple[I32, int]:
@@ -81,7 +120,7 @@ def label_components(image: Mask) -> tuple[I32, int]:
 
 
 def fill_holes(components: I32, holes: Mask) -> I32:
-    """Give holes their neighbours' most frequent component, of equals the smallest; without a neighbour 0."""
+    """Give holes the most frequent component of their 8 neighbours (II-D.1), of equals the smallest; 0 without any."""
     framed = np.pad(components, 1)
     filled = components.copy()
     for line, column in zip(*np.nonzero(holes), strict=True):
@@ -101,13 +140,27 @@ def join_and_fill(supported: Mask, background: Mask) -> tuple[I32, I64]:
 
 
 def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: int) -> I64:
-    """Carry labels over by votes; see :func:`prc_cli.kernels.prc.components.carry_labels`."""
+    """Carry labels over to the next block (II-D.2); see :func:`prc_cli.kernels.prc.components.carry_labels`."""
     votes = Counter(zip(first_line.tolist(), last_line.tolist(), strict=True))
     labels = [0] * (n_components + 1)
     for c in range(1, n_components + 1):
         won = [(-count, old) for (new, old), count in votes.items() if new == c and old != 0 and count >= min_votes]
         labels[c] = min(won, default=(0, 0))[1]
     return np.array(labels, dtype=np.int64)
+
+
+# II-E. Smooth and nonsmooth surfaces
+
+
+def dilate(image: Mask, iterations: int) -> Mask:
+    """Dilate with the cross; see :func:`prc_cli.kernels.prc.surfaces.dilate`."""
+    if iterations == 0:  # which SciPy takes as "until nothing changes"
+        return image.copy()
+    grown: Mask = ndimage.binary_dilation(image, structure=CROSS, iterations=iterations)
+    return grown
+
+
+# II-F. Classification
 
 
 def select_components(supported: Mask, components: I32, wanted: Mask) -> Mask:
@@ -141,33 +194,3 @@ def draw_columns(window: F32, supported: Mask, covered: Mask, columns: Mask, noi
     labels[np.logical_and(supported, covered)] = cover
     labels[np.logical_and(supported, columns[None, :])] = marked
     return labels
-
-
-def clean_ranges(ranges: F32, low: np.float32, high: np.float32) -> tuple[F32, int, int, int]:
-    """Make ranges out of bounds missing; see :func:`prc_cli.kernels.prc.support.clean_ranges`."""
-    cleaned = np.full_like(ranges, np.nan)
-    counts = [0, 0, 0]
-    for i, value in enumerate(ranges.tolist()):
-        if float(low) < value <= float(high):
-            cleaned[i] = ranges[i]
-        elif math.isinf(value):
-            counts[0] += 1
-        elif value <= 0:
-            counts[1] += 1
-        elif value > 0:
-            counts[2] += 1
-    return cleaned, counts[0], counts[1], counts[2]
-
-
-def _inside(window: F32, image: Mask) -> F32:
-    """Cut the block out of its window."""
-    reach = max(image.shape[1] + 1, 4)
-    return window[reach : reach + image.size].reshape(image.shape)
-
-
-def dilate(image: Mask, iterations: int) -> Mask:
-    """Dilate with the cross; see :func:`prc_cli.kernels.prc.surfaces.dilate`."""
-    if iterations == 0:  # which SciPy takes as "until nothing changes"
-        return image.copy()
-    grown: Mask = ndimage.binary_dilation(image, structure=CROSS, iterations=iterations)
-    return grown
