@@ -14,7 +14,9 @@ from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import Tuple, boolean, float32, float64, int32, int64, named, uint8
 
 COUNT, PASSED, LOWEST, HIGHEST = range(4)
-"""Columns of the table of runs: shots, shots from behind, and places in the plane [m]."""
+"""Columns of the table of runs: shots, returns from behind, lowest and highest end in the plane [m]."""
+_SHOTS, _PASSED, _RUNS, _LENGTH = range(4)
+"""Columns of the sums of a stem: shots, returns from behind, runs, length of these [m]."""
 
 LABEL_MISSING, LABEL_NOISE, LABEL_GROUND, LABEL_VEGETATION, LABEL_STEM = 0, 2, 3, 5, 6
 """As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
@@ -472,10 +474,10 @@ def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) 
         _join_lines((range_m[line - 1], range_m[line]), (runs[line - 1], runs[line]), thresholds, linked, parent)
     for run in range(1, n_runs):
         root = _root(parent, run)
-        sums[root, 0] += table[run, COUNT]
-        sums[root, 1] += table[run, PASSED]
-        sums[root, 2] += 1.0
-        sums[root, 3] += table[run, HIGHEST] - table[run, LOWEST]
+        sums[root, _SHOTS] += table[run, COUNT]
+        sums[root, _PASSED] += table[run, PASSED]
+        sums[root, _RUNS] += 1.0
+        sums[root, _LENGTH] += table[run, HIGHEST] - table[run, LOWEST]
         low[root] = min(low[root], table[run, LOWEST])
         high[root] = max(high[root], table[run, HIGHEST])
     is_stem = np.empty(n_runs, np.bool_)
@@ -483,12 +485,12 @@ def stem_shots(range_m: F32, runs: I32, table: F64, thresholds: StemThresholds) 
     for run in range(1, n_runs):
         root = _root(parent, run)
         is_stem[run] = (
-            sums[root, 0] >= thresholds.shots
-            and sums[root, 2] >= thresholds.runs
+            sums[root, _SHOTS] >= thresholds.shots
+            and sums[root, _RUNS] >= thresholds.runs
             and high[root] - low[root] >= thresholds.extent_m
-            and sums[root, 3] >= thresholds.total_m
-            and sums[root, 3] >= thresholds.mean_m * sums[root, 2]
-            and sums[root, 1] <= thresholds.through_share * sums[root, 0]
+            and sums[root, _LENGTH] >= thresholds.total_m
+            and sums[root, _LENGTH] >= thresholds.mean_m * sums[root, _RUNS]
+            and sums[root, _PASSED] <= thresholds.through_share * sums[root, _SHOTS]
         )
     stems = np.empty((n_lines, n_columns), np.bool_)
     for line in range(n_lines):

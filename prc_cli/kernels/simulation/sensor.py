@@ -30,8 +30,10 @@ _GHOST_REFLECTANCE = 0.1
 """Of what a pane mirrors, the loss at the pane included twice."""
 _NOTHING = 128
 """Bit of a shot that meets nothing."""
-_T, _POWER, _SLOPE, _STEEP, _LABEL, _BEFORE, _AFTER, _N_WORK = range(8)
-"""Rows of what is worked out for a line: of its shots, and the shares of their beams on what the neighbours see."""
+_T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
+"""Columns of the echoes, and first rows of the shots of a line: range, power, tangent of incidence, label."""
+_STEEP, _BEFORE, _AFTER, _N_WORK = range(4, 8)
+"""More of these rows: slope of flat surfaces, and the shares of the beam on what the shots beside it meet."""
 
 _HITS = Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))
 _MODEL = named(SensorModel, float64, is_cw=boolean, max_returns=int64)
@@ -138,22 +140,22 @@ def _pane_echo(
 ) -> int:
     """Write what glass answers of itself; return how many echoes that are."""
     t = work[_T, column]
-    echo[0, 0] = t
-    echo[0, 1] = work[_POWER, column]
-    echo[0, 2] = work[_SLOPE, column]
-    echo[0, 3] = work[_LABEL, column]
+    echo[0, _T] = t
+    echo[0, _POWER] = work[_POWER, column]
+    echo[0, _SLOPE] = work[_SLOPE, column]
+    echo[0, _LABEL] = work[_LABEL, column]
     if abs(facing) >= _FLASH:
-        echo[0, 1] = _cosine(facing) / (t * t)
+        echo[0, _POWER] = _cosine(facing) / (t * t)
         return 1
     chance = _draw(key, column, _FOR_GLASS)
     if chance >= model.pane_share + model.ghost_share:
         return 0
     if chance >= model.pane_share:
         # what the pane mirrors lies as far before it as it seems behind; the same for all of a pane
-        echo[0, 0] = t * (1.3 + 1.7 * mirrored)
-        echo[0, 1] = _GHOST_REFLECTANCE / (echo[0, 0] * echo[0, 0])
-        echo[0, 2] = 0.0
-        echo[0, 3] = LABEL_NOISE
+        echo[0, _T] = t * (1.3 + 1.7 * mirrored)
+        echo[0, _POWER] = _GHOST_REFLECTANCE / (echo[0, _T] * echo[0, _T])
+        echo[0, _SLOPE] = 0.0
+        echo[0, _LABEL] = LABEL_NOISE
     return 1
 
 
@@ -161,14 +163,14 @@ def _pane_echo(
 def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: int) -> int:
     """Put an echo in its place by range."""
     i = n
-    while i > 0 and echo[i - 1, 0] > t:
-        for j in range(4):
+    while i > 0 and echo[i - 1, _T] > t:
+        for j in range(_N_ECHO):
             echo[i, j] = echo[i - 1, j]
         i -= 1
-    echo[i, 0] = t
-    echo[i, 1] = power
-    echo[i, 2] = slope
-    echo[i, 3] = label
+    echo[i, _T] = t
+    echo[i, _POWER] = power
+    echo[i, _SLOPE] = slope
+    echo[i, _LABEL] = label
     return n + 1
 
 
@@ -177,23 +179,23 @@ def _merge(echo: F64, n: int, model: SensorModel) -> int:
     """Make one of echoes that the scanner cannot tell apart: all of them, or those within a pulse."""
     kept = 0
     for i in range(1, n):
-        gap = echo[i, 0] - echo[kept, 0]
+        gap = echo[i, _T] - echo[kept, _T]
         if not model.is_cw and gap > model.pulse_m:
             kept += 1
-            for j in range(4):
+            for j in range(_N_ECHO):
                 echo[kept, j] = echo[i, j]
             continue
-        share = echo[i, 1] / (echo[kept, 1] + echo[i, 1])
+        share = echo[i, _POWER] / (echo[kept, _POWER] + echo[i, _POWER])
         if gap * (1.0 - share) <= model.edge_m:
-            echo[kept, 2] = echo[i, 2]
-            echo[kept, 3] = echo[i, 3]
+            echo[kept, _SLOPE] = echo[i, _SLOPE]
+            echo[kept, _LABEL] = echo[i, _LABEL]
         elif gap * share > model.edge_m:
-            echo[kept, 2] = 0.0
+            echo[kept, _SLOPE] = 0.0
             # between two leaves it is still the tree
-            if echo[kept, 3] != echo[i, 3]:
-                echo[kept, 3] = LABEL_NOISE
-        echo[kept, 0] += share * gap
-        echo[kept, 1] += echo[i, 1]
+            if echo[kept, _LABEL] != echo[i, _LABEL]:
+                echo[kept, _LABEL] = LABEL_NOISE
+        echo[kept, _T] += share * gap
+        echo[kept, _POWER] += echo[i, _POWER]
     return min(kept + 1, n)
 
 
@@ -281,16 +283,16 @@ def _echoes(
     if what[column] & GLASS:
         n = _pane_echo(key, column, facing, surface[body[column], 1], work, model, echo)
     else:
-        echo[0, 0] = work[_T, column]
-        echo[0, 1] = work[_POWER, column]
-        echo[0, 2] = work[_SLOPE, column]
-        echo[0, 3] = work[_LABEL, column]
+        echo[0, _T] = work[_T, column]
+        echo[0, _POWER] = work[_POWER, column]
+        echo[0, _SLOPE] = work[_SLOPE, column]
+        echo[0, _LABEL] = work[_LABEL, column]
     two = behind[1]
     if two >= 0 and _goes_on(key, column, what[column], facing, model):
         part = 0.6
         if n == 1:
             part = 0.2 + 0.6 * _draw(key, column, _FOR_ECHO)
-            echo[0, 1] *= 1.0 - part
+            echo[0, _POWER] *= 1.0 - part
         power = part * (surface[two, 0] * _cosine(behind[2]) / (behind[0] * behind[0]))
         slope = 0.0 if kind[two, 1] & LEAVED else _slope(behind[2])
         n = _add_echo(echo, n, behind[0], power, slope, kind[two, 0])
@@ -298,7 +300,7 @@ def _echoes(
     share = work[_BEFORE, column] if side < 0 else work[_AFTER, column]
     if share > 0.0:
         for j in range(n):
-            echo[j, 1] *= 1.0 - share
+            echo[j, _POWER] *= 1.0 - share
         other = column + side
         if not what[other] & _NOTHING:
             power = share * work[_POWER, other]
@@ -326,19 +328,19 @@ def _find(key: np.uint64, column: int, model: SensorModel, quantiles: F64, echo:
     """Keep the echoes that are found, at most as many as the scanner gives, with noise on their ranges."""
     found = 0
     for i in range(n):
-        power, label = echo[i, 1], echo[i, 3]
-        t, wraps = _measure(key, column, i, echo[i, 0], power, echo[i, 2], model, quantiles)
+        power, label = echo[i, _POWER], echo[i, _LABEL]
+        t, wraps = _measure(key, column, i, echo[i, _T], power, echo[i, _SLOPE], model, quantiles)
         if np.isnan(t):
             continue
         # a scanner of one return takes the strongest
         if model.max_returns == 1 and found == 1:
-            if power <= echo[0, 1]:
+            if power <= echo[0, _POWER]:
                 continue
             found = 0
         if found < model.max_returns:
-            echo[found, 0] = t
-            echo[found, 1] = power
-            echo[found, 3] = LABEL_NOISE if wraps else label
+            echo[found, _T] = t
+            echo[found, _POWER] = power
+            echo[found, _LABEL] = LABEL_NOISE if wraps else label
             found += 1
     return found
 
@@ -364,17 +366,17 @@ def _stray(
             share += (model.bright_sky_share - share) * _brightness(seed, line, column, n_columns)
     elif share <= chance < share + model.cluster_share:
         off = _normal(_draw(key, column, _FOR_PLACE), quantiles) * model.cluster_m
-        echo[0, 0] = _rounded(echo[0, 0] + off, model)
+        echo[0, _T] = _rounded(echo[0, _T] + off, model)
         if abs(off) > model.edge_m:
-            echo[0, 3] = LABEL_NOISE
-        return 0 if np.isnan(echo[0, 0]) else n
+            echo[0, _LABEL] = LABEL_NOISE
+        return 0 if np.isnan(echo[0, _T]) else n
     if chance >= share:
         return n
     reach = model.ambiguity_m if model.ambiguity_m > 0.0 else model.farthest_m
-    echo[0, 0] = _rounded(_draw(key, column, _FOR_PLACE) * reach, model)
-    echo[0, 1] = model.half_power
-    echo[0, 3] = LABEL_NOISE
-    return 0 if np.isnan(echo[0, 0]) else 1
+    echo[0, _T] = _rounded(_draw(key, column, _FOR_PLACE) * reach, model)
+    echo[0, _POWER] = model.half_power
+    echo[0, _LABEL] = LABEL_NOISE
+    return 0 if np.isnan(echo[0, _T]) else 1
 
 
 @helper
@@ -384,9 +386,9 @@ def _keep(
     """Write a further return."""
     extra[place, 0] = line
     extra[place, 1] = column
-    ranges[place] = np.float32(echo[j, 0])
-    labels[place] = np.uint8(echo[j, 3])
-    intensities[place] = np.float32(echo[j, 1] / (_WHITE / 100.0))
+    ranges[place] = np.float32(echo[j, _T])
+    labels[place] = np.uint8(echo[j, _LABEL])
+    intensities[place] = np.float32(echo[j, _POWER] / (_WHITE / 100.0))
 
 
 @kernel(
@@ -445,7 +447,7 @@ def sense(
     extra_range, extra_label = np.empty(room, np.float32), np.empty(room, np.uint8)
     extra_intensity = np.empty(room, np.float32)
     n_extra = 0
-    echo = np.empty((4, 4))
+    echo = np.empty((4, _N_ECHO))
     work, what = np.empty((_N_WORK, m)), np.empty(m, np.uint8)
     looked = behind[0].shape[0] == n_lines
     splits = GLASS | LEAVED if model.max_returns > 1 else GLASS
@@ -471,9 +473,9 @@ def sense(
                 t, wraps = _measure(key, column, 0, work[_T, column], power, work[_SLOPE, column], model, quantiles)
                 if not np.isnan(t):
                     n = 1
-                    echo[0, 0] = t
-                    echo[0, 1] = power
-                    echo[0, 3] = LABEL_NOISE if wraps else work[_LABEL, column]
+                    echo[0, _T] = t
+                    echo[0, _POWER] = power
+                    echo[0, _LABEL] = LABEL_NOISE if wraps else work[_LABEL, column]
             if model.is_cw:
                 # most shots are far from straying
                 chance = _draw(key, column, _FOR_STRAY)
@@ -481,9 +483,9 @@ def sense(
                     place = (first_line + i, column, m)
                     n = _stray(key, place, seed, chance, what[column] == _NOTHING, model, quantiles, echo, n)
             if n > 0:
-                ranges[i, column] = np.float32(echo[0, 0])
-                labels[i, column] = np.uint8(echo[0, 3])
-                intensities[i, column] = np.float32(echo[0, 1] / (_WHITE / 100.0))
+                ranges[i, column] = np.float32(echo[0, _T])
+                labels[i, column] = np.uint8(echo[0, _LABEL])
+                intensities[i, column] = np.float32(echo[0, _POWER] / (_WHITE / 100.0))
             for j in range(1, n):
                 _keep(i, column, echo, j, n_extra, extra, extra_range, extra_label, extra_intensity)
                 n_extra += 1
