@@ -74,17 +74,17 @@ class Rays:
 
 
 def dot(a: list[F64], b: list[F64]) -> F64:
-    """Multiply and add up, in the order x, y, z."""
+    """Return the dot product, added up in the order x, y, z."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: list[F64], b: list[F64]) -> list[F64]:
-    """Return what is square to both."""
+    """Return the cross product."""
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def triangle(rays: Rays, numbers: F64) -> tuple[F64, F64]:
-    """Cut shots with a triangle: range and cosine of incidence."""
+    """Intersect shots with a triangle: range and cosine of incidence."""
     a, b, c = (list(corner) for corner in numbers.reshape(3, 3))
     e1 = [p - q for p, q in zip(b, a, strict=True)]
     e2 = [p - q for p, q in zip(c, a, strict=True)]
@@ -122,7 +122,7 @@ def roots(a: F64, b: F64, c: F64) -> tuple[F64, F64]:
 
 
 def cone(rays: Rays, numbers: F64) -> Surfaces:
-    """Cut shots with a truncated cone that is open at both ends."""
+    """Intersect shots with a truncated cone that is open at both ends."""
     axis = [numbers[3] - numbers[0], numbers[4] - numbers[1], numbers[5] - numbers[2]]
     height = np.sqrt(dot(axis, axis))
     axis = [k / height for k in axis]
@@ -141,7 +141,7 @@ def cone(rays: Rays, numbers: F64) -> Surfaces:
 
 
 def ellipsoid(rays: Rays, half: F64) -> Surfaces:
-    """Cut shots with an ellipsoid around the origin."""
+    """Intersect shots with an ellipsoid around the origin."""
     o, d = ([v * (1.0 / h) for v, h in zip(vector, half, strict=True)] for vector in (rays.o, rays.d))
     a, b, c = dot(d, d), dot(o, d), dot(o, o) - 1.0
     low, high = roots(a, b, c)
@@ -154,7 +154,7 @@ def ellipsoid(rays: Rays, half: F64) -> Surfaces:
 
 
 def box(rays: Rays, half: F64) -> Surfaces:
-    """Cut shots with a box around the origin (slab method)."""
+    """Intersect shots with a box around the origin (slab method)."""
     low, high = np.full(rays.begin.shape, -INF), np.full(rays.begin.shape, INF)
     low_cosine, high_cosine = np.zeros(rays.begin.shape), np.zeros(rays.begin.shape)
     for o, d, h in zip(rays.o, rays.d, half, strict=True):

@@ -1,4 +1,4 @@
-"""Slow and obvious twins of the sensor's kernels, shot by shot; see :mod:`prc_cli.reference.prc.stages`."""
+"""Slow and obvious twins of :mod:`prc_cli.kernels.simulation.sensor`, shot by shot."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def _all_echoes(
 
 
 def _mixed(echoes: list[_Echo], model: SensorModel) -> list[_Echo]:
-    """Make one of echoes that cannot be told apart."""
+    """Merge echoes that the scanner cannot separate."""
     apart: list[_Echo] = []
     for echo in echoes:
         if not apart or (not model.is_cw and echo.t - apart[-1].t > model.pulse_m):
@@ -255,7 +255,7 @@ def sense(
     first_line: int,
     seed: int,
 ) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
-    """Turn what the beams meet into what the scanner says; see :func:`prc_cli.kernels.simulation.sensor.sense`."""
+    """Compute what the scanner measures; see :func:`prc_cli.kernels.simulation.sensor.sense`."""
     n_lines, m = hits[0].shape
     first: list[_Echo] = []
     further: list[tuple[int, int, _Echo]] = []

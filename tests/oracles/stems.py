@@ -162,7 +162,7 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
     steps = np.abs(np.diff(height, axis=1)) < thresholds.flat_m
     level = np.zeros(r.shape, bool)
     level[:, 1:-1] = steps[:, :-1] & steps[:, 1:]
-    touching, in_company = np.zeros(r.shape, bool), np.full(r.shape, thresholds.near_m < 0)
+    touching, has_near = np.zeros(r.shape, bool), np.full(r.shape, thresholds.near_m < 0)
     lines, columns = r.shape
     for line, column in np.argwhere(~np.isnan(r)):
         around = np.s_[max(line - 1, 0) : line + 2, max(column - 1, 0) : column + 2]
@@ -172,9 +172,9 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
         for i in range(max(line - 2, 0), min(line + 3, lines)):
             for k in range(max(column - columns_around, 0), min(column + columns_around + 1, columns)):
                 if (i, k) != (line, column) and abs(r[i, k] - r[line, column]) <= thresholds.near_m:
-                    in_company[line, column] = True
+                    has_near[line, column] = True
     # the rules from the last to the first, each over those after it
-    labels = np.where(in_company, 5, 2)
+    labels = np.where(has_near, 5, 2)
     labels[touching & (height <= top)] = 6
     labels[(height <= thresholds.soil_m) | (level & (height <= thresholds.cover_m))] = 3
     labels[stems & (height <= top)] = 6

@@ -1,4 +1,4 @@
-"""The decision: what every shot is, by a list of questions in a fixed order."""
+"""The decision: the label of every shot, by questions in a fixed order."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from prc_cli.core.thresholds_fused import DecisionThresholds, single
 from prc_cli.core.types import F32, U8
 
 NEVER = 1e9
-"""A share or number that nothing reaches, for steps that are off."""
+"""A limit that nothing reaches, for steps that are switched off."""
 
 
 class NoiseParams(Params):
@@ -116,7 +116,7 @@ def decision_thresholds(
     cars: CarParams,
     poles: PoleParams,
 ) -> DecisionThresholds:
-    """Return what the loop of the decision is given; steps that are off get limits that nothing reaches."""
+    """Return the limits of the decision; steps that are switched off get limits that nothing reaches."""
     return single(
         DecisionThresholds,
         least_near=least_near,
@@ -148,7 +148,7 @@ def decision_thresholds(
 
 @stage("votes")
 def vote(labels: U8, range_m: F32, plane: ScanPlane, params: VoteParams) -> U8:
-    """Let the shots around have the last word; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
+    """Give every shot the label of most shots around it; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
     if not params.enabled:
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(

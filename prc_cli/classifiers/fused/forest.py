@@ -1,8 +1,8 @@
 """Classes in the forest from the scan plane: ground, stems, other vegetation, noise.
 
-Needs range, angle and time of the stream, as PRC does (Lehtola et al. 2019), and where down is in the scan plane; no
-pose. Every block is labelled by itself: ground is found anew every few lines, and a stem tells within a few lines that
-it is one, so that nothing has to be carried from block to block.
+Needs range, angle and time of the stream, as PRC does (Lehtola et al. 2019), and the vertical direction in the scan
+plane; no pose. Blocks are independent of each other: the ground is found anew every few lines, and a few lines are
+enough to find a stem.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from prc_cli.core.thresholds_fused import ForestThresholds, double
 from prc_cli.core.types import F32, U8, Mask
 
 LEAST_COLUMNS, MOST_COLUMNS = 2, 8
-"""Columns on either side in which company is looked for: fewer and more are too few and too slow."""
+"""Limits of the columns on either side in which near shots are looked for; more would be slow."""
 
 
 class FlatParams(Params):
@@ -80,7 +80,7 @@ class ForestParams(Params):
             cover_m=flat.cover_m if flat.enabled else self.soil_m,
             flat_m=flat.step_m,
             top_m=self.stem_top_m,
-            # ranges differ by 0 at least
+            # below any difference of ranges
             beside_m=touching.range_m if touching.enabled else -1.0,
             near_m=company.range_m if company.enabled else -1.0,
         )
@@ -124,7 +124,7 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
 
 @stage("classes")
 def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, params: ForestParams) -> U8:
-    """Draw ground and stems; what is neither is vegetation in company and noise alone."""
+    """Label ground and stems; other shots are vegetation, or noise without a near shot."""
     columns = round(math.radians(params.company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
     return kernels.forest_labels(range_m, heights_m, stems, around, params.thresholds())

@@ -1,4 +1,4 @@
-"""The ground: a walk outwards along every line, from one level shot to the next, with a memory of the lines before."""
+"""The ground: a walk outwards along every line, from level shot to level shot, with a memory of earlier lines."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from prc_cli.core.types import F32, I32, Mask
 BINS = 320
 """Places on either side at which the ground is remembered, 0.25 m wide."""
 NEVER = 1 << 20
-"""Age of what was never seen, in lines."""
+"""Age of a place that was never seen, in lines."""
 DEEPEST_M = 100.0
-"""Nobody carries a scanner so high above the ground [m]."""
+"""Greatest height of a scanner above the ground [m]."""
 HEIGHT_STEP_M = 0.1
 """Step of the heights among which the first one is chosen [m]."""
 
@@ -64,7 +64,7 @@ class GroundParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundMemory:
-    """What the lines before say of the ground."""
+    """The ground as earlier lines saw it."""
 
     height_m: F32
     """(2, BINS) float32, height of the ground at every place, left and right [m]."""
@@ -79,8 +79,8 @@ class GroundMemory:
     def nearest_m(self, lines: int) -> float | None:
         """Return the height of the place nearest to the scanner that was seen within so many lines; None = nowhere.
 
-        A side on which a lorry hid all of the ground for longer begins anew from there, as does a line after a gap in
-        the stream: from the height of the scanner no step is small enough to reach the ground.
+        The walk starts there on a side where the ground was hidden for longer, by a lorry for instance, and after a
+        gap in the stream: from the height of the scanner it would not reach the ground in small steps.
 
         >>> GroundMemory.none().nearest_m(60) is None
         True

@@ -1,4 +1,4 @@
-"""What the neighbours of a shot say: whether it is alone, lies on something smooth, and which way that goes."""
+"""Neighbours of a shot: whether it is lonely, lies on a smooth surface, and the direction of that surface."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class DirectionParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbours:
-    """What neighbours say, of the inner lines of a window."""
+    """Counts of neighbours, for the inner lines of a window."""
 
     near: U8
     """(lines, M) uint8, neighbours close in space, of 28."""
@@ -99,8 +99,8 @@ class Neighbours:
 def near_neighbours(window_m: F32, plane: ScanPlane, params: CompanyParams) -> U8:
     """Count the near neighbours of every shot, in its own line and two lines before and after.
 
-    Near is meant in space, so that a surface at grazing incidence, whose ranges differ by metres from shot to shot,
-    keeps its shots together: they are on one level, or above each other.
+    Near in space, not in range: on a surface at grazing incidence ranges differ by metres from shot to shot, but the
+    shots are on one level, or above each other.
     """
     counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, params.thresholds())
     return counts

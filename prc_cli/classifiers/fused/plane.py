@@ -1,4 +1,4 @@
-"""The scan plane: where the beams point, what a shot hits in it, and how precisely the scanner measures."""
+"""The scan plane: directions of the beams, points of the shots, and the range noise of the scanner."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from prc_cli.core.types import F32, F64, I32
 AROUND_LINES = 5
 """Lines before and after a block that its labels depend on."""
 INNER_LINES = 2
-"""Outermost of them, of which the neighbours are not known."""
+"""Outermost of them, whose neighbours are not known."""
 WIDE_LINES = 2
-"""Lines before and after a line whose strips and texture are put together with it."""
+"""Lines before and after a line whose strips and texture are combined with it."""
 VOTE_LINES = 1
-"""Lines before and after a block whose labels have a vote."""
+"""Lines before and after a block whose labels vote."""
 NORMAL_QUARTILE = 0.6745
-"""Half of the values of a normal law are within so many standard deviations."""
+"""Half of a normal distribution is within this many standard deviations."""
 MIDDLE_OF_THREE = 1.5
 """Variance of a point's distance from the middle of its neighbours, in variances of one range."""
 EVERY_LINE = 4
-"""The noise is measured on every so many lines."""
+"""The noise is measured on every fourth line."""
 LEAST_TRIPLES = 100
-"""Fewer do not tell the noise."""
+"""Fewest shots that the noise is measured from."""
 _TURN = 2 * np.pi
 
 
@@ -68,7 +68,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPlane:
-    """Where the beams of a scanner point, as the loops need it."""
+    """Where the beams of a scanner point, in float32 for the loops."""
 
     sine: F32
     """(M,) float32, metres to the side for every metre of range; its sign is the side."""
@@ -126,19 +126,19 @@ def points_of(range_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What the blocks so far say of the range noise."""
+    """Range noise measured so far."""
 
     least_m: float = math.inf
-    """The least that was measured [m]."""
+    """Least of the measurements [m]."""
     blocks: int = 0
-    """How many blocks there were."""
+    """Blocks so far."""
 
     def after(self, window_m: F32, plane: ScanPlane, params: SensorParams) -> Noise:
         """Look at another block, given by its ranges, (lines, M) float32 [m].
 
-        What is not smooth adds to what is measured, so the least is nearest: a drive that begins beneath trees sees
-        better later. The noise is the scanner's, so it is enough to look at the blocks 0, 1, 2, 4, 8 and so on, and at
-        all until one tells it: a stream may begin indoors, before the sky, or with nothing.
+        Rough surfaces add to the measured noise, so the least measurement is the best one: a drive may begin beneath
+        trees. The noise is a property of the scanner, so blocks 0, 1, 2, 4, 8 and so on are enough, after all blocks up
+        to the first measurement: a stream may begin indoors, under open sky, or without returns.
 
         >>> Noise(0.003, 3).after(np.empty((0, 0), np.float32), ScanPlane.of(np.zeros(0)), SensorParams())
         Noise(least_m=0.003, blocks=4)
@@ -164,8 +164,8 @@ class Noise:
 def range_noise(side_m: F32, height_m: F32) -> float | None:
     """Return the standard deviation of ranges on smooth surfaces [m]; None where too little is seen.
 
-    From how far every shot lies off the straight line through its two neighbours. On a smooth surface that is noise
-    alone, of which the middle value tells; most of what a scanner on a road sees is smooth.
+    Computed from the median distance of a shot from the straight line through its two neighbours, which on smooth
+    surfaces is noise alone; most surfaces along a road are smooth.
 
     Parameters
     ----------

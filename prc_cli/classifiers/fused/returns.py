@@ -1,4 +1,4 @@
-"""Further returns: they take the label of the shot around them, but a leaf's are leaves."""
+"""Labels of further returns: that of a near shot; those of a leaf are leaves."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from prc_cli.core.types import F32, I32, U8
 
 
 def label_further_returns(range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, limit_m: float) -> U8:
-    """Label returns beside the one that stands for the shot.
+    """Label the returns of a shot other than its main one.
 
-    Light that passes by a leaf meets the next leaf, which may be on its own: it is no noise.
+    Light that passes a leaf meets other leaves, which may be single: they are no noise.
 
     Parameters
     ----------

@@ -1,9 +1,8 @@
-"""Stems: upright, opaque, and going on from line to line.
+"""Stems: upright, opaque, and continuous from line to line.
 
-A scan plane that leans cuts a stem in a narrow ellipse that stands upright in the plane, as long as the stem is thick
-over the sine of the lean; an upright plane cuts it from foot to crown. So every line has a run of returns one above the
-other. A crown has such runs too, by chance, but they are short, others beside them pass through, and the next line has
-none at the same place.
+A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's thickness over the sine of the
+tilt; an upright plane cuts it from foot to crown. So every line has a run of returns one above the other. Crowns have
+such runs by chance, but these are short, other returns pass through them, and the next line has none at the same place.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ class StemsParams(Params):
             tolerance_share=self.tolerance_share,
             steep=self.steep,
             gap_m=gaps.longest_m if gaps.enabled else math.inf,
-            # beyond the spacing of shots on a wall nothing is near enough
+            # no return is near enough beyond the spacing of shots on a wall
             gap_steep=gaps.steep if gaps.enabled else -math.inf,
             behind_m=opacity.behind_m if opacity.enabled else math.inf,
             lean=self.lean,
@@ -89,7 +88,7 @@ class StemsParams(Params):
         joining = self.joining
         return double(
             StemThresholds,
-            # ranges differ by 0 at least
+            # below any difference of ranges
             near_m=joining.near_m if joining.enabled else -1.0,
             near_share=joining.near_share if joining.enabled else 0.0,
             shots=self.shots,

@@ -1,4 +1,4 @@
-"""What stands above the ground, in narrow strips beside the scanner: how high it reaches, and which of it are walls."""
+"""Things above the ground in narrow strips beside the scanner: their heights, and which are walls."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds, singl
 from prc_cli.core.types import F32, U8
 
 NEVER_M = 1e9
-"""No wall is so high; for when walls are off [m]."""
+"""Height that no wall reaches, for walls that are switched off [m]."""
 
 
 class StripsParams(Params):
@@ -72,7 +72,7 @@ class WallParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Standing:
-    """What stands beside the lines of a block."""
+    """Things beside the lines of a block."""
 
     slots: tuple[NDArray[np.uint64], NDArray[np.uint64]]
     """(lines, strips) uint64, heights with shots and with rough ones, a bit for every 0.25 m."""
@@ -93,7 +93,7 @@ def stand(
     strips: StripsParams,
     walls: WallParams,
 ) -> Standing:
-    """Sort what stands above the ground into strips, and put five lines together.
+    """Sort shots above the ground into strips, and combine five lines.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The ground of a forest: what is lowest to the left and right of the scanner, line after line."""
+"""The ground of a forest: the lowest returns to the left and right of the scanner, a few lines at a time."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class TerrainParams(Params):
 def heights_over_ground(range_m: F32, plane: Plane, params: TerrainParams) -> F32:
     """Return how far above the ground every return is.
 
-    The ground of a bin to the side is its third-lowest return. Where that is a plant, because nothing of the ground is
-    seen, the bin is higher than its neighbours by more than ground rises; it is left out, and a straight line put in.
+    The ground of a bin to the side is its third-lowest return. Where the ground is hidden that is a plant, and the bin
+    is higher than its neighbours by more than the ground rises; such bins are interpolated.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def heights_over_ground(range_m: F32, plane: Plane, params: TerrainParams) -> F3
     Returns
     -------
     (lines, M) float32, metres
-        In the scan plane; NaN = missing, far above all plants where no ground was seen.
+        In the scan plane; NaN = missing; about 1e9 where no ground was seen.
 
     Examples
     --------

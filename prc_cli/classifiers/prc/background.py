@@ -12,7 +12,7 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, Mask
 
 FORMS = {"centred": 0, "literal": 1, "abs": 2, "guard": 3}
-"""Readings of eq. 9, by the number that the kernel knows them by."""
+"""Readings of eq. 9, and their numbers in the kernel."""
 
 
 class BackgroundParams(Params):

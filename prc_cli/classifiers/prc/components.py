@@ -33,7 +33,7 @@ class Joined:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Components:
-    """The segmentation H of a block, as an image of small numbers and the segment ids they stand for."""
+    """The segmentation H of a block: an image of component numbers, and the segment id of each."""
 
     image: I32
     """(lines, M) int32, component of every shot after hole filling, 0 = none."""
@@ -52,7 +52,7 @@ class Components:
         return segments
 
     def sum_by_id(self, counts: I64) -> I64:
-        """Add up what belongs to the same segment id: (n + 1,) counts a component, (n + 1,) sums that each is in."""
+        """Add up (n + 1,) counts per component by segment id; return (n + 1,) sums, of each component's segment."""
         sums = counts.copy()
         shared = np.flatnonzero((self.ids > 0) & (self.ids < self.first_new_id))
         _, position = np.unique(self.ids[shared], return_inverse=True)

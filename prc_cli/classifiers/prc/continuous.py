@@ -110,7 +110,7 @@ def classify_lines(
 
 
 def _leave(state: ContinuousState, n_leaving: int, params: PrcParams) -> Before:
-    """Take the first lines out of the block: what they leave to the lines after them."""
+    """Take the first lines out of the block; return what they leave to the lines after them."""
     before, v = state.before, state.surfaces
     if v is None or not n_leaving:
         return before
@@ -126,7 +126,7 @@ def _leave(state: ContinuousState, n_leaving: int, params: PrcParams) -> Before:
 
 
 def _draw(range_m: F32, v: Surfaces, before: Before, params: PrcParams) -> U8:
-    """Give the shots of a block their labels."""
+    """Label the shots of a block."""
     points_per_line = range_m.shape[1]
     window = stream_window(np.full(window_reach(points_per_line), np.nan, dtype=np.float32), range_m, None)
     if params.environment == "forest":

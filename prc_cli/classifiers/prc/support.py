@@ -58,12 +58,12 @@ def required_counts(params: SupportParams) -> tuple[int, int]:
 
 
 def window_reach(points_per_line: int) -> int:
-    """Return how many shots before and after a block have a say in it: max(M + 1, 4)."""
+    """Return how many shots before and after a block affect it: max(M + 1, 4)."""
     return max(points_per_line + 1, 4)
 
 
 def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
-    """Lay a block between the shots before and after it.
+    """Return a block between the shots before and after it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Smooth and non-smooth surfaces (Lehtola et al. 2019, II-E): small segments grow together, large ones are smooth."""
+"""Smooth and non-smooth surfaces (Lehtola et al. 2019, II-E): large segments are smooth, small ones are joined."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from prc_cli.core.types import I32, I64, Mask
 PUBLISHED_AREA = 30
 """A, pixels, for blocks of ..."""
 PUBLISHED_BLOCK = 99 * 2154
-"""... k x M pixels; the ratio is what should be kept (II-E)."""
+"""... k x M pixels; the ratio should be kept (II-E)."""
 
 
 def _area(value: Any) -> Any:
@@ -44,7 +44,7 @@ class SurfacesParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """What is smooth in a block and what is not, and the segmentation R made of both."""
+    """Smooth and non-smooth shots of a block, and the segmentation R made of both."""
 
     supported: Mask
     """(lines, M) bool, S."""
@@ -53,9 +53,9 @@ class Surfaces:
     covered: Mask
     """(lines, M) bool, the dilated non-smooth image; covers noise and missing shots too."""
     patches: I32 | None
-    """(lines, M) int32, components of ``covered``, 0 = none; None where nobody asks for segments."""
+    """(lines, M) int32, components of ``covered``, 0 = none; None if segments are not wanted."""
     n_patches: int
-    """Number of patches, which follow the components of H in the numbering; 0 where nobody asks."""
+    """Number of patches, which follow the components of H in the numbering; 0 if segments are not wanted."""
 
     @property
     def smooth(self) -> Mask:
@@ -109,7 +109,7 @@ def area_threshold(params: SurfacesParams, n_lines: int, lines_per_block: int, p
 
 @stage("surfaces")
 def find_small(components: Components, threshold: float) -> Mask:
-    """Tell which components are non-smooth, (n + 1,) bool.
+    """Return which components are non-smooth, (n + 1,) bool.
 
     A segment is measured as a whole, all components of its id together. Entry 0 stands for supported shots in no
     component, background that no neighbour took back: they are non-smooth as well.

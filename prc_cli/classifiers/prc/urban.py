@@ -31,7 +31,7 @@ class UrbanParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Totals:
-    """Smooth shots so far of the segments that may still go on; the others can never come back."""
+    """Smooth shots so far of the segments that may continue; others cannot come back."""
 
     ids: I64
     """(n,) int64, segment ids, ascending."""

@@ -1,4 +1,4 @@
-"""The loops that weigh what was found around every shot and label it, for the fused classifier."""
+"""Loops of the fused classifier that label every shot, from its neighbours, the ground and the walls."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Slots = NDArray[np.uint64]
 Pairs = NDArray[np.uint32]
 
 LINES = 2
-"""Lines before and after that the texture looks at."""
+"""Lines before and after a line that its texture is computed from."""
 MARGIN = 4
 """Lines of the window before and after the block."""
 MOST_SMOOTH = 8
-"""More smooth pairs than these make a shot no smoother."""
+"""Greatest number of smooth pairs that counts."""
 MOST_COLUMNS = 60
 LEAST_COLUMNS = 2
-"""Half widths of a place, in columns."""
+"""Limits of the half width of a place, in columns."""
 STRIPS, STRIP_M, SLOT_M, SLOTS = 320, np.float32(0.5), np.float32(0.25), 64
 """As in :mod:`prc_cli.kernels.fused.strips`."""
 HALF_STRIP_M = np.float32(0.25)
@@ -32,30 +32,30 @@ SPIKE_PLACE_M = np.float32(0.1)
 SPIKE_COLUMNS = 6
 _FAR_BINS = np.float32(1e6)
 LEAF_REACH = 4
-"""Slots up and down in which company of leaves is looked for."""
+"""Slots up and down in which other leaves are looked for."""
 CAR_REACH = 6
-"""Bins of level surface on either side that count."""
+"""Bins on either side in which level surfaces count."""
 BELOW_SMOOTH = 3
-"""Smooth pairs below the ground that are no reflection."""
+"""With this many smooth pairs, a shot below the ground is no reflection."""
 ACROSS_LINES = 4
-"""Lines before and after that tell whether a thing is thin."""
+"""Lines before and after by which a thing is found to be thin."""
 VOTERS = 4
-"""Votes of a place in a line, on either side of a shot, where it has that many columns."""
+"""Votes in a line on either side of a shot; fewer where the place has fewer columns."""
 GAP_SHOTS = 3
-"""Shots without support that part a run, beside as many as it is long."""
+"""Lonely shots within a run, beside as many as the run is long."""
 _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROUND)
 _OPEN, _LEAF, _ODD = 255, 254, 253
-"""Marks of shots that are not decided yet, of lonely leaves among them, and of those that may be noise."""
+"""Marks of undecided shots, of lonely leaves, and of shots that may be noise."""
 _BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
 _BUILDING_BIT, _VEGETATION_BIT = 10, 20
-"""Where the votes for building and vegetation begin in a word; those for no class begin at 0."""
+"""First bit of the votes for building and for vegetation in a word; votes for no class begin at bit 0."""
 
 
 @helper
 def _count_pairs(near: U8, smooth: U8, least: np.float32, places: Pairs) -> None:
-    """Write what the shots of a line add to a place: themselves to the upper half of a word, their pairs to the lower.
+    """Write the counts of a line's shots: one shot in the upper half of a word, its smooth pairs in the lower half.
 
-    A place has 605 shots and 4840 pairs at most, so neither half runs over.
+    A place has at most 605 shots and 4840 pairs, so neither half overflows.
     """
     for i in range(len(near)):
         pairs = np.uint32(min(smooth[i], np.uint8(MOST_SMOOTH)))
@@ -72,7 +72,7 @@ def _add_lines(lines: tuple[Pairs, Pairs, Pairs, Pairs, Pairs], sums: Pairs) -> 
 
 @helper
 def _sum_up(values: Pairs, so_far: Pairs) -> None:
-    """Write the sums of the first 0, 1, ... columns; they may run over, their differences are right all the same."""
+    """Write the sums of the first 0, 1, ... columns; they may overflow, their differences are still right."""
     total = np.uint32(0)
     so_far[0] = total
     for i in range(len(values)):
@@ -102,7 +102,7 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 @helper
 def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, columns: I32) -> None:
-    """Write how many columns the half width of a place is, for every shot of a line; anything where it is missing."""
+    """Write the half width of every shot's place in columns; any number where the shot is missing."""
     fewest, most_of_all = np.float32(LEAST_COLUMNS), np.float32(most)
     for i in range(len(ranges)):
         r = ranges[i] if ranges[i] == ranges[i] else np.float32(1.0)
@@ -111,7 +111,7 @@ def _half_widths(ranges: F32, step: np.float32, half_m: np.float32, most: int, c
 
 @helper
 def _sums_of_places(columns: I32, so_far: Pairs, sums: Pairs) -> None:
-    """Write what the places of all shots of a line hold; on its own, because all other loops read row by row."""
+    """Write the sums of the places of a line's shots; a loop of its own, as all others read memory in order."""
     m = len(columns)
     for i in range(m):
         half = columns[i]
@@ -132,7 +132,7 @@ def _shares(ranges: F32, sums: Pairs, shares: F32) -> None:
 def mean_smoothness(
     range_m: F32, near: U8, smooth: U8, step: np.float32, least_near: np.float32, half_m: np.float32
 ) -> F32:
-    """Average how smooth the shots around a shot are: in its line and two before and after, over a width in metres.
+    """Compute the share of smooth pairs around every shot: in five lines, over a width in metres.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def mean_smoothness(
     n_lines, m = range_m.shape[0] - 2 * LINES, range_m.shape[1]
     mean = np.empty((n_lines, m), np.float32)
     room = 2 * LINES + 1
-    # lines take turns in it, each while it is near enough
+    # ring buffer of lines
     places = np.empty((room, m), np.uint32)
     together, so_far, columns = np.empty(m, np.uint32), np.empty(m + 1, np.uint32), np.empty(m, np.int32)
     for k in range(n_lines + 2 * LINES):
@@ -203,7 +203,7 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 @inlined
 def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionThresholds) -> bool:
-    """Tell whether the run of a shot along its line is short, with something far or nothing behind both of its ends."""
+    """Return whether a shot's run along its line is short, with nothing, or only far things, beyond both ends."""
     m = len(ranges)
     least, jump, far = thresholds.least_near, thresholds.jump_m, thresholds.far_m
     low, high = heights[i], heights[i]
@@ -233,7 +233,7 @@ def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionT
 
 @inlined
 def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
-    """Tell whether lines close by, before and after, see nothing or something far in the direction of a shot."""
+    """Return whether close lines before and after see nothing, or only far things, in the direction of a shot."""
     own = window_m[line, i]
     before = after = 0
     for k in range(1, ACROSS_LINES + 1):
@@ -251,7 +251,7 @@ def _is_thin(window_m: F32, line: int, i: int, far: np.float32) -> bool:
 
 @helper
 def _mark_thin(window_m: F32, line: int, far: np.float32, thin: U8) -> None:
-    """Mark the shots of a line where :func:`_is_thin` may hold: lines on both sides see nothing or something far."""
+    """Mark the shots of a line that may be thin: lines on both sides see nothing, or only far things, there."""
     own = window_m[line]
     a, b, c, d = window_m[line - 4], window_m[line - 3], window_m[line - 2], window_m[line - 1]
     for i in range(len(own)):
@@ -271,7 +271,7 @@ def _is_ground(
     flat: np.uint8,
     thresholds: DecisionThresholds,
 ) -> bool:
-    """Tell whether a shot is on the ground: walked over, or low and more level than upright."""
+    """Return whether a shot is on the ground: walked over, or low and more level than upright."""
     off = abs(h)
     return bool(
         ((off < thresholds.walked_m) & is_walked)
@@ -284,27 +284,27 @@ def _is_ground(
 def _label_plain(
     ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, thresholds: DecisionThresholds, labels: U8
 ) -> None:
-    """Label what needs no second look: nothing, what is all alone, and ground; mark the rest as open.
+    """Label missing shots, shots without any neighbour and ground; mark the others as undecided.
 
-    No branches, so that many shots are looked at at a time.
+    Without branches, so that the compiler can use vector instructions.
     """
     near, smooth, upright, level = counts
     least, below = thresholds.least_near, thresholds.below_m
     for i in range(len(ranges)):
         h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
         is_ground = _is_ground(h, walked[i], up, flat, thresholds)
-        company = np.float32(near[i])
-        is_held = (company >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
-        is_odd = (company < least) | (pairs == 0) | (h < -below)
+        n_near = np.float32(near[i])
+        is_held = (n_near >= least) & (pairs > 0) & ((h >= -below) | (pairs >= BELOW_SMOOTH))
+        is_odd = (n_near < least) | (pairs == 0) | (h < -below)
         code = np.uint8(_ODD) if is_odd else np.uint8(_OPEN)
         code = np.uint8(_GROUND) if is_ground & is_held else code
-        code = np.uint8(_NOISE) if (near[i] == 0) & (company < least) else code
+        code = np.uint8(_NOISE) if (near[i] == 0) & (n_near < least) else code
         labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
 
 
 @inlined
 def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, thresholds: DecisionThresholds) -> bool:
-    """Tell whether a shot is in a wall or, seen through it, behind."""
+    """Return whether a shot is in a wall, or behind it and seen through it."""
     behind = abs(y) - abs(at)
     through = z * (abs(at) / abs(y)) if behind > np.float32(0.0) else z
     is_between = (behind >= -thresholds.front_m) & (behind <= thresholds.behind_m)
@@ -313,7 +313,7 @@ def _in_wall(y: np.float32, z: np.float32, at: np.float32, top: np.float32, thre
 
 @helper
 def _count_bins(levels: U8, counts: U8) -> None:
-    """Count, for every bin of a line, the bins around it with a level surface."""
+    """Count the bins with a level surface around every bin of a line."""
     n = len(levels)
     for q in range(n):
         counts[q] = levels[q]
@@ -326,9 +326,9 @@ def _count_bins(levels: U8, counts: U8) -> None:
 
 @helper
 def _find_cars(every: Slots, levels: U8, counts: U8, thresholds: DecisionThresholds, cars: tuple[F32, F32]) -> None:
-    """Write for every bin of a line below which height a shot is of a car: a smooth one, and a rough one; 0 = none.
+    """Write up to which height a smooth shot and a rough shot in every bin are of a car; 0 = no car.
 
-    That is where it is level enough around, and up to the gap in what reaches above cars.
+    There is a car where enough bins around are level. It ends below what reaches above cars without a gap.
     """
     smooth_bins, rough_bins = thresholds.car_bins, thresholds.car_bins_rough
     car_slot = int(thresholds.car_top_m / SLOT_M)
@@ -373,7 +373,7 @@ def _label_odd(
     thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
-    """Label the shots of a line that are noise, or ground all the same; mark lonely leaves."""
+    """Label noise among the doubtful shots of a line, and ground; mark lonely leaves."""
     side, height, above = points
     near, smooth, upright, level = counts
     rough, at, top = rows
@@ -388,14 +388,14 @@ def _label_odd(
             y = side[i]
             b = _strip(y)
             is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], thresholds)
-            # few as they are, what is left of a far surface agrees with it
+            # the few shots left of a far surface still agree with it
             is_held = holds and (pairs > 0 or is_wall or abs(h) < thresholds.soil_m)
             if near[i] > 0 and b >= 0 and h > foot and not is_wall:
                 is_leaf = bool(np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots)
             if near[i] == 0 or not (is_leaf or is_held):
                 labels[i] = _NOISE
                 continue
-        # spikes: the shots right beside are smooth, in the line and those before and after
+        # spikes: the adjacent shots are smooth, in the line and in the lines before and after
         half = int(columns[i])
         place = so_far[min(i + half + 1, len(side))] - so_far[max(i - half, 0)]
         shots_there, pairs_there = np.int32(place >> np.uint32(16)), np.int32(place & np.uint32(0xFFFF))
@@ -420,7 +420,7 @@ def _bins(side: F32, bins: I32) -> None:
 def _look_up(
     shots: I32, bins: I32, walls: tuple[F32, F32, F32], cars: tuple[F32, F32], found: tuple[F32, F32, F32, F32, F32]
 ) -> None:
-    """Write what there is to know of the strips of some shots of a line; by itself, as all else reads row by row."""
+    """Write the walls and cars in the strips of some shots; a loop of its own, as all others read memory in order."""
     at, top, ahead = walls
     own_at, own_top, own_ahead, below, rough_below = found
     for k in range(len(shots)):
@@ -442,9 +442,9 @@ def _label_things(
     labels: U8,
     poles: U8,
 ) -> None:
-    """Label shots of a line that are neither alone nor ground; mark those that may be poles.
+    """Label the shots of a line that are neither lonely nor ground; mark those that may be poles.
 
-    No branches, so that many shots are looked at at a time.
+    Without branches, so that the compiler can use vector instructions.
     """
     side, height, above = points
     near, _, _, level = counts
@@ -485,7 +485,7 @@ def _label_poles(
     thresholds: DecisionThresholds,
     labels: U8,
 ) -> None:
-    """Label the shots among some of a line that are on poles and trunks."""
+    """Label those of a list of shots that are on poles and trunks."""
     ranges = window_m[line]
     side, height, above = points
     m = len(ranges)
@@ -496,8 +496,8 @@ def _label_poles(
         if np.float32(near[i]) < least:
             low = high = height[i]
         elif i >= end:
-            # the shots around that go on without a gap: where they are high, so is the run of each that is far from
-            # the lowest or highest of them, and there is no need to follow it
+            # extent of the shots around that go on without a gap: the run of a shot far from the lowest or highest of
+            # them is high too, and need not be followed
             first = i
             low = high = height[i]
             while first > 0 and np.float32(near[first - 1]) >= least and abs(ranges[first - 1] - ranges[first]) < jump:
@@ -588,7 +588,7 @@ def fused_labels(
         np.zeros(m, np.float32),
     )  # fmt: skip
     side, height, thin = np.empty(m, np.float32), np.empty(m, np.float32), np.empty(m, np.uint8)
-    # lines take turns in it, each while it is near enough
+    # ring buffer of lines
     pairs = np.empty((3, m), np.uint32)
     for line in range(2):
         _count_pairs(near[line + LINES - 1], smooth[line + LINES - 1], thresholds.least_near, pairs[line])
@@ -618,13 +618,13 @@ def fused_labels(
 
 @inlined
 def _differs(label: np.uint8, own: np.uint8) -> bool:
-    """Tell whether a label is another one; nothing and noise are none."""
+    """Return whether a label differs; missing and noise do not count as labels."""
     return bool((label != own) & (label != _MISSING) & (label != _NOISE))
 
 
 @helper
 def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
-    """Mark the shots that some shot a few columns away, or one of the lines beside, has another label than."""
+    """Mark the shots whose label differs from that of a shot a few columns away, or of an adjacent line."""
     m = len(own)
     for i in range(m):
         label = own[i]
@@ -638,7 +638,7 @@ def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
             unsettled[i] |= votes & (_differs(first, label) | _differs(last, label))
         return
     for way in range(2):
-        # a shot and that VOTERS columns on, asked from both ends; beyond the ends the outermost one is asked
+        # compare with the shot VOTERS columns on, to both sides; beyond the ends with the outermost shot
         asker = own[: m - VOTERS] if way == 0 else own[VOTERS:]
         asked = own[VOTERS:] if way == 0 else own[: m - VOTERS]
         marks = unsettled[: m - VOTERS] if way == 0 else unsettled[VOTERS:]
@@ -656,7 +656,7 @@ def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
 
 @helper
 def _weigh(labels: U8, weights: Pairs) -> None:
-    """Give every shot its vote: each of the three labels has a part of the word of its own."""
+    """Write the vote of every shot: each of the three labels has its own part of the word."""
     for i in range(len(labels)):
         label = labels[i]
         building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
@@ -666,7 +666,7 @@ def _weigh(labels: U8, weights: Pairs) -> None:
 
 @inlined
 def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
-    """Return the label that has most votes; the own one where several do."""
+    """Return the label with most votes; of several, the shot's own if it is among them."""
     part = np.uint32((1 << _BUILDING_BIT) - 1)
     other = votes & part
     building, vegetation = (votes >> np.uint32(_BUILDING_BIT)) & part, votes >> np.uint32(_VEGETATION_BIT)
@@ -691,7 +691,7 @@ def _vote_line(
     near_m: np.float32,
     voted: U8,
 ) -> None:
-    """Count the votes around the unsettled shots of a line: those of shots that are near in space."""
+    """Count the votes around the unsettled shots of a line; shots vote that are near in space."""
     m = len(ranges)
     (y0, z0, w0), (y1, z1, w1), (y2, z2, w2) = lines
     n = 0
@@ -705,7 +705,7 @@ def _vote_line(
         votes, nothing = np.uint32(0), np.uint32(0)
         place, last, stride = np.int64(max(i - columns, 0)), min(i + columns + 1, m), max(columns // VOTERS, 1)
         while place < last:
-            # every vote is read, near or not, so that no branch depends on it
+            # every vote is read, near or not, to avoid a branch
             j = np.uint64(place)
             one, two, three = w0[j], w1[j], w2[j]
             votes += one if max(abs(y0[j] - y), abs(z0[j] - z)) < near_m else nothing
@@ -721,8 +721,8 @@ def vote_labels(
 ) -> U8:
     """Let every shot that is neither ground nor noise take the label of most of the shots around it.
 
-    Where neither the shots four columns to both sides nor those of the lines before and after have another one, it
-    keeps its own; noise has no say.
+    A shot keeps its label where the shots four columns to both sides and in the adjacent lines have the same one. Noise
+    does not vote.
 
     Parameters
     ----------
@@ -745,7 +745,7 @@ def vote_labels(
     n_lines, m = labels.shape[0] - 2, labels.shape[1]
     voted = np.empty((n_lines, m), np.uint8)
     unsettled, asking = np.empty(m, np.uint8), np.empty(m + 1, np.int32)
-    # lines take turns in these, each while it is near enough
+    # ring buffers of lines
     weights = np.empty((3, m), np.uint32)
     side, height = np.empty((3, m), np.float32), np.empty((3, m), np.float32)
     for line in range(n_lines + 2):

@@ -1,4 +1,4 @@
-"""The loop that walks along the ground of every line, away from the scanner on both sides, for the fused classifier."""
+"""Loop of the fused classifier that follows the ground of every line, outwards on both sides of the scanner."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import Tuple, UniTuple, boolean, float32, int32, int64, named, uint8
 
 BINS, BIN_M = 320, np.float32(0.25)
-"""Places beside the scanner at which the ground is remembered, on either side, and how wide they are [m]."""
+"""Number of places on either side at which the ground is remembered, and their width [m]."""
 BACK_M = np.float32(0.05)
-"""Ground may go back so far on its way out, by the noise of ranges [m]."""
+"""The walk may go back this far on its way out, because of range noise [m]."""
 
 
 @helper
 def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.float32:
-    """Return the height that a walk starts from: that of the nearest place that is remembered."""
+    """Return the height at which a walk starts: that of the nearest remembered place."""
     for b in range(BINS):
         if np.float32(age[b]) < lines:
             start_m = memory[b]
@@ -27,16 +27,16 @@ def _start(memory: F32, age: I32, start_m: np.float32, lines: np.float32) -> np.
 
 @inlined
 def _seen_height(before: np.float32, is_seen: np.uint8, mean: np.float32) -> np.float32:
-    """Return the height of a place that the walk leaves; of two visits the mean.
+    """Return the height of a place that the walk leaves: the mean of both visits if there were two.
 
-    It takes no arrays: handing them over for every place would cost more than all the rest of the walk.
+    Takes no arrays: passing them for every place costs more than the rest of the walk.
     """
     return (before + mean) * np.float32(0.5) if is_seen else mean
 
 
 @helper
 def _mark_level(near: U8, smooth: U8, upright: U8, level: U8, least: np.float32, is_level: U8) -> None:
-    """Mark the shots of a line that a walk may go over."""
+    """Mark the shots of a line that a walk may use."""
     for i in range(len(near)):
         is_level[i] = np.uint8((np.float32(near[i]) >= least) & (smooth[i] > 0) & (level[i] > upright[i]))
 
@@ -55,7 +55,7 @@ def _walk(
     seen: U8,
     walked: Mask,
 ) -> None:
-    """Follow the ground outwards along one side of a line: from level shot to level shot, in small steps of height."""
+    """Follow the ground outwards on one side of a line, from level shot to level shot, in small steps of height."""
     memory, age = known
     last_y, last_z = np.float32(0.0), _start(memory, age, start_m, thresholds.memory_lines)
     lines, near_m = thresholds.memory_lines, thresholds.known_m
@@ -91,10 +91,10 @@ def _walk(
 
 @helper
 def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThresholds) -> None:
-    """Let the memory follow what a line saw, and the profile show what is remembered where the line saw nothing."""
+    """Update the memory by the heights of a line; fill the profile from the memory where the line saw no ground."""
     lines, follow = thresholds.memory_lines, thresholds.follow
     for b in range(BINS):
-        # no branches, so that many places are looked at at a time
+        # without branches, for vector instructions
         is_seen, mean, known_m = seen[b] != 0, profile[b], memory[b]
         followed = known_m + (mean - known_m) * follow if np.float32(age[b]) < lines else mean
         older = age[b] + np.int32(age[b] < np.iinfo(np.int32).max)
@@ -107,7 +107,7 @@ def _remember(profile: F32, seen: U8, memory: F32, age: I32, thresholds: WalkThr
 
 @helper
 def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
-    """Draw straight lines between the places where the ground is known, and level ones beyond the outermost."""
+    """Interpolate between the places where the ground is known; level beyond the outermost."""
     last = -1
     for b in range(BINS):
         if not seen[b]:
@@ -125,11 +125,11 @@ def _fill(profile: F32, seen: U8, start_m: np.float32) -> None:
 
 @helper
 def _places(side: F32, places: I32, shares: F32) -> None:
-    """Write the place of the profiles, left and right in a row, before every shot of a line, and how far it is on."""
+    """Write the place before every shot, of both profiles in a row, and the share of the way to the next place."""
     half = np.float32(0.5)
     for i in range(len(side)):
         y = side[i] if side[i] == side[i] else np.float32(0.0)
-        # within the bins before it becomes an integer: a range may be anything
+        # limited before it becomes an integer: ranges may be any number
         place = min(max(abs(y) / BIN_M - half, np.float32(0.0)), np.float32(BINS - 1))
         b = min(np.int32(place), np.int32(BINS - 2))
         shares[i] = min(place - np.float32(b), np.float32(1.0))
@@ -164,7 +164,7 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 @helper
 def _copy(heights: F32, ages: I32, to_heights: F32, to_ages: I32) -> None:
-    """Copy a memory of the ground; by itself, because the compiler takes seconds over a copy of arrays."""
+    """Copy a memory of the ground; element by element, because array copies take seconds to compile."""
     for s in range(2):
         for b in range(BINS):
             to_heights[s, b] = heights[s, b]

@@ -1,8 +1,8 @@
-"""Loops over shots and their neighbours in the scan plane, for the fused classifier: company, smoothness, direction.
+"""Loops of the fused classifier over shots and their neighbours: near neighbours, smoothness, direction.
 
-Company and smoothness read the *window* of a block: its lines with :data:`LINES` more before and after it. A line's
-points are laid out with :data:`COLUMNS` columns of NaN on either side. So neighbours are plain shifts, and a comparison
-with what is not there is false.
+The first two read the *window* of a block: its lines and :data:`LINES` more before and after. The points of a line have
+:data:`COLUMNS` columns of NaN on either side, so that neighbours are shifted arrays and comparisons with absent ones
+are false.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import UniTuple, float32, named, uint8
 
 LINES, COLUMNS = 2, 4
-"""How far neighbours lie away at most."""
+"""Greatest distance of neighbours, in lines and columns."""
 MOST_COLUMNS = 60
-"""Half a chord is never more columns long."""
+"""Greatest half length of a chord, in columns."""
 PAD = MOST_COLUMNS + 2
-"""Columns of nothing beside a line in which chords may end."""
+"""Empty columns beside a line, in which chords may end."""
 
 
 @kernel("UniTuple(float32[:, ::1], 2)(float32[:, ::1], float32[::1], float32[::1])")
@@ -55,7 +55,7 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
     sine, cosine = beams
     m = len(ranges)
     y, z = side[COLUMNS : COLUMNS + m], height[COLUMNS : COLUMNS + m]
-    # one result a loop: of more, the compiler does not always see that they lie apart
+    # one result a loop: the compiler cannot always prove that several do not overlap
     for i in range(m):
         y[i] = ranges[i] * sine[i]
     for i in range(m):
@@ -64,7 +64,7 @@ def _lay_out(ranges: F32, beams: tuple[F32, F32], side: F32, height: F32) -> Non
 
 @helper
 def _margins(m: int) -> F32:
-    """Return room for the points of as many lines as are looked at together, NaN in the margins."""
+    """Return a buffer for the points of five lines, with NaN in the margins."""
     rows = np.empty((2 * LINES + 1, m + 2 * COLUMNS), np.float32)
     for row in range(2 * LINES + 1):
         for i in range(COLUMNS):
@@ -74,7 +74,7 @@ def _margins(m: int) -> F32:
 
 @inlined
 def _is_near(dy: np.float32, dz: np.float32, near: np.float32, thin: np.float32, along: np.float32) -> np.uint8:
-    """Tell whether two points are close, or on one level or upright surface, which may be met at grazing incidence.
+    """Return whether two points are close, or on one level or upright surface at grazing incidence.
 
     ``along`` is not less than ``near``.
     """
@@ -133,7 +133,7 @@ def _count_across(
 
 @kernel(uint8[:, ::1](float32[:, ::1], float32[::1], float32[::1], float32, named(NearThresholds, float32)))
 def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresholds: NearThresholds) -> U8:
-    """Count the neighbours that a shot has in space: of 8 in its own line and 20 in the two lines before and after.
+    """Count the near neighbours of every shot: of 8 in its line and 20 in the two lines before and after.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def near_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, threshol
     along_m, along_steps = thresholds.along_m, thresholds.along_steps
     counts = np.empty((n_lines, m), np.uint8)
     near, along = np.empty(m, np.float32), np.empty(m, np.float32)
-    # lines take turns in it, each while it is near enough
+    # ring buffers of lines
     side, height = _margins(m), _margins(m)
     room = 2 * LINES + 1
     for line in range(range_m.shape[0]):
@@ -189,7 +189,7 @@ def _on_line(
     tolerance: np.float32,
     gap: np.float32,
 ) -> np.uint8:
-    """Tell whether a point lies on the line through two others that are not far from each other; squares are given."""
+    """Return whether a point lies on the line through two others that are close; both limits are squared."""
     dy, dz = by - ay, bz - az
     long = dy * dy + dz * dz
     off = dy * (z - az) - dz * (y - ay)
@@ -200,7 +200,7 @@ def _on_line(
 def _between(
     ay: np.float32, az: np.float32, by: np.float32, bz: np.float32, y: np.float32, z: np.float32, tolerance: np.float32
 ) -> np.uint8:
-    """Tell whether a point lies in the middle between two others; the square of the tolerance is given."""
+    """Return whether a point lies midway between two others; the tolerance is squared."""
     half = np.float32(0.5)
     dy, dz = (ay + by) * half - y, (az + bz) * half - z
     return np.uint8(dy * dy + dz * dz < np.float32(4.0) * tolerance)
@@ -294,13 +294,13 @@ def smooth_counts(range_m: F32, sine: F32, cosine: F32, step: np.float32, thresh
 
 @inlined
 def _is_upright(dy: np.float32, dz: np.float32, slope: np.float32, slack: np.float32, longest: np.float32) -> np.uint8:
-    """Tell whether a chord is upright, and not too long; exchange the two to ask whether it is level."""
+    """Return whether a chord is upright and not too long; with the arguments exchanged, whether it is level."""
     return np.uint8((abs(dy) <= slope * abs(dz) + slack) & (dy * dy + dz * dz <= longest))
 
 
 @helper
 def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
-    """Write where the chords of a line may end: at a column if it is smooth, else the next one out, else the next in.
+    """Write where the chords of a line end: at a column if it is smooth, else the next one out, else the next one in.
 
     ``way`` is out: -1 or 1. Column 0 is at PAD, and what lies beyond the line stays NaN. The second half of ``ends`` is
     for shots to which the next one in is themselves.
@@ -311,7 +311,7 @@ def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
     out, own, back = shown[1 + way : n - 1 + way], shown[1 : n - 1], shown[1 - way : n - 1 - way]
     three, two = ends[1 : n - 1], ends[n + 1 : 2 * n - 1]
     for i in range(n - 2):
-        # what is not smooth is NaN
+        # NaN marks columns that are not smooth
         further = own[i] if own[i] == own[i] else out[i]
         two[i] = further
         three[i] = further if further == further else back[i]
@@ -319,7 +319,7 @@ def _ends(values: F32, smooth: U8, way: int, shown: F32, ends: F32) -> None:
 
 @helper
 def _look_up(reach: I32, way: int, ends: tuple[F32, F32], found: tuple[F32, F32]) -> None:
-    """Write the ends of the chords of a line, so many columns away; on its own, as all other loops read row by row."""
+    """Write the ends of the chords of a line; a loop of its own, as all others read memory in order."""
     m = len(reach)
     n = m + 2 * PAD
     side, height = ends
@@ -347,9 +347,8 @@ def _count_chords(
     ay, az = before
     by, bz = after
     for i in range(len(y)):
-        # what is NaN is neither
+        # NaN propagates for missing shots and ends, which are neither
         dy1, dz1, dy2, dz2 = ay[i] - y[i], az[i] - z[i], by[i] - y[i], bz[i] - z[i]
-        # of a missing shot it is, too
         dy3, dz3 = dy1 - dy2, dz1 - dz2
         upright[i] = (
             _is_upright(dy1, dz1, slope, slack, longest)

@@ -1,4 +1,4 @@
-"""Loops that find ground and stems of a forest in the plane of every scan line.
+"""Loops of the fused classifier that find the ground and the stems of a forest in every scan plane.
 
 Coordinates in the scan plane are those of range and beam: y = r sin b to the side and z = -r cos b up, with b the
 angle of the beam from straight down.
@@ -21,22 +21,22 @@ _SHOTS, _PASSED, _RUNS, _LENGTH = range(4)
 LABEL_MISSING, LABEL_NOISE, LABEL_GROUND, LABEL_VEGETATION, LABEL_STEM = 0, 2, 3, 5, 6
 """As in :class:`prc_cli.core.classes.Label`; the compiler takes no enumerations."""
 NO_GROUND = -1e9
-"""Height of a ground that was not seen [m]."""
+"""Height of the ground where none was seen [m]."""
 N_LOWEST = 3
-"""The ground of a bin is its so many-th lowest return: one or two may lie below, by chance."""
+"""The ground of a bin is its third-lowest return: one or two may lie below by chance."""
 N_OPEN = 3
-"""Runs of a line that a return may belong to: surfaces seen in turn through gaps of the nearest."""
+"""Runs of a line that are followed at the same time: surfaces seen in turn through gaps of the nearest."""
 MIN_SHOTS = 3
-"""Shots of a run."""
+"""Least shots of a run."""
 SPACINGS = 3.0
-"""Shots on a wall are so many spacings apart before there is a gap between them."""
+"""Shots on a wall that are more spacings apart have a gap between them."""
 MIN_ASIDE_M = 0.3
-"""Nearer to the vertical through the scanner, spacings are as at this distance."""
+"""Least distance from the vertical through the scanner by which spacings are computed."""
 LINES_AROUND = 2
-"""Lines before and after in which company is looked for."""
+"""Lines before and after in which near shots are looked for."""
 
 _OPEN, _TOUCHING = 255, 254
-"""Marks of shots that are not labelled yet: those that may be alone, and those that have a stem beside them."""
+"""Marks of shots without a label yet: those that may be alone, and those beside a stem."""
 
 
 @helper
@@ -85,7 +85,7 @@ def _low_shots(
     for column in range(len(ranges)):
         r = np.float64(ranges[column])
         place = r * sine[column] * per_metre + half
-        # what is missing is nowhere
+        # false where a range is missing
         counts = (abs(r - before[column]) <= step_m + step_share * r) & (place >= 0.0) & (place < n_bins)
         bins[column] = np.int32(place if counts else -1.0)
         heights[column] = -r * cosine[column]
@@ -170,7 +170,7 @@ def _floors(ranges: F32, sine: F64, n_bins: int, per_metre: float, bins: I32, sh
 
 @helper
 def _look_up(bins: I32, profile: F64, low: F64, high: F64) -> None:
-    """Write the heights of the ground in two bins beside each other; on its own, as all other loops read row by row."""
+    """Write the ground of the two bins around every shot; a loop of its own, as all others read memory in order."""
     for column in range(len(bins)):
         b = np.uint64(bins[column])
         low[column] = profile[b]
@@ -242,7 +242,7 @@ def _aim(
     n_shots = 0
     for column in range(len(ranges)):
         shots[n_shots] = column
-        # missing heights are not above anything either
+        # false where a height is missing
         n_shots += int(np.float64(heights[column]) >= low)
     return n_shots
 
@@ -251,7 +251,7 @@ def _aim(
 def _goes_on(
     apart: float, up: float, spacing: float, tolerance: float, steep: float, gap: float, gap_steep: float
 ) -> bool:
-    """Tell whether a return follows another one steeply, so far beside and up from it; what is NaN does not."""
+    """Return whether a return continues a run, given its distances to the last one; false for NaN."""
     beside = (tolerance + steep * spacing) + gap_steep * (up - spacing) if up > spacing else tolerance + steep * up
     return bool((up <= gap) & (apart <= beside))
 
@@ -260,7 +260,7 @@ def _goes_on(
 def _put_away(
     run: int, n: float, passed: float, y: float, z: float, thresholds: RunThresholds, firsts: tuple[F64, F64], ends: F64
 ) -> None:
-    """Note of a run that gets no more shots how many it has and how many passed it, and its ends; 0 shots: none."""
+    """Write the shots, the returns from behind and the ends of a finished run; 0 shots if it is not kept."""
     y_first, z_first = firsts
     if run < 0:
         return
@@ -283,7 +283,7 @@ def _drop(
     firsts: tuple[F64, F64],
     ends: F64,
 ) -> None:
-    """Put a run away, if there is one; of short ones, which are most, nothing is handed over, to save the time."""
+    """Close a run, if there is one; short ones, which are most, without a call, which takes longer than the rest."""
     if n >= MIN_SHOTS:
         _put_away(run, n, passed, y, z, thresholds, firsts, ends)
     elif run >= 0:
@@ -299,11 +299,11 @@ def _line_runs(
     firsts: tuple[F64, F64],
     ends: F64,
 ) -> int:
-    """Write the run of every shot of a list, counted from 0, and what is to know of the runs; return how many.
+    """Write the run of every shot of a list, counted from 0, and the data of the runs; return how many there are.
 
-    Of three runs the last shot is known, the latest run first: place y, z and range r, shots n, shots behind them that
-    passed, and those that wait to be between two of the run. They are named, not kept in an array, to stay in the
-    registers of the processor.
+    Three runs are open, the latest first. Of each the last shot is kept (y, z, range r), its shots n, the returns from
+    behind that passed it, and those since its last shot (waiting). They are variables, not an array, to stay in
+    registers.
     """
     side, up, far, tolerances, spacings = points
     steep, gap, gap_steep, behind = thresholds.steep, thresholds.gap_m, thresholds.gap_steep, thresholds.behind_m
@@ -350,9 +350,9 @@ def _line_runs(
 def upright_runs(range_m: F32, height_m: F32, sine: F64, cosine: F64, thresholds: RunThresholds) -> tuple[I32, F64]:
     """Find runs of returns of a line that go straight up or down in the scan plane.
 
-    A return goes on with the first run, of the last three, that it follows steeply. Returns in between may be nearer,
-    those of what stands before a stem; returns from behind it are counted, because nothing is seen through a stem.
-    A run that more returns pass than half its own shots is none.
+    A return continues the first of the last three runs that it follows steeply. Returns in between may be nearer, of
+    things in front of a stem; returns from behind are counted, because nothing is seen through a stem. A run is dropped
+    if more than half as many returns pass it as it has shots.
 
     Parameters
     ----------
@@ -432,7 +432,7 @@ def _join_lines(
         place = np.uint64(linked[k])
         r = np.float64(later[place])
         run, other = own[place], before[place]
-        # most shots say what the one before them said
+        # most shots join the same runs as the one before
         if (run == last_run) & (other == last_before):
             continue
         if abs(r - np.float64(earlier[place])) < near + share * r:
@@ -530,30 +530,30 @@ def _mark_beside(stems: Mask, line: int, across: U8, beside: U8) -> None:
 
 
 @helper
-def _mark_company(ranges: F32, limit: float, links: U8, company: U8) -> None:
-    """Mark the shots of a line of which one right beside is about as far."""
+def _mark_adjacent(ranges: F32, limit: float, links: U8, adjacent: U8) -> None:
+    """Mark the shots of a line with an adjacent shot about as far."""
     n = len(ranges)
     for i in range(n - 1):
         links[i] = np.uint8(abs(np.float64(ranges[i + 1]) - np.float64(ranges[i])) <= limit)
-    links[n - 1] = company[0] = np.uint8(0)
+    links[n - 1] = adjacent[0] = np.uint8(0)
     for i in range(n - 1):
-        company[i + 1] = links[i]
+        adjacent[i + 1] = links[i]
     for i in range(n):
-        company[i] |= links[i]
+        adjacent[i] |= links[i]
 
 
 @helper
 def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds: ForestThresholds, labels: U8) -> None:
-    """Label the shots of a line that tell at once what they are, and mark the others.
+    """Label the shots of a line that need no other shots for it, and mark the others.
 
-    No branches, so that many shots are looked at at a time.
+    Without branches, so that the compiler can use vector instructions.
     """
-    flat, beside, company = marks
+    flat, beside, adjacent = marks
     below, soil, cover, top = -thresholds.below_m, thresholds.soil_m, thresholds.cover_m, thresholds.top_m
     for i in range(len(heights)):
         height = np.float64(heights[i])
         is_ground = (height <= soil) | ((height <= cover) & (flat[i] != 0))
-        label = np.uint8(LABEL_VEGETATION) if company[i] != 0 else np.uint8(_OPEN)
+        label = np.uint8(LABEL_VEGETATION) if adjacent[i] != 0 else np.uint8(_OPEN)
         label = np.uint8(_TOUCHING) if (beside[i] != 0) & (height <= top) else label
         label = np.uint8(LABEL_GROUND) if is_ground else label
         stem = np.uint8(LABEL_STEM) if height <= top else np.uint8(LABEL_VEGETATION)
@@ -564,7 +564,7 @@ def _label_plain(heights: F32, stems: Mask, marks: tuple[U8, U8, U8], thresholds
 
 @helper
 def _touches_stem(range_m: F32, stems: Mask, line: int, column: int, limit: float) -> bool:
-    """Tell whether one of the eight shots around is a stem's and about as far."""
+    """Return whether one of the eight shots around is on a stem and about as far."""
     n_lines, n_columns = range_m.shape
     r = np.float64(range_m[line, column])
     for i in range(max(line - 1, 0), min(line + 2, n_lines)):
@@ -575,12 +575,12 @@ def _touches_stem(range_m: F32, stems: Mask, line: int, column: int, limit: floa
 
 
 @helper
-def _has_company(range_m: F32, line: int, column: int, columns_around: int, limit: float) -> bool:
-    """Tell whether another shot nearby is about as far."""
+def _has_near_shot(range_m: F32, line: int, column: int, columns_around: int, limit: float) -> bool:
+    """Return whether another shot nearby is about as far."""
     n_lines, n_columns = range_m.shape
     r = np.float64(range_m[line, column])
     first, last = max(column - columns_around, 0), min(column + columns_around + 1, n_columns)
-    # its own line first, where it is found most often
+    # its own line first, where one is found most often
     for k in range(first, last):
         if k != column and abs(np.float64(range_m[line, k]) - r) <= limit:
             return True
@@ -605,26 +605,26 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
     stems : (lines, M) bool
         From :func:`stem_shots`.
     columns_around : int
-        Columns on either side in which company is looked for.
+        Columns on either side in which near shots are looked for.
     thresholds : ForestThresholds of float64
 
     Returns
     -------
     (lines, M) uint8
-        In this order: NOISE below the ground; STEM; GROUND; STEM where it touches one; VEGETATION in company; NOISE.
+        The first that holds: NOISE below the ground; STEM; GROUND; STEM beside one; VEGETATION near others; NOISE.
     """
     n_lines, n_columns = range_m.shape
     labels = np.empty((n_lines, n_columns), np.uint8)
     flat, across, beside = np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8), np.empty(n_columns, np.uint8)
-    company, shots = np.empty(n_columns, np.uint8), np.empty(n_columns + 1, np.int32)
+    adjacent, shots = np.empty(n_columns, np.uint8), np.empty(n_columns + 1, np.int32)
     limit = thresholds.near_m
     for line in range(n_lines):
         row = labels[line]
         _mark_flat(height_m[line], thresholds.flat_m, flat)
         _mark_beside(stems, line, across, beside)
-        # negative ones are smaller than every distance
-        _mark_company(range_m[line], limit if limit >= 0.0 else np.inf, across, company)
-        _label_plain(height_m[line], stems[line], (flat, beside, company), thresholds, row)
+        # a negative limit means that no shot is alone
+        _mark_adjacent(range_m[line], limit if limit >= 0.0 else np.inf, across, adjacent)
+        _label_plain(height_m[line], stems[line], (flat, beside, adjacent), thresholds, row)
         n_shots = 0
         for column in range(n_columns):
             shots[n_shots] = column
@@ -634,6 +634,6 @@ def forest_labels(range_m: F32, height_m: F32, stems: Mask, columns_around: int,
             if row[column] == _TOUCHING and _touches_stem(range_m, stems, line, column, thresholds.beside_m):
                 row[column] = LABEL_STEM
             else:
-                plant = limit < 0.0 or company[column] or _has_company(range_m, line, column, columns_around, limit)
+                plant = limit < 0.0 or adjacent[column] or _has_near_shot(range_m, line, column, columns_around, limit)
                 row[column] = LABEL_VEGETATION if plant else LABEL_NOISE
     return labels

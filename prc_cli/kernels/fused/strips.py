@@ -1,8 +1,8 @@
-"""Loops over what stands above the ground, sorted into narrow strips beside the scanner, for the fused classifier.
+"""Loops of the fused classifier over shots above the ground, sorted into narrow strips beside the scanner.
 
-A strip is :data:`STRIP_M` wide; its heights above the ground are cut into slots of :data:`SLOT_M`, one bit each. Level
-surfaces are kept in bins half as wide. What neighbouring lines see in a strip is put together: lines are not far apart,
-and what stands upright stays in its strip from line to line.
+A strip is :data:`STRIP_M` wide; heights above the ground are divided into slots of :data:`SLOT_M`, one bit each. Level
+surfaces are kept in bins of half the width. Strips of adjacent lines are combined: lines are close together, and
+upright things stay in their strip from line to line.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ Slots = NDArray[np.uint64]
 STRIPS, STRIP_M, SLOT_M = 320, np.float32(0.5), np.float32(0.25)
 """Number of strips, half of them on either side, their width and the height of a slot [m]."""
 SLOTS = 64
-"""Slots of a strip; the last holds all that is higher."""
+"""Slots of a strip; the last holds everything higher."""
 LINES = 2
-"""Lines before and after that are put together with a line."""
+"""Lines before and after that are combined with a line."""
 NO_TOP = np.float32(-1e9)
-"""Top of nothing [m]."""
+"""Top where there is no wall [m]."""
 LEAST_COSINE = np.float32(0.3)
-"""Surfaces are not taken to be met at more than this cosine when the height that a shot stands for is reckoned."""
+"""Lower limit of the cosine by which a shot's height extent is computed."""
 UPRIGHT_CHORDS = 2
-"""Upright chords, of three, of a shot on an upright surface."""
+"""Least upright chords, of three, of a shot on an upright surface."""
 
 
 _FAR_BINS = np.float32(1e6)
-"""So far away there are no bins; what is to become an integer is nearer."""
+"""Limit of bin numbers, so that they fit an integer."""
 
 
 @inlined
@@ -50,12 +50,12 @@ def _list_counted(
     step: np.float32,
     thresholds: StripThresholds,
     strips: I32,
-    stand_for: F32,
+    extents: F32,
     shots: I32,
 ) -> int:
-    """List the shots of a line that count, return how many; write their strips and the heights that they stand for.
+    """List the shots of a line that count, return how many; write their strips and height extents.
 
-    One result a loop: of more, the compiler does not see that they lie apart.
+    One result a loop: the compiler cannot prove that several do not overlap.
     """
     least, foot = thresholds.least_near, thresholds.foot_m
     for i in range(len(ranges)):
@@ -63,7 +63,7 @@ def _list_counted(
         b = _bin(side[i] if counted else np.float32(0.0), STRIP_M) + np.int32(STRIPS // 2)
         strips[i] = b if counted & (b >= 0) & (b < STRIPS) else np.int32(-1)
     for i in range(len(ranges)):
-        stand_for[i] = ranges[i] * step / max(abs(side[i]) / ranges[i], LEAST_COSINE)
+        extents[i] = ranges[i] * step / max(abs(side[i]) / ranges[i], LEAST_COSINE)
     n = 0
     for i in range(len(ranges)):
         shots[n] = i
@@ -93,12 +93,12 @@ def _mark_kinds(
 
 
 @helper
-def _keep_walls(upright: U8, stand_for: F32, side: F32, height: F32, wall: F32, place: F32, top: F32) -> None:
-    """Write what the shots of a line add to walls: height, its place and its top; nothing where they are on none."""
+def _keep_walls(upright: U8, extents: F32, side: F32, height: F32, wall: F32, place: F32, top: F32) -> None:
+    """Write the shares of a line's shots in walls: height extent, that times side, and top; 0 or no top off walls."""
     for i in range(len(upright)):
-        wall[i] = stand_for[i] if upright[i] != 0 else np.float32(0.0)
+        wall[i] = extents[i] if upright[i] != 0 else np.float32(0.0)
     for i in range(len(upright)):
-        place[i] = stand_for[i] * side[i] if upright[i] != 0 else np.float32(0.0)
+        place[i] = extents[i] * side[i] if upright[i] != 0 else np.float32(0.0)
     for i in range(len(upright)):
         top[i] = height[i] if upright[i] != 0 else NO_TOP
 
@@ -114,10 +114,10 @@ def _fill_line(
     sums: tuple[F32, F32, F32, F32],
 ) -> None:
     """Put the shots of a list into the strips of their line."""
-    stand_for, on_wall, at, top_of = heights
+    extents, on_wall, at, top_of = heights
     every, rough = slots
     length, wall, place, top = sums
-    # what is added to a strip stays in the registers of the processor until the next shot is in another one
+    # sums stay in registers until the next shot is in another strip
     b = np.uint64(0)
     bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
     for k in range(len(shots)):
@@ -131,7 +131,7 @@ def _fill_line(
             bits, rough_bits, all_m, wall_m, place_m, highest = every[b], rough[b], length[b], wall[b], place[b], top[b]
         bits |= np.uint64(1) << np.uint64(slot[i])
         rough_bits |= np.uint64(is_rough[i]) << np.uint64(slot[i])
-        all_m += stand_for[i]
+        all_m += extents[i]
         wall_m += on_wall[i]
         place_m += at[i]
         highest = max(highest, top_of[i])
@@ -140,7 +140,7 @@ def _fill_line(
 
 @helper
 def _mark_levels(shots: I32, marks: U8, side: F32, jump: np.float32, levels: U8) -> None:
-    """Mark the bins from every marked shot of a list, on a level surface, to those beside it that are not far."""
+    """Mark the bins between every shot on a level surface and the adjacent shots, where these are close."""
     n = 0
     for k in range(len(shots)):
         i = shots[k]
@@ -187,7 +187,7 @@ def fill_strips(
     step: np.float32,
     thresholds: StripThresholds,
 ) -> tuple[Slots, Slots, F32, F32, F32, F32, U8]:
-    """Sort what stands above the ground into strips, line by line.
+    """Sort shots above the ground into strips, line by line.
 
     Parameters
     ----------
@@ -206,8 +206,8 @@ def fill_strips(
     every, rough : (lines, STRIPS) uint64
         Slots with a shot, and with a rough one; bit 0 begins at the ground.
     length_m, wall_m, place, top_m : (lines, STRIPS) float32
-        Height that the shots of a strip stand for; that of smooth upright ones; the sum of side times height of these;
-        the height above the scanner of the highest of these, :data:`NO_TOP` = none.
+        Sum of the height extents of a strip's shots; the same of smooth upright ones; sum of side times height extent
+        of these; height of the highest of these above the scanner, :data:`NO_TOP` = none.
     levels : (lines, 2 STRIPS) uint8
         1 where a smooth level surface is.
     """
@@ -244,7 +244,7 @@ def fill_strips(
 
 @kernel("uint64[:, ::1](uint64[:, ::1])")
 def widen_slots(slots: Slots) -> Slots:
-    """Put the slots of a line together with those of the lines and strips around.
+    """Combine the slots of a line with those of the lines and strips around.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def widen_slots(slots: Slots) -> Slots:
 
 @kernel("uint8[:, ::1](uint8[:, ::1])")
 def widen_levels(levels: U8) -> U8:
-    """Put the level surfaces of a line together with those of the lines around.
+    """Combine the level surfaces of a line with those of the lines around.
 
     Parameters
     ----------
@@ -317,7 +317,7 @@ def _top_around(values: F32, line: int, lines: F32, tops: F32) -> None:
 
 @helper
 def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, found: tuple[F32, F32, F32]) -> None:
-    """Tell every strip of a line of the wall before it, seen from the scanner, and of the wall behind it."""
+    """Write for every strip of a line the wall in front of it, seen from the scanner, and the wall behind it."""
     at, top, ahead = found
     half = STRIPS // 2
     for s in range(2):
@@ -341,7 +341,7 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, 
 
 @kernel(UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), named(WallThresholds, float32)))
 def find_walls(sums: tuple[F32, F32, F32, F32], thresholds: WallThresholds) -> tuple[F32, F32, F32]:
-    """Find the walls beside every line: strips where most of what stands is smooth and upright, and high enough.
+    """Find the walls beside every line: strips with enough smooth upright surface.
 
     Parameters
     ----------

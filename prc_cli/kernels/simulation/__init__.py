@@ -1,1 +1,1 @@
-"""Compiled loops of the simulator: rays, surfaces, what the sensor makes of them."""
+"""Compiled loops of the simulator: rays, surfaces, sensor."""

@@ -1,9 +1,9 @@
 """The loop that finds the nearest surface of every shot of a simulated scan.
 
 The shots of a line lie nearly in one plane, and their angle within it rises or falls with the column. Hence bodies
-are first cut with the plane of the line, in groups and then one by one, and what is left covers a window of columns.
-How far the shots of a line stray from its plane is measured, not assumed, and every cut is widened by it: no cut
-changes a result.
+are first intersected with the plane of the line, in groups and then one by one; the intersection covers a window of
+columns. How far the shots stray from the plane is measured, and every test is widened by it, so that none changes a
+result.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from prc_cli.kernels.signatures import Tuple, float64, int32, int64, named, uint
 _BODIES = named(CastBodies, float64[:, ::1], shape=uint8[::1], density=float64[::1], number=float64[::1])
 
 _TRIANGLE, _CONE, _ELLIPSOID = 0, 1, 2
-_GROUP = 16  # bodies that are cut together
+_GROUP = 16  # bodies that are tested together
 _CELL_M = 0.25  # clumps of leaves [m]
 _FLAT = 1e-5  # smallest sine between two edges of a triangle, and between a shot and a triangle
 _EDGE = 1e-9  # share of an edge by which triangles overlap, so that no shot slips between them
 _IS_READY = 13  # place of the mark that a body is prepared
-_FARTHEST_M = 1e9  # a shot that begins behind this is not cast
+_FARTHEST_M = 1e9  # a shot that begins farther out is not cast
 
-# odd numbers that keep apart what is drawn from the same seed
+# odd numbers, one for each purpose of random numbers from the same seed
 _BODY, _SHOT, _CAST = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xD1B54A32D192ED03), np.uint64(0x8CB92BA72F3D8DD7)
 _PATH, _LEAF, _ZERO = np.uint64(0xABC98388FB8FAC03), np.uint64(0x2545F4914F6CDD1D), np.uint64(0)
 _X, _Y, _Z = np.uint64(0xD6E8FEB86659FD93), np.uint64(0xA0761D6478BD642F), np.uint64(0xE7037ED1A0B428DB)
@@ -68,7 +68,7 @@ class _Bins(NamedTuple):
 
 @helper
 def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
-    """Say what a body lies in: three points and a distance around their triangle."""
+    """Write what encloses a body: three points, and a distance around their triangle."""
     if shape == _TRIANGLE:
         for k in range(9):
             hull[j, k] = numbers[k]
@@ -78,7 +78,7 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
         for k in range(6):
             hull[j, k] = numbers[k]
         hull[j, 9] = max(numbers[6], numbers[7])
-    else:  # the longest axis, and what stands out at its sides
+    else:  # the longest axis, and the extent at its sides
         longest = 3
         for k in range(4, 6):
             if numbers[k] > numbers[longest]:
@@ -99,7 +99,7 @@ def _wrap(shape: int, numbers: F64, turn: F64, hull: F64, j: int) -> None:
 
 @helper
 def _prepare(shape: int, numbers: F64, turn: F64, ready: F64) -> None:
-    """Say what a body is to a shot: what can be computed once for all shots."""
+    """Write the numbers of a body that can be computed once for all shots."""
     for k in range(6):
         ready[k] = numbers[k]
     if shape == _TRIANGLE:
@@ -126,7 +126,7 @@ def _prepare(shape: int, numbers: F64, turn: F64, ready: F64) -> None:
 
 @helper
 def _bound_groups(hull: F64, velocity: F64, order: I64, middle: float, half: float) -> F64:
-    """Put a sphere around successive bodies, wherever they are within half a time of the middle of the block."""
+    """Return spheres around successive bodies, wherever these are within ``half`` of the middle of the block's time."""
     n = len(order)
     groups = np.empty(((n + _GROUP - 1) // _GROUP, 4))
     for g in range(len(groups)):
@@ -155,7 +155,7 @@ def _bound_groups(hull: F64, velocity: F64, order: I64, middle: float, half: flo
 
 @helper
 def _middle(numbers: F64) -> tuple[float, float]:
-    """Return the middle between the smallest and the largest number, and half the way from one to the other."""
+    """Return the middle between the smallest and the largest number, and half their difference."""
     low = high = numbers[0]
     for i in range(1, len(numbers)):
         low = numbers[i] if numbers[i] < low else low
@@ -165,7 +165,7 @@ def _middle(numbers: F64) -> tuple[float, float]:
 
 @helper
 def _read_line(origin: F64, direction: F64, time_s: F64, t_min: F64, line: int, rays: F64) -> None:
-    """Take the shots of a line apart into rows."""
+    """Write the shots of a line in rows: origin, direction, time, least range."""
     for i in range(rays.shape[1]):
         for k in range(3):
             rays[k, i] = origin[line, i, k]
@@ -176,7 +176,7 @@ def _read_line(origin: F64, direction: F64, time_s: F64, t_min: F64, line: int, 
 
 @helper
 def _measure_line(rays: F64, angle: F64) -> _Frame:
-    """Lay a plane through the shots of a line, and measure how far they stray from it."""
+    """Fit a plane to the shots of a line and measure how far they stray from it; write their angles in it."""
     normal, first, second = _lay_plane(rays)
     centre = _middle(rays[0])[0], _middle(rays[1])[0], _middle(rays[2])[0]
     stray = out = tilt = 0.0
@@ -205,7 +205,7 @@ def _measure_line(rays: F64, angle: F64) -> _Frame:
 def _lay_plane(
     rays: F64,
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
-    """Find the axes of a line: the normal of its plane, where its first shot goes, and what is square to both."""
+    """Return the axes of a line: the normal of its plane, the direction of its first shot, and the third axis."""
     m = rays.shape[1]
     quarter = max(m // 4, 1)
     nx = ny = nz = 0.0
@@ -232,7 +232,7 @@ def _lay_plane(
 
 @helper
 def _diamond(x: float, y: float) -> float:
-    """Return a number that rises with the angle of a vector, 1 for a right angle, 0 to 4; quicker than the angle."""
+    """Return a number from 0 to 4 that rises with the angle of a vector, 1 per right angle; faster than the angle."""
     total = abs(x) + abs(y)
     if total == 0.0:
         return 0.0
@@ -243,7 +243,7 @@ def _diamond(x: float, y: float) -> float:
 
 @helper
 def _tabulate(angle: F64, first: I64, last: I64) -> _Bins:
-    """Note for every small step of angle the first column at or after it, and the last at or before it."""
+    """Write for every small step of angle the first column at or after it, and the last at or before it."""
     m, n_bins = len(angle), len(first)
     middle, half = _middle(angle)
     begin, end = middle - half - 1e-9, middle + half + 1e-9
@@ -325,7 +325,7 @@ def _span(corners: F64, top: float, margin: float) -> tuple[float, float, float]
         How much the triangle is widened in the plane [m].
     """
     low, high, near, middle = np.inf, -np.inf, np.inf, np.nan
-    # what is left between the two heights is convex, its corners lie on the edges, the outermost angles at corners
+    # the part between the two heights is convex: its corners lie on the edges, its outermost angles at corners
     for corner in range(3):
         other = corner + 1 if corner < 2 else 0
         h, rise = corners[corner, 0], corners[other, 0] - corners[corner, 0]

@@ -1,4 +1,4 @@
-"""What a scanner says of the surfaces that its beams meet: echoes, their mixture, loss, noise and stray light.
+"""Loops of the simulated sensor, from surfaces to ranges: echoes, their mixture, loss, noise and stray light.
 
 Random numbers are hashes of seed, line, column and purpose, so that they depend on nothing else. Powers are in 1/m²:
 share of the light that comes back from a surface, times the cosine of incidence, over the square of the range.
@@ -20,14 +20,14 @@ LABEL_MISSING, LABEL_NOISE = 0, 2
 
 _FOR_NOISE, _FOR_LOSS, _FOR_STRAY, _FOR_PLACE, _FOR_GLASS, _FOR_LEAVES, _FOR_EDGE, _FOR_ECHO, _FOR_SKY = range(9)
 _WHITE = 0.9
-"""Share of light that comes back from what data sheets call white."""
+"""Reflectance of what data sheets call white."""
 _FLASH = 0.9986
-"""Cosine of three degrees: glass that is met squarely mirrors the beam back."""
+"""Cosine of three degrees: glass at nearly normal incidence mirrors the beam back."""
 _SKY_COLUMNS, _SKY_LINES = 24, 100
-"""Bright patches of the sky: so many to a line, and of so many lines."""
+"""Bright patches of the sky: number in a line, and lines of each."""
 
 _GHOST_REFLECTANCE = 0.1
-"""Of what a pane mirrors, the loss at the pane included twice."""
+"""Of what a pane mirrors, with the loss at the pane, twice."""
 _NOTHING = 128
 """Bit of a shot that meets nothing."""
 _T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
@@ -81,7 +81,7 @@ def _slope(facing: float) -> float:
 
 @helper
 def _goes_on(key: np.uint64, column: int, what: int, facing: float, model: SensorModel) -> bool:
-    """Tell whether what lies behind the first surface matters: seen through glass, or passing by a leaf."""
+    """Return whether the light goes on behind the first surface: through glass, or past a leaf."""
     if what & GLASS:
         return abs(facing) < _FLASH and _draw(key, column, _FOR_GLASS) >= model.pane_share + model.ghost_share
     return what & LEAVED != 0 and model.max_returns > 1 and _draw(key, column, _FOR_LEAVES) < model.leaves_share
@@ -102,13 +102,13 @@ def _prepare(t: F64, body: I32, facing: F64, surface: F64, kind: U8, model: Sens
         work[_POWER, column] = surface[one, 0] * _cosine(facing[column]) / (t[column] * t[column])
         slope = _slope(facing[column])
         work[_SLOPE, column] = 0.0 if kind[one, 1] & LEAVED else slope
-        # slanted planes have steps too; of round bodies and leaves the slope says nothing of their edge
+        # slanted planes have steps too; the slope of round bodies and leaves is not that of their edge
         work[_STEEP, column] = 0.0 if kind[one, 1] & (LEAVED | CURVED) else slope
 
 
 @helper
 def _split(key: np.uint64, body: I32, work: F64, what: U8, model: SensorModel) -> None:
-    """Write the shares of every beam, up to half, that fall on what its neighbours see.
+    """Write the shares of every beam, up to half, that fall on the surfaces of the adjacent shots.
 
     An edge lies anywhere between two shots, each of which it splits if it is within its width.
     """
@@ -138,7 +138,7 @@ def _split(key: np.uint64, body: I32, work: F64, what: U8, model: SensorModel) -
 def _pane_echo(
     key: np.uint64, column: int, facing: float, mirrored: float, work: F64, model: SensorModel, echo: F64
 ) -> int:
-    """Write what glass answers of itself; return how many echoes that are."""
+    """Write the echo of glass itself, or of what it mirrors; return how many echoes there are, 0 or 1."""
     t = work[_T, column]
     echo[0, _T] = t
     echo[0, _POWER] = work[_POWER, column]
@@ -151,7 +151,7 @@ def _pane_echo(
     if chance >= model.pane_share + model.ghost_share:
         return 0
     if chance >= model.pane_share:
-        # what the pane mirrors lies as far before it as it seems behind; the same for all of a pane
+        # mirrored things seem to lie behind the pane, as far as they are in front; the same for the whole pane
         echo[0, _T] = t * (1.3 + 1.7 * mirrored)
         echo[0, _POWER] = _GHOST_REFLECTANCE / (echo[0, _T] * echo[0, _T])
         echo[0, _SLOPE] = 0.0
@@ -161,7 +161,7 @@ def _pane_echo(
 
 @helper
 def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: int) -> int:
-    """Put an echo in its place by range."""
+    """Insert an echo, by range; return how many there are now."""
     i = n
     while i > 0 and echo[i - 1, _T] > t:
         for j in range(_N_ECHO):
@@ -176,7 +176,7 @@ def _add_echo(echo: F64, n: int, t: float, power: float, slope: float, label: in
 
 @helper
 def _merge(echo: F64, n: int, model: SensorModel) -> int:
-    """Make one of echoes that the scanner cannot tell apart: all of them, or those within a pulse."""
+    """Merge echoes that the scanner cannot separate: all of them, or those within a pulse; return how many remain."""
     kept = 0
     for i in range(1, n):
         gap = echo[i, _T] - echo[kept, _T]
@@ -201,7 +201,7 @@ def _merge(echo: F64, n: int, model: SensorModel) -> int:
 
 @helper
 def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
-    """Tell whether an echo is found: half of those at the power of the half range, by the fourth power of it."""
+    """Return whether an echo is found: half of those at the power of the half range; odds by its fourth power."""
     strength = power / model.half_power
     fourth = strength * strength * strength * strength
     return bool(chance * (1.0 + fourth) < fourth * (1.0 - model.lost_share))
@@ -209,7 +209,7 @@ def _is_answered(power: float, chance: float, model: SensorModel) -> bool:
 
 @helper
 def _sigma(power: float, t: float, slope: float, model: SensorModel) -> float:
-    """Return the range noise: by weakness, and by the depth that the beam's width spans on a slanted surface."""
+    """Return the range noise: from weakness, and from the depth that the beam spans on a slanted surface."""
     width = model.exit_m + model.divergence * t
     return float(model.noise_m + model.noise_per_m * np.sqrt(_WHITE / power) + model.noise_spread * width * slope)
 
@@ -277,7 +277,7 @@ def _echoes(
     model: SensorModel,
     echo: F64,
 ) -> int:
-    """Write all that comes back of a shot, from near to far; return how many echoes that are."""
+    """Write the echoes of a shot, from near to far; return how many there are."""
     body, surface, kind = bodies
     n = 1
     if what[column] & GLASS:
@@ -325,7 +325,7 @@ def _measure(
 
 @helper
 def _find(key: np.uint64, column: int, model: SensorModel, quantiles: F64, echo: F64, n: int) -> int:
-    """Keep the echoes that are found, at most as many as the scanner gives, with noise on their ranges."""
+    """Keep the echoes that are found, at most as many as the scanner gives, with range noise."""
     found = 0
     for i in range(n):
         power, label = echo[i, _POWER], echo[i, _LABEL]
@@ -357,7 +357,7 @@ def _stray(
     echo: F64,
     n: int,
 ) -> int:
-    """Let background light replace or move the range of a continuous wave; return how many returns that makes."""
+    """Let background light replace or move the range of a continuous wave; return how many returns there are."""
     line, column, n_columns = place
     share = model.background_share
     if n == 0:
@@ -406,7 +406,7 @@ def sense(
     first_line: int,
     seed: int,
 ) -> tuple[F32, U8, F32, I32, F32, U8, F32]:
-    """Turn what the beams of consecutive lines meet into what the scanner says.
+    """Compute what the scanner measures of the surfaces that the beams of consecutive lines meet.
 
     Parameters
     ----------
@@ -414,7 +414,7 @@ def sense(
         Nearest surface of every shot, and the one behind it: range (lines, M) float64 [m] from the scanner, body
         (lines, M) int32, -1 = none, cosine of incidence (lines, M) float64. ``behind`` of no lines = not looked for.
     surface : (n, 2) float64
-        Of every body: share of light that comes back, and a number in 0..1 that tells what it mirrors.
+        Of every body: reflectance, and a number in 0..1 for the distance of what it mirrors.
     kind : (n, 2) uint8
         Of every body: label, and bits of what it is.
     model : SensorModel
@@ -477,7 +477,7 @@ def sense(
                     echo[0, _POWER] = power
                     echo[0, _LABEL] = LABEL_NOISE if wraps else work[_LABEL, column]
             if model.is_cw:
-                # most shots are far from straying
+                # most shots do not stray
                 chance = _draw(key, column, _FOR_STRAY)
                 if chance < (stray_with if n > 0 else stray_without):
                     place = (first_line + i, column, m)
