@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState
 from prc_cli.reference.sequential_angle import curb as oracle_curb
 from prc_cli.reference.sequential_angle.ground import histogram_of, potential_heights, to_bin
 
@@ -100,7 +101,14 @@ def possible_case(rng: Generator) -> tuple[Any, ...]:
     xyz[surface == 0] = np.nan
     ground = (surface == 2) & (np.arange(shape[1]) < rng.integers(0, shape[1] + 1, (shape[0], 1)))
     z_g = np.full(shape[0], rng.choice([-1.8, -2.5]), np.float32)
-    return surface, range_m, xyz, ground, z_g, int(rng.choice([1, 5, 30])), float(rng.choice([0.01, 0.0078125])), 2.0
+    thresholds = (
+        CurbParams()
+        .thresholds()
+        ._replace(
+            under_points=int(rng.choice([1, 5, 30])), under_m=float(rng.choice([0.01, 0.0078125])), search_height_m=2.0
+        )
+    )
+    return surface, range_m, xyz, ground, z_g, thresholds
 
 
 def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tuple[Any, ...]:
@@ -120,23 +128,31 @@ def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tu
 def connect_case(rng: Generator) -> tuple[Any, ...]:
     """A call in the middle of a stream: what came before is what the twin itself carried over."""
     n_sides, n = int(rng.integers(1, 3)), int(rng.choice([1, 3, 8, 16]))
-    min_lines = int(rng.choice([1, 2, 3, 5]))
-    rules = (
-        float(rng.choice([0.3, 0.25, 0.125])), float(rng.choice([0.2, 0.125])), min_lines, 20.0,
-        int(rng.choice([1, 2, 4, 200])), bool(rng.random() < 0.5),
-    )  # fmt: skip
-    state: tuple[Any, ...] = (
-        np.zeros((n_sides, n), np.int32), 1, np.full((n_sides, n, 3), np.nan, np.float32),
-        np.full(((min_lines - 1) * n_sides, n), np.nan, np.float32), np.zeros((0, 4), np.int32),
-        np.zeros((0, 2), np.float32),
-    )  # fmt: skip
+    thresholds = (
+        CurbParams(min_lines=1)
+        .thresholds()
+        ._replace(
+            min_lines=int(rng.choice([1, 2, 3, 5])),
+            grouping_m=float(rng.choice([0.3, 0.25, 0.125])),
+            max_height_m=float(rng.choice([0.2, 0.125])),
+            max_lines=int(rng.choice([1, 2, 4, 200])),
+            by_line=bool(rng.random() < 0.5),
+        )
+    )
+    regions, above, angles = (
+        CurbState.start(n_sides, n, CurbParams()).regions,
+        np.full((n_sides, n, 3), np.nan, np.float32),
+        np.full(((thresholds.min_lines - 1) * n_sides, n), np.nan, np.float32),
+    )
     for _ in range(rng.integers(0, 3)):
         surface, xyz, signed, possible = lines_of_verticals(rng, int(rng.integers(1, 4)), n_sides, n)
-        _, *left = oracle_curb.connect_verticals(surface, xyz, signed, possible, n_sides, *state, *rules, False)
-        angles = np.concatenate([state[3], signed])
-        state = (left[0], left[1], xyz[-n_sides:].copy(), angles[len(angles) - len(state[3]) :], left[2], left[3])
+        _, regions = oracle_curb.connect_verticals(
+            surface, xyz, signed, possible, n_sides, above, angles, regions, thresholds, False
+        )
+        above = xyz[-n_sides:].copy()
+        angles = np.concatenate([angles, signed])[len(signed) :]
     new = lines_of_verticals(rng, int(rng.integers(0, 6)), n_sides, n)
-    return *new, n_sides, *state, *rules, bool(rng.random() < 0.3)
+    return *new, n_sides, above, angles, regions, thresholds, bool(rng.random() < 0.3)
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

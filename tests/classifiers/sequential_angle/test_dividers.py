@@ -245,6 +245,6 @@ def test_hostile_row_takes_no_more_than_a_moment() -> None:
     params = DividersParams(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
     intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params, range_noise_m=NOISE_M)
     assert intervals[:, 0].max() <= 3
-    assert (
-        kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, 1.0, 0.0).shape[1] == 3
-    )
+    limits = params.thresholds(NOISE_M)._replace(vertical_extent_m=1.0, vertical_break_m=0.0)
+    left = kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, limits)
+    assert left.shape[1] == 3
