@@ -22,7 +22,10 @@ _VERTICAL = 3
 
 
 class _Table(NamedTuple):
-    """All regions by label, the fixed ones included, and the labels of all lines."""
+    """All regions by label, the fixed ones included, and the labels of all lines.
+
+    Take its arrays before a loop, not in it: numba counts the reference every time.
+    """
 
     parent: I32
     """Label of the region that this one has become a part of, its own while it is one by itself."""
@@ -41,7 +44,7 @@ class _Table(NamedTuple):
     """(lines * sides, n) int32, label of every point."""
 
 
-@helper
+@inlined
 def _lies_over(farthest: F32, count: int, reach: int, own: float, under: float) -> bool:
     """Tell whether one of the valid points before lies farther away than a point."""
     most = own
@@ -129,7 +132,7 @@ def _near(here: F32, k: int, there: F32, j: int, reach_2: float) -> bool:
     return bool(dx * dx + dy * dy + dz * dz < reach_2)
 
 
-@helper
+@inlined
 def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> int:
     """Make two regions one."""
     parent, last, low, high = table.parent, table.last, table.low, table.high
@@ -213,6 +216,7 @@ def _connect_row(
     side, line = row % n_sides, row // n_sides
     own, up = table.labels[row], table.labels[row - n_sides]
     parent, low, high = table.parent, table.low, table.high
+    sides, first, last, possible = table.side, table.first, table.last, table.possible
     reach_2 = thresholds.grouping_m * thresholds.grouping_m
     n_new = 0
     for k in range(n):
@@ -232,9 +236,9 @@ def _connect_row(
         else:
             label = n_ids + n_new
             parent[label] = label
-            table.side[label] = side
-            table.first[label] = table.last[label] = line
-            table.possible[label] = False
+            sides[label] = side
+            first[label] = last[label] = line
+            possible[label] = False
             low[label] = high[label] = z
             n_new += 1
         for j in range(max(k - 1, 0), min(k + 2, n)):
@@ -245,7 +249,7 @@ def _connect_row(
                 continue
             label = _join(table, label, other, thresholds)
         if k == start and label != HIGH:
-            table.possible[label] = True
+            possible[label] = True
         own[k] = label
     return n_new
 
@@ -255,11 +259,12 @@ def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int)
     """Return a table with room for so many lines and labels that holds the regions that are open."""
     n = regions.labels.shape[1]
     labels = np.empty((n_lines * n_sides, n), np.int32)
-    for row in range(len(regions.labels)):
+    before = regions.labels
+    for row in range(len(before)):
         for k in range(n):
-            labels[row, k] = regions.labels[row, k]
+            labels[row, k] = before[row, k]
     table = _Table(
-        parent=np.arange(capacity).astype(np.int32),
+        parent=np.empty(capacity, np.int32),
         side=np.empty(capacity, np.int32),
         first=np.empty(capacity, np.int32),
         last=np.empty(capacity, np.int32),
@@ -268,6 +273,8 @@ def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int)
         high=np.empty(capacity, np.float32),
         labels=labels,
     )
+    for label in range(FIRST_REGION + len(regions.side)):
+        table.parent[label] = label
     for i in range(len(regions.side)):
         label = FIRST_REGION + i
         table.side[label] = regions.side[i]
@@ -280,7 +287,8 @@ def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int)
 @helper
 def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) -> OpenRegions:
     """Return rows and regions for the next call: labels that stand for themselves, numbered as they come."""
-    n_rows, n = table.labels.shape
+    labels, parent = table.labels, table.parent
+    n_rows, n = labels.shape
     first_row = begin * n_sides
     left = np.empty((n_rows - first_row, n), np.int32)
     number = np.zeros(n_ids, np.int32)
@@ -290,8 +298,8 @@ def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) ->
     n_left = 0
     for row in range(n_rows - first_row):
         for k in range(n):
-            label = table.labels[row + first_row, k]
-            label = _root(table.parent, label) if label > HIGH else label
+            label = labels[row + first_row, k]
+            label = _root(parent, label) if label > HIGH else label
             if label != NONE and number[label] == 0:
                 number[label] = FIRST_REGION + n_left
                 n_left += 1
@@ -315,12 +323,6 @@ def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) ->
             found.possible[i] = table.possible[label]
             found.low_m[i], found.high_m[i] = table.low[label], table.high[label]
     return found
-
-
-@helper
-def _is_going_on(table: _Table, label: int, line: int, max_lines: int) -> bool:
-    """Tell whether a region got something from a line, and may get more."""
-    return bool(table.last[label] == line and line - table.first[label] + 1 < max_lines)
 
 
 @kernel(
@@ -378,6 +380,7 @@ def connect_verticals(
             n_vertical += surface[row, k] == _VERTICAL
     n_ids = FIRST_REGION + len(regions.side)
     table = _open_table(regions, n_sides, n_lines, n_ids + n_vertical)
+    parent, first_line, last_line, labels = table.parent, table.first, table.last, table.labels
     undecided = np.empty((n_sides, n_ids + n_vertical), np.int32)
     n_undecided = np.zeros(n_sides, np.int64)
     for label in range(FIRST_REGION, n_ids):
@@ -399,9 +402,9 @@ def connect_verticals(
         kept = 0
         for i in range(n_undecided[side]):
             label = undecided[side, i]
-            if table.parent[label] != label:
+            if parent[label] != label:
                 continue
-            if _is_going_on(table, label, line, thresholds.max_lines):
+            if last_line[label] == line and line - first_line[label] + 1 < thresholds.max_lines:
                 undecided[side, kept] = label
                 kept += 1
             else:
@@ -415,13 +418,13 @@ def connect_verticals(
             if last:
                 _decide(table, signed, above_signed, label, n_sides, thresholds)
             else:
-                first_open = min(first_open, table.first[label])
+                first_open = min(first_open, first_line[label])
 
     curb = np.empty(((first_open - regions.n_given) * n_sides, n), np.bool_)
     for row in range(len(curb)):
         for k in range(n):
-            label = table.labels[row + regions.n_given * n_sides, k]
-            curb[row, k] = label > HIGH and _root(table.parent, label) == CURB
+            label = labels[row + regions.n_given * n_sides, k]
+            curb[row, k] = label > HIGH and _root(parent, label) == CURB
     begin = min(first_open, n_lines - 1)
     n_given = n_lines - begin if first_open == n_lines else 0
     return curb, _carry(table, n_sides, begin, n_given, n_ids)

@@ -281,32 +281,31 @@ def car_intervals(
 
 @helper
 def _vertical_run(
-    surface: U8, xyz_m: F32, horizontal_m: F32, k: int, stop: int, n: int, extent_m: float, break_m: float
+    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, k: int, stop: int, n: int, extent_m: float, break_m: float
 ) -> tuple[int, int, bool]:
-    """Follow the vertical run that begins at a return as far as is needed to know whether it is long.
+    """Follow the vertical run that begins at a beam as far as is needed to know whether it is long.
 
-    Returns the beam to go on from, the last return before it that lies in the interval, and whether the run is long. A
-    return that is not vertical is passed by itself.
+    Returns the beam after it, its last return that lies in the interval, and whether it is long.
     """
-    before = horizontal_m[k]
+    before = horizontal_m[row, k]
     last = k
     long = False
     lowest = np.inf
     highest = -np.inf
     j = k
     while j < n and (j < stop or not long):
-        here = horizontal_m[j]
+        here = horizontal_m[row, j]
         if here == here:
-            if surface[j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > break_m:
+            if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > break_m:
                 break
-            height = np.float64(xyz_m[j, 2])
+            height = np.float64(xyz_m[row, j, 2])
             lowest = min(lowest, height)
             highest = max(highest, height)
             long = highest - lowest >= extent_m
             before = here
             last = j if j < stop else last
         j += 1
-    return max(j, k + 1), last, long
+    return j, last, long
 
 
 @kernel(
@@ -350,8 +349,13 @@ def cut_verticals(
             if horizontal_m[row, k] != horizontal_m[row, k]:
                 k += 1
                 continue
+            if surface[row, k] != _VERTICAL:
+                begin = k if begin < 0 else begin
+                end = k
+                k += 1
+                continue
             after, last, long = _vertical_run(
-                surface[row], xyz_m[row], horizontal_m[row], k, stop, n,
+                surface, xyz_m, horizontal_m, row, k, stop, n,
                 thresholds.vertical_extent_m, thresholds.vertical_break_m,
             )  # fmt: skip
             if long:

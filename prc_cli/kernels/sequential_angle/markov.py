@@ -140,17 +140,19 @@ def _sequential_test(
     onset : int
         First sample after the last restart.
     """
+    transition_0, initial_0 = h0.transition, h0.initial  # here, not in the loop: every time an array is taken is counted
+    transition_1, initial_1 = h1.transition, h1.initial
     p = (0.0, 0.0, 0.0)
     q = (0.0, 0.0, 0.0)
     onset = begin
     for t in range(begin, end):
         d = (density[0, t], density[1, t], density[2, t])
         if t == onset:
-            p = _first(h1.initial, d)
-            q = _first(h0.initial, d)
+            p = _first(initial_1, d)
+            q = _first(initial_0, d)
         else:
-            p = _forward(p, h1.transition, d)
-            q = _forward(q, h0.transition, d)
+            p = _forward(p, transition_1, d)
+            q = _forward(q, transition_0, d)
         l1 = p[0] + p[1] + p[2]
         l0 = q[0] + q[1] + q[2]
         if l1 > upper * l0:
