@@ -140,7 +140,10 @@ def _sequential_test(
     onset : int
         First sample after the last restart.
     """
-    transition_0, initial_0 = h0.transition, h0.initial  # here, not in the loop: every time an array is taken is counted
+    transition_0, initial_0 = (
+        h0.transition,
+        h0.initial,
+    )  # here, not in the loop: every time an array is taken is counted
     transition_1, initial_1 = h1.transition, h1.initial
     p = (0.0, 0.0, 0.0)
     q = (0.0, 0.0, 0.0)
