@@ -76,10 +76,10 @@ def _signatures(signatures: Sequence[str], tuples: Sequence[type[tuple[Any, ...]
     """Return signatures as numba takes them: strings, or what they stand for where they name tuples."""
     if not tuples:
         return list(signatures)
-    names = dict(vars(numba.types))
+    names: dict[str, Any] = dict(vars(numba.types))
     for cls in tuples:
         fields = get_type_hints(cls, include_extras=True).values()
-        names[cls.__name__] = numba.types.BaseTuple.from_types([_numba_type(field, names) for field in fields], cls)
+        names[cls.__name__] = names["BaseTuple"].from_types([_numba_type(field, names) for field in fields], cls)
     return [eval(signature, {}, names) for signature in signatures]  # which is what numba does with them
 
 
