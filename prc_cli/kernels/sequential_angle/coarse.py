@@ -40,7 +40,9 @@ def _first_label(tilt: F64, begin: int, end: int) -> int:
 
 
 @inlined
-def _label_run(tilt: F64, beam: U32, begin: np.uint64, end: np.uint64, labels: U8, thresholds: SurfaceThresholds) -> None:
+def _label_run(
+    tilt: F64, beam: U32, begin: np.uint64, end: np.uint64, labels: U8, thresholds: SurfaceThresholds
+) -> None:
     """Label the samples of a run by the CUSUM test for a change of their mean."""
     label = _HORIZONTAL
     if not thresholds.start_horizontal:
