@@ -10,13 +10,13 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numba
 from numba.core.errors import NumbaError
@@ -28,7 +28,10 @@ FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 _HELPER = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
-def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
+_SCALARS = {float: "float64", int: "int64", bool: "boolean"}
+
+
+def kernel(*signatures: Any, tuples: Sequence[type[tuple[Any, ...]]] = ()) -> Callable[[FunctionT], FunctionT]:
     """Compile a function for the given numba signatures when its module is imported.
 
     No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
@@ -38,7 +41,10 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
     Parameters
     ----------
     signatures : str or numba signature
-        Strings, or signature objects; arguments of other types are converted or refused, never compiled anew.
+        Numba signatures; arguments of other types are converted or refused, never compiled anew.
+    tuples : sequence of NamedTuple classes
+        Those that the signatures name. Their fields are ``float``, ``int``, ``bool``, other tuples of the sequence
+        before them, or arrays annotated with their numba type: ``Annotated[F32, "float32[:, ::1]"]``.
 
     Returns
     -------
@@ -50,16 +56,18 @@ def kernel(*signatures: Any) -> Callable[[FunctionT], FunctionT]:
         jit: Any = numba.njit  # typed by some versions of numba and not by others
         options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         folder = writable_cache()
+        types = _signatures(signatures, tuples)
         if folder is not None:
             try:
-                with _numba_cache(folder / _layout(signatures)):
-                    cached: FunctionT = jit(list(signatures), cache=True, **options)(function)
+                sub = _fields(tuples) if tuples else _layout(signatures)
+                with _numba_cache(folder / sub):
+                    cached: FunctionT = jit(types, cache=True, **options)(function)
                 return cached
             except NumbaError:
                 raise
             except Exception:  # a damaged, full or vanished cache, in whatever way: do without it
                 pass
-        in_memory: FunctionT = jit(list(signatures), **options)(function)
+        in_memory: FunctionT = jit(types, **options)(function)
         return in_memory
 
     return compiled
@@ -75,6 +83,30 @@ def _layout(signatures: Iterable[Any]) -> str:
     arguments = (argument for signature in signatures if not isinstance(signature, str) for argument in signature.args)
     fields = [one.fields for one in arguments if isinstance(one, (types.NamedTuple, types.NamedUniTuple))]
     return sha256(repr(fields).encode()).hexdigest()[:16] if fields else ""
+
+
+def _signatures(signatures: Sequence[str], tuples: Sequence[type[tuple[Any, ...]]]) -> list[Any]:
+    """Return signatures as numba takes them: strings, or what they stand for where they name tuples."""
+    if not tuples:
+        return list(signatures)
+    names: dict[str, Any] = dict(vars(numba.types))
+    for cls in tuples:
+        fields = get_type_hints(cls, include_extras=True).values()
+        names[cls.__name__] = names["BaseTuple"].from_types([_numba_type(field, names) for field in fields], cls)
+    return [eval(signature, {}, names) for signature in signatures]  # which is what numba does with them
+
+
+def _numba_type(field: Any, names: dict[str, Any]) -> Any:
+    """Return the numba type of a field by its annotation."""
+    if get_origin(field) is Annotated:
+        return eval(get_args(field)[1], {}, names)
+    return names[_SCALARS.get(field, field.__name__)]
+
+
+def _fields(tuples: Sequence[type[tuple[Any, ...]]]) -> str:
+    """Name the folder for kernels that take tuples: numba would not see that a field has moved or has another name."""
+    known = repr([(cls.__name__, getattr(cls, "_fields", ())) for cls in tuples])
+    return f"tuples-{sha256(known.encode()).hexdigest()[:8]}"
 
 
 def helper(function: FunctionT) -> FunctionT:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.core.sequential_angle import ChordThresholds, MarkovModel, MarkovThresholds, SurfaceThresholds
 from prc_cli.core.types import F32, I32
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]
@@ -40,9 +41,12 @@ def points(rng: Generator, n_rows: int, n: int) -> tuple[F32, F32]:
 def chord_case(rng: Generator) -> tuple[Any, ...]:
     n_rows, n = shape(rng)
     ranges, xyz = points(rng, n_rows, n)
-    min_chord_m = float(rng.choice([0.0, 0.125, 0.25, 0.3, 1.0]))
-    depth_m = float(rng.choice([0.0, 0.125, 0.2]))
-    return ranges, xyz, lengths(rng, n_rows, n), min_chord_m, depth_m, int(rng.choice([1, 2, 5, 256]))
+    thresholds = ChordThresholds(
+        min_chord_m=float(rng.choice([0.0, 0.125, 0.25, 0.3, 1.0])),
+        depth_m=float(rng.choice([0.0, 0.125, 0.2])),
+        max_shots=int(rng.choice([1, 2, 5, 256])),
+    )
+    return ranges, xyz, lengths(rng, n_rows, n), thresholds
 
 
 def signed(rng: Generator, n_rows: int, n: int) -> F32:
@@ -89,18 +93,19 @@ MODELS = [
 def hmm_case(rng: Generator) -> tuple[Any, ...]:
     means, sigmas, h0 = MODELS[rng.integers(len(MODELS))]
     starts = [[1 / 3, 1 / 3, 1 / 3], [0.2, 0.3, 0.5], [0.05, 0.475, 0.475]]
-    initial_h0, initial_h1 = (starts[i] for i in rng.integers(3, size=2))
-    return (
-        signed(rng, *shape(rng)),
-        *(np.array(value, np.float64) for value in (means, sigmas, h0, FAST, initial_h0, initial_h1)),
-        float(rng.choice([0.5, 2.5, 10.0])),
-        float(rng.choice([0.5, 2.5, 10.0])),
-        bool(rng.random() < 0.5),
-        bool(rng.random() < 0.5),
-        float(rng.choice([1.0, 3.0, 10.0])),
-        float(rng.choice([-1.0, -2.5, -5.0])),
-        int(rng.choice([0, 1, 5, 20])),
+    initial_h0, initial_h1 = (np.array(starts[i]) for i in rng.integers(3, size=2))
+    values = signed(rng, *shape(rng))
+    thresholds = MarkovThresholds(
+        threshold=float(rng.choice([0.5, 2.5, 10.0])),
+        threshold_back=float(rng.choice([0.5, 2.5, 10.0])),
+        backdate=bool(rng.random() < 0.5),
+        sprt=bool(rng.random() < 0.5),
+        accept=float(rng.choice([1.0, 3.0, 10.0])),
+        reject=float(rng.choice([-1.0, -2.5, -5.0])),
+        merge_gap=int(rng.choice([0, 1, 5, 20])),
     )
+    gaussians = (np.array(means, np.float64), np.array(sigmas, np.float64))
+    return values, *gaussians, MarkovModel(np.array(h0), initial_h0), MarkovModel(FAST, initial_h1), thresholds
 
 
 def surface_case(rng: Generator) -> tuple[Any, ...]:
@@ -111,8 +116,8 @@ def surface_case(rng: Generator) -> tuple[Any, ...]:
     drifts = rng.choice([30.0, 45.0, 60.0], 2)
     thresholds = rng.choice([0.0, 15.0, 30.0, 45.0, 90.0], 2)
     flags = (bool(flag) for flag in rng.random(3) < 0.5)
-    cusum = (float(drifts[0]), float(thresholds[0]), float(drifts[1]), float(thresholds[1]))
-    return angles, vegetation, ranges, lengths(rng, n_rows, n), *cusum, *flags
+    cusum = SurfaceThresholds(float(drifts[0]), float(thresholds[0]), float(drifts[1]), float(thresholds[1]), *flags)
+    return angles, vegetation, ranges, lengths(rng, n_rows, n), cusum
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.core.sequential_angle import DividerThresholds, FourierThresholds
 from prc_cli.core.types import F32, F64, I32, U8
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)
@@ -72,17 +73,25 @@ def interval_case(rng: Generator) -> tuple[Any, ...]:
         n_beams,
         rng.random(len(surface)) < 0.8,
         heights(rng, len(surface)),
-        float(rng.choice([2.0, 100.0])),
-        -5.0,
-        20.0,
-        float(rng.choice([0.0, 0.08, 0.25, 0.75])),
-        int(rng.choice([1, 4, 200])),
-        int(rng.choice([0, 1, 30])),
-        float(rng.choice([0.0, 0.01])),
-        4.0,
-        float(rng.choice([0.5, 1.5, 3.0])),
-        0.0503,
-        float(np.tan(np.deg2rad(rng.choice([10.0, 25.0])))),
+        divider_thresholds(rng),
+    )
+
+
+def divider_thresholds(rng: Generator) -> DividerThresholds:
+    return DividerThresholds(
+        height_m=float(rng.choice([2.0, 100.0])),
+        sudden_from_deg=-5.0,
+        sudden_to_deg=20.0,
+        chord_m=float(rng.choice([0.0, 0.08, 0.25, 0.75])),
+        chord_reach=int(rng.choice([1, 4, 200])),
+        under_points=int(rng.choice([0, 1, 30])),
+        under_m=float(rng.choice([0.0, 0.01])),
+        separation_m=4.0,
+        flat_length_m=float(rng.choice([0.5, 1.5, 3.0])),
+        flat_residual_m=0.0503,
+        flat_slope=float(np.tan(np.deg2rad(rng.choice([10.0, 25.0])))),
+        vertical_extent_m=float(rng.choice([0.0, 0.25, 1.25])),
+        vertical_break_m=float(rng.choice([0.0, 0.25, 1.0])),
     )
 
 
@@ -99,8 +108,7 @@ def intervals(rng: Generator, surface: U8) -> I32:
 def cut_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
     _, xyz, horizontal = geometry(rng, surface)
-    limits = float(rng.choice([0.0, 0.25, 1.25])), float(rng.choice([0.0, 0.25, 1.0]))
-    return surface, xyz, horizontal, n_beams, intervals(rng, surface), *limits
+    return surface, xyz, horizontal, n_beams, intervals(rng, surface), divider_thresholds(rng)
 
 
 def high_case(rng: Generator) -> tuple[Any, ...]:
@@ -119,8 +127,13 @@ def spectrum_case(rng: Generator) -> tuple[Any, ...]:
     edges = np.sort(rng.integers(0, n, (5, 2)), axis=1) if rng.random() < 0.7 else np.array([[0, n - 1]])
     rows = rng.integers(0, 2, (len(edges), 1))
     found = np.hstack([rows, edges]).astype(np.int32)
-    band, ratio = float(rng.choice([0.125, 0.25, 0.01, 0.45])), float(rng.choice([0.5, 0.25, 0.9]))
-    return signal.astype(np.float32), found, band, ratio, int(rng.choice([0, 1, 8])), int(rng.choice([8, 64, 2048]))
+    thresholds = FourierThresholds(
+        band=float(rng.choice([0.125, 0.25, 0.01, 0.45])),
+        ratio=float(rng.choice([0.5, 0.25, 0.9])),
+        min_points=int(rng.choice([0, 1, 8])),
+        window_points=int(rng.choice([8, 64, 2048])),
+    )
+    return signal.astype(np.float32), found, thresholds
 
 
 def shares(rng: Generator) -> float:

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState
+from prc_cli.classifiers.sequential_angle.ground import GroundParams
+from prc_cli.core.sequential_angle import GroundState
 from prc_cli.reference.sequential_angle import curb as oracle_curb
 from prc_cli.reference.sequential_angle.ground import histogram_of, potential_heights, to_bin
 
@@ -59,33 +62,41 @@ def rows(rng: Generator) -> tuple[Any, ...]:
     phihat[(surface != 2) | (ahead < 0) | (rng.random(shape) < rng.choice([0.0, 0.3]))] = np.nan
     n_beams = rng.integers(max(n - 3, 1), n + 1, n_rows).astype(np.int32)
     first_run = int(rng.choice([3, 4, 10]))
-    rules = (first_run, int(rng.choice([1, 5])), int(rng.choice([2, 3])), float(rng.choice([5.0, 2.0])), 3.0)
-    noise = float(rng.choice([0.0, 0.001, 0.005]))
+    thresholds = (
+        GroundParams()
+        .thresholds(float(rng.choice([0.0, 0.001, 0.005])))
+        ._replace(
+            first_run=first_run,
+            lowest_points=int(rng.choice([1, 5])),
+            height_points=int(rng.choice([0, 5, 12])),
+            mode_samples=int(rng.choice([2, 3])),
+            bandwidth_deg=float(rng.choice([5.0, 2.0])),
+            growth_points=int(rng.choice([2, 10])),
+            jump_m=float(rng.choice([0.1, 0.03, 100.0])),
+            growth_height_m=float(rng.choice([0.1, 0.01])),
+            bridge=int(rng.choice([0, 1, 4])),
+            bridge_height_m=float(rng.choice([0.05, 0.01, 100.0])),
+            resume=bool(rng.random() < 0.7),
+            start_heights=int(rng.choice([0, 5, 50])),
+            least_heights=int(rng.choice([1, 3])),
+            all_heights=bool(rng.random() < 0.5),
+            renew_every=bool(rng.random() < 0.5),
+            height_tolerance=float(rng.choice([0.1, 0.05])),
+            height_tolerance_m=float(rng.choice([0.0, 0.125])),
+        )
+    )
     horizontal = np.hypot(xyz[..., 0], xyz[..., 1])
-    local = (int(rng.choice([2, 10])), float(rng.choice([0.1, 0.03, 100.0])))
-    bridge = (int(rng.choice([0, 5, 12])), int(rng.choice([0, 1, 4])), float(rng.choice([0.05, 0.01, 100.0])))
-    return surface, xyz, horizontal, phihat, ahead, n_beams, (*rules, noise, *local, *bridge)
-
-
-def potential_case(rng: Generator) -> tuple[Any, ...]:
-    surface, xyz, horizontal, phihat, ahead, n_beams, rules = rows(rng)
-    return surface, xyz, horizontal, phihat, ahead, n_beams, *rules
+    return surface, xyz, horizontal, phihat, ahead, n_beams, thresholds
 
 
 def ground_case(rng: Generator) -> tuple[Any, ...]:
-    surface, xyz, horizontal, phihat, ahead, n_beams, rules = rows(rng)
+    *row, thresholds = rows(rng)
     known = [to_bin(z) for z in heights(rng, int(rng.choice([0, 3, 20])))]
-    memory = int(rng.choice([0, max(len(known), 1), 30]))
-    recent = np.array(known if memory else [], np.int32)
+    thresholds = thresholds._replace(memory_heights=int(rng.choice([0, max(len(known), 1), 30])))
+    recent = np.array(known if thresholds.memory_heights else [], np.int32)
     z_g = float(rng.choice([-1.8, -1.8, np.nan, -1.62, 0.0]))
-    state = (histogram_of(known), recent, z_g, int(rng.integers(0, 3)), int(rng.choice([0, 5, 50])))
-    height_rules = (int(rng.choice([1, 3])), memory, 0.05, bool(rng.random() < 0.5), bool(rng.random() < 0.5))
-    near = (float(rng.choice([0.1, 0.05])), float(rng.choice([0.0, 0.125])))
-    growth = (float(rng.choice([0.1, 0.01])), bool(rng.random() < 0.7))
-    potential = potential_heights(surface, xyz, horizontal, phihat, ahead, n_beams, *rules)
-    return (
-        surface, xyz, horizontal, phihat, ahead, n_beams, *potential, *rules, *state, *height_rules, *near, *growth,
-    )  # fmt: skip
+    state = GroundState(histogram_of(known), recent, z_g, int(rng.integers(0, 3)))
+    return *row, potential_heights(*row, thresholds), state, thresholds
 
 
 def possible_case(rng: Generator) -> tuple[Any, ...]:
@@ -100,7 +111,14 @@ def possible_case(rng: Generator) -> tuple[Any, ...]:
     xyz[surface == 0] = np.nan
     ground = (surface == 2) & (np.arange(shape[1]) < rng.integers(0, shape[1] + 1, (shape[0], 1)))
     z_g = np.full(shape[0], rng.choice([-1.8, -2.5]), np.float32)
-    return surface, range_m, xyz, ground, z_g, int(rng.choice([1, 5, 30])), float(rng.choice([0.01, 0.0078125])), 2.0
+    thresholds = (
+        CurbParams()
+        .thresholds()
+        ._replace(
+            under_points=int(rng.choice([1, 5, 30])), under_m=float(rng.choice([0.01, 0.0078125])), search_height_m=2.0
+        )
+    )
+    return surface, range_m, xyz, ground, z_g, thresholds
 
 
 def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tuple[Any, ...]:
@@ -120,23 +138,31 @@ def lines_of_verticals(rng: Generator, n_lines: int, n_sides: int, n: int) -> tu
 def connect_case(rng: Generator) -> tuple[Any, ...]:
     """A call in the middle of a stream: what came before is what the twin itself carried over."""
     n_sides, n = int(rng.integers(1, 3)), int(rng.choice([1, 3, 8, 16]))
-    min_lines = int(rng.choice([1, 2, 3, 5]))
-    rules = (
-        float(rng.choice([0.3, 0.25, 0.125])), float(rng.choice([0.2, 0.125])), min_lines, 20.0,
-        int(rng.choice([1, 2, 4, 200])), bool(rng.random() < 0.5),
-    )  # fmt: skip
-    state: tuple[Any, ...] = (
-        np.zeros((n_sides, n), np.int32), 1, np.full((n_sides, n, 3), np.nan, np.float32),
-        np.full(((min_lines - 1) * n_sides, n), np.nan, np.float32), np.zeros((0, 4), np.int32),
-        np.zeros((0, 2), np.float32),
-    )  # fmt: skip
+    thresholds = (
+        CurbParams(min_lines=1)
+        .thresholds()
+        ._replace(
+            min_lines=int(rng.choice([1, 2, 3, 5])),
+            grouping_m=float(rng.choice([0.3, 0.25, 0.125])),
+            max_height_m=float(rng.choice([0.2, 0.125])),
+            max_lines=int(rng.choice([1, 2, 4, 200])),
+            by_line=bool(rng.random() < 0.5),
+        )
+    )
+    regions, above, angles = (
+        CurbState.start(n_sides, n, CurbParams()).regions,
+        np.full((n_sides, n, 3), np.nan, np.float32),
+        np.full(((thresholds.min_lines - 1) * n_sides, n), np.nan, np.float32),
+    )
     for _ in range(rng.integers(0, 3)):
         surface, xyz, signed, possible = lines_of_verticals(rng, int(rng.integers(1, 4)), n_sides, n)
-        _, *left = oracle_curb.connect_verticals(surface, xyz, signed, possible, n_sides, *state, *rules, False)
-        angles = np.concatenate([state[3], signed])
-        state = (left[0], left[1], xyz[-n_sides:].copy(), angles[len(angles) - len(state[3]) :], left[2], left[3])
+        _, regions = oracle_curb.connect_verticals(
+            surface, xyz, signed, possible, n_sides, above, angles, regions, thresholds, False
+        )
+        above = xyz[-n_sides:].copy()
+        angles = np.concatenate([angles, signed])[len(signed) :]
     new = lines_of_verticals(rng, int(rng.integers(0, 6)), n_sides, n)
-    return *new, n_sides, *state, *rules, bool(rng.random() < 0.3)
+    return *new, n_sides, above, angles, regions, thresholds, bool(rng.random() < 0.3)
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
@@ -145,7 +171,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "ground_rows": ground_case,
     "main_height": height_case,
     "possible_curbs": possible_case,
-    "potential_heights": potential_case,
+    "potential_heights": rows,
 }
 
 TOLERANCES: dict[str, float] = {}

@@ -84,6 +84,44 @@ def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
     assert hits == ["0\n", "1\n"]
 
 
+LIMITS = """
+from typing import Annotated, NamedTuple
+import numpy as np
+from numpy.typing import NDArray
+
+class Limits(NamedTuple):
+    {fields}
+    weights: Annotated[NDArray[np.float64], "float64[::1]"]
+"""
+WEIGHED = """
+import numpy as np
+from prc_cli.kernels.cache import kernel
+from limits import Limits
+
+@kernel("Tuple((float64, Limits))(Limits)", tuples=[Limits])
+def weighed(limits):
+    return limits.low * limits.weights.sum() - limits.high, Limits(limits.low, limits.high, limits.weights)
+
+assert weighed(Limits(low=2.0, high=5.0, weights=np.ones(3)))[0] == 1.0
+assert isinstance(weighed(Limits(low=2.0, high=5.0, weights=np.ones(3)))[1], Limits)
+print(sum(weighed.stats.cache_hits.values()))
+"""
+
+
+@needs_compiler
+def test_compiled_code_knows_the_fields_of_the_tuples_it_takes(tmp_path: Path) -> None:
+    (tmp_path / "weighed.py").write_text(WEIGHED)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+    hits = []
+    for fields in ("low: float; high: float", "low: float; high: float", "high: float; low: float"):
+        (tmp_path / "limits.py").write_text(LIMITS.format(fields=fields))
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", "import weighed"], env=environment, capture_output=True, text=True, check=True
+        )
+        hits.append(done.stdout)
+    assert hits == ["0\n", "1\n", "0\n"]
+
+
 @needs_compiler
 def test_thresholds_whose_fields_change_places_are_compiled_anew(tmp_path: Path) -> None:
     """Numba knows a NamedTuple by its class and the number of its fields, which are read by their places."""

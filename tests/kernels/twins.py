@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
@@ -29,9 +30,18 @@ def twin(name: str) -> Any:
     return getattr(twin_module(name), name)
 
 
+def _flat(value: Any) -> Iterator[Any]:
+    """Yield what tuples of tuples hold."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _flat(part)
+    else:
+        yield value
+
+
 def assert_equal_bits(found: Any, expected: Any, tolerance: float = 0.0) -> None:
     """Compare results, one array or a tuple of them, dtypes included; a tolerance is for floats alone, absolute."""
-    found, expected = (value if isinstance(value, tuple) else (value,) for value in (found, expected))
+    found, expected = list(_flat(found)), list(_flat(expected))
     assert len(found) == len(expected)
     for one, other in zip(found, expected, strict=True):
         assert np.asarray(one).dtype == np.asarray(other).dtype

@@ -14,6 +14,7 @@ from pydantic import Field
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.config import Params
+from prc_cli.core.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, I32, U8
 
 
@@ -50,6 +51,14 @@ class AnglesParams(Params):
     def min_chord_m(self) -> float:
         """Shortest chord [m]."""
         return self.min_chord_sigmas * self.range_noise_m
+
+    def thresholds(self) -> ChordThresholds:
+        """Return what the kernel is given."""
+        return ChordThresholds(
+            min_chord_m=self.min_chord_m,
+            depth_m=self.chord_depth_sigmas * self.range_noise_m,
+            max_shots=self.max_chord_shots,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,14 +105,7 @@ def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
     >>> found.ahead
     array([[ 1,  2,  3,  4, -1]], dtype=int32)
     """
-    signed_deg, ahead = kernels.signed_angles(
-        lines.range_m,
-        lines.xyz_m,
-        lines.n_beams,
-        params.min_chord_m,
-        params.chord_depth_sigmas * params.range_noise_m,
-        params.max_chord_shots,
-    )
+    signed_deg, ahead = kernels.signed_angles(lines.range_m, lines.xyz_m, lines.n_beams, params.thresholds())
     return SignedAngles(signed_deg, ahead)
 
 

@@ -16,6 +16,7 @@ from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.markov import HmmParams, hmm_cusum
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
+from prc_cli.core.sequential_angle import SurfaceThresholds
 from prc_cli.core.types import F32, U8, Mask
 
 
@@ -44,6 +45,18 @@ class TiltParams(Params):
         "median",
         description='label that a run begins with: "median" of its first five angles, or always "horizontal"',
     )
+
+    def thresholds(self) -> SurfaceThresholds:
+        """Return what the kernel is given."""
+        return SurfaceThresholds(
+            drift_vertical_deg=self.drift_vertical_deg,
+            threshold_vertical_deg=self.threshold_vertical_deg,
+            drift_horizontal_deg=self.drift_horizontal_deg,
+            threshold_horizontal_deg=self.threshold_horizontal_deg,
+            fold=self.fold,
+            backdate=self.backdate,
+            start_horizontal=self.start == "horizontal",
+        )
 
 
 class CoarseParams(Params):
@@ -109,16 +122,4 @@ def surface_image(signed_deg: F32, vegetation: Mask, lines: VerticalLines, param
     (R, n) uint8
         As :func:`coarse`.
     """
-    return kernels.surface_image(
-        signed_deg,
-        vegetation,
-        lines.range_m,
-        lines.n_beams,
-        params.drift_vertical_deg,
-        params.threshold_vertical_deg,
-        params.drift_horizontal_deg,
-        params.threshold_horizontal_deg,
-        params.fold,
-        params.backdate,
-        params.start == "horizontal",
-    )
+    return kernels.surface_image(signed_deg, vegetation, lines.range_m, lines.n_beams, params.thresholds())

@@ -25,6 +25,7 @@ from pydantic import Field, model_validator
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.config import Params
+from prc_cli.core.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, I32, U8, Mask
 
 
@@ -69,6 +70,20 @@ class CurbParams(Params):
         200, ge=1, le=100_000, description="a region of so many lines is decided as it is: bounds memory and delay"
     )
 
+    def thresholds(self, range_noise_m: float = 0.0) -> CurbThresholds:
+        """Return what the kernels are given, for a standard deviation of the range [m]."""
+        return CurbThresholds(
+            under_points=self.under_points,
+            under_m=max(self.under_m, self.under_sigmas * range_noise_m),
+            search_height_m=self.search_height_m,
+            grouping_m=self.grouping_m,
+            max_height_m=self.max_height_m,
+            by_line=self.height == "line",
+            min_lines=self.min_lines,
+            curvature_deg=self.curvature_deg,
+            max_lines=self.max_lines,
+        )
+
     @model_validator(mode="after")
     def _check(self) -> CurbParams:
         if self.max_lines < self.min_lines:
@@ -81,18 +96,12 @@ class CurbParams(Params):
 class CurbState:
     """The regions that are not decided, between two calls; P lines at most ``max_lines``."""
 
-    labels: I32
-    """(P * n_sides, n) int32, regions in the lines that are not final, at least in the last line."""
-    n_given: int
-    """1 when that last line is final already, else 0."""
+    regions: OpenRegions
+    """In the lines that are not final, at least the last one."""
     xyz_m: F32
     """(n_sides, n, 3) float32, points of the last line [m]."""
     signed_deg: F32
     """((min_lines - 1) * n_sides, n) float32, signed angles of the last lines [deg]."""
-    regions: I32
-    """(C, 4) int32, side, first and last line, and whether there is a possible curb point."""
-    extents_m: F32
-    """(C, 2) float32, lowest and highest z [m]."""
 
     @classmethod
     def start(cls, n_sides: int, n: int, params: CurbParams) -> CurbState:
@@ -106,18 +115,24 @@ class CurbState:
         params : CurbParams
         """
         return cls(
-            labels=np.zeros((n_sides, n), np.int32),
-            n_given=1,
+            regions=OpenRegions(
+                labels=np.zeros((n_sides, n), np.int32),
+                n_given=1,
+                side=np.empty(0, np.int32),
+                first=np.empty(0, np.int32),
+                last=np.empty(0, np.int32),
+                possible=np.empty(0, np.bool_),
+                low_m=np.empty(0, np.float32),
+                high_m=np.empty(0, np.float32),
+            ),
             xyz_m=np.full((n_sides, n, 3), np.nan, np.float32),
             signed_deg=np.full(((params.min_lines - 1) * n_sides, n), np.nan, np.float32),
-            regions=np.empty((0, 4), np.int32),
-            extents_m=np.empty((0, 2), np.float32),
         )
 
     @property
     def n_waiting(self) -> int:
         """Lines that were taken but not returned yet."""
-        return len(self.labels) // len(self.xyz_m) - self.n_given
+        return len(self.regions.labels) // len(self.xyz_m) - self.regions.n_given
 
 
 def possible_curbs(
@@ -147,10 +162,9 @@ def possible_curbs(
     (R,) int32
         Beam, -1 = none.
     """
-    under_m = max(params.under_m, params.under_sigmas * range_noise_m)
     beams: I32
     _, beams = kernels.possible_curbs(
-        surface, lines.range_m, lines.xyz_m, ground, z_g, params.under_points, under_m, params.search_height_m
+        surface, lines.range_m, lines.xyz_m, ground, z_g, params.thresholds(range_noise_m)
     )
     return beams
 
@@ -189,19 +203,11 @@ def curbs(
         which call returns them and nothing else.
     state : CurbState
     """
-    curb, labels, n_given, regions, extents = kernels.connect_verticals(
-        surface, lines.xyz_m, signed_deg, possible, lines.n_sides, state.labels, state.n_given, state.xyz_m,
-        state.signed_deg, state.regions, state.extents_m, params.grouping_m, params.max_height_m, params.min_lines,
-        params.curvature_deg, params.max_lines, params.height == "line", last,
+    curb, regions = kernels.connect_verticals(
+        surface, lines.xyz_m, signed_deg, possible, lines.n_sides, state.xyz_m, state.signed_deg, state.regions,
+        params.thresholds(), last,
     )  # fmt: skip
-    return curb, CurbState(
-        labels=labels,
-        n_given=n_given,
-        xyz_m=_tail(state.xyz_m, lines.xyz_m),
-        signed_deg=_tail(state.signed_deg, signed_deg),
-        regions=regions,
-        extents_m=extents,
-    )
+    return curb, CurbState(regions, _tail(state.xyz_m, lines.xyz_m), _tail(state.signed_deg, signed_deg))
 
 
 def _tail(before: F32, new: F32) -> F32:

@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.config import Params
+from prc_cli.core.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, I32, U8
 
 
@@ -85,6 +86,24 @@ class DividersParams(Params):
         description="a change of horizontal distance from one return to the next that ends such a run [m]",
     )
 
+    def thresholds(self, range_noise_m: float) -> DividerThresholds:
+        """Return what the kernels are given, for a standard deviation of the range [m]."""
+        return DividerThresholds(
+            height_m=self.height_m,
+            sudden_from_deg=self.sudden_from_deg,
+            sudden_to_deg=self.sudden_to_deg,
+            chord_m=max(self.change_chord_m, self.change_chord_sigmas * range_noise_m),
+            chord_reach=self.change_reach,
+            under_points=self.under_points,
+            under_m=max(self.under_m, self.under_sigmas * range_noise_m),
+            separation_m=self.separation_m,
+            flat_length_m=self.flat_length_m,
+            flat_residual_m=self.flat_residual_m,
+            flat_slope=math.tan(math.radians(self.flat_slope_deg)),
+            vertical_extent_m=self.vertical_extent_m,
+            vertical_break_m=self.vertical_break_m,
+        )
+
     @model_validator(mode="after")
     def _check(self) -> DividersParams:
         if self.sudden_from_deg > self.sudden_to_deg:
@@ -147,34 +166,12 @@ def dividers(
     differ by little more than the noise. Chords of 8, 10, 12 cm call .87, .92, .95 of walls sudden, and .03, .04, .11
     of tyres; longer ones overlook curbs.
     """
+    thresholds = params.thresholds(range_noise_m)
     intervals = kernels.car_intervals(
-        car_surface,
-        lines.range_m,
-        lines.xyz_m,
-        lines.horizontal_m,
-        signed_deg,
-        lines.n_beams,
-        trigger >= 0,
-        z_g,
-        params.height_m,
-        params.sudden_from_deg,
-        params.sudden_to_deg,
-        max(params.change_chord_m, params.change_chord_sigmas * range_noise_m),
-        params.change_reach,
-        params.under_points,
-        max(params.under_m, params.under_sigmas * range_noise_m),
-        params.separation_m,
-        params.flat_length_m,
-        params.flat_residual_m,
-        math.tan(math.radians(params.flat_slope_deg)),
-    )
+        car_surface, lines.range_m, lines.xyz_m, lines.horizontal_m, signed_deg, lines.n_beams, trigger >= 0, z_g,
+        thresholds,
+    )  # fmt: skip
     left: I32 = kernels.cut_verticals(
-        car_surface,
-        lines.xyz_m,
-        lines.horizontal_m,
-        lines.n_beams,
-        intervals,
-        params.vertical_extent_m,
-        params.vertical_break_m,
+        car_surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, intervals, thresholds
     )
     return left

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from prc_cli import kernels
 from prc_cli.core.config import Params
+from prc_cli.core.sequential_angle import FourierThresholds
 from prc_cli.core.types import F32, I32, Mask
 
 
@@ -37,6 +38,15 @@ class FourierParams(Params):
         le=16_384,
         description="longer intervals are tested in windows of at most this many angles [angles]",
     )
+
+    def thresholds(self) -> FourierThresholds:
+        """Return what the kernel is given."""
+        return FourierThresholds(
+            band=self.band,
+            ratio=self.ratio,
+            min_points=self.min_points,
+            window_points=min(self.window or self.max_points, self.max_points),
+        )
 
 
 def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
@@ -82,6 +92,5 @@ def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
     """
     if not params.enabled:
         return np.ones(len(intervals), np.bool_)
-    window = min(params.window or params.max_points, params.max_points)
-    stable: Mask = kernels.stable_intervals(signed_deg, intervals, params.band, params.ratio, params.min_points, window)
+    stable: Mask = kernels.stable_intervals(signed_deg, intervals, params.thresholds())
     return stable

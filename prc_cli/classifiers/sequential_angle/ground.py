@@ -35,7 +35,6 @@ Readings where the text is silent or can be read in two ways:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -44,6 +43,9 @@ from pydantic import Field
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.config import Params
+from prc_cli.core.sequential_angle import GroundState as GroundState
+from prc_cli.core.sequential_angle import GroundThresholds
+from prc_cli.core.sequential_angle import PotentialGround as PotentialGround
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
@@ -157,33 +159,31 @@ class GroundParams(Params):
         """Heights to be remembered, 0 = all."""
         return max(self.memory_heights, self.start_heights) if self.memory_heights else 0
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroundState:
-    """What is known of the ground between two calls."""
-
-    histogram: I32
-    """(185 000,) int32, heights of the rows so far, in bins of 2 mm from -310 m on."""
-    recent: I32
-    """(at most ``memory_heights``,) int32, their bins, the oldest one first; empty where none is forgotten."""
-    z_g: float
-    """Height of the ground relative to the scanner [m], NaN = unknown."""
-    n_in_histogram_ahead: int
-    """Rows to come whose heights the histogram holds already."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PotentialGround:
-    """The first potential ground of every row (part a)."""
-
-    first: I32
-    """(R,) int32, its first beam, -1 = none."""
-    last: I32
-    """(R,) int32, its last beam; the horizontal points from the first one on are its points."""
-    bandwidth_deg: F64
-    """(R,) float64, bandwidth of its line angles at its end [deg], NaN = none."""
-    height_m: F64
-    """(R,) float64, z_i relative to the scanner [m], NaN = none."""
+    def thresholds(self, range_noise_m: float) -> GroundThresholds:
+        """Return what the kernels are given, for a standard deviation of the range [m]."""
+        return GroundThresholds(
+            first_run=self.first_run,
+            lowest_points=self.lowest_points,
+            height_points=self.height_points,
+            mode_samples=self.mode_samples,
+            bandwidth_deg=self.bandwidth_deg,
+            bandwidth_sigmas=self.bandwidth_sigmas,
+            range_noise_m=range_noise_m,
+            growth_points=self.growth_points,
+            jump_m=self.jump_m,
+            growth_height_m=self.growth_height_m,
+            bridge=self.bridge,
+            bridge_height_m=self.bridge_height_m,
+            resume=self.resume,
+            start_heights=self.start_heights,
+            least_heights=self.least,
+            memory_heights=self.memory,
+            height_bandwidth=self.height_bandwidth,
+            all_heights=self.heights == "all",
+            renew_every=self.renew == "every",
+            height_tolerance=self.height_tolerance,
+            height_tolerance_m=self.height_tolerance_m,
+        )
 
 
 def potential_ground(
@@ -205,11 +205,10 @@ def potential_ground(
     range_noise_m : float
         Standard deviation of a range, for the noise of line angles [m].
     """
-    return PotentialGround(
-        *kernels.potential_heights(
-            surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, *_rules(params, range_noise_m)
-        )
+    found: PotentialGround = kernels.potential_heights(
+        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, params.thresholds(range_noise_m)
     )
+    return found
 
 
 def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
@@ -274,22 +273,8 @@ def ground(
     state : GroundState
         After these rows.
     """
-    points, z_rows, histogram, recent, z_g = kernels.ground_rows(
-        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, potential.first, potential.last,
-        potential.bandwidth_deg, potential.height_m, *_rules(params, range_noise_m),
-        state.histogram, state.recent, state.z_g, state.n_in_histogram_ahead, params.start_heights, params.least,
-        params.memory, params.height_bandwidth, params.heights == "all", params.renew == "every",
-        params.height_tolerance, params.height_tolerance_m, params.growth_height_m, params.resume,
+    found: tuple[Mask, F32, GroundState] = kernels.ground_rows(
+        surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, potential, state,
+        params.thresholds(range_noise_m),
     )  # fmt: skip
-    ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
-    return points, z_rows, GroundState(histogram, recent, z_g, ahead_still)
-
-
-def _rules(
-    params: GroundParams, range_noise_m: float
-) -> tuple[int, int, int, float, float, float, int, float, int, int, float]:
-    """Return the rules of potential ground, as the kernels take them."""
-    return (
-        params.first_run, params.lowest_points, params.mode_samples, params.bandwidth_deg, params.bandwidth_sigmas,
-        range_noise_m, params.growth_points, params.jump_m, params.height_points, params.bridge, params.bridge_height_m,
-    )  # fmt: skip
+    return found

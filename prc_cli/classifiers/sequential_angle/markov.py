@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from prc_cli import kernels
 from prc_cli.core.config import Params
+from prc_cli.core.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, Mask
 
 Probability = Annotated[float, Field(ge=0, le=1)]
@@ -73,6 +74,18 @@ class HmmParams(Params):
         True, description="a change is at its estimated onset; else at the sample that raised the alarm"
     )
 
+    def thresholds(self) -> MarkovThresholds:
+        """Return what the kernel is given."""
+        return MarkovThresholds(
+            threshold=self.threshold,
+            threshold_back=self.threshold_back,
+            backdate=self.backdate,
+            sprt=self.end == "sprt",
+            accept=self.sprt_accept,
+            reject=self.sprt_reject,
+            merge_gap=self.merge_gap,
+        )
+
     @model_validator(mode="after")
     def _rows_are_distributions(self) -> HmmParams:
         rows = [(f"h0 row {i + 1}", row) for i, row in enumerate(self.h0)]
@@ -123,17 +136,9 @@ def hmm_cusum(values: F32, params: HmmParams) -> Mask:
         values,
         _array(params.means_deg),
         _array(params.sigmas_deg),
-        _array(params.h0),
-        _array(params.h1),
-        _array(params.initial_h0),
-        _array(params.initial_h1),
-        params.threshold,
-        params.threshold_back,
-        params.backdate,
-        params.end == "sprt",
-        params.sprt_accept,
-        params.sprt_reject,
-        params.merge_gap,
+        MarkovModel(_array(params.h0), _array(params.initial_h0)),
+        MarkovModel(_array(params.h1), _array(params.initial_h1)),
+        params.thresholds(),
     )
 
 

@@ -9,8 +9,9 @@ import math
 
 import numpy as np
 
+from prc_cli.core.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, F64, I32, U8
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 _HORIZONTAL = 2
 """H as :class:`prc_cli.core.classes.Surface` numbers it."""
@@ -112,12 +113,26 @@ def _counted(square: float, range_m: float, other_m: float, depth_m: float) -> f
     return square - depth * depth + beyond * beyond
 
 
+@inlined
+def _first_far(
+    r: F64, x: F64, y: F64, z: F64, i: int, begin: int, end: int, step: int, least: float, depth_m: float
+) -> int:
+    """Return the first of some shots that makes a chord with shot i, -1 = none; ``least`` is a square [m2]."""
+    for j in range(begin, end, step):
+        dx = x[j] - x[i]
+        dy = y[j] - y[i]
+        dz = z[j] - z[i]
+        square = dx * dx + dy * dy + dz * dz
+        if square > 0.0 and _counted(square, r[i], r[j], depth_m) >= least:
+            return j
+    return -1
+
+
 @kernel(
-    "Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], float64, float64, int64)"
+    "Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], float32[:, :, ::1], int32[::1], ChordThresholds)",
+    tuples=[ChordThresholds],
 )
-def signed_angles(
-    range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, depth_m: float, max_beams: int
-) -> tuple[F32, I32]:
+def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
     """Measure the signed angle of every chord with the vertical, sV.
 
     Parameters
@@ -128,12 +143,7 @@ def signed_angles(
         Relative to the scanner, z up; finite where the range is.
     n_beams : (R,) int32
         Beams of every row; what comes after them is not looked at.
-    min_chord_m : float, metres
-        Shots nearer than this to each other make no chord; shots at the same place never do.
-    depth_m : float, metres
-        Range differences up to this count nothing for that length, larger ones by what they have more.
-    max_beams : int
-        Valid shots looked at on either side of a shot.
+    thresholds : ChordThresholds
 
     Returns
     -------
@@ -145,7 +155,8 @@ def signed_angles(
     n_rows, n = range_m.shape
     signed_deg = np.full((n_rows, n), np.nan, np.float32)
     ahead = np.full((n_rows, n), -1, np.int32)
-    least = min_chord_m * min_chord_m
+    least = thresholds.min_chord_m * thresholds.min_chord_m
+    depth_m, reach = thresholds.depth_m, thresholds.max_shots
     r = np.empty(n, np.float64)
     x = np.empty(n, np.float64)
     y = np.empty(n, np.float64)
@@ -164,35 +175,22 @@ def signed_angles(
             z[m] = xyz_m[row, k, 2]
             beam[m] = k
             m += not math.isnan(range_m[row, k])
-        end = -1
-        dx = dy = dz = 0.0
+        end = int(np.int64(-1))
         for i in range(m):
-            # the chord to the shot before is known where that shot's own chord ends here
             follows = end == i
-            bx, by, bz = dx, dy, dz
-            dx = dy = dz = square = 0.0
-            end = -1
-            for j in range(i + 1, min(i + 1 + max_beams, m)):
-                dx = x[j] - x[i]
-                dy = y[j] - y[i]
-                dz = z[j] - z[i]
-                square = dx * dx + dy * dy + dz * dz
-                if square > 0.0 and _counted(square, r[i], r[j], depth_m) >= least:
-                    end = j
-                    break
+            end = _first_far(r, x, y, z, i, i + 1, min(i + 1 + reach, m), 1, least, depth_m)
             if end < 0:
                 continue
-            sign[n_chords] = -1.0 if follows and dx * bx + dy * by + dz * bz < 0.0 else 1.0
-            for j in range(-1 if follows else i - 1, max(i - 1 - max_beams, -1), -1):
-                bx = x[i] - x[j]
-                by = y[i] - y[j]
-                bz = z[i] - z[j]
-                back = bx * bx + by * by + bz * bz
-                if back > 0.0 and _counted(back, r[i], r[j], depth_m) >= least:
-                    if dx * bx + dy * by + dz * bz < 0.0:
-                        sign[n_chords] = -1.0
-                    break
-            angle[n_chords], length[n_chords], begin[n_chords] = dz, square, beam[i]
+            # the chord before is the one from the last shot where that ends here
+            back = i - 1 if follows else _first_far(
+                r, x, y, z, i, i - 1, max(i - 1 - reach, -1), -1, least, depth_m
+            )  # fmt: skip
+            dx, dy, dz = x[end] - x[i], y[end] - y[i], z[end] - z[i]
+            turn = 0.0
+            if back >= 0:
+                turn = dx * (x[i] - x[back]) + dy * (y[i] - y[back]) + dz * (z[i] - z[back])
+            sign[n_chords] = -1.0 if turn < 0.0 else 1.0
+            angle[n_chords], length[n_chords], begin[n_chords] = dz, dx * dx + dy * dy + dz * dz, beam[i]
             n_chords += 1
             ahead[row, beam[i]] = beam[end]
         _to_degrees(angle, length, n_chords)

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from prc_cli.core.types import F32, F64, I32, U8, Mask
-from prc_cli.kernels.cache import helper, kernel
+from prc_cli.core.sequential_angle import SurfaceThresholds
+from prc_cli.core.types import F32, F64, I32, U8, U32, Mask
+from prc_cli.kernels.cache import helper, inlined, kernel
 
 _MISSING, _VEGETATION, _HORIZONTAL, _VERTICAL, _UNDECIDED = 0, 1, 2, 3, 4
 """As :class:`prc_cli.core.classes.Surface` numbers them."""
@@ -38,23 +39,36 @@ def _first_label(tilt: F64, begin: int, end: int) -> int:
     return _VERTICAL if median < _MIDDLE else _HORIZONTAL
 
 
+@inlined
+def _label_run(
+    tilt: F64, beam: U32, begin: np.uint64, end: np.uint64, labels: U8, thresholds: SurfaceThresholds
+) -> None:
+    """Label the samples of a run by the CUSUM test for a change of their mean."""
+    label = _HORIZONTAL
+    if not thresholds.start_horizontal:
+        label = _first_label(tilt, int(np.int64(begin)), int(np.int64(end)))
+    total = 0.0
+    onset = begin
+    for i in range(begin, end):
+        horizontal = label == _HORIZONTAL
+        total += thresholds.drift_vertical_deg - tilt[i] if horizontal else tilt[i] - thresholds.drift_horizontal_deg
+        if total > (thresholds.threshold_vertical_deg if horizontal else thresholds.threshold_horizontal_deg):
+            label = _VERTICAL if horizontal else _HORIZONTAL
+            if thresholds.backdate:
+                for j in range(onset, i):
+                    labels[beam[j]] = label
+            total = 0.0
+        if total <= 0.0:
+            total = 0.0
+            onset = i + np.uint64(1)
+        labels[beam[i]] = label
+
+
 @kernel(
-    "uint8[:, ::1](float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[::1],"
-    "float64, float64, float64, float64, boolean, boolean, boolean)"
+    "uint8[:, ::1](float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[::1], SurfaceThresholds)",
+    tuples=[SurfaceThresholds],
 )
-def surface_image(
-    signed_deg: F32,
-    vegetation: Mask,
-    range_m: F32,
-    n_beams: I32,
-    drift_vertical: float,
-    threshold_vertical: float,
-    drift_horizontal: float,
-    threshold_horizontal: float,
-    fold: bool,
-    backdate: bool,
-    start_horizontal: bool,
-) -> U8:
+def surface_image(signed_deg: F32, vegetation: Mask, range_m: F32, n_beams: I32, thresholds: SurfaceThresholds) -> U8:
     """Label every shot of every row: missing, vegetation, horizontal, vertical, undecided.
 
     Parameters
@@ -67,16 +81,7 @@ def surface_image(
         NaN = missing.
     n_beams : (R,) int32
         Beams of every row; what comes after them is labelled missing.
-    drift_vertical, threshold_vertical : float, degrees
-        From H to V: the sum of (drift - angle) since its last reset is above the threshold.
-    drift_horizontal, threshold_horizontal : float, degrees
-        From V to H: the sum of (angle - drift) is.
-    fold : bool
-        Angles beyond 90 deg count as their supplement.
-    backdate : bool
-        A change begins at the first sample after the last reset rather than at the alarm.
-    start_horizontal : bool
-        Runs begin with H, not with what their first five samples are.
+    thresholds : SurfaceThresholds
 
     Returns
     -------
@@ -94,7 +99,7 @@ def surface_image(
         m = np.uint64(0)
         for k in range(width):
             beam[m] = k
-            tilt[m] = _tilt(np.float64(signed_deg[row, k]), fold)
+            tilt[m] = _tilt(np.float64(signed_deg[row, k]), thresholds.fold)
             grown[m] = vegetation[row, k]
             m += np.uint64(not math.isnan(signed_deg[row, k]))
         begin = np.uint64(0)
@@ -106,22 +111,7 @@ def surface_image(
             end = begin
             while end < m and not grown[end]:
                 end += np.uint64(1)
-            label = _HORIZONTAL if start_horizontal else _first_label(tilt, int(np.int64(begin)), int(np.int64(end)))
-            total = 0.0
-            onset = begin
-            for i in range(begin, end):
-                horizontal = label == _HORIZONTAL
-                total += drift_vertical - tilt[i] if horizontal else tilt[i] - drift_horizontal
-                if total > (threshold_vertical if horizontal else threshold_horizontal):
-                    label = _VERTICAL if horizontal else _HORIZONTAL
-                    if backdate:
-                        for j in range(onset, i):
-                            labels[beam[j]] = label
-                    total = 0.0
-                if total <= 0.0:
-                    total = 0.0
-                    onset = i + np.uint64(1)
-                labels[beam[i]] = label
+            _label_run(tilt, beam, begin, end, labels, thresholds)
             begin = end
         # shots without an angle go with the shot before them, the first ones with the first that has one
         label = _UNDECIDED if m == 0 else int(labels[beam[0]])

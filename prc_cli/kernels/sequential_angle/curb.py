@@ -6,8 +6,11 @@ longer be a curb because it is too high, walls above all, is merged into one lab
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from prc_cli.core.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 
@@ -18,12 +21,45 @@ _MISSING = 0
 _VERTICAL = 3
 
 
+class _Table(NamedTuple):
+    """All regions by label, the fixed ones included, and the labels of all lines.
+
+    Take its arrays before a loop, not in it: numba counts the reference every time.
+    """
+
+    parent: I32
+    """Label of the region that this one has become a part of, its own while it is one by itself."""
+    side: I32
+    first: I32
+    """First line."""
+    last: I32
+    """Last line."""
+    possible: Mask
+    """Whether there is a possible curb point."""
+    low: F32
+    """Lowest height [m]."""
+    high: F32
+    """Highest height [m]."""
+    labels: I32
+    """(lines * sides, n) int32, label of every point."""
+
+
+@inlined
+def _lies_over(farthest: F32, count: int, reach: int, own: float, under: float) -> bool:
+    """Tell whether one of the valid points before lies farther away than a point."""
+    most = own
+    for i in range(max(count - reach, 0), count):
+        most = max(most, farthest[i])
+    return bool(np.float64(most) - np.float64(own) > under)
+
+
 @kernel(
     "Tuple((boolean[::1], int32[::1]))(uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], boolean[:, ::1], "
-    "float32[::1], int64, float64, float64)"
+    "float32[::1], CurbThresholds)",
+    tuples=[CurbThresholds],
 )
 def possible_curbs(
-    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, reach: int, under: float, height: float
+    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
 ) -> tuple[Mask, I32]:
     """Find the first vertical point after the ground of every row that nothing lies under.
 
@@ -35,12 +71,7 @@ def possible_curbs(
     ground : (R, n) bool
     z_g : (R,) float32, metres
         Height of the ground.
-    reach : int
-        Valid points before a point that are looked at for something farther away under it.
-    under : float, metres
-        Farther away by more than this.
-    height : float, metres
-        The search ends at the first valid point higher above the ground.
+    thresholds : CurbThresholds
 
     Returns
     -------
@@ -49,6 +80,7 @@ def possible_curbs(
         -1 where nothing was found.
     """
     n_rows, n = surface.shape
+    reach, under = thresholds.under_points, thresholds.under_m
     found = np.zeros(n_rows, np.bool_)
     beam = np.full(n_rows, -1, np.int32)
     farthest = np.empty(n + 1, np.float32)
@@ -58,32 +90,26 @@ def possible_curbs(
             last -= 1
         if last < 0:
             continue
-        limit = np.float64(z_g[row]) + height
+        limit = np.float64(z_g[row]) + thresholds.search_height_m
         # ranges of the valid points, from the first that can matter
         first = last
         wanted = reach
         while first > 0 and wanted > 0:
-            if surface[row, first] != _MISSING:
-                wanted -= 1
+            wanted -= surface[row, first] != _MISSING
             first -= 1
-        count = 0
+        count = int(np.int64(0))
         for k in range(first, n):
             kind = surface[row, k]
             if kind == _MISSING:
                 continue
-            if k > last:
-                if np.float64(xyz[row, k, 2]) > limit:
-                    break
-                if kind == _VERTICAL:
-                    own = range_m[row, k]
-                    most = own
-                    for i in range(max(count - reach, 0), count):
-                        most = max(most, farthest[i])
-                    if not np.float64(most) - np.float64(own) > under:
-                        found[row] = True
-                        beam[row] = k
-                        break
-            farthest[count] = range_m[row, k]
+            own = range_m[row, k]
+            if k > last and np.float64(xyz[row, k, 2]) > limit:
+                break
+            if k > last and kind == _VERTICAL and not _lies_over(farthest, count, reach, own, under):
+                found[row] = True
+                beam[row] = k
+                break
+            farthest[count] = own
             count += 1
     return found, beam
 
@@ -106,51 +132,42 @@ def _near(here: F32, k: int, there: F32, j: int, reach_2: float) -> bool:
     return bool(dx * dx + dy * dy + dz * dz < reach_2)
 
 
-@helper
-def _join(parent: I32, spans: I32, low: F32, high: F32, one: int, other: int, by_line: bool, t_curb: float) -> int:
+@inlined
+def _join(table: _Table, one: int, other: int, thresholds: CurbThresholds) -> int:
     """Make two regions one."""
+    parent, last, low, high = table.parent, table.last, table.low, table.high
     if one == HIGH or other == HIGH:
         parent[one] = HIGH
         parent[other] = HIGH
         return HIGH
     kept, gone = min(one, other), max(one, other)
     parent[gone] = kept
-    if by_line and spans[one, 2] != spans[other, 2]:
-        later = one if spans[one, 2] > spans[other, 2] else other
+    if thresholds.by_line and last[one] != last[other]:
+        later = one if last[one] > last[other] else other
         low[kept] = low[later]
         high[kept] = high[later]
     else:
         low[kept] = min(low[one], low[other])
         high[kept] = max(high[one], high[other])
-    spans[kept, 1] = min(spans[one, 1], spans[other, 1])
-    spans[kept, 2] = max(spans[one, 2], spans[other, 2])
-    spans[kept, 3] = max(spans[one, 3], spans[other, 3])
-    if np.float64(high[kept]) - np.float64(low[kept]) > t_curb:
+    table.first[kept] = min(table.first[one], table.first[other])
+    last[kept] = max(last[one], last[other])
+    table.possible[kept] = table.possible[one] or table.possible[other]
+    if np.float64(high[kept]) - np.float64(low[kept]) > thresholds.max_height_m:
         parent[kept] = HIGH
         return HIGH
     return kept
 
 
 @helper
-def _is_straight(
-    parent: I32,
-    labels: I32,
-    signed: F32,
-    above_signed: F32,
-    region: int,
-    side: int,
-    first: int,
-    last: int,
-    n_sides: int,
-    n_before: int,
-    limit: float,
-) -> bool:
+def _is_straight(table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, limit: float) -> bool:
     """Tell whether the angle changes little from point to point of a region, in the median."""
+    parent, labels, side = table.parent, table.labels, table.side[region]
+    n_before = (len(labels) - len(signed)) // n_sides
     below = 0
     others = 0
     largest_below = -np.inf
     smallest_other = np.inf
-    for line in range(first, last + 1):
+    for line in range(table.first[region], table.last[region] + 1):
         own = labels[line * n_sides + side]
         new = line - n_before
         # lines before this call are kept at the end of what was carried over
@@ -174,53 +191,33 @@ def _is_straight(
 
 @helper
 def _decide(
-    parent: I32,
-    spans: I32,
-    labels: I32,
-    signed: F32,
-    above_signed: F32,
-    region: int,
-    n_sides: int,
-    n_before: int,
-    min_lines: int,
-    limit: float,
+    table: _Table, signed: F32, above_signed: F32, region: int, n_sides: int, thresholds: CurbThresholds
 ) -> None:
     """Decide whether a complete region is a curb."""
-    side, first, last = spans[region, 0], spans[region, 1], spans[region, 2]
     accepted = False
-    if spans[region, 3] == 1:
-        accepted = last - first + 1 >= min_lines or _is_straight(
-            parent, labels, signed, above_signed, region, side, first, last, n_sides, n_before, limit
+    if table.possible[region]:
+        n_lines = table.last[region] - table.first[region] + 1
+        accepted = n_lines >= thresholds.min_lines or _is_straight(
+            table, signed, above_signed, region, n_sides, thresholds.curvature_deg
         )
-    parent[region] = CURB if accepted else REJECTED
+    table.parent[region] = CURB if accepted else REJECTED
 
 
 @helper
 def _connect_row(
-    surface: U8,
-    here: F32,
-    above: F32,
-    own: I32,
-    up: I32,
-    side: int,
-    line: int,
-    start: int,
-    parent: I32,
-    spans: I32,
-    low: F32,
-    high: F32,
-    undecided: I32,
-    n_undecided: int,
-    n_ids: int,
-    reach_2: float,
-    t_curb: float,
-    by_line: bool,
-) -> int:
+    table: _Table, surface: U8, here: F32, above: F32, row: int, n_sides: int, start: int, n_ids: int,
+    thresholds: CurbThresholds,
+) -> int:  # fmt: skip
     """Label the vertical points of a row, joining them to each other and to those of the row above.
 
-    New regions are numbered from ``n_ids`` on and appended to ``undecided``; returns how many.
+    ``row`` counts from the beginning of the labels. New regions are numbered from ``n_ids`` on; returns how many.
     """
     n = len(surface)
+    side, line = row % n_sides, row // n_sides
+    own, up = table.labels[row], table.labels[row - n_sides]
+    parent, low, high = table.parent, table.low, table.high
+    sides, first, last, possible = table.side, table.first, table.last, table.possible
+    reach_2 = thresholds.grouping_m * thresholds.grouping_m
     n_new = 0
     for k in range(n):
         if surface[k] != _VERTICAL:
@@ -233,19 +230,16 @@ def _connect_row(
             if label != HIGH:
                 low[label] = min(low[label], z)
                 high[label] = max(high[label], z)
-                if np.float64(high[label]) - np.float64(low[label]) > t_curb:
+                if np.float64(high[label]) - np.float64(low[label]) > thresholds.max_height_m:
                     parent[label] = HIGH
                     label = HIGH
         else:
             label = n_ids + n_new
             parent[label] = label
-            spans[label, 0] = side
-            spans[label, 1] = line
-            spans[label, 2] = line
-            spans[label, 3] = 0
-            low[label] = z
-            high[label] = z
-            undecided[n_undecided + n_new] = label
+            sides[label] = side
+            first[label] = last[label] = line
+            possible[label] = False
+            low[label] = high[label] = z
             n_new += 1
         for j in range(max(k - 1, 0), min(k + 2, n)):
             if up[j] == NONE:
@@ -253,19 +247,49 @@ def _connect_row(
             other = _root(parent, up[j])
             if other in (label, REJECTED, CURB) or not _near(here, k, above, j, reach_2):
                 continue
-            label = _join(parent, spans, low, high, label, other, by_line, t_curb)
+            label = _join(table, label, other, thresholds)
         if k == start and label != HIGH:
-            spans[label, 3] = 1
+            possible[label] = True
         own[k] = label
     return n_new
 
 
 @helper
-def _carry(
-    parent: I32, spans: I32, low: F32, high: F32, labels: I32, first_row: int, begin: int, n_ids: int
-) -> tuple[I32, I32, F32]:
+def _open_table(regions: OpenRegions, n_sides: int, n_lines: int, capacity: int) -> _Table:
+    """Return a table with room for so many lines and labels that holds the regions that are open."""
+    n = regions.labels.shape[1]
+    labels = np.empty((n_lines * n_sides, n), np.int32)
+    before = regions.labels
+    for row in range(len(before)):
+        for k in range(n):
+            labels[row, k] = before[row, k]
+    table = _Table(
+        parent=np.empty(capacity, np.int32),
+        side=np.empty(capacity, np.int32),
+        first=np.empty(capacity, np.int32),
+        last=np.empty(capacity, np.int32),
+        possible=np.empty(capacity, np.bool_),
+        low=np.empty(capacity, np.float32),
+        high=np.empty(capacity, np.float32),
+        labels=labels,
+    )
+    for label in range(FIRST_REGION + len(regions.side)):
+        table.parent[label] = label
+    for i in range(len(regions.side)):
+        label = FIRST_REGION + i
+        table.side[label] = regions.side[i]
+        table.first[label], table.last[label] = regions.first[i], regions.last[i]
+        table.possible[label] = regions.possible[i]
+        table.low[label], table.high[label] = regions.low_m[i], regions.high_m[i]
+    return table
+
+
+@helper
+def _carry(table: _Table, n_sides: int, begin: int, n_given: int, n_ids: int) -> OpenRegions:
     """Return rows and regions for the next call: labels that stand for themselves, numbered as they come."""
+    labels, parent = table.labels, table.parent
     n_rows, n = labels.shape
+    first_row = begin * n_sides
     left = np.empty((n_rows - first_row, n), np.int32)
     number = np.zeros(n_ids, np.int32)
     number[HIGH] = HIGH
@@ -280,24 +304,31 @@ def _carry(
                 number[label] = FIRST_REGION + n_left
                 n_left += 1
             left[row, k] = number[label]
-    regions = np.empty((n_left, 4), np.int32)
-    extents = np.empty((n_left, 2), np.float32)
+    found = OpenRegions(
+        labels=left,
+        n_given=n_given,
+        side=np.empty(n_left, np.int32),
+        first=np.empty(n_left, np.int32),
+        last=np.empty(n_left, np.int32),
+        possible=np.empty(n_left, np.bool_),
+        low_m=np.empty(n_left, np.float32),
+        high_m=np.empty(n_left, np.float32),
+    )
     for label in range(FIRST_REGION, n_ids):
         if number[label] != 0:
             i = number[label] - FIRST_REGION
-            regions[i, 0] = spans[label, 0]
-            regions[i, 1] = spans[label, 1] - begin
-            regions[i, 2] = spans[label, 2] - begin
-            regions[i, 3] = spans[label, 3]
-            extents[i, 0] = low[label]
-            extents[i, 1] = high[label]
-    return left, regions, extents
+            found.side[i] = table.side[label]
+            found.first[i] = table.first[label] - begin
+            found.last[i] = table.last[label] - begin
+            found.possible[i] = table.possible[label]
+            found.low_m[i], found.high_m[i] = table.low[label], table.high[label]
+    return found
 
 
 @kernel(
-    "Tuple((boolean[:, ::1], int32[:, ::1], int64, int32[:, ::1], float32[:, ::1]))(uint8[:, ::1], "
-    "float32[:, :, ::1], float32[:, ::1], int32[::1], int64, int32[:, ::1], int64, float32[:, :, ::1], "
-    "float32[:, ::1], int32[:, ::1], float32[:, ::1], float64, float64, int64, float64, int64, boolean, boolean)"
+    "Tuple((boolean[:, ::1], OpenRegions))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int64, "
+    "float32[:, :, ::1], float32[:, ::1], OpenRegions, CurbThresholds, boolean)",
+    tuples=[OpenRegions, CurbThresholds],
 )
 def connect_verticals(
     surface: U8,
@@ -305,20 +336,12 @@ def connect_verticals(
     signed: F32,
     possible: I32,
     n_sides: int,
-    carried: I32,
-    n_given: int,
     above_xyz: F32,
     above_signed: F32,
-    regions: I32,
-    extents: F32,
-    reach: float,
-    t_curb: float,
-    min_lines: int,
-    curvature: float,
-    max_lines: int,
-    by_line: bool,
+    regions: OpenRegions,
+    thresholds: CurbThresholds,
     last: bool,
-) -> tuple[Mask, I32, int, I32, F32]:
+) -> tuple[Mask, OpenRegions]:
     """Connect vertical points across lines and decide which of the regions are curbs.
 
     Parameters
@@ -331,31 +354,13 @@ def connect_verticals(
     possible : (R,) int32
         Beam of the possible curb point, -1 = none.
     n_sides : int
-    carried : (P, n) int32
-        Labels of the rows before, at least of the last line: :data:`HIGH`, ... and regions from
-        :data:`FIRST_REGION`.
-    n_given : int
-        Lines at its beginning that were returned as decided before, 0 or 1.
     above_xyz : (n_sides, n, 3) float32, metres
-        Points of the last line.
+        Points of the last line before.
     above_signed : ((min_lines - 1) * n_sides, n) float32, degrees
-        Signed angles of the last lines.
-    regions : (C, 4) int32
-        Side, first and last line from the beginning of ``carried``, and whether it has a possible curb point.
-    extents : (C, 2) float32, metres
-        Lowest and highest z.
-    reach : float, metres
-        Neighbours closer than this belong together.
-    t_curb : float, metres
-        A region higher than this is not a curb.
-    min_lines : int
-        Lines that make a curb of a region with a possible curb point.
-    curvature : float, degrees
-        With fewer lines: the angle must change less than this from point to point, in the median.
-    max_lines : int
-        A region of so many lines is decided as it is, and closed.
-    by_line : bool
-        The height is that within a line, not that of the whole region.
+        Signed angles of the last lines before.
+    regions : OpenRegions
+        What the lines before left undecided.
+    thresholds : CurbThresholds
     last : bool
         No more lines will come.
 
@@ -363,63 +368,47 @@ def connect_verticals(
     -------
     curb : (F, n) bool
         Rows that became decided, in order.
-    carried, n_given, regions, extents
+    regions : OpenRegions
         For the next call.
     """
     n_rows, n = surface.shape
-    n_before = len(carried) // n_sides
-    n_lines = n_before + n_rows // n_sides
-    labels = np.empty((n_lines * n_sides, n), np.int32)
-    for row in range(len(carried)):
-        for k in range(n):
-            labels[row, k] = carried[row, k]
+    n_before = len(regions.labels)
+    n_lines = (n_before + n_rows) // n_sides
     n_vertical = 0
     for row in range(n_rows):
         for k in range(n):
             n_vertical += surface[row, k] == _VERTICAL
-    n_ids = FIRST_REGION + len(regions)
-    capacity = n_ids + n_vertical
-    parent = np.empty(capacity, np.int32)
-    spans = np.empty((capacity, 4), np.int32)
-    low = np.empty(capacity, np.float32)
-    high = np.empty(capacity, np.float32)
-    undecided = np.empty((n_sides, capacity), np.int32)
+    n_ids = FIRST_REGION + len(regions.side)
+    table = _open_table(regions, n_sides, n_lines, n_ids + n_vertical)
+    parent, first_line, last_line, labels = table.parent, table.first, table.last, table.labels
+    undecided = np.empty((n_sides, n_ids + n_vertical), np.int32)
     n_undecided = np.zeros(n_sides, np.int64)
-    for label in range(n_ids):
-        parent[label] = label
-    for i in range(len(regions)):
-        label = FIRST_REGION + i
-        for j in range(4):
-            spans[label, j] = regions[i, j]
-        low[label] = extents[i, 0]
-        high[label] = extents[i, 1]
-        side = regions[i, 0]
+    for label in range(FIRST_REGION, n_ids):
+        side = table.side[label]
         undecided[side, n_undecided[side]] = label
         n_undecided[side] += 1
 
     for row in range(n_rows):
-        side = row % n_sides
-        line = n_before + row // n_sides
+        side, line = row % n_sides, (n_before + row) // n_sides
+        above = xyz[row - n_sides] if row >= n_sides else above_xyz[side]
         n_new = _connect_row(
-            surface[row], xyz[row], xyz[row - n_sides] if row >= n_sides else above_xyz[side],
-            labels[line * n_sides + side], labels[(line - 1) * n_sides + side], side, line, possible[row], parent,
-            spans, low, high, undecided[side], n_undecided[side], n_ids, reach * reach, t_curb, by_line,
-        )  # fmt: skip
+            table, surface[row], xyz[row], above, n_before + row, n_sides, possible[row], n_ids, thresholds
+        )
+        for label in range(n_ids, n_ids + n_new):
+            undecided[side, n_undecided[side]] = label
+            n_undecided[side] += 1
         n_ids += n_new
-        n_undecided[side] += n_new
         # what got nothing from this line is complete
         kept = 0
         for i in range(n_undecided[side]):
             label = undecided[side, i]
             if parent[label] != label:
                 continue
-            if spans[label, 2] == line and line - spans[label, 1] + 1 < max_lines:
+            if last_line[label] == line and line - first_line[label] + 1 < thresholds.max_lines:
                 undecided[side, kept] = label
                 kept += 1
             else:
-                _decide(
-                    parent, spans, labels, signed, above_signed, label, n_sides, n_before, min_lines, curvature
-                )  # fmt: skip
+                _decide(table, signed, above_signed, label, n_sides, thresholds)
         n_undecided[side] = kept
 
     first_open = n_lines
@@ -427,15 +416,15 @@ def connect_verticals(
         for i in range(n_undecided[side]):
             label = undecided[side, i]
             if last:
-                _decide(parent, spans, labels, signed, above_signed, label, n_sides, n_before, min_lines, curvature)
+                _decide(table, signed, above_signed, label, n_sides, thresholds)
             else:
-                first_open = min(first_open, spans[label, 1])
+                first_open = min(first_open, first_line[label])
 
-    curb = np.empty(((first_open - n_given) * n_sides, n), np.bool_)
+    curb = np.empty(((first_open - regions.n_given) * n_sides, n), np.bool_)
     for row in range(len(curb)):
         for k in range(n):
-            label = labels[row + n_given * n_sides, k]
+            label = labels[row + regions.n_given * n_sides, k]
             curb[row, k] = label > HIGH and _root(parent, label) == CURB
     begin = min(first_open, n_lines - 1)
-    left, regions_left, extents_left = _carry(parent, spans, low, high, labels, begin * n_sides, begin, n_ids)
-    return curb, left, n_lines - begin if first_open == n_lines else 0, regions_left, extents_left
+    n_given = n_lines - begin if first_open == n_lines else 0
+    return curb, _carry(table, n_sides, begin, n_given, n_ids)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from prc_cli.core.classes import Surface
+from prc_cli.core.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, kernel
 
@@ -106,20 +107,14 @@ def _is_flat(sums: F64, first: int, last: int, residual_m: float, slope: float) 
 
 @helper
 def _flat_stretch(
-    points: F64,
-    first: int,
-    last: int,
-    length_m: float,
-    residual_m: float,
-    slope: float,
-    sums: F64,
-    farthest: F64,
+    points: F64, first: int, last: int, thresholds: DividerThresholds, sums: F64, farthest: F64
 ) -> tuple[int, int]:
     """Find the first long flat stretch of a horizontal run; (-1, -1) = none.
 
-    The points from K to the first one that lies ``length_m`` farther must be flat; then the stretch is drawn out point
-    by point for as long as it stays flat. That first point is sought from where it was for the K before.
+    The points from K to the first one that lies ``flat_length_m`` farther must be flat; then the stretch is drawn out
+    point by point for as long as it stays flat. That first point is sought from where it was for the K before.
     """
+    length_m, residual_m, slope = thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope
     size = last + 1 - first
     farthest[size] = -np.inf
     longest = -np.inf
@@ -154,15 +149,7 @@ def _flat_stretch(
 
 @helper
 def _first_flat(
-    code: U8,
-    points: F64,
-    begin: int,
-    end: int,
-    length_m: float,
-    residual_m: float,
-    slope: float,
-    sums: F64,
-    farthest: F64,
+    code: U8, points: F64, begin: int, end: int, thresholds: DividerThresholds, sums: F64, farthest: F64
 ) -> tuple[int, int]:
     """Find the first long flat stretch of an interval, within one horizontal run; (-1, -1) = none."""
     i = begin
@@ -171,7 +158,7 @@ def _first_flat(
         while i <= end and code[i] == _HORIZONTAL:
             i += 1
         if i > first:
-            stretch = _flat_stretch(points, first, i - 1, length_m, residual_m, slope, sums, farthest)
+            stretch = _flat_stretch(points, first, i - 1, thresholds, sums, farthest)
             if stretch[0] >= 0:
                 return stretch
         i += 1
@@ -204,8 +191,8 @@ def _with_room(found: I32, size: int) -> I32:
 
 @kernel(
     "int32[:, ::1](uint8[:, ::1], float32[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], int32[::1], "
-    "boolean[::1], float32[::1], float64, float64, float64, float64, int64, int64, float64, float64, float64, float64, "
-    "float64)"
+    "boolean[::1], float32[::1], DividerThresholds)",
+    tuples=[DividerThresholds],
 )
 def car_intervals(
     surface: U8,
@@ -216,17 +203,7 @@ def car_intervals(
     n_beams: I32,
     triggered: Mask,
     ground_m: F32,
-    height_m: float,
-    sudden_from_deg: float,
-    sudden_to_deg: float,
-    chord_m: float,
-    chord_reach: int,
-    under_points: int,
-    under_m: float,
-    separation_m: float,
-    flat_length_m: float,
-    flat_residual_m: float,
-    flat_slope: float,
+    thresholds: DividerThresholds,
 ) -> I32:
     """Cut the triggered rows into intervals that may be cars.
 
@@ -244,22 +221,7 @@ def car_intervals(
         Rows to look at.
     ground_m : (R,) float32, metres
         Height of the ground; rows where it is NaN are not looked at.
-    height_m : float, metres
-        The search ends at the first return higher above the ground.
-    sudden_from_deg, sudden_to_deg : float, degrees
-        A change from H to V at an angle between them is sudden.
-    chord_m : float, metres
-        Least length of the chord that the angle is measured on; 0 or below = ``signed_deg``.
-    chord_reach : int
-        Returns that are looked at for either end of the chord.
-    under_points : int
-        Returns before a sudden change of which one must be ...
-    under_m : float, metres
-        ... this much farther away.
-    separation_m : float, metres
-        Successive returns farther apart, the second one not nearer to the scanner, belong to two intervals.
-    flat_length_m, flat_residual_m, flat_slope : float, metres, metres, tangent
-        Horizontal length at least, residual of the heights at most and slope at most of a stretch of ground.
+    thresholds : DividerThresholds
 
     Returns
     -------
@@ -278,7 +240,8 @@ def car_intervals(
         ground = np.float64(ground_m[row])
         if not triggered[row] or ground != ground:
             continue
-        size, j = _gather(surface, range_m, xyz_m, row, int(np.int64(n_beams[row])), ground + height_m, beam, code)
+        limit_m = ground + thresholds.height_m
+        size, j = _gather(surface, range_m, xyz_m, row, int(np.int64(n_beams[row])), limit_m, beam, code)
         if j == size:
             continue
         _place(range_m, xyz_m, horizontal_m, row, beam, j, size, points)
@@ -288,23 +251,23 @@ def car_intervals(
                 j += 1
                 continue
             angle = math.nan
-            if chord_m > 0.0:
-                angle = _change_angle(xyz_m, row, beam, size, j, chord_m, chord_reach)
+            if thresholds.chord_m > 0.0:
+                angle = _change_angle(xyz_m, row, beam, size, j, thresholds.chord_m, thresholds.chord_reach)
             if angle != angle:
                 angle = signed_deg[row, beam[j]]
-            gradual = angle < sudden_from_deg or angle > sudden_to_deg
-            if not gradual and not _is_under(range_m, row, beam, j, under_points, under_m):
+            gradual = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
+            if not gradual and not _is_under(
+                range_m, row, beam, j, thresholds.under_points, thresholds.under_m
+            ):  # fmt: skip
                 j += 1
                 continue
             begin = j
             j = size
             while begin < size:  # one interval after the other, as far as jumps alone divide them
                 if jump < begin:
-                    jump = _next_jump(points, size, begin, separation_m)
+                    jump = _next_jump(points, size, begin, thresholds.separation_m)
                 last = jump
-                flat_from, flat_to = _first_flat(
-                    code, points, begin, last, flat_length_m, flat_residual_m, flat_slope, sums, farthest
-                )
+                flat_from, flat_to = _first_flat(code, points, begin, last, thresholds, sums, farthest)
                 found = _with_room(found, n_found)
                 found[n_found, 0], found[n_found, 1] = row, beam[begin]
                 found[n_found, 2] = beam[last if flat_from < 0 else flat_from]
@@ -316,13 +279,43 @@ def car_intervals(
     return found[:n_found].copy()
 
 
+@helper
+def _vertical_run(
+    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, k: int, stop: int, n: int, extent_m: float, break_m: float
+) -> tuple[int, int, bool]:
+    """Follow the vertical run that begins at a beam as far as is needed to know whether it is long.
+
+    Returns the beam after it, its last return that lies in the interval, and whether it is long.
+    """
+    before = horizontal_m[row, k]
+    last = k
+    long = False
+    lowest = np.inf
+    highest = -np.inf
+    j = k
+    while j < n and (j < stop or not long):
+        here = horizontal_m[row, j]
+        if here == here:
+            if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > break_m:
+                break
+            height = np.float64(xyz_m[row, j, 2])
+            lowest = min(lowest, height)
+            highest = max(highest, height)
+            long = highest - lowest >= extent_m
+            before = here
+            last = j if j < stop else last
+        j += 1
+    return j, last, long
+
+
 @kernel(
-    "int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int32[:, ::1], float64, float64)"
+    "int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int32[:, ::1], DividerThresholds)",
+    tuples=[DividerThresholds],
 )
 def cut_verticals(
-    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, extent_m: float, break_m: float
+    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, thresholds: DividerThresholds
 ) -> I32:
-    """Take long vertical runs out of intervals.
+    """Take long vertical runs out of intervals; points behind an interval count in a run that goes on there.
 
     Parameters
     ----------
@@ -334,11 +327,7 @@ def cut_verticals(
     n_beams : (R,) int32
     intervals : (K, 3) int32
         Row, first beam, last beam, both of them returns.
-    extent_m : float, metres
-        Runs from this difference between their highest and lowest point up are taken out; points behind the interval
-        count in a run that goes on there.
-    break_m : float, metres
-        A larger change of horizontal distance from one return to the next ends a run.
+    thresholds : DividerThresholds
 
     Returns
     -------
@@ -357,40 +346,27 @@ def cut_verticals(
         end = -1
         k = intervals[i, 1]
         while k < stop:
-            before = horizontal_m[row, k]
-            if before != before:
+            if horizontal_m[row, k] != horizontal_m[row, k]:
                 k += 1
                 continue
-            last = -1  # last return of the run inside the interval
-            long = False
-            lowest = np.inf
-            highest = -np.inf
-            j = k
-            while j < n and (j < stop or not long):
-                here = horizontal_m[row, j]
-                if here == here:
-                    if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > break_m:
-                        break
-                    height = np.float64(xyz_m[row, j, 2])
-                    lowest = min(lowest, height)
-                    highest = max(highest, height)
-                    long = highest - lowest >= extent_m
-                    before = here
-                    if j < stop:
-                        last = j
-                j += 1
-            if last < 0:  # no vertical point here
+            if surface[row, k] != _VERTICAL:
                 begin = k if begin < 0 else begin
                 end = k
-                j = k + 1
-            elif not long:
+                k += 1
+                continue
+            after, last, long = _vertical_run(
+                surface, xyz_m, horizontal_m, row, k, stop, n,
+                thresholds.vertical_extent_m, thresholds.vertical_break_m,
+            )  # fmt: skip
+            if long:
+                if begin >= 0:
+                    left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
+                    n_left += 1
+                begin = -1
+            else:
                 begin = k if begin < 0 else begin
                 end = last
-            elif begin >= 0:
-                left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
-                n_left += 1
-                begin = -1
-            k = j
+            k = after
         if begin >= 0:
             left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
             n_left += 1

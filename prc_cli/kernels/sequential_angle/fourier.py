@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from prc_cli.core.sequential_angle import FourierThresholds
 from prc_cli.core.types import F32, F64, I32, Mask
 from prc_cli.kernels.cache import kernel
 
@@ -78,11 +79,12 @@ def _is_stable(values: F64, band: float, ratio: float) -> bool:
     return True
 
 
-@kernel("boolean[::1](float32[:, ::1], int32[:, ::1], float64, float64, int64, int64)")
-def stable_intervals(
-    signed_deg: F32, intervals: I32, band: float, ratio: float, min_points: int, window_points: int
-) -> Mask:
+@kernel("boolean[::1](float32[:, ::1], int32[:, ::1], FourierThresholds)", tuples=[FourierThresholds])
+def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
     """Mark intervals whose signed angles hold no high frequency.
+
+    Long intervals are cut into the least number of windows of nearly equal size; at least half of them must be without
+    high frequencies.
 
     Parameters
     ----------
@@ -90,15 +92,7 @@ def stable_intervals(
         Signed angles; NaN = none, left out.
     intervals : (K, 3) int32
         Row, first beam, last beam.
-    band : float
-        Frequencies k from ``band * N`` to N/2 must not be ...
-    ratio : float
-        ... larger than this share of the largest one of all, k = 0 included; below 1.
-    min_points : int
-        Fewer angles decide against the interval.
-    window_points : int
-        Longer intervals are cut into the least number of windows of nearly equal size that are not larger than this;
-        at least half of them must be without high frequencies.
+    thresholds : FourierThresholds
 
     Returns
     -------
@@ -114,12 +108,12 @@ def stable_intervals(
             if value == value:
                 values[n] = value
                 n += 1
-        if n < min_points or n == 0:
+        if n < thresholds.min_points or n == 0:
             continue
-        n_windows = (n + window_points - 1) // window_points
+        n_windows = (n + thresholds.window_points - 1) // thresholds.window_points
         n_stable = 0
         for window in range(n_windows):
             part = values[window * n // n_windows : (window + 1) * n // n_windows]
-            n_stable += _is_stable(part, band, ratio)
+            n_stable += _is_stable(part, thresholds.band, thresholds.ratio)
         stable[i] = 2 * n_stable >= n_windows
     return stable

@@ -10,9 +10,12 @@ them part their samples.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from prc_cli.core.sequential_angle import GroundState, GroundThresholds, PotentialGround
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 
@@ -39,13 +42,63 @@ BEHIND = 2
 _HORIZONTAL = 2
 _MISSING = 0
 
-# slots of the heights: how many, their first and last coarse bin, their median, ...
-_N, _LO, _HI, _MEDIAN, _BELOW, _WIDTH, _FIRST, _LAST, _OLDEST, _NEWEST = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-# ... and between which coarse bins memory has been cleared: all of it would be three megabytes for every block
-_FROM, _TO = 10, 11
-_SLOTS = 12
+_FIGURES = np.dtype(
+    [
+        (name, np.int64)
+        for name in (
+            "n",  # heights in the histogram
+            "first", "last",  # their first and last bin
+            "median", "below",  # the bin of their median, and heights in the bins below
+            "width",  # bins of the histogram in a coarse bin
+            "lo", "hi",  # first and last coarse bin
+            "cleared_from", "cleared_to",  # coarse bins between which memory has been cleared: not all three megabytes
+            "oldest", "newest",  # ends of the queue
+        )
+    ]
+)  # fmt: skip
 _AT_ONCE = 250
 """Bins of the histogram of heights that are looked at together for whether there is anything."""
+
+
+class _Row(NamedTuple):
+    """One row.
+
+    Take its arrays before a loop, not in it, and call nothing with an array for every point: numba counts the
+    references of each array that is taken or handed over, in atomic steps, which took most of the time.
+    """
+
+    surface: U8
+    xyz: F32
+    horizontal: F32
+    phihat: F32
+    ahead: I32
+
+
+class _Scratch(NamedTuple):
+    """Memory for the line angles of a row and their modes; ``hist`` and ``density`` are zero between calls."""
+
+    sampled: I32
+    """Beams of the samples."""
+    angles: F64
+    """(2, n) float64, line angles of the samples, and room for their bins."""
+    hist: I64
+    """Samples in every bin, with :data:`HALF` bins more at either end."""
+    density: I64
+    tops: I64
+    counts: I64
+
+
+class _Heights(NamedTuple):
+    """Heights of rows: all in fine bins, and those that count in coarse ones with their density."""
+
+    histogram: I32
+    queue: I32
+    """Bins of the heights that are remembered, between the figures ``oldest`` and ``newest``."""
+    hist: I64
+    """Heights in every coarse bin, with :data:`HALF` bins more at the beginning."""
+    density: I64
+    figures: NDArray[np.void]
+    """(1,) of :data:`_FIGURES`."""
 
 
 @helper
@@ -268,38 +321,58 @@ def _bridged(
 
 
 @helper
-def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever a helper takes them
-    surface: U8,
-    xyz: F32,
-    horizontal: F32,
-    phihat: F32,
-    ahead: I32,
-    n: int,
-    start: int,
-    first_run: int,
-    least: int,
-    smallest: float,
-    sigmas: float,
-    noise: float,
-    n_fit: int,
-    jump: float,
-    bridge: int,
-    step: float,
-    beams: I32,
-    sampled: I32,
-    angles: F64,
-    hist: I64,
-    density: I64,
-    tops: I64,
-    counts: I64,
+def _follow_peak(hist: I64, peak: int, q: int) -> int:
+    """Return the only maximum of a density after a sample was added, given the one before; -1 = there may be two.
+
+    A second one can only arise between it and the new sample, on either side of which both parts of the density rise,
+    or fall, together.
+    """
+    i, end = min(peak, q), max(peak, q)
+    if i == end:
+        return peak
+    top = i
+    here = _density_at(hist, i)
+    rising = True
+    while i < end:
+        there = _density_at(hist, i + 1)
+        if there < here:
+            rising = False
+        elif there > here and not rising:
+            return -1
+        here = there
+        i += 1
+        if rising:
+            top = i
+    return top
+
+
+@helper
+def _count_modes(scratch: _Scratch, lo: int, hi: int, least: int) -> tuple[int, int]:
+    """Count the modes of so many samples at least, and return the bin of the maximum too, -1 = there are several."""
+    density, tops, counts = scratch.density, scratch.tops, scratch.counts
+    _build(scratch.hist, density, lo, hi)
+    n_modes = _walk(scratch.hist, density, lo, hi, tops, counts)
+    _clear_density(density, lo, hi)
+    enough = 0
+    for i in range(n_modes):
+        enough += counts[i] >= least
+    return enough, tops[0] // 2 if n_modes == 1 else int(np.int64(-1))
+
+
+@helper
+def _potential(  # noqa: PLR0915 - what every point goes through calls nothing with an array
+    row: _Row, n: int, start: int, thresholds: GroundThresholds, beams: I32, scratch: _Scratch
 ) -> tuple[int, float]:
     """Find potential ground in a row from a beam on: how many points, left in ``beams``, and the bandwidth (part a).
 
-    ``hist`` and ``density`` are zero before and after. What every point goes through stands here and calls nothing
-    with an array: numba counts the references of each array that it hands over, in atomic steps, which took most of
-    the time. As long as the samples lie so close together that they have one mode, the least and the largest angle
-    say so, and no bin is counted.
+    What every point goes through stands here, see :class:`_Row`. As long as the samples lie so close together that they
+    have one mode, the least and the largest angle say so, and no bin is counted.
     """
+    surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
+    sampled, angles, hist = scratch.sampled, scratch.angles, scratch.hist
+    jump, n_fit, first_run, least = (
+        thresholds.jump_m, thresholds.growth_points, thresholds.first_run, thresholds.mode_samples
+    )  # fmt: skip
     size = len(hist) - 2 * HALF
     n_points = n_samples = renew_at = int(np.int64(0))  # not the literal, for which helpers would be compiled once more
     lo = hi = peak = int(np.int64(-1))
@@ -312,7 +385,9 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
         while k < n and surface[k] == _MISSING:
             k += 1
         if n_points > 0 and k < n and surface[k] != _HORIZONTAL:
-            k = _bridged(surface, xyz, horizontal, beams, n_points, k, n, n_fit, bridge, step)
+            k = _bridged(
+                surface, xyz, horizontal, beams, n_points, k, n, n_fit, thresholds.bridge, thresholds.bridge_height_m
+            )
         if k >= n or surface[k] != _HORIZONTAL:
             if growing or k >= n:
                 break
@@ -353,7 +428,10 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
                 # the bandwidth follows the middle of the set whenever the set has grown by a half: that keeps the
                 # work proportional to the number of points, whatever the bandwidth does
                 renew_at = n_samples + n_samples // 2 + 1
-                b = _bandwidth(xyz, ahead, sampled[n_samples // 2], smallest, sigmas, noise)
+                b = _bandwidth(
+                    xyz, row.ahead, sampled[n_samples // 2], thresholds.bandwidth_deg, thresholds.bandwidth_sigmas,
+                    thresholds.range_noise_m,
+                )  # fmt: skip
                 width = b / PER_BANDWIDTH
                 if built:
                     _forget(hist, lo, hi)
@@ -362,42 +440,15 @@ def _potential(  # noqa: PLR0915 - the references of arrays are counted wherever
                 q = _bin(angle, width, size)
                 lo, hi = min(lo, q), max(hi, q)
                 hist[q] += built
-            one_mode = hi - lo <= CLEAR
-            if not one_mode:
+            if hi - lo > CLEAR:
                 if not built:
                     _count(angles, n_samples, width, size, hist)
                     built, peak = True, int(np.int64(-1))
                 if peak >= 0:
-                    # one maximum before: a second one can only arise between it and the new sample, on either side of
-                    # which both parts of the density rise, or fall, together
-                    i, end = min(peak, q), max(peak, q)
-                    if i < end:
-                        here = _density_at(hist, i)
-                        rising = True
-                        top = i
-                        while i < end:
-                            there = _density_at(hist, i + 1)
-                            if there < here:
-                                rising = False
-                            elif there > here and not rising:
-                                break
-                            here = there
-                            i += 1
-                            if rising:
-                                top = i
-                        one_mode = i == end
-                        peak = top if one_mode else int(np.int64(-1))
-                    else:
-                        one_mode = True
-                if not one_mode:
-                    _build(hist, density, lo, hi)
-                    n_modes = _walk(hist, density, lo, hi, tops, counts)
-                    _clear_density(density, lo, hi)
-                    peak = tops[0] // 2 if n_modes == 1 else int(np.int64(-1))
-                    enough = 0
-                    for i in range(n_modes):
-                        enough += counts[i] >= least
-                    one_mode = enough == 1
+                    peak = _follow_peak(hist, peak, q)
+                if peak < 0:
+                    n_modes, peak = _count_modes(scratch, lo, hi, least)
+                    one_mode = n_modes == 1
         if growing and not one_mode:
             break
         if one_mode:
@@ -443,29 +494,19 @@ def _main(counts: I64, n: int) -> int:
 
 
 @helper
-def _extend(
-    surface: U8,
-    xyz: F32,
-    horizontal: F32,
-    phihat: F32,
-    n: int,
-    beams: I32,
-    n_points: int,
-    mode: float,
-    b: float,
-    n_fit: int,
-    guard: float,
-    bridge: int,
-    step: float,
-) -> int:
+def _extend(row: _Row, n: int, beams: I32, n_points: int, mode: float, b: float, thresholds: GroundThresholds) -> int:
     """Grow ground over the horizontal points that follow; returns how many points there are then in ``beams``."""
+    surface, xyz, horizontal, phihat = row.surface, row.xyz, row.horizontal, row.phihat
+    n_fit, guard = thresholds.growth_points, thresholds.growth_height_m
     k = int(np.int64(beams[n_points - 1] + 1))
     while k < n:
         if surface[k] == _MISSING:
             k += 1
             continue
         if surface[k] != _HORIZONTAL:
-            k = _bridged(surface, xyz, horizontal, beams, n_points, k, n, n_fit, bridge, step)
+            k = _bridged(
+                surface, xyz, horizontal, beams, n_points, k, n, n_fit, thresholds.bridge, thresholds.bridge_height_m
+            )
             if surface[k] != _HORIZONTAL:
                 break
         # a point without a line angle is judged by its height alone
@@ -480,18 +521,9 @@ def _extend(
 
 
 @helper
-def _main_angle(
-    phihat: F32,
-    beams: I32,
-    n_points: int,
-    b: float,
-    angles: F64,
-    hist: I64,
-    density: I64,
-    tops: I64,
-    counts: I64,
-) -> float:
-    """Return the main mode of the line angles of some points [deg]; ``hist`` and ``density`` are as before."""
+def _main_angle(phihat: F32, beams: I32, n_points: int, b: float, scratch: _Scratch) -> float:
+    """Return the main mode of the line angles of some points [deg]."""
+    angles, hist, density, tops, counts = scratch.angles, scratch.hist, scratch.density, scratch.tops, scratch.counts
     size = len(hist) - 2 * HALF
     width = b / PER_BANDWIDTH
     least_deg, most_deg = np.inf, -np.inf
@@ -511,35 +543,9 @@ def _main_angle(
 
 
 @helper
-def _resume(
-    surface: U8,
-    xyz: F32,
-    horizontal: F32,
-    phihat: F32,
-    ahead: I32,
-    n: int,
-    first_run: int,
-    least: int,
-    smallest: float,
-    sigmas: float,
-    noise: float,
-    n_fit: int,
-    jump: float,
-    bridge: int,
-    step: float,
-    guard: float,
-    beams: I32,
-    n_points: int,
-    more: I32,
-    sampled: I32,
-    angles: F64,
-    hist: I64,
-    density: I64,
-    tops: I64,
-    counts: I64,
-) -> int:
-    """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
-    start = k = end = int(np.int64(beams[n_points - 1] + 1))
+def _end_of_run(surface: U8, start: int, n: int, bridge: int) -> int:
+    """Return the beam behind the last horizontal one that no more than a few others part from those before."""
+    end = k = start
     passed = 0
     while k < n and passed <= bridge:
         if surface[k] == _HORIZONTAL:
@@ -548,13 +554,20 @@ def _resume(
         elif surface[k] != _MISSING:
             passed += 1
         k += 1
-    k = start
+    return end
+
+
+@helper
+def _resume(
+    row: _Row, n: int, beams: I32, n_points: int, more: I32, thresholds: GroundThresholds, scratch: _Scratch
+) -> int:
+    """Look for more ground in the rest of a run of horizontal points; returns how many points are in ``beams`` then."""
+    surface, guard = row.surface, thresholds.growth_height_m
+    start = k = int(np.int64(beams[n_points - 1] + 1))
+    end = _end_of_run(surface, start, n, thresholds.bridge)
     crossed = False
     while start < end:
-        n_more, b = _potential(
-            surface, xyz, horizontal, phihat, ahead, end, start, first_run, least, smallest, sigmas, noise,
-            n_fit, jump, bridge, step, more, sampled, angles, hist, density, tops, counts,
-        )  # fmt: skip
+        n_more, b = _potential(row, end, start, thresholds, more, scratch)
         if n_more == 0:
             break
         start = int(np.int64(more[n_more - 1] + 1))
@@ -562,17 +575,26 @@ def _resume(
             crossed = crossed or (surface[k] != _HORIZONTAL and surface[k] != _MISSING)
             k += 1
         if _fits(
-            xyz, horizontal, beams, n_points, int(np.int64(more[0])), n_fit, min(step, guard) if crossed else guard
-        ):
+            row.xyz, row.horizontal, beams, n_points, int(np.int64(more[0])), thresholds.growth_points,
+            min(thresholds.bridge_height_m, guard) if crossed else guard,
+        ):  # fmt: skip
             for i in range(n_more):
                 beams[n_points + i] = more[i]
-            mode = _main_angle(phihat, more, n_more, b, angles, hist, density, tops, counts)
-            n_points = _extend(
-                surface, xyz, horizontal, phihat, end, beams, n_points + n_more, mode, b, n_fit, guard, bridge, step
-            )  # fmt: skip
+            mode = _main_angle(row.phihat, more, n_more, b, scratch)
+            n_points = _extend(row, end, beams, n_points + n_more, mode, b, thresholds)
             start = k = int(np.int64(beams[n_points - 1] + 1))
             crossed = False
     return n_points
+
+
+@helper
+def _grow(
+    row: _Row, n: int, beams: I32, n_points: int, b: float, more: I32, thresholds: GroundThresholds, scratch: _Scratch
+) -> int:
+    """Grow accepted ground over the rest of its run; returns how many points are in ``beams`` then."""
+    mode = _main_angle(row.phihat, beams, n_points, b, scratch)
+    n_points = _extend(row, n, beams, n_points, mode, b, thresholds)
+    return _resume(row, n, beams, n_points, more, thresholds, scratch) if thresholds.resume else n_points
 
 
 @helper
@@ -582,34 +604,35 @@ def _height_bin(z: float) -> int:
 
 
 @helper
-def _reach(hist: I64, density: I64, state: I64, q: int) -> None:
+def _reach(heights: _Heights, q: int) -> None:
     """Clear memory as far as a sample in a coarse bin needs it."""
-    if state[_FROM] == state[_TO]:
-        state[_FROM] = state[_TO] = q - HALF
-    for i in range(q - HALF, state[_FROM]):
+    hist, density, figures = heights.hist, heights.density, heights.figures[0]
+    if figures["cleared_from"] == figures["cleared_to"]:
+        figures["cleared_from"] = figures["cleared_to"] = q - HALF
+    for i in range(q - HALF, figures["cleared_from"]):
         hist[i] = density[i] = 0
-    for i in range(state[_TO], q + HALF + 1):
+    for i in range(figures["cleared_to"], q + HALF + 1):
         hist[i] = density[i] = 0
-    state[_FROM] = min(state[_FROM], q - HALF)
-    state[_TO] = max(state[_TO], q + HALF + 1)
+    figures["cleared_from"] = min(figures["cleared_from"], q - HALF)
+    figures["cleared_to"] = max(figures["cleared_to"], q + HALF + 1)
 
 
 @helper
-def _coarse(histogram: I32, hist: I64, density: I64, state: I64, width: int) -> None:
+def _coarse(heights: _Heights, width: int) -> None:
     """Bin the histogram of heights in an eighth of the bandwidth."""
-    if state[_N] > 0:
-        _clear(hist, density, state[_LO], state[_HI])
-    state[_N] = 0
-    state[_WIDTH] = width
-    state[_LO] = state[_FIRST] // width + HALF
-    state[_HI] = state[_LAST] // width + HALF
-    _reach(hist, density, state, state[_LO])
-    _reach(hist, density, state, state[_HI])
-    for i in range(state[_FIRST], state[_LAST] + 1):
+    histogram, hist, figures = heights.histogram, heights.hist, heights.figures[0]
+    if figures["n"] > 0:
+        _clear(hist, heights.density, figures["lo"], figures["hi"])
+    lo, hi = figures["first"] // width + HALF, figures["last"] // width + HALF
+    _reach(heights, lo)
+    _reach(heights, hi)
+    n = int(np.int64(0))
+    for i in range(figures["first"], figures["last"] + 1):
         if histogram[i] > 0:
             hist[i // width + HALF] += histogram[i]
-            state[_N] += histogram[i]
-    _build(hist, density, state[_LO], state[_HI])
+            n += histogram[i]
+    figures["n"], figures["width"], figures["lo"], figures["hi"] = n, width, lo, hi
+    _build(hist, heights.density, lo, hi)
 
 
 @helper
@@ -619,8 +642,24 @@ def _height_width(median: int, share: float) -> int:
 
 
 @helper
-def _open_heights(histogram: I32, hist: I64, density: I64, state: I64, share: float) -> None:
-    """Take a histogram of heights up: its ends, its (lower) median, its density."""
+def _new_heights(histogram: I32, queue: I32, n_queued: int, share: float) -> _Heights:
+    """Take a histogram of heights up."""
+    heights = _Heights(
+        histogram=histogram,
+        queue=queue,
+        hist=np.empty(N_HEIGHTS + 2 * HALF, np.int64),
+        density=np.empty(N_HEIGHTS + 2 * HALF, np.int64),
+        figures=np.zeros(1, _FIGURES),
+    )
+    heights.figures[0]["newest"] = n_queued
+    _open_heights(heights, share)
+    return heights
+
+
+@helper
+def _open_heights(heights: _Heights, share: float) -> None:
+    """Find the ends of a histogram of heights, its (lower) median, its density."""
+    histogram, figures = heights.histogram, heights.figures[0]
     n = int(np.int64(0))
     for begin in range(0, N_HEIGHTS, _AT_ONCE):
         there = 0
@@ -630,22 +669,22 @@ def _open_heights(histogram: I32, hist: I64, density: I64, state: I64, share: fl
             continue
         for i in range(begin, begin + _AT_ONCE):
             if histogram[i] > 0:
-                if n == 0:
-                    state[_FIRST] = i
-                state[_LAST] = i
+                figures["first"] = i if n == 0 else figures["first"]
+                figures["last"] = i
                 n += histogram[i]
     if n == 0:
         return
-    state[_MEDIAN] = state[_FIRST]
-    state[_BELOW] = 0
-    _settle(histogram, state, n)
-    _coarse(histogram, hist, density, state, _height_width(state[_MEDIAN], share))
+    figures["median"] = figures["first"]
+    figures["below"] = 0
+    _settle(heights, n)
+    _coarse(heights, _height_width(figures["median"], share))
 
 
 @helper
-def _settle(histogram: I32, state: I64, n: int) -> None:
+def _settle(heights: _Heights, n: int) -> None:
     """Bring the median of n heights to its place."""
-    median, below = state[_MEDIAN], state[_BELOW]
+    histogram, figures = heights.histogram, heights.figures[0]
+    median, below = figures["median"], figures["below"]
     rank = (n - 1) // 2
     while below > rank:
         median -= 1
@@ -653,86 +692,86 @@ def _settle(histogram: I32, state: I64, n: int) -> None:
     while below + histogram[median] <= rank:
         below += histogram[median]
         median += 1
-    state[_MEDIAN] = median
-    state[_BELOW] = below
+    figures["median"] = median
+    figures["below"] = below
 
 
 @helper
-def _add_height(histogram: I32, hist: I64, density: I64, state: I64, new: int, share: float) -> None:
+def _add_height(heights: _Heights, new: int, share: float) -> None:
     """Add a height to histogram, median and density."""
-    histogram[new] += 1
-    if state[_N] == 0:
-        _open_heights(histogram, hist, density, state, share)
+    figures = heights.figures[0]
+    heights.histogram[new] += 1
+    if figures["n"] == 0:
+        _open_heights(heights, share)
         return
-    state[_FIRST] = min(state[_FIRST], new)
-    state[_LAST] = max(state[_LAST], new)
-    if new < state[_MEDIAN]:
-        state[_BELOW] += 1
-    _settle(histogram, state, state[_N] + 1)
-    width = _height_width(state[_MEDIAN], share)
-    if width == state[_WIDTH]:
+    figures["first"] = min(figures["first"], new)
+    figures["last"] = max(figures["last"], new)
+    figures["below"] += new < figures["median"]
+    _settle(heights, figures["n"] + 1)
+    width = _height_width(figures["median"], share)
+    if width == figures["width"]:
         q = new // width + HALF
-        _reach(hist, density, state, q)
-        hist[q] += 1
-        _spread(density, q, int(np.int64(1)))
-        state[_LO] = min(state[_LO], q)
-        state[_HI] = max(state[_HI], q)
-        state[_N] += 1
+        _reach(heights, q)
+        heights.hist[q] += 1
+        _spread(heights.density, q, int(np.int64(1)))
+        figures["lo"] = min(figures["lo"], q)
+        figures["hi"] = max(figures["hi"], q)
+        figures["n"] += 1
     else:
-        _coarse(histogram, hist, density, state, width)
+        _coarse(heights, width)
 
 
 @helper
-def _forget_height(histogram: I32, hist: I64, density: I64, state: I64, old: int, share: float) -> None:
+def _forget_height(heights: _Heights, old: int, share: float) -> None:
     """Take a height, not the last one, out of histogram, median and density."""
+    histogram, figures = heights.histogram, heights.figures[0]
     histogram[old] -= 1
-    width = state[_WIDTH]
+    width = figures["width"]
     q = old // width + HALF
-    hist[q] -= 1
-    _spread(density, q, int(np.int64(-1)))
-    state[_N] -= 1
-    while histogram[state[_FIRST]] == 0:
-        state[_FIRST] += 1
-    while histogram[state[_LAST]] == 0:
-        state[_LAST] -= 1
-    state[_LO] = state[_FIRST] // width + HALF
-    state[_HI] = state[_LAST] // width + HALF
-    if old < state[_MEDIAN]:
-        state[_BELOW] -= 1
-    _settle(histogram, state, state[_N])
-    if _height_width(state[_MEDIAN], share) != width:
-        _coarse(histogram, hist, density, state, _height_width(state[_MEDIAN], share))
+    heights.hist[q] -= 1
+    _spread(heights.density, q, int(np.int64(-1)))
+    figures["n"] -= 1
+    while histogram[figures["first"]] == 0:
+        figures["first"] += 1
+    while histogram[figures["last"]] == 0:
+        figures["last"] -= 1
+    figures["lo"] = figures["first"] // width + HALF
+    figures["hi"] = figures["last"] // width + HALF
+    figures["below"] -= old < figures["median"]
+    _settle(heights, figures["n"])
+    if _height_width(figures["median"], share) != width:
+        _coarse(heights, _height_width(figures["median"], share))
 
 
 @helper
-def _count_height(
-    z: float, heights: I32, queue: I32, memory: int, hist: I64, density: I64, state: I64, share: float
-) -> None:
+def _count_height(heights: _Heights, z: float, memory: int, share: float) -> None:
     """Add a height, and forget the oldest one when there are more than can be remembered."""
+    figures = heights.figures[0]
     new = _height_bin(z)
-    _add_height(heights, hist, density, state, new, share)
+    _add_height(heights, new, share)
     if memory > 0:
-        queue[state[_NEWEST]] = new
-        state[_NEWEST] += 1
-        if state[_NEWEST] - state[_OLDEST] > memory:
-            _forget_height(heights, hist, density, state, queue[state[_OLDEST]], share)
-            state[_OLDEST] += 1
+        heights.queue[figures["newest"]] = new
+        figures["newest"] += 1
+        if figures["newest"] - figures["oldest"] > memory:
+            _forget_height(heights, int(np.int64(heights.queue[figures["oldest"]])), share)
+            figures["oldest"] += 1
 
 
 @helper
-def _main_height(histogram: I32, hist: I64, density: I64, state: I64, tops: I64, counts: I64) -> tuple[int, float]:
+def _main_height(heights: _Heights, tops: I64, counts: I64) -> tuple[int, float]:
     """Return the samples of the main mode of the heights, and its place [m] after mean shift on the bins."""
-    if state[_N] == 0:
+    histogram, figures = heights.histogram, heights.figures[0]
+    if figures["n"] == 0:
         return 0, np.nan
-    width = state[_WIDTH]
-    best = _main(counts, _walk(hist, density, state[_LO], state[_HI], tops, counts))
+    width = figures["width"]
+    best = _main(counts, _walk(heights.hist, heights.density, figures["lo"], figures["hi"], tops, counts))
     place = ((tops[best] - 2 * HALF) * width + width) // 2
     shift = 0.0
     for _ in range(20):
         moment = 0
         mass = 0
         reach = (HALF + 1) * width - 1
-        for i in range(max(state[_FIRST], place - reach), min(state[_LAST], place + reach) + 1):
+        for i in range(max(figures["first"], place - reach), min(figures["last"], place + reach) + 1):
             if histogram[i] > 0:
                 away = abs(i - place)
                 j = away // width
@@ -778,40 +817,32 @@ def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
     for i in range(len(heights)):
         bins[i] = _height_bin(heights[i])
         histogram[bins[i]] += 1
-    hist = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
-    density = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
-    tops = np.empty(N_HEIGHTS, np.int64)
-    counts = np.empty(N_HEIGHTS, np.int64)
-    state = np.zeros(_SLOTS, np.int64)
-    _open_heights(histogram, hist, density, state, share)
-    count, height = _main_height(histogram, hist, density, state, tops, counts)
+    found = _new_heights(histogram, bins, int(np.int64(0)), share)
+    count, height = _main_height(found, np.empty(N_HEIGHTS, np.int64), np.empty(N_HEIGHTS, np.int64))
     return count, height, bins, histogram
 
 
+@helper
+def _new_scratch(n: int, size: int, n_modes: int) -> _Scratch:
+    """Return memory for rows of n beams and so many bins of line angles."""
+    return _Scratch(
+        sampled=np.empty(n + 1, np.int32),
+        angles=np.empty((2, n + 1), np.float64),
+        hist=np.zeros(size + 2 * HALF, np.int64),
+        density=np.zeros(size + 2 * HALF, np.int64),
+        tops=np.empty(n_modes, np.int64),
+        counts=np.empty(n_modes, np.int64),
+    )
+
+
 @kernel(
-    "Tuple((int32[::1], int32[::1], float64[::1], float64[::1]))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
-    "float32[:, ::1], int32[:, ::1], int32[::1], int64, int64, int64, float64, float64, float64, int64, float64, "
-    "int64, int64, float64)"
+    "PotentialGround(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1], int32[:, ::1], int32[::1], "
+    "GroundThresholds)",
+    tuples=[PotentialGround, GroundThresholds],
 )
 def potential_heights(
-    surface: U8,
-    xyz: F32,
-    horizontal: F32,
-    phihat: F32,
-    ahead: I32,
-    n_beams: I32,
-    first_run: int,
-    lowest: int,
-    least: int,
-    smallest: float,
-    sigmas: float,
-    noise: float,
-    n_fit: int,
-    jump: float,
-    near: int,
-    bridge: int,
-    step: float,
-) -> tuple[I32, I32, F64, F64]:
+    surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
+) -> PotentialGround:
     """Find the first potential ground of every row and its height (part a).
 
     Parameters
@@ -825,221 +856,121 @@ def potential_heights(
     ahead : (R, n) int32
         Beam that the line angle was measured to.
     n_beams : (R,) int32
-    first_run : int
-        Horizontal points in a row to begin with, at least 3.
-    lowest : int
-        Points whose mean height is the height of potential ground.
-    least : int
-        Samples that make a mode.
-    smallest, sigmas, noise : float
-        Bandwidth: the larger of ``smallest`` [deg] and so many standard deviations at a range noise [m].
-    n_fit : int
-        Points that the local line is laid through.
-    jump : float, metres
-        Height above or below the last point and the local line that ends potential ground.
-    near : int
-        Points at the beginning of potential ground that its height is taken from, 0 = all.
-    bridge : int
-        Points that are not horizontal, and not missing, that a run of horizontal points may pass over, where the next
-        :data:`BEHIND` points continue the local line.
-    step : float, metres
-        Height above or below the local line up to which they continue it.
-
-    Returns
-    -------
-    first, last : (R,) int32
-        Its first and last beam, -1 = none; the horizontal points from one to the other are its points.
-    bandwidth : (R,) float64
-        That of its line angles at its end [deg], NaN = none.
-    height : (R,) float64
-        Its height [m], NaN = none.
+    thresholds : GroundThresholds
     """
     n_rows, n = surface.shape
-    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest) + 1
-    hist = np.zeros(size + 2 * HALF, np.int64)
-    density = np.zeros(size + 2 * HALF, np.int64)
-    tops = np.empty(size, np.int64)
-    counts = np.empty(size, np.int64)
+    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
+    scratch = _new_scratch(n, size, size)
     beams = np.empty(n + 1, np.int32)
-    sampled = np.empty(n + 1, np.int32)
-    angles = np.empty((2, n + 1), np.float64)
     first = np.empty(n_rows, np.int32)
     last = np.empty(n_rows, np.int32)
     bandwidth = np.empty(n_rows, np.float64)
     height = np.empty(n_rows, np.float64)
-    for row in range(n_rows):
-        n_points, b = _potential(
-            surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], int(np.int64(n_beams[row])),
-            int(np.int64(0)), first_run, least, smallest, sigmas,
-            noise, n_fit, jump, bridge, step, beams, sampled, angles, hist, density, tops, counts,
-        )  # fmt: skip
-        first[row] = last[row] = -1
-        bandwidth[row] = height[row] = np.nan
+    for i in range(n_rows):
+        row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
+        n_points, b = _potential(row, int(np.int64(n_beams[i])), int(np.int64(0)), thresholds, beams, scratch)
+        first[i] = last[i] = -1
+        bandwidth[i] = height[i] = np.nan
         if n_points > 0:
-            first[row] = beams[0]
-            last[row] = beams[n_points - 1]
-            bandwidth[row] = b
-            height[row] = _lowest_mean(xyz[row], beams, n_points, lowest, near)
-    return first, last, bandwidth, height
+            first[i] = beams[0]
+            last[i] = beams[n_points - 1]
+            bandwidth[i] = b
+            height[i] = _lowest_mean(row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points)
+    return PotentialGround(first, last, bandwidth, height)
+
+
+@helper
+def _horizontal_beams(surface: U8, first: int, last: int, beams: I32) -> int:
+    """List the horizontal points from one beam to another; returns how many; none where the first one is -1."""
+    n_points = int(np.int64(0))
+    if first >= 0:
+        for k in range(first, last + 1):
+            beams[n_points] = k
+            n_points += surface[k] == _HORIZONTAL
+    return n_points
 
 
 @kernel(
-    "Tuple((boolean[:, ::1], float32[::1], int32[::1], int32[::1], float64))(uint8[:, ::1], float32[:, :, ::1], "
-    "float32[:, ::1], float32[:, ::1], int32[:, ::1], int32[::1], int32[::1], int32[::1], float64[::1], float64[::1], "
-    "int64, int64, int64, float64, float64, float64, int64, float64, int64, int64, float64, int32[::1], int32[::1], "
-    "float64, int64, int64, int64, int64, float64, boolean, boolean, float64, float64, float64, boolean)"
+    "Tuple((boolean[:, ::1], float32[::1], GroundState))(uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], "
+    "float32[:, ::1], int32[:, ::1], int32[::1], PotentialGround, GroundState, GroundThresholds)",
+    tuples=[PotentialGround, GroundState, GroundThresholds],
 )
-def ground_rows(  # noqa: PLR0915 - as above
+def ground_rows(
     surface: U8,
     xyz: F32,
     horizontal: F32,
     phihat: F32,
     ahead: I32,
     n_beams: I32,
-    first: I32,
-    last: I32,
-    bandwidth: F64,
-    height: F64,
-    first_run: int,
-    lowest: int,
-    least: int,
-    smallest: float,
-    sigmas: float,
-    noise: float,
-    n_fit: int,
-    jump: float,
-    near: int,
-    bridge: int,
-    step: float,
-    histogram: I32,
-    recent: I32,
-    z_g: float,
-    n_counted: int,
-    n_start: int,
-    n_least: int,
-    memory: int,
-    share: float,
-    count_all: bool,
-    renew_all: bool,
-    tolerance: float,
-    tolerance_m: float,
-    guard: float,
-    resume: bool,
-) -> tuple[Mask, F32, I32, I32, float]:
+    potential: PotentialGround,
+    state: GroundState,
+    thresholds: GroundThresholds,
+) -> tuple[Mask, F32, GroundState]:
     """Verify and grow the ground of every row and follow its height (part b).
 
     Parameters
     ----------
     surface, xyz, horizontal, phihat, ahead, n_beams
         As in :func:`potential_heights`.
-    first, last, bandwidth, height
-        The first potential ground of every row, of :func:`potential_heights`.
-    first_run, lowest, least, smallest, sigmas, noise, n_fit, jump, near, bridge, step
-        As in :func:`potential_heights`.
-    histogram : (N_HEIGHTS,) int32
-        Heights so far, from :data:`LOWEST_M` on; not changed.
-    recent : (m,) int32
-        Their bins, the oldest one first; only where there is a ``memory``.
-    z_g : float, metres
-        Height of the ground so far, NaN = unknown.
-    n_counted : int
-        Rows at the beginning whose heights the histogram holds already.
-    n_start : int
-        Heights that a first estimate of the ground needs.
-    n_least : int
-        Heights without which the ground stays unknown.
-    memory : int
-        Heights that the histogram holds, the oldest one is forgotten; 0 = all.
-    share : float
-        As in :func:`main_height`.
-    count_all : bool
-        Count heights of rows without ground too.
-    renew_all : bool
-        Compute ``z_g`` anew after every height that counts, not after those of rows with ground alone.
-    tolerance : float
-        Difference between a row's height and ``z_g``, as a share of ``z_g``, below which it is ground.
-    tolerance_m : float, metres
-        The same at least.
-    guard : float, metres
-        Height above or below the local line up to which ground grows.
-    resume : bool
-        Where growth ends within a run of horizontal points, look for more potential ground in the rest of the run.
+    potential : PotentialGround
+        Of :func:`potential_heights`.
+    state : GroundState
+        After the rows before; not changed.
+    thresholds : GroundThresholds
 
     Returns
     -------
     ground : (R, n) bool
     z_g : (R,) float32
         Height of the ground after every row [m].
-    histogram : (N_HEIGHTS,) int32
-    recent : (m,) int32
-    z_g : float
+    state : GroundState
         After the last row.
     """
     n_rows, n = surface.shape
-    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / smallest) + 1
-    hist = np.zeros(size + 2 * HALF, np.int64)
-    density = np.zeros(size + 2 * HALF, np.int64)
-    tops = np.empty(max(size, N_HEIGHTS), np.int64)
-    counts = np.empty(max(size, N_HEIGHTS), np.int64)
+    size = math.ceil(LARGEST_DEG * PER_BANDWIDTH / thresholds.bandwidth_deg) + 1
+    scratch = _new_scratch(n, size, max(size, N_HEIGHTS))
+    tops, counts = scratch.tops, scratch.counts
     beams = np.empty(n + 1, np.int32)
-    sampled = np.empty(n + 1, np.int32)
-    angles = np.empty((2, n + 1), np.float64)
     more = np.empty(n + 1, np.int32)
-    heights = histogram.copy()
-    queue = np.empty(len(recent) + n_rows, np.int32)
-    for i in range(len(recent)):
-        queue[i] = recent[i]
-    z_hist = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
-    z_density = np.empty(N_HEIGHTS + 2 * HALF, np.int64)
-    z_state = np.zeros(_SLOTS, np.int64)
-    z_state[_NEWEST] = len(recent)
-    _open_heights(heights, z_hist, z_density, z_state, share)
+    n_recent = len(state.recent)
+    queue = np.empty(n_recent + n_rows, np.int32)
+    queue[:n_recent] = state.recent
+    memory, share, z_g = thresholds.memory_heights, thresholds.height_bandwidth, state.z_g
+    heights = _new_heights(state.histogram.copy(), queue, n_recent, share)
+    figures = heights.figures[0]
     ground = np.zeros((n_rows, n), np.bool_)
     z_rows = np.empty(n_rows, np.float32)
-    for row in range(n_rows):
-        to_count = row >= n_counted
-        n_valid = int(np.int64(n_beams[row]))
+    for i in range(n_rows):
+        row = _Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i])
+        n_valid = int(np.int64(n_beams[i]))
+        to_count = i >= state.n_in_histogram_ahead
         z_row, accepted = np.nan, False
         # the first potential ground is known
-        n_points, b, z_i = int(np.int64(0)), bandwidth[row], height[row]
-        if first[row] >= 0:
-            for k in range(first[row], last[row] + 1):
-                beams[n_points] = k
-                n_points += surface[row, k] == _HORIZONTAL
+        n_points = _horizontal_beams(row.surface, potential.first[i], potential.last[i], beams)
+        b, z_i = potential.bandwidth_deg[i], potential.height_m[i]
         while n_points > 0:
-            if to_count and z_state[_N] < n_start:  # too few to begin with: caught up on the way
-                _count_height(z_i, heights, queue, memory, z_hist, z_density, z_state, share)
+            if to_count and figures["n"] < thresholds.start_heights:  # too few to begin with: caught up on the way
+                _count_height(heights, z_i, memory, share)
                 to_count = False
-                if z_g == z_g or z_state[_N] >= n_least:
-                    _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
-            accepted = abs(z_i - z_g) < max(tolerance * abs(z_g), tolerance_m)
+                if z_g == z_g or figures["n"] >= thresholds.least_heights:
+                    _, z_g = _main_height(heights, tops, counts)
+            accepted = abs(z_i - z_g) < max(thresholds.height_tolerance * abs(z_g), thresholds.height_tolerance_m)
             if accepted or z_row != z_row:
                 z_row = z_i
             if accepted:
-                mode = _main_angle(phihat[row], beams, n_points, b, angles, hist, density, tops, counts)
-                n_points = _extend(
-                    surface[row], xyz[row], horizontal[row], phihat[row], n_valid, beams, n_points, mode, b,
-                    n_fit, guard, bridge, step,
-                )  # fmt: skip
-                if resume:
-                    n_points = _resume(
-                        surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid, first_run,
-                        least, smallest, sigmas, noise, n_fit, jump, bridge, step, guard, beams, n_points,
-                        more, sampled, angles, hist, density, tops, counts,
-                    )  # fmt: skip
-                for i in range(n_points):
-                    ground[row, beams[i]] = True
                 break
-            n_points, b = _potential(
-                surface[row], xyz[row], horizontal[row], phihat[row], ahead[row], n_valid,
-                int(np.int64(beams[n_points - 1] + 1)), first_run, least, smallest, sigmas, noise, n_fit, jump, bridge,
-                step, beams, sampled, angles, hist, density, tops, counts,
-            )  # fmt: skip
+            start = int(np.int64(beams[n_points - 1] + 1))
+            n_points, b = _potential(row, n_valid, start, thresholds, beams, scratch)
             if n_points > 0:
-                z_i = _lowest_mean(xyz[row], beams, n_points, lowest, near)
-        if to_count and z_row == z_row and (accepted or count_all):
-            _count_height(z_row, heights, queue, memory, z_hist, z_density, z_state, share)
-            if accepted or renew_all:
-                _, z_g = _main_height(heights, z_hist, z_density, z_state, tops, counts)
-        z_rows[row] = z_g
-    return ground, z_rows, heights, queue[z_state[_OLDEST] : z_state[_NEWEST]].copy(), z_g
+                z_i = _lowest_mean(row.xyz, beams, n_points, thresholds.lowest_points, thresholds.height_points)
+        if accepted:
+            for j in range(_grow(row, n_valid, beams, n_points, b, more, thresholds, scratch)):
+                ground[i, beams[j]] = True
+        if to_count and z_row == z_row and (accepted or thresholds.all_heights):
+            _count_height(heights, z_row, memory, share)
+            if accepted or thresholds.renew_every:
+                _, z_g = _main_height(heights, tops, counts)
+        z_rows[i] = z_g
+    recent = queue[figures["oldest"] : figures["newest"]].copy()
+    ahead_still = max(state.n_in_histogram_ahead - n_rows, 0)
+    return ground, z_rows, GroundState(heights.histogram, recent, z_g, ahead_still)

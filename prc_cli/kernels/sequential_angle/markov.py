@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from prc_cli.core.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.kernels.cache import helper, kernel
 
@@ -14,6 +16,16 @@ _LARGE = 2.0**500
 """Likelihoods that become small are scaled by a power of two, which rounds nothing."""
 
 _Three = tuple[float, float, float]
+
+
+class _Bounds(NamedTuple):
+    """Bounds of the ratio of likelihoods, the exponentials of the thresholds, and where changes are dated to."""
+
+    upper: float
+    upper_back: float
+    accept: float
+    reject: float
+    backdate: bool
 
 
 _EXPONENTIAL = np.array(
@@ -104,15 +116,13 @@ def _sequential_test(
     density: F64,
     begin: int,
     end: int,
-    h0: F64,
-    initial_0: F64,
-    h1: F64,
-    initial_1: F64,
+    h0: MarkovModel,
+    h1: MarkovModel,
     lower: float,
     upper: float,
     restart: bool,
 ) -> tuple[int, int, int]:
-    """Follow the ratio of likelihoods of two models, transition and initial probabilities, until it leaves its bounds.
+    """Follow the ratio of likelihoods of model 1 to model 0 until it leaves its bounds.
 
     The log-likelihood ratio S is kept as the two likelihoods themselves: S > h is L1 > exp(h) L0. Between two
     restarts their ratio stays in bounds, so that only their common size has to be looked after, and no logarithm and
@@ -130,6 +140,11 @@ def _sequential_test(
     onset : int
         First sample after the last restart.
     """
+    transition_0, initial_0 = (
+        h0.transition,
+        h0.initial,
+    )  # here, not in the loop: every time an array is taken is counted
+    transition_1, initial_1 = h1.transition, h1.initial
     p = (0.0, 0.0, 0.0)
     q = (0.0, 0.0, 0.0)
     onset = begin
@@ -139,8 +154,8 @@ def _sequential_test(
             p = _first(initial_1, d)
             q = _first(initial_0, d)
         else:
-            p = _forward(p, h1, d)
-            q = _forward(q, h0, d)
+            p = _forward(p, transition_1, d)
+            q = _forward(q, transition_0, d)
         l1 = p[0] + p[1] + p[2]
         l0 = q[0] + q[1] + q[2]
         if l1 > upper * l0:
@@ -155,25 +170,58 @@ def _sequential_test(
     return 0, end, onset
 
 
+@helper
+def _next_region(
+    density: F64, begin: int, m: int, h0: MarkovModel, h1: MarkovModel, bounds: _Bounds
+) -> tuple[int, int, int]:
+    """Find the next region from a sample on that ends where the test with the models exchanged raises an alarm.
+
+    Returns its first and last sample, none between them where there is no more region, and where to go on.
+    """
+    anew = bool(np.bool_(True))  # not a literal, for each of which the test is compiled again
+    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
+    if verdict == 0:
+        return 0, -1, m
+    first = onset if bounds.backdate else alarm
+    verdict, alarm, onset = _sequential_test(density, alarm + 1, m, h1, h0, 1.0, bounds.upper_back, anew)
+    last = m - 1
+    if verdict != 0:
+        last = (onset if bounds.backdate else alarm) - 1
+    return first, last, alarm + 1
+
+
+@helper
+def _next_confirmed(
+    density: F64, samples: F64, begin: int, m: int, h0: MarkovModel, h1: MarkovModel, bounds: _Bounds
+) -> tuple[int, int, int]:
+    """Find the next region from a sample on that tests between two bounds confirm, and end; as :func:`_next_region`."""
+    anew, once = bool(np.bool_(True)), bool(np.bool_(False))
+    verdict, alarm, onset = _sequential_test(density, begin, m, h0, h1, 1.0, bounds.upper, anew)
+    if verdict == 0:
+        return 0, -1, m
+    first = onset if bounds.backdate else alarm
+    # the region has to be confirmed once before it may end
+    verdict, t, _ = _sequential_test(density, alarm + 1, m, h0, h1, bounds.reject, bounds.accept, once)
+    if verdict == 0:
+        return 0, -1, m
+    if verdict < 0:
+        return 0, -1, t + 1
+    while verdict > 0:
+        verdict, t, _ = _sequential_test(density, t + 1, m, h0, h1, bounds.reject, bounds.accept, once)
+    last = min(t, m - 1)
+    for back in range(last, alarm, -1):
+        if samples[back] < 0.0:
+            last = min(back + 1, m - 1)
+            break
+    return first, last, last + 1
+
+
 @kernel(
-    "boolean[:, ::1](float32[:, ::1], float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1],"
-    "float64[::1], float64, float64, boolean, boolean, float64, float64, int64)"
+    "boolean[:, ::1](float32[:, ::1], float64[::1], float64[::1], MarkovModel, MarkovModel, MarkovThresholds)",
+    tuples=[MarkovModel, MarkovThresholds],
 )
 def hmm_cusum(
-    values: F32,
-    means: F64,
-    sigmas: F64,
-    h0: F64,
-    h1: F64,
-    initial_h0: F64,
-    initial_h1: F64,
-    threshold: float,
-    threshold_back: float,
-    backdate: bool,
-    sprt: bool,
-    accept: float,
-    reject: float,
-    merge_gap: int,
+    values: F32, means: F64, sigmas: F64, h0: MarkovModel, h1: MarkovModel, thresholds: MarkovThresholds
 ) -> Mask:
     """Mark the samples of every row that belong to model 1.
 
@@ -183,20 +231,8 @@ def hmm_cusum(
         NaN = no sample; it is skipped.
     means, sigmas : (3,) float64
         Gaussian of every state, in the unit of the values.
-    h0, h1 : (3, 3) float64
-        Transition probabilities, row = from.
-    initial_h0, initial_h1 : (3,) float64
-        Probabilities of the states at the first sample after a restart.
-    threshold, threshold_back : float, nats
-        Of the test of model 1 against model 0, and of 0 against 1.
-    backdate : bool
-        A region begins (and ends) at the onset rather than at the alarm.
-    sprt : bool
-        End regions, after confirming them, by tests between two bounds.
-    accept, reject : float, nats
-        Bounds of those tests, positive and negative.
-    merge_gap : int, samples
-        Regions found with ``sprt`` that are closer than this become one.
+    h0, h1 : MarkovModel
+    thresholds : MarkovThresholds
 
     Returns
     -------
@@ -207,14 +243,13 @@ def hmm_cusum(
     marked = np.zeros((n_rows, n), np.bool_)
     half_precision = 0.5 / (sigmas * sigmas)
     log_sigma = np.log(sigmas)
-    upper = math.exp(threshold)
-    upper_back = math.exp(threshold_back)
-    highest = math.exp(accept)
-    lowest = math.exp(reject)
+    bounds = _Bounds(
+        math.exp(thresholds.threshold), math.exp(thresholds.threshold_back), math.exp(thresholds.accept),
+        math.exp(thresholds.reject), thresholds.backdate,
+    )  # fmt: skip
     density = np.empty((3, n), np.float64)
     samples, power, top = np.empty(n, np.float64), np.empty(n, np.int64), np.empty(n, np.int64)
     beam = np.empty(n, np.int64)
-    anew, once = bool(np.bool_(True)), bool(np.bool_(False))  # not literals, for each of which all is compiled again
     for row in range(n_rows):
         m = begin = int(np.int64(0))
         for k in range(n):
@@ -226,43 +261,13 @@ def hmm_cusum(
         _densities(samples, m, means, half_precision, log_sigma, density, power, top)
         previous = -1
         while begin < m:
-            verdict, alarm, onset = _sequential_test(
-                density, begin, m, h0, initial_h0, h1, initial_h1, 1.0, upper, anew
-            )
-            if verdict == 0:
-                break
-            first = onset if backdate else alarm
-            if not sprt:
-                verdict, alarm, onset = _sequential_test(
-                    density, alarm + 1, m, h1, initial_h1, h0, initial_h0, 1.0, upper_back, anew
-                )
-                last = m - 1
-                if verdict != 0:
-                    last = (onset if backdate else alarm) - 1
-                begin = alarm + 1
-            else:
-                # the region has to be confirmed once before it may end
-                verdict, t, _ = _sequential_test(
-                    density, alarm + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, once
-                )
-                begin = t + 1
-                if verdict == 0:
-                    break
-                if verdict < 0:
-                    continue
-                while verdict > 0:
-                    verdict, t, _ = _sequential_test(
-                        density, t + 1, m, h0, initial_h0, h1, initial_h1, lowest, highest, once
-                    )
-                last = min(t, m - 1)
-                for back in range(last, alarm, -1):
-                    if values[row, beam[back]] < 0.0:
-                        last = min(back + 1, m - 1)
-                        break
-                begin = last + 1
-                if previous >= 0 and first - previous - 1 < merge_gap:
+            if thresholds.sprt:
+                first, last, begin = _next_confirmed(density, samples, begin, m, h0, h1, bounds)
+                if previous >= 0 and first - previous - 1 < thresholds.merge_gap:
                     first = min(first, previous + 1)
-                previous = last
+                previous = max(last, previous)
+            else:
+                first, last, begin = _next_region(density, begin, m, h0, h1, bounds)
             for i in range(first, last + 1):
                 marked[row, beam[i]] = True
     return marked

@@ -1,4 +1,4 @@
-"""Slow and obvious twins of the angle kernels: from vectors and their products, shot by shot."""
+"""The signed angle of every shot, its differences, and the line angle (Stamos et al. 2012, sec. 3 and 7.1)."""
 
 from __future__ import annotations
 
@@ -6,37 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Surface
+from prc_cli.core.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, F64, I32, U8
 
 
-def signed_angles(
-    range_m: F32, xyz_m: F32, n_beams: I32, min_chord_m: float, depth_m: float, max_beams: int
-) -> tuple[F32, I32]:
-    """Measure signed angles; see :func:`prc_cli.kernels.sequential_angle.angles.signed_angles`."""
+def signed_angles(range_m: F32, xyz_m: F32, n_beams: I32, thresholds: ChordThresholds) -> tuple[F32, I32]:
+    """Measure signed angles, sV; see :func:`prc_cli.kernels.sequential_angle.angles.signed_angles`.
+
+    The angle of a shot's chord with the vertical, negative where the chord turns back on the one before.
+    """
     signed_deg = np.full(range_m.shape, np.nan, np.float32)
     ahead = np.full(range_m.shape, -1, np.int32)
     for row in range(len(range_m)):
         valid = [k for k in range(n_beams[row]) if np.isfinite(range_m[row, k])]
-        points = {k: xyz_m[row, k].astype(np.float64) for k in valid}
-
-        ranges = range_m[row].astype(np.float64)
-
-        def first_far(
-            here: int, others: list[int], points: dict[int, F64] = points, ranges: F64 = ranges
-        ) -> int | None:
-            for other in others[:max_beams]:
-                chord = points[other] - points[here]
-                depth = ranges[other] - ranges[here]
-                counted = float(chord @ chord)
-                if depth_m > 0:
-                    counted += max(abs(depth) - depth_m, 0.0) ** 2 - depth**2
-                if chord.any() and counted >= min_chord_m**2:
-                    return other
-            return None
-
+        points, ranges = xyz_m[row].astype(np.float64), range_m[row].astype(np.float64)
         for i, k in enumerate(valid):
-            after = first_far(k, valid[i + 1 :])
-            before = first_far(k, valid[:i][::-1])
+            after = first_far(points, ranges, k, valid[i + 1 :], thresholds)
+            before = first_far(points, ranges, k, valid[:i][::-1], thresholds)
             if after is None:
                 continue
             chord = points[after] - points[k]
@@ -45,6 +31,19 @@ def signed_angles(
             signed_deg[row, k] = -angle if turned_back else angle
             ahead[row, k] = after
     return signed_deg, ahead
+
+
+def first_far(points: F64, ranges: F64, here: int, others: list[int], thresholds: ChordThresholds) -> int | None:
+    """Return the first of some shots that is far enough away for a chord."""
+    for other in others[: thresholds.max_shots]:
+        chord = points[other] - points[here]
+        depth = ranges[other] - ranges[here]
+        counted = float(chord @ chord)
+        if thresholds.depth_m > 0:
+            counted += max(abs(depth) - thresholds.depth_m, 0.0) ** 2 - depth**2
+        if chord.any() and counted >= thresholds.min_chord_m**2:
+            return other
+    return None
 
 
 def angle_differences(signed_deg: F32) -> F32:

@@ -1,6 +1,6 @@
-"""Slow and obvious twins of the curb kernels, written from the paper (Stamos et al. 2012, sec. 6).
+"""Possible curb points, and the regions of vertical points that are curbs (Stamos et al. 2012, sec. 6).
 
-Regions are sets of points here, and grow by whole lines. Tests compare; nothing else uses this.
+Regions are sets of points here, and grow by whole lines.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from prc_cli.core.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 MISSING, VERTICAL = 0, 3
 
 
 def possible_curbs(
-    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, reach: int, under: float, height: float
+    surface: U8, range_m: F32, xyz: F32, ground: Mask, z_g: F32, thresholds: CurbThresholds
 ) -> tuple[Mask, I32]:
     """Find possible curb points; see :func:`prc_cli.kernels.sequential_angle.curb.possible_curbs`."""
     beam = np.full(len(surface), -1, dtype=np.int32)
@@ -26,11 +27,11 @@ def possible_curbs(
         valid = np.flatnonzero(surface[row] != MISSING)
         ranges = range_m[row].astype(np.float64)
         for k in valid[valid > on_ground[-1]]:
-            if float(xyz[row, k, 2]) > float(z_g[row]) + height:
+            if float(xyz[row, k, 2]) > float(z_g[row]) + thresholds.search_height_m:
                 break
             if surface[row, k] == VERTICAL:
-                before = valid[valid <= k][-1 - reach :]
-                if not ranges[before].max() - ranges[k] > under:
+                before = valid[valid <= k][-1 - thresholds.under_points :]
+                if not ranges[before].max() - ranges[k] > thresholds.under_m:
                     beam[row] = k
                     break
     return beam >= 0, beam
@@ -66,18 +67,18 @@ FATES = {1: "high", 2: "rejected", 3: "curb"}
 class Growing:
     """All regions, and the rules for curbs."""
 
-    def __init__(
-        self, n_sides: int, carried: I32, regions: I32, extents: F32, rules: tuple[float, float, int, float, int, bool]
-    ) -> None:
-        self.reach, self.t_curb, self.min_lines, self.curvature, self.max_lines, self.by_line = rules
+    def __init__(self, n_sides: int, regions: OpenRegions, thresholds: CurbThresholds) -> None:
+        self.thresholds = thresholds
         known = [
             Region(int(side), low=float(low), high=float(high), possible=bool(possible))
-            for (side, _, _, possible), (low, high) in zip(regions, extents, strict=True)
+            for side, low, high, possible in zip(
+                regions.side, regions.low_m, regions.high_m, regions.possible, strict=True
+            )
         ]
         self.of: dict[tuple[int, int, int], Region] = {}
         """Region of every vertical point, by side, line and beam."""
-        for row, k in zip(*np.nonzero(carried), strict=True):
-            side, line, label = int(row) % n_sides, int(row) // n_sides, int(carried[row, k])
+        for row, k in zip(*np.nonzero(regions.labels), strict=True):
+            side, line, label = int(row) % n_sides, int(row) // n_sides, int(regions.labels[row, k])
             region = known[label - 4] if label >= 4 else Region(side, fate=FATES[label])
             region.points.add((line, int(k)))
             self.of[side, line, int(k)] = region
@@ -92,7 +93,7 @@ class Growing:
 
         def near(one: F64, other: F64) -> bool:
             x, y, z = one - other
-            return bool(x * x + y * y + z * z < self.reach * self.reach)
+            return bool(x * x + y * y + z * z < self.thresholds.grouping_m**2)
 
         group_of: dict[int, set[int]] = {}
         touched: dict[int, list[Region]] = {}
@@ -128,9 +129,9 @@ class Growing:
                 joined.possible |= region.possible
                 if region.fate == "high":
                     joined.fate = "high"
-                if not self.by_line:
+                if not self.thresholds.by_line:
                     joined.low, joined.high = min(joined.low, region.low), max(joined.high, region.high)
-            if joined.high - joined.low > self.t_curb:
+            if joined.high - joined.low > self.thresholds.max_height_m:
                 joined.fate = "high"
             for at, k in joined.points:
                 self.of[side, at, k] = joined
@@ -144,8 +145,8 @@ class Growing:
             abs(signed[line, k] - signed[line, k - 1]) for line, k in region.points if (line, k - 1) in region.points
         ]
         changes = [change for change in changes if not np.isnan(change)]
-        many = region.last - region.first + 1 >= self.min_lines
-        if many or (changes and np.median(changes) < self.curvature):
+        many = region.last - region.first + 1 >= self.thresholds.min_lines
+        if many or (changes and np.median(changes) < self.thresholds.curvature_deg):
             region.fate = "curb"
 
 
@@ -155,39 +156,30 @@ def connect_verticals(
     signed: F32,
     possible: I32,
     n_sides: int,
-    carried: I32,
-    n_given: int,
     above_xyz: F32,
     above_signed: F32,
-    regions: I32,
-    extents: F32,
-    reach: float,
-    t_curb: float,
-    min_lines: int,
-    curvature: float,
-    max_lines: int,
-    by_line: bool,
+    regions: OpenRegions,
+    thresholds: CurbThresholds,
     last: bool,
-) -> tuple[Mask, I32, int, I32, F32]:
+) -> tuple[Mask, OpenRegions]:
     """Connect vertical points; see :func:`prc_cli.kernels.sequential_angle.curb.connect_verticals`."""
-    rules = (reach, t_curb, min_lines, curvature, max_lines, by_line)
-    growing = Growing(n_sides, carried, regions, extents, rules)
+    growing = Growing(n_sides, regions, thresholds)
     n = surface.shape[1]
-    n_before, n_new = len(carried) // n_sides, len(surface) // n_sides
+    n_before, n_new = len(regions.labels) // n_sides, len(surface) // n_sides
     n_lines = n_before + n_new
     points = np.concatenate([above_xyz, xyz]).astype(np.float64).reshape(n_new + 1, n_sides, n, 3)
-    angles = np.full((n_lines + min_lines, n_sides, n), np.nan)
+    angles = np.full((n_lines + thresholds.min_lines, n_sides, n), np.nan)
     known = np.concatenate([above_signed, signed]).reshape(-1, n_sides, n)
     if len(known):
         angles[-len(known) :] = known
-    angles = angles[min_lines:]
+    angles = angles[thresholds.min_lines :]
     for row in range(len(surface)):
         side, new = row % n_sides, row // n_sides
         line = n_before + new
         beams = np.flatnonzero(surface[row] == VERTICAL).tolist()
         growing.add_row(side, line, beams, points[new + 1, side], points[new, side], int(possible[row]))
         for region in growing.open(side):
-            if region.last < line or line - region.first + 1 >= max_lines:
+            if region.last < line or line - region.first + 1 >= thresholds.max_lines:
                 growing.decide(region, angles[:, side])
     undecided = [region for side in range(n_sides) for region in growing.open(side)]
     if last:
@@ -196,23 +188,26 @@ def connect_verticals(
         undecided = []
     first_open = min([region.first for region in undecided], default=n_lines)
 
-    curb = np.zeros(((first_open - n_given) * n_sides, n), dtype=bool)
+    curb = np.zeros(((first_open - regions.n_given) * n_sides, n), dtype=bool)
     begin = min(first_open, n_lines - 1)
     left = np.zeros(((n_lines - begin) * n_sides, n), dtype=np.int32)
     order: list[Region] = []
     for side, line, k in sorted(growing.of, key=lambda key: (key[1], key[0], key[2])):
         region = growing.of[side, line, k]
-        if n_given <= line < first_open:
-            curb[(line - n_given) * n_sides + side, k] = region.fate == "curb"
+        if regions.n_given <= line < first_open:
+            curb[(line - regions.n_given) * n_sides + side, k] = region.fate == "curb"
         if line >= begin:
             if region.fate == "open" and region not in order:
                 order.append(region)
             number = 4 + order.index(region) if region.fate == "open" else {v: i for i, v in FATES.items()}[region.fate]
             left[(line - begin) * n_sides + side, k] = number
-    return (
-        curb,
-        left,
-        n_lines - begin if first_open == n_lines else 0,
-        np.array([[r.side, r.first - begin, r.last - begin, r.possible] for r in order], np.int32).reshape(-1, 4),
-        np.array([[r.low, r.high] for r in order], np.float32).reshape(-1, 2),
+    return curb, OpenRegions(
+        labels=left,
+        n_given=n_lines - begin if first_open == n_lines else 0,
+        side=np.array([region.side for region in order], np.int32),
+        first=np.array([region.first - begin for region in order], np.int32),
+        last=np.array([region.last - begin for region in order], np.int32),
+        possible=np.array([region.possible for region in order], np.bool_),
+        low_m=np.array([region.low for region in order], np.float32),
+        high_m=np.array([region.high for region in order], np.float32),
     )

@@ -1,4 +1,4 @@
-"""Twins of :mod:`prc_cli.kernels.sequential_angle.dividers`, from NumPy alone, written from the paper."""
+"""First and last dividers of the intervals that may be cars (Stamos et al. 2012, sec. 7.3)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from itertools import groupby, pairwise
 
 import numpy as np
 
+from prc_cli.core.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 H, V = 2, 3
@@ -79,17 +80,7 @@ def car_intervals(
     n_beams: I32,
     triggered: Mask,
     ground_m: F32,
-    height_m: float,
-    sudden_from_deg: float,
-    sudden_to_deg: float,
-    chord_m: float,
-    chord_reach: int,
-    under_points: int,
-    under_m: float,
-    separation_m: float,
-    flat_length_m: float,
-    flat_residual_m: float,
-    flat_slope: float,
+    thresholds: DividerThresholds,
 ) -> I32:
     """Cut triggered rows into intervals; see :func:`prc_cli.kernels.sequential_angle.dividers.car_intervals`."""
     found: list[tuple[int, int, int]] = []
@@ -97,7 +88,7 @@ def car_intervals(
         if not triggered[row] or np.isnan(ground_m[row]):
             continue
         beams = [k for k in range(n_beams[row]) if not np.isnan(range_m[row, k])]
-        limit = float(ground_m[row]) + height_m
+        limit = float(ground_m[row]) + thresholds.height_m
         ends = [i for i, k in enumerate(beams) if surface[row, k] not in (H, V) or float(xyz_m[row, k, 2]) > limit]
         beams = beams[: ends[0]] if ends else beams
         codes = [int(surface[row, k]) for k in beams]
@@ -106,16 +97,19 @@ def car_intervals(
         distance = horizontal_m[row, beams].astype(np.float64)
 
         changes = [j for j in range(1, len(beams)) if codes[j - 1 : j + 1] == [H, V]]
-        angles = {j: change_angle(points, j, chord_m, chord_reach) if chord_m > 0 else np.nan for j in changes}
+        chord_m, reach = thresholds.chord_m, thresholds.chord_reach
+        angles = {j: change_angle(points, j, chord_m, reach) if chord_m > 0 else np.nan for j in changes}
         angles = {j: float(signed_deg[row, beams[j]]) if np.isnan(angle) else angle for j, angle in angles.items()}
         first_dividers = [
             j
             for j in changes
-            if angles[j] < sudden_from_deg
-            or angles[j] > sudden_to_deg
-            or is_something_under(ranges, j, under_points, under_m)
+            if angles[j] < thresholds.sudden_from_deg
+            or angles[j] > thresholds.sudden_to_deg
+            or is_something_under(ranges, j, thresholds.under_points, thresholds.under_m)
         ]
-        last_dividers = [j for j in range(len(beams)) if j + 1 == len(beams) or is_jump(points, j, separation_m)]
+        last_dividers = [
+            j for j in range(len(beams)) if j + 1 == len(beams) or is_jump(points, j, thresholds.separation_m)
+        ]
 
         start = 1
         while dividers := [j for j in first_dividers if j >= start]:
@@ -123,23 +117,31 @@ def car_intervals(
             start = len(beams)
             while t1 < len(beams):
                 t2 = min(j for j in last_dividers if j >= t1)
-                stretches = []
-                for first, last in runs(codes[t1 : t2 + 1], H):
-                    part = slice(t1 + first, t1 + last + 1)
-                    stretch = flat_stretch(distance[part], points[part, 2], flat_length_m, flat_residual_m, flat_slope)
-                    if stretch:
-                        stretches.append((t1 + first + stretch[0], t1 + first + stretch[1]))
-                if stretches:
-                    found.append((row, beams[t1], beams[stretches[0][0]]))
-                    start = stretches[0][1] + 1
+                ground = first_ground(codes, distance, points[:, 2], t1, t2, thresholds)
+                if ground:
+                    found.append((row, beams[t1], beams[ground[0]]))
+                    start = ground[1] + 1
                     break
                 found.append((row, beams[t1], beams[t2]))
                 t1 = t2 + 1
     return np.array(found, np.int32).reshape(-1, 3)
 
 
+def first_ground(
+    codes: list[int], distance: F64, height: F64, t1: int, t2: int, thresholds: DividerThresholds
+) -> tuple[int, int] | None:
+    """Find the first long flat stretch, within one horizontal run, between two dividers; None = there is none."""
+    limits = (thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope)
+    for first, last in runs(codes[t1 : t2 + 1], H):
+        part = slice(t1 + first, t1 + last + 1)
+        stretch = flat_stretch(distance[part], height[part], *limits)
+        if stretch:
+            return t1 + first + stretch[0], t1 + first + stretch[1]
+    return None
+
+
 def cut_verticals(
-    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, extent_m: float, break_m: float
+    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, thresholds: DividerThresholds
 ) -> I32:
     """Take long vertical runs out; see :func:`prc_cli.kernels.sequential_angle.dividers.cut_verticals`."""
     left: list[tuple[int, int, int]] = []
@@ -148,7 +150,7 @@ def cut_verticals(
         codes = [int(surface[row, k]) for k in beams]
         distance = horizontal_m[row, beams].astype(np.float64)
         # the same number as far as nothing breaks
-        part = np.cumsum([0] + [abs(b - a) > break_m for a, b in pairwise(distance)])
+        part = np.cumsum([0] + [abs(b - a) > thresholds.vertical_break_m for a, b in pairwise(distance)])
         keep = [k <= last for k in beams]
         vertical = [
             run
@@ -157,7 +159,7 @@ def cut_verticals(
         ]
         for begin, end in vertical:
             heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
-            if heights.max() - heights.min() >= extent_m:
+            if heights.max() - heights.min() >= thresholds.vertical_extent_m:
                 keep[begin : end + 1] = [False] * (end + 1 - begin)
         left += [(row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)]
     return np.array(left, np.int32).reshape(-1, 3)

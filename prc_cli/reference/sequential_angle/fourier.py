@@ -1,4 +1,4 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.sequential_angle.fourier`, from NumPy's transform alone."""
+"""The Fourier transform that tells cars from vegetation (Stamos et al. 2012, sec. 7.5)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from prc_cli.core.sequential_angle import FourierThresholds
 from prc_cli.core.types import F32, F64, I32, Mask
 
 
@@ -17,20 +18,18 @@ def high_frequencies(angles: F64, band: float, ratio: float) -> list[int]:
     return [k for k in range(len(spectrum)) if k >= band * n and spectrum[k] > ratio * (1 + 1e-9) * largest]
 
 
-def stable_intervals(
-    signed_deg: F32, intervals: I32, band: float, ratio: float, min_points: int, window_points: int
-) -> Mask:
+def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresholds) -> Mask:
     """Mark intervals with an empty S; see :func:`prc_cli.kernels.sequential_angle.fourier.stable_intervals`."""
     decisions = []
     for row, first, last in intervals:
         angles = signed_deg[row, first : last + 1].astype(np.float64)
         angles = angles[~np.isnan(angles)]
         n = len(angles)
-        if n < max(min_points, 1):
+        if n < max(thresholds.min_points, 1):
             decisions.append(False)
             continue
-        n_windows = -(-n // window_points)
+        n_windows = -(-n // thresholds.window_points)
         edges = [window * n // n_windows for window in range(n_windows + 1)]
-        empty = [not high_frequencies(angles[a:b], band, ratio) for a, b in pairwise(edges)]
+        empty = [not high_frequencies(angles[a:b], thresholds.band, thresholds.ratio) for a, b in pairwise(edges)]
         decisions.append(sum(empty) >= n_windows / 2)
     return np.array(decisions, dtype=np.bool_)

@@ -1,6 +1,6 @@
-"""Slow and obvious twins of the ground kernels, written from the paper (Stamos et al. 2012, sec. 5).
+"""Modes by mean shift, the ground of a row and its height across rows (Stamos et al. 2012, sec. 5).
 
-Every density is computed anew from all samples, every set of points is a list. Tests compare; nothing else uses this.
+Every density is computed anew from all samples, every set of points is a list.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from itertools import groupby
 
 import numpy as np
 
+from prc_cli.core.sequential_angle import GroundState, GroundThresholds, PotentialGround
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 
 EIGHTHS = 8
@@ -106,27 +107,14 @@ class Row:
     """One row, and the rules for potential ground."""
 
     def __init__(
-        self,
-        surface: U8,
-        xyz: F32,
-        phihat: F32,
-        ahead: I32,
-        n: int,
-        rules: tuple[int, int, int, float, float, float],
-        horizontal: F32,
-        n_fit: int,
-        jump: float,
-        near: int,
-        bridge: int,
-        step: float,
+        self, surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n: int, thresholds: GroundThresholds
     ) -> None:
         self.surface: list[int] = surface[:n].tolist()
         self.xyz = xyz.astype(np.float64)
+        self.horizontal = horizontal.astype(np.float64)
         self.phihat = phihat.astype(np.float64)
         self.ahead = ahead
-        self.horizontal, self.n_fit, self.jump = horizontal.astype(np.float64), n_fit, jump
-        self.near, self.bridge, self.step = near, bridge, step
-        self.first_run, self.lowest, self.least, self.smallest, self.sigmas, self.noise = rules
+        self.thresholds = thresholds
 
     def bandwidth(self, beam: int) -> float:
         """Return the bandwidth for line angles at a beam [deg]."""
@@ -135,15 +123,15 @@ class Row:
         sine_by_ranges = np.sqrt(np.sum(np.cross(here, chord) ** 2))
         with np.errstate(all="ignore"):
             sigma = (
-                57.29577951308232 * 1.4142135623730951 * self.noise * sine_by_ranges
+                57.29577951308232 * 1.4142135623730951 * self.thresholds.range_noise_m * sine_by_ranges
                 / (np.sum(chord**2) * np.sqrt(np.sum(here**2)))
             )  # fmt: skip
-        b = float(np.fmax(self.smallest, self.sigmas * sigma))
+        b = float(np.fmax(self.thresholds.bandwidth_deg, self.thresholds.bandwidth_sigmas * sigma))
         return min(b, 180.0)
 
     def bins(self, beams: list[int], b: float) -> list[int]:
         """Bin line angles."""
-        last = math.ceil(360.0 * EIGHTHS / self.smallest)
+        last = math.ceil(360.0 * EIGHTHS / self.thresholds.bandwidth_deg)
         angles = [self.phihat[beam] for beam in beams if not np.isnan(self.phihat[beam])]
         return [min(max(math.floor(angle / (b / EIGHTHS)), 0), last) for angle in angles]
 
@@ -162,10 +150,10 @@ class Row:
         two = valid[passed : passed + 2]
         if passed == 0:
             return valid[0] if valid else None
-        if passed > self.bridge or len(two) < 2:
+        if passed > self.thresholds.bridge or len(two) < 2:
             return None
         on_line = all(
-            self.surface[beam] == HORIZONTAL and self.fits(points, beam, self.horizontal, self.n_fit, self.step)
+            self.surface[beam] == HORIZONTAL and self.fits(points, beam, self.thresholds.bridge_height_m)
             for beam in two
         )
         return two[0] if on_line else None
@@ -173,7 +161,8 @@ class Row:
     def jumps(self, before: list[int], beam: int) -> bool:
         """Tell whether a point lies at another height than the points before it."""
         rise = abs(self.xyz[beam, 2] - self.xyz[before[-1], 2])
-        return bool(rise > self.jump) and not self.fits(before, beam, self.horizontal, self.n_fit, self.jump)
+        jump_m = self.thresholds.jump_m
+        return bool(rise > jump_m) and not self.fits(before, beam, jump_m)
 
     def potential(self, start: int) -> tuple[list[int], float]:
         """Return the first potential ground from a beam on and the bandwidth at its end (part a)."""
@@ -188,7 +177,7 @@ class Row:
                 points, beam = [], later[0]
             points = [beam] if points and self.jumps(points, beam) else [*points, beam]
             last = beam
-            if len(points) == self.first_run:
+            if len(points) == self.thresholds.first_run:
                 found, b = self.one_line(points)
                 if found:
                     return found, b
@@ -199,13 +188,13 @@ class Row:
         first, size, b = True, 0, math.nan
         while True:
             sampled = self.sampled(points[:-1])
-            one = len(sampled) >= self.least
+            one = len(sampled) >= self.thresholds.mode_samples
             if one:
                 if size == 0 or len(sampled) >= size + size // 2 + 1:
                     size = len(sampled)
                     b = self.bandwidth(sampled[size // 2])
                 modes = grid_modes(self.bins(sampled, b))
-                one = sum(count >= self.least for _, count in modes) == 1
+                one = sum(count >= self.thresholds.mode_samples for _, count in modes) == 1
             if first and not one:
                 return [], b
             first = False
@@ -216,8 +205,8 @@ class Row:
 
     def height(self, beams: list[int]) -> float:
         """Return the mean of the lowest points."""
-        heights = sorted(float(self.xyz[beam, 2]) for beam in (beams[: self.near] if self.near else beams))
-        heights = heights[: self.lowest]
+        near = beams[: self.thresholds.height_points or None]
+        heights = sorted(float(self.xyz[beam, 2]) for beam in near)[: self.thresholds.lowest_points]
         return float(np.cumsum(heights)[-1] / len(heights))
 
     def mode(self, beams: list[int], b: float) -> float:
@@ -225,24 +214,22 @@ class Row:
         place, _ = main_mode(grid_modes(self.bins(beams, b)))
         return (place + 0.5) * (b / EIGHTHS)
 
-    def fits(self, beams: list[int], beam: int, horizontal: F64, n_fit: int, guard: float) -> bool:
+    def fits(self, beams: list[int], beam: int, guard: float) -> bool:
         """Tell whether a point lies on the local line."""
-        last = beams[-n_fit:]
-        x, z = horizontal[last], self.xyz[last, 2]
+        last = beams[-self.thresholds.growth_points :]
+        x, z = self.horizontal[last], self.xyz[last, 2]
         mean_x, mean_z = np.cumsum(x)[-1] / len(x), np.cumsum(z)[-1] / len(z)
         sxx = np.cumsum((x - mean_x) ** 2)[-1]
         slope = np.cumsum((x - mean_x) * (z - mean_z))[-1] / (sxx + len(x) * guard * guard)
-        return bool(abs(self.xyz[beam, 2] - (mean_z + slope * (horizontal[beam] - mean_x))) <= guard)
+        return bool(abs(self.xyz[beam, 2] - (mean_z + slope * (self.horizontal[beam] - mean_x))) <= guard)
 
-    def grown(
-        self, beams: list[int], found: list[int], b: float, horizontal: F64, n_fit: int, guard: float
-    ) -> list[int]:
+    def grown(self, beams: list[int], found: list[int], b: float) -> list[int]:
         """Add potential ground to the ground so far, and grow it over the horizontal points that follow."""
         mode = self.mode(found, b)
         grown = beams + found
         while (beam := self.behind(grown, grown[-1])) is not None:
             collinear = np.isnan(self.phihat[beam]) or abs(self.phihat[beam] - mode) <= b
-            if not collinear or not self.fits(grown, beam, horizontal, n_fit, guard):
+            if not collinear or not self.fits(grown, beam, self.thresholds.growth_height_m):
                 break
             grown.append(beam)
         return grown
@@ -252,48 +239,29 @@ class Row:
         behind = self.valid(after)
         for horizontal, group in groupby(behind, key=lambda beam: self.surface[beam] == HORIZONTAL):
             beams = list(group)
-            if not horizontal and len(beams) > self.bridge:
+            if not horizontal and len(beams) > self.thresholds.bridge:
                 return self.surface[: beams[0]]
         return self.surface
 
 
-def is_near(z: float, z_g: float, tolerance: float, tolerance_m: float) -> bool:
+def is_near(z: float, z_g: float, thresholds: GroundThresholds) -> bool:
     """Tell whether a height agrees with that of the ground."""
-    return abs(z - z_g) < tolerance * abs(z_g) or abs(z - z_g) < tolerance_m
+    return abs(z - z_g) < thresholds.height_tolerance * abs(z_g) or abs(z - z_g) < thresholds.height_tolerance_m
 
 
 def potential_heights(
-    surface: U8,
-    xyz: F32,
-    horizontal: F32,
-    phihat: F32,
-    ahead: I32,
-    n_beams: I32,
-    first_run: int,
-    lowest: int,
-    least: int,
-    smallest: float,
-    sigmas: float,
-    noise: float,
-    n_fit: int,
-    jump: float,
-    near: int,
-    bridge: int,
-    step: float,
-) -> tuple[I32, I32, F64, F64]:
-    """Find potential ground; see :func:`prc_cli.kernels.sequential_angle.ground.potential_heights`."""
-    rules = (first_run, lowest, least, smallest, sigmas, noise)
+    surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
+) -> PotentialGround:
+    """Find potential ground (part a); see :func:`prc_cli.kernels.sequential_angle.ground.potential_heights`."""
     first, last = np.full((2, len(surface)), -1, dtype=np.int32)
     bandwidth, height = np.full((2, len(surface)), np.nan)
     for i in range(len(surface)):
-        row = Row(
-            surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump, near, bridge, step
-        )
+        row = Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i], n_beams[i], thresholds)
         beams, b = row.potential(0)
         if beams:
             first[i], last[i] = beams[0], beams[-1]
             bandwidth[i], height[i] = b, row.height(beams)
-    return first, last, bandwidth, height
+    return PotentialGround(first, last, bandwidth, height)
 
 
 def ground_rows(
@@ -303,82 +271,59 @@ def ground_rows(
     phihat: F32,
     ahead: I32,
     n_beams: I32,
-    first: I32,
-    last: I32,
-    bandwidth: F64,
-    height: F64,
-    first_run: int,
-    lowest: int,
-    least: int,
-    smallest: float,
-    sigmas: float,
-    noise: float,
-    n_fit: int,
-    jump: float,
-    near: int,
-    bridge: int,
-    step: float,
-    histogram: I32,
-    recent: I32,
-    z_g: float,
-    n_counted: int,
-    n_start: int,
-    n_least: int,
-    memory: int,
-    share: float,
-    count_all: bool,
-    renew_all: bool,
-    tolerance: float,
-    tolerance_m: float,
-    guard: float,
-    resume: bool,
-) -> tuple[Mask, F32, I32, I32, float]:
-    """Verify and grow ground; see :func:`prc_cli.kernels.sequential_angle.ground.ground_rows`."""
-    rules = (first_run, lowest, least, smallest, sigmas, noise)
+    potential: PotentialGround,
+    state: GroundState,
+    thresholds: GroundThresholds,
+) -> tuple[Mask, F32, GroundState]:
+    """Verify and grow ground (part b); see :func:`prc_cli.kernels.sequential_angle.ground.ground_rows`."""
+    memory, share = thresholds.memory_heights, thresholds.height_bandwidth
     ground = np.zeros(surface.shape, dtype=bool)
     z_rows = np.full(len(surface), np.nan, dtype=np.float32)
-    heights = (recent if memory else np.repeat(np.arange(len(histogram)), histogram)).tolist()
+    heights = (state.recent if memory else np.repeat(np.arange(len(state.histogram)), state.histogram)).tolist()
+    z_g = state.z_g
     for i in range(len(surface)):
-        row = Row(
-            surface[i], xyz[i], phihat[i], ahead[i], n_beams[i], rules, horizontal[i], n_fit, jump, near, bridge, step
-        )
-        to_count = i >= n_counted
+        row = Row(surface[i], xyz[i], horizontal[i], phihat[i], ahead[i], n_beams[i], thresholds)
+        to_count = i >= state.n_in_histogram_ahead
         z_row = math.nan
         accepted = False
-        beams = [k for k in np.flatnonzero(surface[i] == HORIZONTAL).tolist() if first[i] <= k <= last[i]]
-        b, z_i = float(bandwidth[i]), float(height[i])
+        first, last = potential.first[i], potential.last[i]
+        beams = [k for k in np.flatnonzero(surface[i] == HORIZONTAL).tolist() if first <= k <= last]
+        b, z_i = float(potential.bandwidth_deg[i]), float(potential.height_m[i])
         while beams and not accepted:
-            if to_count and len(heights) < n_start:
+            if to_count and len(heights) < thresholds.start_heights:
                 heights = [*heights, to_bin(z_i)][-memory:]
                 to_count = False
-                if len(heights) >= n_least or not math.isnan(z_g):
+                if len(heights) >= thresholds.least_heights or not math.isnan(z_g):
                     z_g = main_bin(heights, share)[1]
-            accepted = is_near(z_i, z_g, tolerance, tolerance_m)
+            accepted = is_near(z_i, z_g, thresholds)
             z_row = z_i if accepted or math.isnan(z_row) else z_row
             if accepted:
-                ground[i, grown_row(row, beams, b, horizontal[i].astype(np.float64), n_fit, guard, resume)] = True
+                ground[i, grown_row(row, beams, b)] = True
             else:
                 beams, b = row.potential(beams[-1] + 1)
                 z_i = row.height(beams) if beams else math.nan
-        if to_count and not math.isnan(z_row) and (accepted or count_all):
+        if to_count and not math.isnan(z_row) and (accepted or thresholds.all_heights):
             heights = [*heights, to_bin(z_row)][-memory:]
-            if accepted or renew_all:
+            if accepted or thresholds.renew_every:
                 z_g = main_bin(heights, share)[1]
         z_rows[i] = z_g
-    return ground, z_rows, histogram_of(heights), np.array(heights if memory else [], dtype=np.int32), z_g
+    recent = np.array(heights if memory else [], dtype=np.int32)
+    ahead_still = max(state.n_in_histogram_ahead - len(surface), 0)
+    return ground, z_rows, GroundState(histogram_of(heights), recent, z_g, ahead_still)
 
 
-def grown_row(row: Row, beams: list[int], b: float, x: F64, n_fit: int, guard: float, resume: bool) -> list[int]:
+def grown_row(row: Row, beams: list[int], b: float) -> list[int]:
     """Grow potential ground, and look for more of it in the rest of its run."""
-    points = row.grown([], beams, b, x, n_fit, guard)
+    guard = row.thresholds.growth_height_m
+    points = row.grown([], beams, b)
     row.surface = row.rest(points[-1])
-    more, b = row.potential(points[-1] + 1) if resume else ([], b)
+    more, b = row.potential(points[-1] + 1) if row.thresholds.resume else ([], b)
     while more:
         start = more[-1] + 1
         between = [k for k in row.valid(points[-1]) if k < more[0]]
         whole = all(row.surface[k] == HORIZONTAL for k in between)
-        if row.fits(points, more[0], x, n_fit, guard if whole else min(guard, row.step)):
-            points = row.grown(points, more, b, x, n_fit, guard)
+        if row.fits(points, more[0], guard if whole else min(guard, row.thresholds.bridge_height_m)):
+            points = row.grown(points, more, b)
             start = points[-1] + 1
         more, b = row.potential(start)
     return points

@@ -1,76 +1,91 @@
-"""Slow and obvious twin of the test between two hidden Markov models, written from Chen and Willett (2000)."""
+"""The test between two hidden Markov models that finds vegetation (Stamos et al. 2012, sec. 4).
+
+The paper takes it from Chen and Willett (2000, eqs. 23 to 28); likelihoods are logarithms here.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import norm
 
+from prc_cli.core.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, Mask
-
-Model = tuple[F64, F64]
-"""Transition probabilities (3, 3), row = from, and initial probabilities (3,)."""
 
 
 def hmm_cusum(
-    values: F32,
-    means: F64,
-    sigmas: F64,
-    h0: F64,
-    h1: F64,
-    initial_h0: F64,
-    initial_h1: F64,
-    threshold: float,
-    threshold_back: float,
-    backdate: bool,
-    sprt: bool,
-    accept: float,
-    reject: float,
-    merge_gap: int,
+    values: F32, means: F64, sigmas: F64, h0: MarkovModel, h1: MarkovModel, thresholds: MarkovThresholds
 ) -> Mask:
     """Mark the samples of model 1; see :func:`prc_cli.kernels.sequential_angle.markov.hmm_cusum`."""
     marked = np.zeros(values.shape, dtype=bool)
     for row, line in enumerate(values):
         there = np.flatnonzero(~np.isnan(line))
         samples = line[there].astype(np.float64)
-        log_density = norm.logpdf(samples[:, None], means, sigmas)
-        forward = (log_density, (h0, initial_h0), (h1, initial_h1))
-        backward = (log_density, (h1, initial_h1), (h0, initial_h0))
-        regions: list[tuple[int, int]] = []
-        now = 0
-        while (change := page_test(*forward, now, threshold)) is not None:
-            alarm, onset = change
-            start = onset if backdate else alarm
-            if sprt:
-                confirmed, now = wald_test(*forward, alarm + 1, reject, accept)
-                if confirmed is None:
-                    break
-                if not confirmed:
-                    continue
-                verdict: bool | None = True
-                while verdict:
-                    verdict, now = wald_test(*forward, now, reject, accept)
-                stop = now - 1
-                negative = [i for i in range(alarm + 1, stop + 1) if samples[i] < 0]
-                if negative:
-                    stop = min(negative[-1] + 1, len(samples) - 1)
-                now = stop + 1
-            else:
-                change = page_test(*backward, alarm + 1, threshold_back)
-                if change is None:
-                    now, stop = len(samples), len(samples) - 1
-                else:
-                    now, stop = change[0] + 1, (change[1] if backdate else change[0]) - 1
-            regions.append((start, stop))
+        test = Test(norm.logpdf(samples[:, None], means, sigmas), h0, h1, thresholds)
+        regions = confirmed_regions(samples, test) if thresholds.sprt else regions_both_ways(test)
         for i, (start, stop) in enumerate(regions):
             marked[row, there[start : stop + 1]] = True
             gap = there[regions[i - 1][1] + 1 : start] if i else there[:0]
-            if sprt and len(gap) < merge_gap:
+            if thresholds.sprt and len(gap) < thresholds.merge_gap:
                 marked[row, gap] = True
     return marked
 
 
-def page_test(log_density: F64, zero: Model, one: Model, begin: int, threshold: float) -> tuple[int, int] | None:
+class Test(NamedTuple):
+    """One row, two models and the thresholds between them."""
+
+    log_density: F64
+    """(n, 3) float64, logarithm of the density of every sample in every state."""
+    h0: MarkovModel
+    h1: MarkovModel
+    thresholds: MarkovThresholds
+
+
+def regions_both_ways(test: Test) -> list[tuple[int, int]]:
+    """Return the regions of model 1: from a change to it until a change back, both found by Page's test."""
+    log_density, h0, h1, thresholds = test
+    regions: list[tuple[int, int]] = []
+    now = 0
+    while (change := page_test(log_density, h0, h1, now, thresholds.threshold)) is not None:
+        alarm, onset = change
+        start = onset if thresholds.backdate else alarm
+        change = page_test(log_density, h1, h0, alarm + 1, thresholds.threshold_back)
+        if change is None:
+            return [*regions, (start, len(log_density) - 1)]
+        regions.append((start, (change[1] if thresholds.backdate else change[0]) - 1))
+        now = change[0] + 1
+    return regions
+
+
+def confirmed_regions(samples: F64, test: Test) -> list[tuple[int, int]]:
+    """Return the regions of model 1 that Wald's test confirms after the alarm, until it rejects one."""
+    log_density, h0, h1, thresholds = test
+    bounds = (thresholds.reject, thresholds.accept)
+    regions: list[tuple[int, int]] = []
+    now = 0
+    while (change := page_test(log_density, h0, h1, now, thresholds.threshold)) is not None:
+        alarm, onset = change
+        verdict, now = wald_test(log_density, h0, h1, alarm + 1, *bounds)
+        if verdict is None:
+            break
+        if not verdict:
+            continue
+        while verdict:
+            verdict, now = wald_test(log_density, h0, h1, now, *bounds)
+        stop = now - 1
+        negative = [i for i in range(alarm + 1, stop + 1) if samples[i] < 0]
+        if negative:
+            stop = min(negative[-1] + 1, len(samples) - 1)
+        now = stop + 1
+        regions.append((onset if thresholds.backdate else alarm, stop))
+    return regions
+
+
+def page_test(
+    log_density: F64, zero: MarkovModel, one: MarkovModel, begin: int, threshold: float
+) -> tuple[int, int] | None:
     """Return alarm and onset of the first change from model 0 to model 1, None if there is none."""
     s, onset = 0.0, begin
     state_0: F64 | None = None
@@ -87,7 +102,7 @@ def page_test(log_density: F64, zero: Model, one: Model, begin: int, threshold: 
 
 
 def wald_test(
-    log_density: F64, zero: Model, one: Model, begin: int, reject: float, accept: float
+    log_density: F64, zero: MarkovModel, one: MarkovModel, begin: int, reject: float, accept: float
 ) -> tuple[bool | None, int]:
     """Return the decision for model 1 and the sample after it; None if the samples run out before."""
     s = 0.0

@@ -49,6 +49,15 @@ def test_chords_bridge_missing_shots_and_short_steps() -> None:
     assert found.ahead[0].tolist() == [1, 2, -1]
 
 
+def test_the_depth_that_does_not_count_is_in_standard_deviations_of_the_range() -> None:
+    """Shots 5 cm apart in range and nothing else: a depth of 3 times 1 cm leaves 2 cm of the chord, of 5 times none."""
+    points = [(4.0, 0.0), (4.05, 0.0), (4.1, 0.0)]
+    for sigmas, ahead in ((3.0, [1, 2, -1]), (5.0, [2, -1, -1])):
+        params = AnglesParams(range_noise_m=0.01, min_chord_sigmas=1.0, chord_depth_sigmas=sigmas)
+        assert params.thresholds().depth_m == pytest.approx(sigmas * 0.01)
+        assert signed_angles(lines_through(points), params).ahead[0].tolist() == ahead
+
+
 def test_the_chord_before_comes_from_the_last_shot_far_enough_away() -> None:
     # the step back of 1 cm is noise to a shortest chord of 2 cm; the literal statistic takes it for foliage
     points = [(4, -2), (4.05, -2), (4.04, -2), (4.09, -2), (4.14, -2)]

@@ -66,6 +66,17 @@ def test_nothing_is_marked_behind_a_high_vertical() -> None:
     assert not marked[0, found.where("car")].any()
 
 
+def test_high_verticals_are_sought_in_the_layer_of_vegetation_and_surfaces() -> None:
+    """A sign over the road that the car layer takes for dense vegetation hides what stands behind it all the same."""
+    found = see([[*road(), *car(8), Piece("sign", (5.0, 2.0), (5.0, 8.0))]], np.random.default_rng(3), scanner_m=2.5)
+    layer = found.surface.copy()
+    layer[0, found.where("sign")] = DENSE
+    signed, behind = signed_angles(found.lines), found.where("car")
+    for surface, hidden in ((found.surface, True), (layer, False)):
+        marked = cars(found.lines, surface, layer, signed, found.z_g, CarParams(), range_noise_m=NOISE_M)
+        assert marked[0, behind].any() != hidden
+
+
 def test_sidewalk_behind_a_car_is_no_car() -> None:
     found = see([[*road(), *car(6), *curb(8.0), *wall(12.0, 0.15)]], np.random.default_rng(3), scanner_m=5.0)
     sidewalk = found.where("pavement")

@@ -66,6 +66,17 @@ def test_sides_of_cars_have_something_under_them() -> None:
     assert not find(scene).any()  # the wind screen is a possible curb, and too high for one
 
 
+@pytest.mark.parametrize(("deeper_m", "noise_m", "under"), [(0.02, 0.005, False), (0.035, 0.005, True), (0.035, 0.006, False), (0.02, 0.001, True)])  # fmt: skip  # noqa: E501
+def test_something_under_is_farther_by_the_larger_of_both_limits(deeper_m: float, noise_m: float, under: bool) -> None:
+    """1 cm, or six times the range noise: 3 cm for 5 mm, 3.6 cm for 6 mm."""
+    ranges = np.array([[3.0, 3.0 + deeper_m, 3.0]], np.float32)
+    xyz = np.stack([ranges, 0 * ranges, 0 * ranges], axis=-1)
+    lines = VerticalLines(ranges, xyz, ranges, np.array([3], np.int32), np.linspace(1.4, 1.5, 3)[None])
+    surface, on_ground = np.array([[2, 2, 3]], np.uint8), np.array([[True, True, False]])
+    found = possible_curbs(lines, surface, on_ground, np.zeros(1, np.float32), PARAMS, range_noise_m=noise_m)
+    assert found.tolist() == [-1 if under else 2]
+
+
 def test_search_ends_two_metres_above_the_ground() -> None:
     floating: list[Segment] = [(0.0, -1.8, 6.0, -1.8, 2), (6.0, 0.5, 6.0, 1.5, V)]
     scene = scan([floating] * 4, n=600)
@@ -185,7 +196,7 @@ def test_cuts_change_nothing_and_memory_is_bounded(height: str, n_sides: int, ma
                 found, state = curbs(part.lines, part.surface, part.signed, at[first:end], state, params, last=False)
                 assert len(found) % n_sides == 0
                 assert state.n_waiting < max_lines
-                assert len(state.labels) <= max(max_lines, 1) * n_sides
+                assert len(state.regions.labels) <= max(max_lines, 1) * n_sides
                 parts.append(found)
             rest = scene.rows(0, 0)
             found, state = curbs(rest.lines, rest.surface, rest.signed, at[:0], state, params, last=True)

@@ -184,6 +184,24 @@ def test_long_flat_stretch_ends_the_interval_and_the_search_begins_anew() -> Non
     assert spans([*first, *sloping], DividersParams(flat_slope_deg=5)) == [(begin, n + len(plane) - 1)]
 
 
+def test_the_largest_slope_of_ground_is_an_angle() -> None:
+    """Ground that rises by 1.4 m a metre, 54.5 degrees, beside limits on either side; 1.4 rad are 80 degrees."""
+    first = [*ground(2, 6.5), *side(6)]
+    steep = [("H", h, 1.4 * (h - 7)) for _, h, _ in ground(7, 11)]
+    begin, n = len(ground(2, 6.5)), len(first)
+    for slope_deg, is_ground in ((55.0, True), (54.0, False)):
+        params = DividersParams(flat_slope_deg=slope_deg, height_m=100)
+        assert spans([*first, *steep], params) == [(begin, n if is_ground else n + len(steep) - 1)]
+
+
+@pytest.mark.parametrize(("noise_m", "chord_m", "under_m"), [(0.0, 0.1, 0.01), (0.005, 0.1, 0.03), (0.05, 0.4, 0.3)])
+def test_limits_are_the_larger_of_a_length_and_a_multiple_of_the_noise(
+    noise_m: float, chord_m: float, under_m: float
+) -> None:
+    thresholds = PARAMS.thresholds(noise_m)
+    assert (thresholds.chord_m, thresholds.under_m) == (pytest.approx(chord_m), pytest.approx(under_m))
+
+
 def test_roof_and_the_ground_behind_it_are_not_one_flat_stretch() -> None:
     first = [*ground(2, 6.5), *side(6)]
     roof = [("H", float(h), 1.4) for h in np.arange(6.25, 7.8, 0.25)]
@@ -245,6 +263,6 @@ def test_hostile_row_takes_no_more_than_a_moment() -> None:
     params = DividersParams(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
     intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params, range_noise_m=NOISE_M)
     assert intervals[:, 0].max() <= 3
-    assert (
-        kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, 1.0, 0.0).shape[1] == 3
-    )
+    limits = params.thresholds(NOISE_M)._replace(vertical_extent_m=1.0, vertical_break_m=0.0)
+    left = kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, limits)
+    assert left.shape[1] == 3

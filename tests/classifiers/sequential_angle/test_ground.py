@@ -127,7 +127,7 @@ def test_first_estimate_from_too_few_heights_is_caught_up() -> None:
     assert np.isnan(initial_ground(few, PARAMS).z_g)
     assert initial_ground(few, GroundParams(least_heights=1)).z_g < 0
     found, z_g, _ = follow(
-        scene.lines, scene.surface, scene.phihat, scene.ahead, replace(initial_ground(few, PARAMS),
+        scene.lines, scene.surface, scene.phihat, scene.ahead, initial_ground(few, PARAMS)._replace(
         n_in_histogram_ahead=0), PARAMS,
     )  # fmt: skip
     assert np.flatnonzero(np.isnan(z_g)).tolist() == list(range(4 + 7))
@@ -221,7 +221,7 @@ def test_ground_far_below(deep: float) -> None:
 def test_scanner_near_the_ground() -> None:
     scene = scan([[(0.2, -0.12, 1.0, -0.12, H)]] * 20, n=300)
     assert find(scene)[1].any(axis=1).all()
-    low = replace(initial_ground(np.full(50, -0.15), PARAMS), n_in_histogram_ahead=0)
+    low = initial_ground(np.full(50, -0.15), PARAMS)._replace(n_in_histogram_ahead=0)
     for limit, everywhere in ((0.05, True), (0.0, False)):
         params = GroundParams(height_tolerance_m=limit, renew="accepted")
         found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, low, params)
@@ -267,7 +267,7 @@ def test_potential_ground_ends_at_the_first_vertical_point_and_needs_ten() -> No
     scene = scan([street()], n=300, noise_m=0.0)
     scene.surface[0, 9:14] = V  # more than are passed over
     scene.surface[0, 30:35] = V
-    state = replace(initial_ground(np.full(50, ROAD_Z), PARAMS), n_in_histogram_ahead=0)
+    state = initial_ground(np.full(50, ROAD_Z), PARAMS)._replace(n_in_histogram_ahead=0)
     found, _, _ = follow(scene.lines, scene.surface, scene.phihat, scene.ahead, state, PARAMS)
     assert np.flatnonzero(found[0]).tolist() == list(range(14, 30))
 

@@ -1,0 +1,235 @@
+"""What the compiled loops of the sequential-angle method and their twins are given: thresholds and states, by name.
+
+Each is a ``NamedTuple``, which numba takes as it is. Arrays say how the compiler sees them. Lengths are in metres,
+angles in degrees; heights are counted from the scanner. ``R`` is the number of rows (half-lines) and ``n`` that of
+their beams.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+from prc_cli.core.types import F32, F64, I32, Mask
+
+Floats = Annotated[F64, "float64[::1]"]
+Ints = Annotated[I32, "int32[::1]"]
+
+
+class ChordThresholds(NamedTuple):
+    """Which shots a chord joins (sec. 3)."""
+
+    min_chord_m: float
+    """Shots nearer than this to each other make no chord; shots at the same place never do."""
+    depth_m: float
+    """Range differences up to this count nothing for that length, larger ones by what they have more."""
+    max_shots: int
+    """Valid shots looked at on either side of a shot."""
+
+
+class MarkovModel(NamedTuple):
+    """A hidden Markov model of three states (sec. 4)."""
+
+    transition: Annotated[F64, "float64[:, ::1]"]
+    """(3, 3) float64, transition probabilities; row = from."""
+    initial: Floats
+    """(3,) float64, probabilities of the states at the first sample after a restart."""
+
+
+class MarkovThresholds(NamedTuple):
+    """Where the test between two hidden Markov models begins and ends a region (sec. 4)."""
+
+    threshold: float
+    """Log-likelihood ratio of model 1 to model 0 at which a region begins [nats]."""
+    threshold_back: float
+    """Log-likelihood ratio of model 0 to model 1 at which it ends [nats]."""
+    backdate: bool
+    """A region begins and ends at the onset rather than at the alarm."""
+    sprt: bool
+    """Regions end, after they are confirmed, by tests between two bounds."""
+    accept: float
+    """Upper bound of those tests, positive [nats]."""
+    reject: float
+    """Lower bound of those tests, negative [nats]."""
+    merge_gap: int
+    """Regions found with ``sprt`` that are closer than this become one [samples]."""
+
+
+class SurfaceThresholds(NamedTuple):
+    """When a run turns from horizontal to vertical and back (sec. 4)."""
+
+    drift_vertical_deg: float
+    """From H to V the sum of (drift - angle) since its last reset ..."""
+    threshold_vertical_deg: float
+    """... must exceed this."""
+    drift_horizontal_deg: float
+    """From V to H the sum of (angle - drift) since its last reset ..."""
+    threshold_horizontal_deg: float
+    """... must exceed this."""
+    fold: bool
+    """Angles beyond 90 deg count as their supplement."""
+    backdate: bool
+    """A change begins at the first sample after the last reset rather than at the alarm."""
+    start_horizontal: bool
+    """Runs begin with H, not with what their first five samples are."""
+
+
+class GroundThresholds(NamedTuple):
+    """How ground is found in a row and followed across rows (sec. 5)."""
+
+    first_run: int
+    """Horizontal points in a row that potential ground begins with, at least 3."""
+    lowest_points: int
+    """Points, the lowest ones, whose mean height is the height of potential ground."""
+    height_points: int
+    """Points at the beginning of potential ground that they are taken from; 0 = all."""
+    mode_samples: int
+    """Samples that make a mode."""
+    bandwidth_deg: float
+    """Bandwidth of line angles: the larger of this ..."""
+    bandwidth_sigmas: float
+    """... and so many standard deviations of a line angle ..."""
+    range_noise_m: float
+    """... at this standard deviation of a range."""
+    growth_points: int
+    """Points that the local line is laid through."""
+    jump_m: float
+    """Height above or below the last point and the local line that ends potential ground."""
+    growth_height_m: float
+    """Height above or below the local line up to which ground grows."""
+    bridge: int
+    """Points that are neither horizontal nor missing which a run of horizontal points may pass over, where the next two
+    valid points continue the local line."""
+    bridge_height_m: float
+    """Height above or below the local line up to which they continue it."""
+    resume: bool
+    """Where growth ends within a run of horizontal points, more potential ground is sought in the rest of the run."""
+    start_heights: int
+    """Heights that a first estimate of the ground needs."""
+    least_heights: int
+    """Heights without which the ground stays unknown."""
+    memory_heights: int
+    """Heights that are remembered, the oldest one is forgotten; 0 = all."""
+    height_bandwidth: float
+    """Bandwidth of heights, as a share of their median."""
+    all_heights: bool
+    """Heights of rows without ground count too."""
+    renew_every: bool
+    """The height of the ground is computed anew after every height that counts, not after those of ground alone."""
+    height_tolerance: float
+    """Difference between a row's height and that of the ground, as a share of the latter, below which it is ground."""
+    height_tolerance_m: float
+    """The same at least."""
+
+
+class PotentialGround(NamedTuple):
+    """The first potential ground of every row (sec. 5, part a)."""
+
+    first: Ints
+    """(R,) int32, its first beam, -1 = none."""
+    last: Ints
+    """(R,) int32, its last beam; the horizontal points from the first one on are its points."""
+    bandwidth_deg: Floats
+    """(R,) float64, bandwidth of its line angles at its end, NaN = none."""
+    height_m: Floats
+    """(R,) float64, z_i, NaN = none."""
+
+
+class GroundState(NamedTuple):
+    """What is known of the ground between two calls (sec. 5, part b)."""
+
+    histogram: Ints
+    """(185 000,) int32, heights of the rows so far, in bins of 2 mm from -310 m on."""
+    recent: Ints
+    """(at most ``memory_heights``,) int32, their bins, the oldest one first; empty where none is forgotten."""
+    z_g: float
+    """Height of the ground, NaN = unknown."""
+    n_in_histogram_ahead: int
+    """Rows to come whose heights the histogram holds already."""
+
+
+class CurbThresholds(NamedTuple):
+    """Where a curb may begin, and what proves it (sec. 6)."""
+
+    under_points: int
+    """Valid points before a point that are looked at for something under it, ..."""
+    under_m: float
+    """... which is farther away by more than this."""
+    search_height_m: float
+    """The search ends at the first valid point higher above the ground."""
+    grouping_m: float
+    """Neighbours closer than this belong to one region."""
+    max_height_m: float
+    """A region higher than this is not a curb."""
+    by_line: bool
+    """That height is the one within a line, not that of the whole region."""
+    min_lines: int
+    """Lines that make a curb of a region with a possible curb point."""
+    curvature_deg: float
+    """With fewer lines: the angle must change less than this from point to point, in the median."""
+    max_lines: int
+    """A region of so many lines is decided as it is, and closed."""
+
+
+class OpenRegions(NamedTuple):
+    """The C regions of vertical points that are not decided yet, and the P lines they lie in (sec. 6)."""
+
+    labels: Annotated[I32, "int32[:, ::1]"]
+    """(P * n_sides, n) int32: 0 not vertical, 1 too high, 2 no curb, 3 a curb, from 4 on the undecided regions."""
+    n_given: int
+    """Lines at the beginning of ``labels`` that were returned as decided before, 0 or 1."""
+    side: Ints
+    """(C,) int32."""
+    first: Ints
+    """(C,) int32, first line of every region, from the beginning of ``labels`` on."""
+    last: Ints
+    """(C,) int32, its last line."""
+    possible: Annotated[Mask, "boolean[::1]"]
+    """(C,) bool, whether it has a possible curb point."""
+    low_m: Annotated[F32, "float32[::1]"]
+    """(C,) float32, its lowest height."""
+    high_m: Annotated[F32, "float32[::1]"]
+    """(C,) float32, its highest height."""
+
+
+class DividerThresholds(NamedTuple):
+    """Where a car may begin and end along a line (sec. 7.3)."""
+
+    height_m: float
+    """The search ends at the first return higher above the ground."""
+    sudden_from_deg: float
+    """A change from H to V at an angle between this ..."""
+    sudden_to_deg: float
+    """... and this is sudden."""
+    chord_m: float
+    """Least length of the chord that the angle is measured on; 0 or below = the signed angle."""
+    chord_reach: int
+    """Returns that are looked at for either end of the chord."""
+    under_points: int
+    """Returns before a sudden change of which one must be ..."""
+    under_m: float
+    """... this much farther away."""
+    separation_m: float
+    """Successive returns farther apart, the second one not nearer to the scanner, belong to two intervals."""
+    flat_length_m: float
+    """Horizontal length of a stretch of ground at least, ..."""
+    flat_residual_m: float
+    """... root mean square of the residuals of its heights at most ..."""
+    flat_slope: float
+    """... and slope at most, a tangent."""
+    vertical_extent_m: float
+    """Vertical runs from this difference between their highest and lowest point up are cut out."""
+    vertical_break_m: float
+    """A larger change of horizontal distance from one return to the next ends such a run."""
+
+
+class FourierThresholds(NamedTuple):
+    """When the angles of an interval hold no high frequency (sec. 7.5)."""
+
+    band: float
+    """Frequencies k from ``band * N`` to N/2 must not be ..."""
+    ratio: float
+    """... larger than this share of the largest one of all, k = 0 included; below 1."""
+    min_points: int
+    """Fewer angles decide against the interval."""
+    window_points: int
+    """Longer intervals are cut into windows of at most this many."""
