@@ -26,6 +26,7 @@ from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.classifiers.sequential_angle import pipeline as sequential_angle
 from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.config import FUSED, SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
+from prc_cli.core.blocks import LineBuffer, regroup
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
@@ -47,7 +48,6 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.kernels import load_kernels
-from prc_cli.stream.blocks import LineBuffer, regroup
 from prc_cli.stream.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]

@@ -16,12 +16,12 @@ import numpy as np
 from prc_cli.classifiers.prc import continuous
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import Counts, label_blocks
 from prc_cli.stream.beams import with_beams
-from prc_cli.stream.blocks import regroup
 from prc_cli.stream.grid import GridStream
 from prc_cli.stream.pipe import ByteStream, open_pipe
 

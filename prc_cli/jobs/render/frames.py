@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, initial_state, trace_block
 from prc_cli.config import LoadedConfig
+from prc_cli.core.blocks import regroup
 from prc_cli.core.classes import LABEL_OF_SURFACE, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
@@ -19,7 +20,6 @@ from prc_cli.core.types import F64
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render.options import PRC_STEPS
 from prc_cli.stream.beams import with_beams
-from prc_cli.stream.blocks import regroup
 
 Plane: TypeAlias = NDArray[Any]
 

@@ -21,6 +21,7 @@ from prc_cli.classifiers.sequential_angle.pipeline import (
     initial_state,
 )
 from prc_cli.config import RunConfig, load_config
+from prc_cli.core.blocks import cut
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
@@ -28,7 +29,6 @@ from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges, label_blocks
 from prc_cli.kernels import KERNELS
-from prc_cli.stream.blocks import cut
 from tests.kernels.twins import twin
 from tests.simulated import static_arrays
 
