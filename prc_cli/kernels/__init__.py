@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from prc_cli.kernels.loading import KERNELS, find_kernel, load_kernels, spare_linear_algebra, use_reference
+from prc_cli.kernels.loading import KERNELS, find_kernel, load_kernels, use_reference
 
-__all__ = ["KERNELS", "load_kernels", "spare_linear_algebra", "use_reference"]
+__all__ = ["KERNELS", "load_kernels", "use_reference"]
 
 
 def __getattr__(name: str) -> Any:

@@ -18,7 +18,6 @@ from prc_cli.kernels.fused.strips import widen_levels as widen_levels
 from prc_cli.kernels.fused.strips import widen_slots as widen_slots
 from prc_cli.kernels.loading import KERNELS as KERNELS
 from prc_cli.kernels.loading import load_kernels as load_kernels
-from prc_cli.kernels.loading import spare_linear_algebra as spare_linear_algebra
 from prc_cli.kernels.loading import use_reference as use_reference
 from prc_cli.kernels.prc.calibration import bend_histogram as bend_histogram
 from prc_cli.kernels.prc.calibration import support_histogram as support_histogram

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.garbage import no_collecting
 from prc_cli.core.interrupts import held
 
 _TABLE = Path(__file__).with_name("__init__.pyi")
@@ -29,7 +30,6 @@ KERNELS = _read_table()
 
 _loaded: dict[str, Callable[..., Any]] = {}
 _find_home: Callable[[str], str] = KERNELS.__getitem__
-_spare = False
 
 
 def find_kernel(name: str) -> Callable[..., Any]:
@@ -66,16 +66,6 @@ def reference_home(name: str) -> str:
     raise ConfigError("engine", problem, "choose prc or sequential-angle")
 
 
-def spare_linear_algebra() -> None:
-    """Let the compiler do without SciPy's linear algebra, a fifth of what a short command takes.
-
-    No kernel uses it. Other compiled functions of the same process could not multiply matrices, so that only a process
-    that is the command ``prc`` and nothing else may say this.
-    """
-    global _spare
-    _spare = True
-
-
 def load_kernels(modules: frozenset[str] | None = None) -> None:
     """Compile kernels, on all cores and in one process at a time, or load them from the cache.
 
@@ -92,15 +82,13 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
         When :func:`use_reference` was called and a kernel has no twin there.
     """
     wanted = {name: home for name, home in KERNELS.items() if modules is None or _is_in(home, modules)}
-    if _find_home is not reference_home:
-        from prc_cli.kernels.cache import load_compiler
-        from prc_cli.kernels.compiling import compile_missing  # which loads the compiler
+    with no_collecting():
+        if _find_home is not reference_home:
+            from prc_cli.kernels.compiling import compile_missing  # which loads the compiler
 
-        if _spare:
-            load_compiler()
-        compile_missing(sorted(set(wanted.values())))
-    for name in wanted:
-        find_kernel(name)
+            compile_missing(sorted(set(wanted.values())))
+        for name in wanted:
+            find_kernel(name)
 
 
 def _is_in(home: str, modules: frozenset[str]) -> bool:
