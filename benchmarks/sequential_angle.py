@@ -35,6 +35,7 @@ from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lin
 from prc_cli.classifiers.sequential_angle.markov import HmmParams
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.blocks import cut, join
 from prc_cli.core.classes import ClassCodes, Label, Surface
 from prc_cli.core.config import merge
 from prc_cli.core.errors import PrcError
@@ -48,7 +49,6 @@ from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, simulate
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
-from prc_cli.stream.blocks import cut, join
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))

@@ -18,12 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.jobs.classify import KERNELS_OF
+from prc_cli.config import load_config
 from prc_cli.kernels import KERNELS
 
 RUNS = 5
-LOAD = "import sys, prc_cli.kernels as k; k.spare_linear_algebra(); k.load_kernels(frozenset(sys.argv[1:]))"
+LOAD = "import sys, prc_cli.kernels as k; k.load_kernels(frozenset(sys.argv[1:]))"
 """As the command does it."""
+METHODS = {"prc": "urban", "sequential-angle": "street-scan", "fused": "fused", "fused-forest": "fused-forest"}
+"""A preset of every set of compiled loops."""
 ONE = """
 import sys, time
 from importlib import import_module
@@ -53,7 +55,8 @@ def row(title: str, times: list[tuple[float, float]]) -> None:
 
 def cold(folder: Path) -> None:
     """First run after installation, for each method, and without children."""
-    for method, modules in KERNELS_OF.items():
+    for method, preset in METHODS.items():
+        modules = load_config(preset=preset).config.classifier.method().needs.kernels
         times = [run(["-c", LOAD, *sorted(modules)], folder / f"{method}-{i}") for i in range(2)]
         row(f"first run: compile all of {method}", times)
 

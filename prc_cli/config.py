@@ -9,14 +9,13 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import Field
 from pydantic.fields import FieldInfo
 
-from prc_cli.classifiers.fused.pipeline import FusedParams
-from prc_cli.classifiers.prc.pipeline import PrcParams
-from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
+from prc_cli.classifiers.base import MethodParams
+from prc_cli.classifiers.methods import METHODS, MethodName, MethodTables, table_of
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
 from prc_cli.core.errors import ConfigError
@@ -24,46 +23,41 @@ from prc_cli.core.samples import samples_folder
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.writing.options import OutputConfig
 
-SEQUENTIAL_ANGLE: Literal["sequential-angle"] = "sequential-angle"
-FUSED: Literal["fused"] = "fused"
-METHODS = ("prc", SEQUENTIAL_ANGLE, FUSED)
-"""Classifiers; each has a table of its name, underscores for hyphens."""
 
+class _Input(Params):
+    """What is read, and how it is classified."""
 
-class RunConfig(Params):
-    """Everything a run depends on beside its input."""
-
-    method: Literal["prc", "sequential-angle", "fused"] = Field(
+    method: MethodName = Field(
         "prc",
         description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), or fused, made out "
         "of both",
     )
     input: InputConfig = Field(default_factory=InputConfig, description="how the stream is found in the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
-    prc: PrcParams = Field(default_factory=PrcParams, description="PRC (Lehtola et al. 2019)")
-    sequential_angle: SequentialAngleParams = Field(
-        default_factory=SequentialAngleParams, description="sequential-angle (Stamos et al. 2012)"
-    )
-    fused: FusedParams = Field(default_factory=FusedParams, description="fused")
+
+
+# fields come in the order of the file: those of the last base first
+class RunConfig(MethodTables, _Input):
+    """Everything a run depends on beside its input."""
+
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes")
     output: OutputConfig = Field(default_factory=OutputConfig, description="what is written")
 
     @property
-    def classifier(self) -> PrcParams | SequentialAngleParams | FusedParams:
+    def classifier(self) -> MethodParams:
         """Parameters of the classifier that ``method`` names."""
-        if self.method == FUSED:
-            return self.fused
-        return self.sequential_angle if self.method == SEQUENTIAL_ANGLE else self.prc
+        params: MethodParams = getattr(self, table_of(self.method))
+        return params
 
     @property
     def needs_beams(self) -> bool:
         """Whether the classifier must know where down is."""
-        return self.method != "prc"
+        return self.classifier.method().needs.beams
 
     @property
     def nadir_from_ground(self) -> bool:
-        """Whether the ranges may tell where down is: in streets, where much is level, and a degree or two is enough."""
-        return self.method == FUSED and self.fused.environment == "urban"
+        """Whether the ranges may tell where down is."""
+        return self.classifier.method().needs.nadir_from_ground
 
     def to_table(self) -> dict[str, Any]:
         """Return the effective configuration as a nested table, names as in TOML, unset values left out."""
@@ -74,7 +68,7 @@ class RunConfig(Params):
         table = self.to_table()
         for method in METHODS:
             if method != self.method:
-                del table[method.replace("-", "_")]
+                del table[table_of(method)]
         return table
 
 

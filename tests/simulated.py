@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
+from prc_cli.core.blocks import join
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.simulation.drive import SimulatedScan
 from prc_cli.simulation.settings import Kind, load_settings
 from prc_cli.simulation.simulation import Simulation, open_simulation
-from prc_cli.stream.blocks import join
 
 FIELD_DEG = 125.12
 """Elevations that the static scanner covers [degrees]."""

@@ -10,12 +10,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import prc_cli.jobs.classify as pipeline
-from prc_cli.classifiers.prc.pipeline import ParallelBlocks
+from prc_cli.classifiers import run
+from prc_cli.classifiers.prc.pipeline import Prc
 from prc_cli.config import load_config
 from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.profile import profiling
@@ -96,7 +98,7 @@ def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
         monkeypatch.setattr(GridStream, "_dense_block", after(1, GridStream._dense_block, error))
         monkeypatch.setattr("prc_cli.formats.raw_binary.read.CHUNK_BYTES", 4 * 20 * POINTS_PER_LINE)
     elif where == "classifier":
-        monkeypatch.setattr(ParallelBlocks, "classify", after(2, ParallelBlocks.classify, error))
+        monkeypatch.setattr(Prc, "label", after(2, Prc.label, error))
     elif where == "writer":
         monkeypatch.setattr(StagedWriter, "add", after(2, StagedWriter.add, error))
     else:
@@ -113,13 +115,14 @@ def test_the_writer_may_be_slow_and_few_blocks_wait(
     config = load_config(options=OPTIONS | {"prc": {"lines_per_block": 4}})
     source = write_npz(tmp_path / "drive.npz", np.tile(image, (3, 1)))
     begun, written, most = 0, 0, 0
-    begin, add = ParallelBlocks.begin, StagedWriter.add
+    cut, add = run.regroup, StagedWriter.add
 
-    def count(self: ParallelBlocks, *arguments: object) -> object:
+    def count(*arguments: Any, **named: Any) -> Iterator[ScanBlock]:
         nonlocal begun, most
-        begun += 1
-        most = max(most, begun - written)
-        return begin(self, *arguments)  # type: ignore[arg-type]
+        for block in cut(*arguments, **named):
+            begun += 1
+            most = max(most, begun - written)
+            yield block
 
     def dawdle(self: StagedWriter, block: LabelledBlock) -> None:
         nonlocal written
@@ -127,7 +130,7 @@ def test_the_writer_may_be_slow_and_few_blocks_wait(
         add(self, block)
         written += 1
 
-    monkeypatch.setattr(ParallelBlocks, "begin", count)
+    monkeypatch.setattr(run, "regroup", count)
     monkeypatch.setattr(StagedWriter, "add", dawdle)
     classify(source, tmp_path / "labels.npy", config, threads=2)
     assert written == begun > 20

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import io
 import os
@@ -17,8 +18,8 @@ import click
 from prc_cli import __version__
 from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.errors import PrcError
+from prc_cli.core.garbage import no_collecting
 from prc_cli.core.interrupts import raise_or_hold
-from prc_cli.kernels import spare_linear_algebra
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
@@ -58,7 +59,8 @@ class LazyGroup(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module, _, attribute = COMMANDS[cmd_name][0].partition(":")
-        command: click.Command = getattr(importlib.import_module(module), attribute)
+        with no_collecting():
+            command: click.Command = getattr(importlib.import_module(module), attribute)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -100,11 +102,13 @@ def main(args: list[str] | None = None) -> None:
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     _leave_on_signals()
-    if args is None:  # the process is this command
-        spare_linear_algebra()
-        if isinstance(sys.stdout, io.TextIOWrapper):  # names that the terminal cannot show are no reason to stop
-            sys.stdout.reconfigure(errors="backslashreplace")
-    sys.exit(_run(arguments, debug="--debug" in arguments))
+    # the process is this command: names that the terminal cannot show are no reason to stop
+    if args is None and isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+    code = _run(arguments, debug="--debug" in arguments)
+    if args is None:
+        gc.freeze()  # the process ends: else Python looks through all objects once more, a fifth of a short command
+    sys.exit(code)
 
 
 def _run(arguments: list[str], *, debug: bool) -> int:

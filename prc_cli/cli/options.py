@@ -14,7 +14,8 @@ from typing import Any, TypeVar
 
 import click
 
-from prc_cli.config import METHODS, PRESETS, LoadedConfig, load_config, parse_assignment
+from prc_cli.classifiers.methods import METHODS
+from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])

@@ -126,7 +126,7 @@ class ExtraReturns:
 class ScanBlock:
     """Consecutive scan lines of one scanner.
 
-    Readers yield blocks of any number of lines (at least one); :func:`prc_cli.stream.blocks.regroup` turns
+    Readers yield blocks of any number of lines (at least one); :func:`prc_cli.core.blocks.regroup` turns
     them into blocks of k lines with look-ahead.
     """
 

@@ -15,25 +15,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from prc_cli import kernels
-from prc_cli.classifiers.fused import pipeline as fused
-from prc_cli.classifiers.fused.pipeline import FusedParams
-from prc_cli.classifiers.fused.plane import AROUND_LINES
-from prc_cli.classifiers.fused.returns import label_further_returns
-from prc_cli.classifiers.prc import pipeline as prc
-from prc_cli.classifiers.prc.pipeline import PrcParams
-from prc_cli.classifiers.returns import label_extra_returns
-from prc_cli.classifiers.sequential_angle import pipeline as sequential_angle
-from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
-from prc_cli.config import FUSED, SEQUENTIAL_ANGLE, LoadedConfig, RunConfig
+from prc_cli.classifiers.base import MethodParams, Wanted
+from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
+from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale, suffix_of
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.profile import timed, timed_items
-from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StageLabels, StreamInfo
-from prc_cli.core.threads import close_items, default_threads, ordered, read_ahead, write_behind
+from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.threads import close_items, default_threads, read_ahead, write_behind
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.label_files import open_writer
@@ -47,26 +39,11 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.kernels import load_kernels
-from prc_cli.stream.blocks import LineBuffer, regroup
 from prc_cli.stream.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
 
-Labeller: TypeAlias = Callable[[Iterator[ScanBlock], int], Iterator[LabelledBlock]]
-"""Labels a stream, given its blocks and a number of threads; in the order of the stream."""
-
-FUSED_FOREST = f"{FUSED}-forest"
-KERNELS_OF = {
-    "prc": frozenset({"prc.components", "prc.support", "prc.surfaces"}),
-    SEQUENTIAL_ANGLE: frozenset({"sequential_angle"}),
-    FUSED: frozenset({"fused.classes", "fused.ground", "fused.neighbours", "fused.strips"}),
-    FUSED_FOREST: frozenset({"fused.stems"}),
-}
-"""Modules of the compiled loops of every method; forests have their own."""
-
-SHOTS_AT_ONCE = 1 << 17
-"""Shots that the sequential-angle classifier takes at a time; its labels do not depend on it."""
 AHEAD = 1
 """Blocks that wait between reader and classifier, and between classifier and writer: each side makes one meanwhile."""
 OFF_M = 0.1
@@ -146,7 +123,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     intensities may be left out.
     """
     stream = open_input(
-        path, config.input, config.layout, lines_at_once=getattr(config.classifier, "lines_per_block", 1),
+        path, config.input, config.layout, lines_at_once=config.classifier.method().needs.lines_per_block or 1,
         geometry=geometry or config.needs_beams, only_ranges=only_ranges,
     )  # fmt: skip
     if not config.needs_beams:
@@ -159,7 +136,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
 
 def label_blocks(
     blocks: Iterator[ScanBlock],
-    params: PrcParams | SequentialAngleParams | FusedParams,
+    params: MethodParams,
     *,
     threads: int = 1,
     segments: bool = False,
@@ -172,10 +149,10 @@ def label_blocks(
     ----------
     blocks : iterator of ScanBlock
         Blocks of any number of lines; with ``beam_rad`` for all classifiers but PRC.
-    params : PrcParams, SequentialAngleParams or FusedParams
+    params : MethodParams
         Parameters of the classifier, which say which one it is.
     threads : int
-        Threads that classify; results do not depend on it. At most twice as many blocks are held at a time.
+        Threads that classify; results do not depend on it. At most one block more is held at a time.
     segments : bool
         Find the segment ids too, where the method has any.
     stages : bool
@@ -188,114 +165,13 @@ def label_blocks(
     LabelledBlock
         In order for each scanner: blocks of k lines (fewer at the end), or the lines that became final.
     """
-    if isinstance(params, PrcParams):
-        yield from _prc(blocks, params, threads, segments=segments)
-    elif isinstance(params, FusedParams):
-        yield from _fused(blocks, params, threads)
-    else:
-        yield from _sequential_angle(blocks, params, threads, shots_at_once, stages=stages)
-
-
-def _prc(blocks: Iterator[ScanBlock], params: PrcParams, threads: int, *, segments: bool) -> Iterator[LabelledBlock]:
-    scanners: dict[int, prc.ParallelBlocks] = {}
-
-    def begin() -> Iterator[tuple[ScanBlock, prc.BlockJob]]:
-        for block in regroup(blocks, params.lines_per_block):
-            if block.scanner not in scanners:
-                scanners[block.scanner] = prc.ParallelBlocks(block.points_per_line, params, segments=segments)
-            yield block, scanners[block.scanner].begin(block.range_m, block.next_m)
-
-    def work(item: tuple[ScanBlock, prc.BlockJob]) -> LabelledBlock:
-        block, job = item
-        labels, ids = scanners[block.scanner].classify(job)
-        further, support = block.extra, params.support
-        extra = label_extra_returns(
-            block.range_m, labels, further.line, further.column, further.range_m, support.zeta_p, support.zeta_s
-        )
-        return LabelledBlock(block, labels, extra, ids)
-
-    keep_memory()
-    # one more than are worked on: the queue before the threads holds the next ones
-    yield from ordered(work, begin(), threads=threads, ahead=threads + 1)
-
-
-def _fused(blocks: Iterator[ScanBlock], params: FusedParams, threads: int) -> Iterator[LabelledBlock]:
-    scanners: dict[int, fused.ParallelBlocks] = {}
-    Item: TypeAlias = tuple[ScanBlock, fused.ParallelBlocks, fused.BlockJob]
-
-    def begin() -> Iterator[Item]:
-        for block in regroup(blocks, params.lines_per_block, look_ahead=AROUND_LINES):
-            one = scanners.pop(block.scanner, None) or fused.ParallelBlocks(_beams_of(block), params)
-            if not block.is_last:
-                scanners[block.scanner] = one
-            yield block, one, one.begin(block.range_m, block.next_m)
-
-    def work(item: Item) -> LabelledBlock:
-        block, one, job = item
-        labels = one.classify(job)
-        further = block.extra
-        extra = label_further_returns(
-            block.range_m, labels, further.line, further.column, further.range_m, params.extra_return_m
-        )
-        return LabelledBlock(block, labels, extra)
-
-    keep_memory()
-    yield from ordered(work, begin(), threads=threads, ahead=threads + 1)
-
-
-def _beams_of(block: ScanBlock) -> F64:
-    """Return the beams of a block, which must have them."""
-    if block.beam_rad is None:
-        problem = "no beam angles, expected the angle of every column from straight down"
-        raise InputError("block of ranges", problem)
-    return block.beam_rad
-
-
-def _sequential_angle(
-    blocks: Iterator[ScanBlock], params: SequentialAngleParams, threads: int, shots_at_once: int, *, stages: bool
-) -> Iterator[LabelledBlock]:
-    scanners: dict[int, sequential_angle.ParallelBlocks] = {}
-    waiting: dict[int, LineBuffer] = {}
-    Item: TypeAlias = tuple[ScanBlock, sequential_angle.ParallelBlocks, sequential_angle.BlockJob]
-
-    def begin() -> Iterator[Item]:
-        for block in regroup(blocks, shots_per_block=shots_at_once):
-            beam_rad, one = _beams_of(block), scanners.pop(block.scanner, None)
-            if one is None:
-                one = sequential_angle.ParallelBlocks(beam_rad, params, stages=stages)
-            if not block.is_last:
-                scanners[block.scanner] = one
-            yield block, one, one.begin(block.range_m, block.xyz_m, last=block.is_last)
-
-    def work(item: Item) -> tuple[ScanBlock, U8, StageLabels | None]:
-        block, one, job = item
-        return block, *one.classify(job)
-
-    keep_memory()
-    for block, labels, found in ordered(work, begin(), threads=threads):
-        buffer = waiting.setdefault(block.scanner, LineBuffer())
-        buffer.add(block)
-        start = 0
-        for final in buffer.take_parts(len(labels)):
-            rows = slice(start, start + final.n_lines)
-            start = rows.stop
-            # what lies beyond the scanner's reach is missing to the method, but it is a return
-            own, n_beyond = kernels.mark_beyond(final.range_m, labels[rows])
-            final = replace(final, next_m=None, tally=final.tally + ReadTally(n_beyond=n_beyond))
-            # lines leave alone or together, as it happens: only the shot's own line may have a say
-            further, limit = final.extra, params.extra_return_m
-            extra = label_extra_returns(
-                final.range_m, own, further.line, further.column, further.range_m, limit, 0.0,
-                alone=Label.UNCLASSIFIED,
-            )  # fmt: skip
-            yield LabelledBlock(final, own, extra, stages=None if found is None else found.of_lines(rows))
+    wanted = Wanted(segments, stages)
+    yield from run_blocks(blocks, params.method(), threads=threads, wanted=wanted, shots_at_once=shots_at_once)
 
 
 def load_classifier(config: LoadedConfig | RunConfig | None = None) -> None:
     """Load the compiled loops of the classifier; after installation they are compiled once, which takes a while."""
-    run = _loaded(config).config
-    is_forest = run.method == FUSED and run.fused.environment == "forest"
-    load_kernels(KERNELS_OF[FUSED_FOREST if is_forest else run.method])
+    load_kernels(_loaded(config).config.classifier.method().needs.kernels)
 
 
 def classify(
@@ -306,7 +182,6 @@ def classify(
     overwrite: bool = False,
     progress: Progress | None = None,
     threads: int | None = None,
-    label: Labeller | None = None,
 ) -> RunSummary:
     """Classify one file and write its labels; the output exists whole or not at all.
 
@@ -325,8 +200,6 @@ def classify(
     threads : int, optional
         Threads that classify; default: one for every core. With more than one, reading, writing and the fingerprint of
         the input have a thread each beside them; with one, all is done in this one. The output does not depend on it.
-    label : callable, optional
-        Labels the stream where its labels are known already in part; default: :func:`label_blocks`.
 
     Returns
     -------
@@ -367,9 +240,11 @@ def classify(
             laz_contexts=stream.info.laz_contexts,
         ) as writer,
     ):
-        counts = _write_labels(stream, writer, label or _labeller(loaded.config), threads, progress)
+        counts = _write_labels(stream, writer, loaded.config, threads, progress)
         record = run_record(stream.info, counts, loaded, beside.result())
-        record = replace(record, notices=(*record.notices, *_missed(counts, loaded.config)))
+        segments = loaded.config.output.segment_ids
+        missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
+        record = replace(record, notices=(*record.notices, *missed))
         after = source.stat()
         if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
@@ -378,15 +253,8 @@ def classify(
     return RunSummary(output, record, counts)
 
 
-def _labeller(config: RunConfig) -> Labeller:
-    """Label a stream from its ranges."""
-    return lambda blocks, threads: label_blocks(
-        blocks, config.classifier, threads=threads, segments=config.output.segment_ids, stages=config.output.stages
-    )
-
-
 def _write_labels(
-    stream: ScanStream, writer: LabelWriter, label: Labeller, threads: int, progress: Progress | None
+    stream: ScanStream, writer: LabelWriter, config: RunConfig, threads: int, progress: Progress | None
 ) -> Counts:
     """Read, classify and write at the same time; with one thread one after the other.
 
@@ -406,7 +274,9 @@ def _write_labels(
         if threads > 1:
             blocks = read_ahead(blocks, depth=AHEAD)
             stack.callback(close_items, blocks)
-        labelled = label(blocks, threads)
+        labelled = label_blocks(
+            blocks, config.classifier, threads=threads, segments=config.output.segment_ids, stages=config.output.stages
+        )
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
@@ -532,26 +402,6 @@ def run_record(
     )
 
 
-def _missed(counts: Counts, config: RunConfig) -> tuple[str, ...]:
-    """Say what a run did without."""
-    if config.method == FUSED and config.output.segment_ids:
-        return ("the fused method has no segments: every segment id is 0",)
-    if config.method != SEQUENTIAL_ANGLE:
-        return ()
-    said: list[str] = []
-    if not counts.labels[Label.GROUND]:
-        said.append("no ground was found, and without its height neither curbs nor cars are looked for")
-    if counts.tally.n_beyond:
-        limit = config.sequential_angle.max_range_m
-        said.append(
-            f"{counts.tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {limit:g} m or the limits of "
-            "[input]: they are missing to the method, and unclassified"
-        )
-    if config.output.segment_ids:
-        said.append("the sequential-angle method has no segments: every segment id is 0")
-    return tuple(said)
-
-
 def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:
     if isinstance(config, LoadedConfig):
         return config
@@ -560,7 +410,6 @@ def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:
 
 __all__ = [
     "Counts",
-    "Labeller",
     "Progress",
     "RunSummary",
     "classify",

@@ -13,15 +13,13 @@ from typing import Protocol
 
 import numpy as np
 
-from prc_cli.classifiers.prc import continuous
-from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.run import run_blocks
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError, OutputError
-from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
-from prc_cli.jobs.classify import Counts, label_blocks
+from prc_cli.jobs.classify import Counts
 from prc_cli.stream.beams import with_beams
-from prc_cli.stream.blocks import regroup
 from prc_cli.stream.grid import GridStream
 from prc_cli.stream.pipe import ByteStream, open_pipe
 
@@ -120,16 +118,16 @@ def stream(
     start = time.perf_counter()
     pipe, opened = open_pipe(source, chosen.input.model_copy(update={"partial_line": "pad"}), chosen.layout)
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
-    if not isinstance(chosen.classifier, PrcParams):
-        opened = with_beams(opened, chosen.input, from_ground=chosen.nadir_from_ground)
-    elif hop is not None and not 1 <= hop <= chosen.classifier.lines_per_block:
-        problem = f"found {hop}, expected 1 to prc.lines_per_block = {chosen.classifier.lines_per_block} lines"
-        raise ConfigError("hop", problem)
+    classifier = chosen.classifier.method()
+    if classifier.needs.beams:
+        opened = with_beams(opened, chosen.input, from_ground=classifier.needs.nadir_from_ground)
+    if hop is not None:
+        classifier = classifier.hopping(hop)
     pipe.seal()
     blocks = _UntilError(opened)
     lookup = chosen.classes.lookup()
     counts, latency = Counts.none(), 0.0
-    for item in _label(iter(blocks), loaded, hop):
+    for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
         counts = counts.add(item)
         codes = lookup[item.labels]
         # in a dense stream only a last line that was padded has cells without a record
@@ -145,24 +143,6 @@ def stream(
 
 def _rate(counts: Counts, start: float, info: StreamInfo, latency: float) -> Rate:
     return Rate(counts.n_lines, counts.n_shots, time.perf_counter() - start, info.line_hz, latency)
-
-
-def _label(blocks: Iterator[ScanBlock], loaded: LoadedConfig, hop: int | None) -> Iterator[LabelledBlock]:
-    params = loaded.config.classifier
-    if isinstance(params, PrcParams) and hop is not None:
-        return _continuous(blocks, params, hop)
-    return label_blocks(blocks, params, shots_at_once=1)
-
-
-def _continuous(blocks: Iterator[ScanBlock], params: PrcParams, hop: int) -> Iterator[LabelledBlock]:
-    """Label a few lines at a time, each in the k lines up to it."""
-    state: continuous.ContinuousState | None = None
-    for block in regroup(blocks, hop):
-        if state is None:
-            state = continuous.initial_state(block.points_per_line)
-        labels, state = continuous.classify_lines(block.range_m, block.next_m, state, params)
-        # further returns of a shot have no byte in the output
-        yield LabelledBlock(block, labels, np.empty(0, np.uint8))
 
 
 class _UntilError:

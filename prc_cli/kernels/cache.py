@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import os
 import stat
-import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import lru_cache
 from hashlib import sha256
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -131,23 +129,6 @@ def inlined(function: FunctionT) -> FunctionT:
     jit: Any = numba.njit  # typed by some versions of numba and not by others
     compiled: FunctionT = jit(**_HELPER, forceinline=True)(function)
     return compiled
-
-
-def load_compiler() -> None:
-    """Load what numba loads with its first function, with SciPy's linear algebra hidden from it meanwhile.
-
-    Without SciPy numba works too, but for the products of matrices; it asks for them when its array functions are
-    loaded, and never again.
-    """
-    hidden = "scipy.linalg"
-    if hidden in sys.modules:
-        return
-    sys.modules[hidden] = None  # type: ignore[assignment]  # how Python says that there is no such module
-    try:
-        with suppress(ImportError):
-            import_module("numba.np.arraymath")
-    finally:
-        del sys.modules[hidden]
 
 
 @lru_cache(maxsize=1)

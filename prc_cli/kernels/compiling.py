@@ -8,7 +8,6 @@ None of this is needed for a run to succeed: whatever goes wrong here, a loop is
 from __future__ import annotations
 
 import contextlib
-import gc
 import os
 import shutil
 import subprocess
@@ -24,8 +23,9 @@ from pathlib import Path
 import llvmlite.binding  # type: ignore[import-untyped]
 import numba
 
+from prc_cli.core.garbage import no_collecting
 from prc_cli.core.threads import default_threads
-from prc_cli.kernels.cache import load_compiler, writable_cache
+from prc_cli.kernels.cache import writable_cache
 
 try:
     import fcntl
@@ -116,14 +116,8 @@ def _source(module: str) -> Path:
 
 
 def _compile(module: str, folder: Path) -> None:
-    """Compile a module, not looking for garbage meanwhile: among what the compiler makes there is little, for long."""
-    collecting = gc.isenabled()
-    gc.disable()
-    try:
-        import_module(module)
-    finally:
-        if collecting:
-            gc.enable()
+    """Compile a module."""
+    import_module(module)
     with contextlib.suppress(OSError):
         _mark(module, folder).touch()
 
@@ -166,10 +160,10 @@ def _alone(folder: Path) -> Iterator[None]:
 
 def main(shares: str, modules: Sequence[str]) -> None:
     """Compile, in this process, modules that nobody else compiles."""
-    load_compiler()
     folder = writable_cache()
     if folder is not None:
-        _compile_unclaimed(Path(shares), modules, folder)
+        with no_collecting():
+            _compile_unclaimed(Path(shares), modules, folder)
 
 
 if __name__ == "__main__":

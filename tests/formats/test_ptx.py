@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.stream import ScanBlock, ScanStream
 from prc_cli.formats import ptx
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ptx import PtxStream
 from prc_cli.jobs.classify import classify
-from prc_cli.stream.blocks import join
 from prc_cli.stream.open import open_input
 from tests.formats.organised_files import (
     Array,

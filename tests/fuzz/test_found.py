@@ -14,6 +14,7 @@ import pytest
 
 from prc_cli.cli import _run
 from prc_cli.config import load_config, to_toml
+from prc_cli.core import blocks as regroup
 from prc_cli.core.config import MAX_TOML_BYTES, read_toml
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
@@ -24,7 +25,6 @@ from prc_cli.formats.ptx import PtxStream
 from prc_cli.formats.text import lines as text_lines
 from prc_cli.formats.text.dialect import to_number
 from prc_cli.formats.text.read import TextSource
-from prc_cli.stream import blocks as regroup
 from tests.fuzz.guard import unprintable
 from tests.fuzz.seeds import las_vlrs, seed
 

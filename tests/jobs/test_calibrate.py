@@ -16,6 +16,7 @@ from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, window_reach
 from prc_cli.config import load_config
+from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
@@ -32,7 +33,6 @@ from prc_cli.jobs.calibrate.reports import (
 from prc_cli.jobs.calibrate.search import split_groups
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import classify
-from prc_cli.stream.blocks import regroup
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_npz, write_raw
 
 

@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, InputError, OutputError, OutputExistsError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.convert import convert
-from prc_cli.stream.blocks import join
 from tests.formats.organised_files import (
     Scan,
     e57_fields,

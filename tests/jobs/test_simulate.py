@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.blocks import join
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError, OutputExistsError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
@@ -20,7 +21,6 @@ from prc_cli.jobs.evaluate import evaluate
 from prc_cli.jobs.simulate import Beside, reference_path, simulate
 from prc_cli.simulation.settings import Kind, Settings, load_settings
 from prc_cli.simulation.simulation import open_simulation
-from prc_cli.stream.blocks import join
 
 FORMATS = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst", ".bin", ".npz", ".npy", ".e57")
 REGISTERED = (".laz", ".las", ".csv", ".csv.gz", ".csv.zst")

@@ -223,24 +223,3 @@ def test_mistake_in_a_kernel_is_not_hidden(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(sys.modules[__name__], "MODULE", MODULE.replace("2 * number", "number.spam"))
     with pytest.raises(numba.core.errors.TypingError):
         compile_module(tmp_path)
-
-
-WITHOUT = """
-import sys
-import prc_cli.kernels as kernels
-
-if sys.argv[1] == "spare":
-    kernels.spare_linear_algebra()
-kernels.load_kernels(frozenset({"sequential_angle.verticals"}))
-loaded = "scipy.linalg" in sys.modules
-import scipy.linalg
-
-print(loaded, scipy.linalg.norm([3.0, 4.0]))
-"""
-
-
-@needs_compiler
-@pytest.mark.parametrize(("how", "loaded"), [("spare", "False"), ("as is", "True")])
-def test_linear_algebra_is_spared_by_the_command_alone_and_not_for_ever(how: str, loaded: str) -> None:
-    done = subprocess.run([sys.executable, "-c", WITHOUT, how], check=True, capture_output=True, text=True)
-    assert done.stdout.split() == [loaded, "5.0"]

@@ -254,3 +254,36 @@ def test_reading_the_parameters_does_not_load_the_compiler() -> None:
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+REFERENCE = """
+import sys
+import numpy as np
+from prc_cli import kernels
+from prc_cli.config import load_config
+from prc_cli.jobs.classify import classify_ranges
+
+if sys.argv[1] == "reference":
+    kernels.use_reference()
+ranges = 20 + np.random.default_rng(1).normal(0, 0.005, (24, 90))
+ranges[5:9, 30:60] = 7.0
+for preset in ("urban", "forest", "street-scan"):
+    config = load_config(preset=preset, options={"prc": {"lines_per_block": 7}}).config
+    print(classify_ranges(ranges, config, beam_rad=np.linspace(0.5, 2.2, 90), threads=2).tobytes().hex())
+print("numba" in sys.modules, file=sys.stderr)
+"""
+
+
+def test_the_reference_runs_through_the_same_composition_without_the_compiler() -> None:
+    found, compiled = (
+        subprocess.run([sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True)
+        for how in ("reference", "compiled")
+    )
+    assert found.stdout == compiled.stdout
+    assert (found.stderr.strip(), compiled.stderr.strip()) == ("False", "True")
+
+
+def test_a_kernel_without_a_twin_in_the_reference_is_refused() -> None:
+    code = "from prc_cli import kernels; kernels.use_reference(); kernels.load_kernels(frozenset({'fused.ground'}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "engine: found reference, but fused.ground.walk_ground is written as a compiled loop alone" in done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
@@ -10,18 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from prc_cli.core.errors import ConfigError
 from prc_cli.kernels import KERNELS
+from prc_cli.kernels.loading import reference_home
 
 
 def twin_module(name: str) -> ModuleType:
     """Return the module of a kernel's twin: in the reference where a paper describes it, else in ``tests/oracles``."""
+    with suppress(ConfigError):
+        return import_module(reference_home(name))
     method, _, module = KERNELS[name].removeprefix("prc_cli.kernels.").partition(".")
-    if module == "calibration":
-        return import_module("tests.oracles.calibration")
-    if method == "prc":
-        return import_module("prc_cli.reference.prc.stages")
-    if method == "sequential_angle":
-        return import_module(f"prc_cli.reference.sequential_angle.{module}")
     return import_module(f"tests.oracles.{module if find_spec(f'tests.oracles.{module}') else f'{method}_{module}'}")
 
 

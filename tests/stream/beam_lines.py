@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from prc_cli.core.blocks import cut
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
-from prc_cli.stream.blocks import cut
 
 RING_GAPS = np.concatenate([np.full(31, 0.5), np.full(32, 1 / 3)])
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.options import InputConfig
-from prc_cli.stream.blocks import join
 from prc_cli.stream.elevation import with_elevation
 from prc_cli.stream.open import open_input
 from tests.stream.record_lists import MemorySource

@@ -10,13 +10,14 @@ in turns. All others need the block and five lines before and after it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
+from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, Wanted, beams_of
 from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
     CarParams,
@@ -49,13 +50,16 @@ from prc_cli.classifiers.fused.plane import (
     ScanPlane,
     SensorParams,
 )
+from prc_cli.classifiers.fused.returns import label_further_returns
 from prc_cli.classifiers.fused.strips import StripsParams, WallParams, stand
-from prc_cli.core.config import Params
-from prc_cli.core.threads import Relay
-from prc_cli.core.types import F32, F64, U8
+from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
+from prc_cli.core.types import F32, F64, I64, U8
+
+KERNELS = frozenset({"fused.classes", "fused.ground", "fused.neighbours", "fused.strips"})
+FOREST_KERNELS = frozenset({"fused.stems"})
 
 
-class FusedParams(Params):
+class FusedParams(MethodParams):
     """Parameters of the fused classifier (``[fused]``); lengths are those in the scan plane."""
 
     environment: Literal["urban", "forest"] = Field(
@@ -79,13 +83,15 @@ class FusedParams(Params):
     votes: VoteParams = VoteParams()
     forest: ForestParams = ForestParams()
 
+    def method(self) -> Fused:
+        """Return the method with these parameters."""
+        return Fused(self)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedState:
     """All that a block leaves to the next one; its size depends on M alone."""
 
-    beam_rad: F64
-    """(M,) float64, angle of every column's beam from straight down [rad]."""
     tail: F32
     """(5, M) float32, the last lines [m]; NaN = missing, or before the stream."""
     noise: Noise
@@ -94,14 +100,7 @@ class FusedState:
     """The ground before the last three lines of the tail."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FusedResult:
-    """A classified block."""
-
-    labels: U8
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
-    state: FusedState
-    """What the next block needs."""
+TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,19 +114,71 @@ class _Seen:
     neighbours: Neighbours
 
 
-def initial_state(beam_rad: F64) -> FusedState:
-    """Return the state before the first block.
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedScanner:
+    """Where the beams of a scanner point."""
 
-    Parameters
-    ----------
-    beam_rad : (M,) float64
-        Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
-    """
-    tail = np.full((AROUND_LINES, len(beam_rad)), np.nan, np.float32)
-    return FusedState(beam_rad, tail, Noise(), GroundMemory.none())
+    plane: Plane
+    scan_plane: ScanPlane
+
+    @classmethod
+    def of(cls, beam_rad: F64) -> FusedScanner:
+        """Return the scanner of beams.
+
+        Parameters
+        ----------
+        beam_rad : (M,) float64
+            Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
+        """
+        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad))
+
+    @property
+    def points_per_line(self) -> int:
+        """M."""
+        return len(self.plane.sine)
 
 
-def classify_block(range_m: F32, next_m: F32 | None, state: FusedState, params: FusedParams) -> FusedResult:
+@dataclass(frozen=True, slots=True)
+class Fused(Classifier[FusedScanner, FusedState]):
+    """The fused classifier; what it knows of a scanner are its beams."""
+
+    params: FusedParams
+
+    @property
+    def needs(self) -> Needs:
+        """Blocks with beams, and as many lines around them as labels depend on."""
+        is_forest = self.params.environment == "forest"
+        kernels = FOREST_KERNELS if is_forest else KERNELS
+        return Needs(kernels, self.params.lines_per_block, AROUND_LINES, nadir_from_ground=not is_forest)
+
+    def scanner(self, first: ScanBlock) -> FusedScanner:
+        """Return where the beams point."""
+        return FusedScanner.of(beams_of(first))
+
+    def initial_state(self, scanner: FusedScanner) -> FusedState:
+        """Return the state before the first block."""
+        return initial_state(scanner)
+
+    def label(self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+        """Label a block, and its further returns by the shots around that are near in range."""
+        _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
+        labels = classify_block(block.range_m, block.next_m, scanner, turn, self.params)
+        further, limit_m = block.extra, self.params.extra_return_m
+        extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
+        return (LabelledBlock(block, labels, extra),)
+
+    def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
+        """Say that there are no segments."""
+        return ("the fused method has no segments: every segment id is 0",) if segments else ()
+
+
+def initial_state(scanner: FusedScanner) -> FusedState:
+    """Return the state before the first block."""
+    tail = np.full((AROUND_LINES, scanner.points_per_line), np.nan, np.float32)
+    return FusedState(tail, Noise(), GroundMemory.none())
+
+
+def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams) -> U8:
     """Label a block of scan lines.
 
     Parameters
@@ -137,48 +188,45 @@ def classify_block(range_m: F32, next_m: F32 | None, state: FusedState, params: 
         only at the end of the stream.
     next_m : (lines, M) float32, metres
         The lines that follow: five are enough, more do no harm; fewer or None only at the end of the stream.
-    state : FusedState
-        From the block before, or :func:`initial_state`.
+    scanner : FusedScanner
+    turn : Turn
+        Hands on the fields of :class:`FusedState`.
     params : FusedParams
 
-    Raises
-    ------
-    InputError
-        When the block is empty, too long or not as wide as the beams.
+    Returns
+    -------
+    (lines, M) uint8
+        :class:`prc_cli.core.classes.Label`.
 
     Examples
     --------
     A road, with a stray shot above it:
 
+    >>> from prc_cli.classifiers.base import OneByOne
     >>> from prc_cli.core.classes import Label
     >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
     >>> lines = np.tile(2.0 / np.cos(beam), (8, 1)).astype(np.float32)
     >>> lines[4, 100] = 1.0
-    >>> labels = classify_block(lines, None, initial_state(beam), FusedParams()).labels
+    >>> scanner = FusedScanner.of(beam)
+    >>> labels = classify_block(lines, None, scanner, OneByOne(initial_state(scanner)), FusedParams())
     >>> Label(labels[4, 100]).name, Label(labels[4, 120]).name
     ('NOISE', 'GROUND')
     """
-    _check_shapes(range_m, next_m, len(state.beam_rad), params)
-    window = _window(state.tail, range_m, next_m)
-    after = replace(state, tail=window[len(range_m) : len(range_m) + AROUND_LINES])
-    if params.environment == "forest":
-        return FusedResult(forest(range_m, Plane.of(state.beam_rad), params.forest), after)
-    plane = ScanPlane.of(state.beam_rad)
-    noise, memory = state.noise.after(window, plane, params.sensor), state.memory
-
-    def walk(seen: _Seen) -> Ground:
-        nonlocal memory
-        ground, memory = _follow(seen, plane, memory, params)
-        return ground
-
-    labels = _label(window, plane, noise, walk, params)
-    return FusedResult(labels, replace(after, noise=noise, memory=memory))
+    if params.environment == "forest":  # a block is labelled by itself
+        return forest(range_m, scanner.plane, params.forest)
+    plane = scanner.scan_plane
+    tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
+    window = _window(tail, range_m, next_m)
+    noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
+    seen = _see(window, plane, noise_m, params)
+    ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
+    return _decide(seen, ground, plane, params)
 
 
-def _label(window: F32, plane: ScanPlane, noise: Noise, walk: Callable[[_Seen], Ground], params: FusedParams) -> U8:
-    """Take a block through the stages; the walk along the ground is the caller's, who knows what was before."""
-    seen = _see(window, plane, noise.noise_m(params.sensor), params)
-    return _decide(seen, walk(seen), plane, params)
+def _measure(window: F32, plane: ScanPlane, known: Noise, params: SensorParams) -> tuple[float, Noise]:
+    """Measure the range noise [m]."""
+    noise = known.after(window, plane, params)
+    return noise.noise_m(params), noise
 
 
 def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> _Seen:
@@ -210,83 +258,10 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     return vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
 
 
-class ParallelBlocks:
-    """Blocks of one scanner, several of them at the same time in threads.
-
-    The stages are those of :func:`classify_block`. Only the range noise and the walk along the ground need
-    what was before; they take turns in the order of the stream, so labels do not depend on the number of threads.
-
-    Parameters
-    ----------
-    beam_rad : (M,) float64
-        As for :func:`initial_state`.
-    params : FusedParams
-
-    Examples
-    --------
-    >>> from prc_cli.core.threads import ordered
-    >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
-    >>> lines = np.tile(2.0 / np.cos(beam), (40, 1)).astype(np.float32)
-    >>> blocks = ParallelBlocks(beam, FusedParams(lines_per_block=10))
-    >>> jobs = (blocks.begin(lines[i : i + 10], lines[i + 10 : i + 15]) for i in range(0, 40, 10))
-    >>> [labels.shape for labels in ordered(blocks.classify, jobs, threads=2)]
-    [(10, 241), (10, 241), (10, 241), (10, 241)]
-    """
-
-    def __init__(self, beam_rad: F64, params: FusedParams) -> None:
-        state = initial_state(beam_rad)
-        self._params, self._width = params, len(beam_rad)
-        self._plane, self._scan_plane = Plane.of(beam_rad), ScanPlane.of(beam_rad)
-        self._tail, self._turn = state.tail, 0
-        self._noise = Relay(state.noise)
-        self._ground = Relay(state.memory)
-
-    def begin(self, range_m: F32, next_m: F32 | None) -> BlockJob:
-        """Take the next block of the stream, as in :func:`classify_block`; call it in the order of the stream.
-
-        Raises
-        ------
-        InputError
-            When the block is empty, too long or not as wide as the beams.
-        """
-        _check_shapes(range_m, next_m, self._width, self._params)
-        window = range_m
-        # a block of forest is labelled by itself
-        if self._params.environment != "forest":
-            window = _window(self._tail, range_m, next_m)
-            self._tail = window[len(range_m) : len(range_m) + AROUND_LINES]
-        job = BlockJob(self._turn, window, range_m)
-        self._turn += 1
-        return job
-
-    def classify(self, job: BlockJob) -> U8:
-        """Label a block, in any thread; jobs must begin in order."""
-        params, plane = self._params, self._scan_plane
-        if params.environment == "forest":
-            return forest(job.range_m, self._plane, params.forest)
-
-        def measure(known: Noise) -> tuple[Noise, Noise]:
-            noise = known.after(job.window, plane, params.sensor)
-            return noise, noise
-
-        def walk(seen: _Seen) -> Ground:
-            return self._ground.take_turn(job.turn, lambda memory: _follow(seen, plane, memory, params))[0]
-
-        try:
-            return _label(job.window, plane, self._noise.take_turn(job.turn, measure)[0], walk, params)
-        except BaseException:
-            for relay in (self._noise, self._ground):
-                relay.give_up(job.turn)
-            raise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockJob:
-    """A block on its way through :class:`ParallelBlocks`."""
-
-    turn: int
-    window: F32
-    range_m: F32
+def _last_lines(tail: F32, range_m: F32) -> F32:
+    """Return the last five lines of a stream; a copy, which keeps no block in memory."""
+    last: F32 = np.concatenate([tail, range_m[-AROUND_LINES:]])[-AROUND_LINES:].copy()
+    return last
 
 
 def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:

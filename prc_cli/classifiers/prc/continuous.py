@@ -9,17 +9,20 @@ know no blocks, so noise is the same for every hop, but for the noise that fores
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from prc_cli.classifiers.base import Classifier, Needs, Part, Turn, Wanted
 from prc_cli.classifiers.prc.background import background
 from prc_cli.classifiers.prc.components import identify, join
 from prc_cli.classifiers.prc.forest import forest
-from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.prc.pipeline import KERNELS, PrcParams
 from prc_cli.classifiers.prc.support import stream_window, support, tail_after, window_reach
 from prc_cli.classifiers.prc.surfaces import Surfaces, area_threshold, find_small, surfaces
 from prc_cli.classifiers.prc.urban import Totals, count_smooth, find_ground, urban
+from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
 
 
@@ -48,6 +51,43 @@ class Before:
     """Smooth shots before the block of the segments on that line (urban)."""
     next_id: int
     """First segment id that is still free."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SoFar:
+    """The state of :class:`ContinuousPrc`, in one part: every step needs the lines before."""
+
+    lines: ContinuousState
+
+
+LINES = Part[ContinuousState]("lines")
+
+
+@dataclass(frozen=True, slots=True)
+class ContinuousPrc(Classifier[int, SoFar]):
+    """PRC that labels a few lines at a time; what it knows of a scanner is M."""
+
+    params: PrcParams
+    hop: int
+    """Lines that leave together, 1 to k."""
+
+    @property
+    def needs(self) -> Needs:
+        """Return blocks of ``hop`` lines, and nothing but ranges."""
+        return Needs(KERNELS, self.hop, beams=False)
+
+    def scanner(self, first: ScanBlock) -> int:
+        """Return M."""
+        return first.points_per_line
+
+    def initial_state(self, scanner: int) -> SoFar:
+        """Return the state before the first line."""
+        return SoFar(initial_state(scanner))
+
+    def label(self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+        """Label new lines; their further returns have no labels."""
+        labels = turn.hand_on(LINES, lambda state: classify_lines(block.range_m, block.next_m, state, self.params))
+        return (LabelledBlock(block, labels, np.empty(0, np.uint8)),)
 
 
 def initial_state(points_per_line: int) -> ContinuousState:

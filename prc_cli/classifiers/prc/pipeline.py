@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
+from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, Wanted
 from prc_cli.classifiers.blocks import WHERE, check_block
 from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.components import Components, ComponentsParams, Joined, identify, join
@@ -22,13 +24,15 @@ from prc_cli.classifiers.prc.surfaces import (
     surfaces,
 )
 from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
-from prc_cli.core.config import Params
-from prc_cli.core.errors import InputError
-from prc_cli.core.threads import Relay
+from prc_cli.classifiers.returns import label_extra_returns
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
 
+KERNELS = frozenset({"prc.components", "prc.support", "prc.surfaces"})
 
-class PrcParams(Params):
+
+class PrcParams(MethodParams):
     """Parameters of PRC (``[prc]``); the defaults are the published urban ones."""
 
     lines_per_block: int = Field(99, ge=1, le=100_000, description="k, scan lines in a block")
@@ -42,6 +46,20 @@ class PrcParams(Params):
     urban: UrbanParams = UrbanParams()
     forest: ForestParams = ForestParams()
 
+    def method(self) -> Prc:
+        """Return the method with these parameters."""
+        return Prc(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """What a block leaves to the votes and the numbering of the next one."""
+
+    last_line: I64
+    """(M,) int64, segment ids of the last line where they are smooth, 0 elsewhere."""
+    next_id: int
+    """First segment id that is still free."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrcState:
@@ -49,24 +67,13 @@ class PrcState:
 
     tail: F32
     """(max(M + 1, 4),) float32, last ranges seen [m]; NaN = missing, or before the stream."""
-    last_line: I64
-    """(M,) int64, segment ids of the last line where they are smooth, 0 elsewhere."""
+    link: Link
+    """Labels of the last line."""
     totals: Totals
     """Smooth shots so far of the segments on the last line (urban)."""
-    next_id: int
-    """First segment id that is still free."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PrcResult:
-    """A classified block."""
-
-    labels: U8
-    """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
-    segments: I64 | None
-    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere; None where nobody asks."""
-    state: PrcState
-    """What the next block needs."""
+TAIL, LINK, TOTALS = Part[F32]("tail"), Part[Link]("link"), Part[Totals]("totals")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,20 +88,61 @@ class PrcTrace:
     """H; ``components.to_segments()`` is the image of its ids."""
     surfaces: Surfaces
     """V and R; ``surfaces.to_patches()`` is the image of V's ids."""
-    result: PrcResult
-    """Labels, segments and state."""
+    labels: U8
+    """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
+    segments: I64 | None
+    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere; None where nobody asks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prc(Classifier[int, PrcState]):
+    """PRC; what it knows of a scanner is M."""
+
+    params: PrcParams
+
+    @property
+    def needs(self) -> Needs:
+        """Blocks of k lines, and nothing but ranges."""
+        return Needs(KERNELS, self.params.lines_per_block, beams=False)
+
+    def scanner(self, first: ScanBlock) -> int:
+        """Return M."""
+        return first.points_per_line
+
+    def initial_state(self, scanner: int) -> PrcState:
+        """Return the state before the first block."""
+        return initial_state(scanner)
+
+    def label(self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+        """Label a block, and its further returns by the limits of the support."""
+        _check_shapes(block.range_m, block.next_m, scanner, self.params)
+        found = classify_block(block.range_m, block.next_m, turn, self.params, segments=wanted.segments)
+        further, limits = block.extra, self.params.support
+        extra = label_extra_returns(
+            block.range_m, found.labels, further.line, further.column, further.range_m, limits.zeta_p, limits.zeta_s
+        )
+        return (LabelledBlock(block, found.labels, extra, found.segments),)
+
+    def hopping(self, hop: int) -> Classifier[Any, Any]:
+        """Return PRC that labels ``hop`` lines at a time, each in the k lines up to it."""
+        from prc_cli.classifiers.prc.continuous import ContinuousPrc
+
+        if not 1 <= hop <= self.params.lines_per_block:
+            problem = f"found {hop}, expected 1 to prc.lines_per_block = {self.params.lines_per_block} lines"
+            raise ConfigError("hop", problem)
+        return ContinuousPrc(self.params, hop)
 
 
 def initial_state(points_per_line: int) -> PrcState:
     """Return the state before the first block of a stream with ``points_per_line`` shots a line."""
     tail = np.full(window_reach(points_per_line), np.nan, dtype=np.float32)
-    return PrcState(tail, np.zeros(points_per_line, dtype=np.int64), Totals.none(), next_id=1)
+    return PrcState(tail, Link(np.zeros(points_per_line, dtype=np.int64), next_id=1), Totals.none())
 
 
 def classify_block(
-    range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams, *, segments: bool = False
-) -> PrcResult:
-    """Label a block of scan lines.
+    range_m: F32, next_m: F32 | None, turn: Turn, params: PrcParams, *, segments: bool = False
+) -> PrcTrace:
+    """Label a block of scan lines: Algorithm 1.
 
     Parameters
     ----------
@@ -103,131 +151,41 @@ def classify_block(
         only at the end of the stream.
     next_m : (lines, M) float32, metres
         The lines that follow: two are enough for M > 2, more do no harm; empty or None at the end of the stream.
-    state : PrcState
-        From the block before, or :func:`initial_state`.
+    turn : Turn
+        Hands on the fields of :class:`PrcState`.
     params : PrcParams
     segments : bool
         Give segment ids too. The numbers differ if this changes within a stream, the labels do not.
 
     Returns
     -------
-    PrcResult
-
-    Raises
-    ------
-    InputError
-        When the block is empty, too long or not as wide as the lines before it.
+    PrcTrace
 
     Examples
     --------
     A stray shot in front of a wall:
 
+    >>> from prc_cli.classifiers.base import OneByOne
     >>> from prc_cli.core.classes import Label
     >>> image = np.full((6, 9), 20.0, dtype=np.float32)
     >>> image[3, 4] = 5.0
-    >>> result = classify_block(image, None, initial_state(9), PrcParams())
-    >>> Label(result.labels[3, 4]).name, Label(result.labels[0, 0]).name
+    >>> labels = classify_block(image, None, OneByOne(initial_state(9)), PrcParams()).labels
+    >>> Label(labels[3, 4]).name, Label(labels[0, 0]).name
     ('NOISE', 'GROUND')
     """
-    return trace_block(range_m, next_m, state, params, segments=segments).result
-
-
-def trace_block(
-    range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams, *, segments: bool = True
-) -> PrcTrace:
-    """Label a block of scan lines and keep the images on the way; see :func:`classify_block`."""
-    _check_shapes(range_m, next_m, len(state.last_line), params)
+    tail = turn.hand_on(TAIL, lambda before: (before, tail_after(before, range_m)))
     # steps 1 to 3: the block between the shots before and after it, S, G, and components of S without G
-    seen = see(stream_window(state.tail, range_m, next_m), range_m.shape[1], params)
-    # step 3: H, components with the labels of the block before
-    connected, link = connect(seen, Link(state.last_line, state.next_id), params, segments=segments)
+    seen = see(stream_window(tail, range_m, next_m), range_m.shape[1], params)
+    # step 3: H, components with the labels of the block before; only smooth shots vote in the next one
+    connected = turn.hand_on(LINK, lambda before: connect(seen, before, params, segments=segments))
     # steps 4 and 5: V, what is too small in H, grown together; R, both of them
     v = grow(seen, connected, params)
     # step 6: classes
-    ground, totals = choose_ground(connected, count(v, params), link, state.totals, params)
+    smooth = count(v, params)
+    ground = turn.hand_on(TOTALS, lambda before: choose_ground(connected, smooth, before, params))
     labels = draw(seen, v, ground, params)
-    # step 7: on to the next block; only smooth shots vote there
-    after = PrcState(tail_after(state.tail, range_m), link.last_line, totals, link.next_id)
-    result = PrcResult(labels, v.to_segments() if segments else None, after)
-    return PrcTrace(seen.supported, seen.background, connected.components, v, result)
-
-
-class ParallelBlocks:
-    """Blocks of one scanner, several of them at the same time in threads.
-
-    The stages are those of :func:`trace_block`. Nearly all of them need nothing of the blocks before; the two that do
-    are short and take turns in the order of the stream, so results do not depend on the number of threads.
-
-    Parameters
-    ----------
-    points_per_line : int
-        M.
-    params : PrcParams
-    segments : bool
-        Give segment ids too.
-
-    Examples
-    --------
-    >>> from prc_cli.core.threads import ordered
-    >>> lines = np.full((40, 9), 20.0, dtype=np.float32)
-    >>> params = PrcParams(lines_per_block=10)
-    >>> blocks = ParallelBlocks(9, params)
-    >>> jobs = (blocks.begin(lines[i : i + 10], lines[i + 10 : i + 12]) for i in range(0, 40, 10))
-    >>> [labels.shape for labels, _ in ordered(blocks.classify, jobs, threads=2)]
-    [(10, 9), (10, 9), (10, 9), (10, 9)]
-    """
-
-    def __init__(self, points_per_line: int, params: PrcParams, *, segments: bool = False) -> None:
-        state = initial_state(points_per_line)
-        self._params = params
-        self._segments = segments
-        self._width = points_per_line
-        self._tail = state.tail
-        self._turn = 0
-        self._links = Relay(Link(state.last_line, state.next_id))
-        self._totals = Relay(state.totals)
-
-    def begin(self, range_m: F32, next_m: F32 | None) -> BlockJob:
-        """Take the next block of the stream, as in :func:`classify_block`; call it in the order of the stream.
-
-        Raises
-        ------
-        InputError
-            When the block is empty, too long or not as wide as the lines before it.
-        """
-        _check_shapes(range_m, next_m, self._width, self._params)
-        job = BlockJob(self._turn, self._tail, range_m, next_m)
-        self._turn, self._tail = self._turn + 1, tail_after(self._tail, range_m)
-        return job
-
-    def classify(self, job: BlockJob) -> tuple[U8, I64 | None]:
-        """Label a block, in any thread; jobs must begin in order. Returns labels and, where asked for, segment ids."""
-        params = self._params
-        try:
-            seen = see(stream_window(job.tail, job.range_m, job.next_m), self._width, params)
-            connected, link = self._links.take_turn(
-                job.turn, lambda before: connect(seen, before, params, segments=self._segments)
-            )
-            v = grow(seen, connected, params)
-            counts = count(v, params)
-            ground, _ = self._totals.take_turn(
-                job.turn, lambda before: choose_ground(connected, counts, link, before, params)
-            )
-            return draw(seen, v, ground, params), v.to_segments() if self._segments else None
-        except BaseException:
-            for relay in (self._links, self._totals):
-                relay.give_up(job.turn)
-            raise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockJob:
-    """A block on its way through :class:`ParallelBlocks`."""
-
-    turn: int
-    tail: F32
-    range_m: F32
-    next_m: F32 | None
+    ids = v.to_segments() if segments else None
+    return PrcTrace(seen.supported, seen.background, connected.components, v, labels, ids)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,14 +199,6 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Link:
-    """What a block leaves to the votes and the numbering of the next one; as in :class:`PrcState`."""
-
-    last_line: I64
-    next_id: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Connected:
     """A block with the labels of the blocks before it."""
 
@@ -257,10 +207,12 @@ class Connected:
     """(n + 1,) bool, components that are non-smooth."""
     surfaces: Surfaces | None
     """Found early where segments are asked for, because the numbers of the next block follow them."""
+    last_line: I64
+    """(M,) int64, as the next block gets it (:class:`Link`)."""
 
 
 def see(window: F32, points_per_line: int, params: PrcParams) -> Seen:
-    """Find S, G and the components of a block: the expensive stages, which need nothing of the blocks before."""
+    """Find S, G and the components of a block: the expensive stages, which need no state."""
     supported = support(window, points_per_line, params.support)
     apart = background(window, supported, params.background)
     return Seen(window, supported, apart, join(supported, apart))
@@ -273,8 +225,8 @@ def connect(seen: Seen, before: Link, params: PrcParams, *, segments: bool) -> t
     h = identify(seen.joined, before.last_line, before.next_id, params.components)
     small = find_small(h, area_threshold(params.surfaces, n_lines, params.lines_per_block, points_per_line))
     v = surfaces(s, h, small, params.surfaces, with_patches=True) if segments else None
-    link = Link(smooth_last_line(s, h, small, params.surfaces), h.next_id if v is None else v.next_id)
-    return Connected(h, small, v), link
+    last_line = smooth_last_line(s, h, small, params.surfaces)
+    return Connected(h, small, v, last_line), Link(last_line, h.next_id if v is None else v.next_id)
 
 
 def grow(seen: Seen, connected: Connected, params: PrcParams) -> Surfaces:
@@ -289,13 +241,11 @@ def count(v: Surfaces, params: PrcParams) -> I64:
     return count_smooth(v) if params.environment == "urban" else np.empty(0, np.int64)
 
 
-def choose_ground(
-    connected: Connected, smooth: I64, link: Link, totals: Totals, params: PrcParams
-) -> tuple[int, Totals]:
+def choose_ground(connected: Connected, smooth: I64, totals: Totals, params: PrcParams) -> tuple[int, Totals]:
     """Find the segment that is ground; return the totals that the next block needs."""
     if params.environment == "forest":
         return 0, totals
-    return find_ground(connected.components, smooth, link.last_line, totals, params.urban)
+    return find_ground(connected.components, smooth, connected.last_line, totals, params.urban)
 
 
 def draw(seen: Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:

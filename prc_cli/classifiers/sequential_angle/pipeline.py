@@ -5,9 +5,8 @@ before it, and for curbs, which need the lines that their component touches. So 
 ground's height is known and every component of vertical points on it is decided. Labels do not depend on how the
 stream was cut into blocks.
 
-:func:`classify_block` is the whole, its steps are public: two of them hand a state on from block to block
-(:func:`follow_ground` and :func:`decide_curbs`) and must be taken in the order of the blocks, the others need their
-own block alone and may run in several threads.
+:func:`classify_block` is the whole. Two of its steps (:func:`follow_ground` and :func:`decide_curbs`) hand a state on
+from block to block, the others need their own block alone.
 """
 
 from __future__ import annotations
@@ -20,6 +19,8 @@ import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
+from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, Wanted, beams_of
+from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.classifiers.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
 from prc_cli.classifiers.sequential_angle.car import CarParams, cars
 from prc_cli.classifiers.sequential_angle.coarse import CoarseParams, coarse
@@ -39,16 +40,17 @@ from prc_cli.classifiers.sequential_angle.ground import (
 )
 from prc_cli.classifiers.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
-from prc_cli.core.classes import LABEL_OF_SURFACE, Surface
-from prc_cli.core.config import Params
+from prc_cli.core.blocks import LineBuffer
+from prc_cli.core.classes import LABEL_OF_SURFACE, Label, Surface
 from prc_cli.core.errors import InputError
 from prc_cli.core.profile import stage
-from prc_cli.core.stream import StageLabels
-from prc_cli.core.threads import Relay
-from prc_cli.core.types import F32, F64, I32, U8, Mask
+from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StageLabels
+from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
+
+KERNELS = frozenset({"sequential_angle"})
 
 
-class SequentialAngleParams(Params):
+class SequentialAngleParams(MethodParams):
     """Parameters of the sequential-angle classifier (``[sequential_angle]``)."""
 
     max_range_m: float = Field(300.0, gt=0, le=1e9, description="ranges beyond are missing (published) [m]")
@@ -79,6 +81,10 @@ class SequentialAngleParams(Params):
     ground: GroundParams = GroundParams()
     curb: CurbParams = CurbParams()
     car: CarParams = CarParams()
+
+    def method(self) -> SequentialAngle:
+        """Return the method with these parameters."""
+        return SequentialAngle(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,53 +173,101 @@ class CurbsSoFar:
 class SequentialAngleState:
     """All that a block leaves to the next one; bounded by M, ``start_lines`` and ``curb.max_lines``."""
 
-    sides: Sides
-    beam_rad: F64
-    """(M,) float64, angle of every column's beam from straight down [rad]."""
     ground: GroundSoFar
     curbs: CurbsSoFar
+    waiting: tuple[ScanBlock, ...] = ()
+    """Lines that wait for their labels, in order."""
+
+
+GROUND, CURBS = Part[GroundSoFar]("ground"), Part[CurbsSoFar]("curbs")
+WAITING = Part[tuple[ScanBlock, ...]]("waiting")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SequentialAngleResult:
+class Beams:
+    """Where the beams of a scanner point."""
+
+    beam_rad: F64
+    """(M,) float64, angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane
+    [rad]."""
+    sides: Sides
+
+    @classmethod
+    def of(cls, beam_rad: F64) -> Beams:
+        """Split the beams of a scan line, (M,) float64 [rad], into those of its half-lines."""
+        return cls(beam_rad, split_sides(beam_rad))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Final:
     """Lines that became final, in order; there may be none."""
 
     labels: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
-    stages: StageLabels
-    """What was found on the way, of the same lines."""
-    state: SequentialAngleState
+    rows: Sequence[Undecided]
+    """What was found on the way, for :func:`stages_in_columns`."""
+
+
+@dataclass(frozen=True, slots=True)
+class SequentialAngle(Classifier[Beams, SequentialAngleState]):
+    """The sequential-angle classifier; what it knows of a scanner are its beams."""
+
+    params: SequentialAngleParams
 
     @property
-    def n_lines(self) -> int:
-        """Number of final lines."""
-        return len(self.labels)
+    def needs(self) -> Needs:
+        """Any number of lines, with beams."""
+        return Needs(KERNELS)
+
+    def scanner(self, first: ScanBlock) -> Beams:
+        """Return where the beams point."""
+        return Beams.of(beams_of(first))
+
+    def initial_state(self, scanner: Beams) -> SequentialAngleState:
+        """Return the state before the first block."""
+        return initial_state(scanner, self.params)
+
+    def label(self, block: ScanBlock, scanner: Beams, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
+        """Take the next lines, and label those that thereby become final."""
+        _check_shape(block.range_m, block.xyz_m, scanner)
+        found = classify_block(block.range_m, block.xyz_m, scanner, turn, self.params, last=block.is_last)
+        stages = stages_in_columns(found.rows, scanner) if wanted.stages else None
+        final = turn.hand_on(WAITING, lambda before: _take_lines((*before, block), len(found.labels)))
+        labelled, start = [], 0
+        for part in final:
+            rows = slice(start, start + part.n_lines)
+            start = rows.stop
+            of_part = None if stages is None else stages.of_lines(rows)
+            labelled.append(_labelled(part, found.labels[rows], of_part, self.params))
+        return labelled
+
+    def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
+        """Say what was not looked for, and why."""
+        said: list[str] = []
+        if not labels[Label.GROUND]:
+            said.append("no ground was found, and without its height neither curbs nor cars are looked for")
+        if tally.n_beyond:
+            said.append(
+                f"{tally.n_beyond} ranges lie beyond sequential_angle.max_range_m = {self.params.max_range_m:g} m or "
+                "the limits of [input]: they are missing to the method, and unclassified"
+            )
+        if segments:
+            said.append("the sequential-angle method has no segments: every segment id is 0")
+        return tuple(said)
 
 
-def initial_state(beam_rad: F64, params: SequentialAngleParams) -> SequentialAngleState:
-    """Return the state before the first block.
-
-    Parameters
-    ----------
-    beam_rad : (M,) float64
-        Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
-    params : SequentialAngleParams
-    """
-    sides = split_sides(beam_rad)
-    n_lines = max(1, min(params.start_lines, params.start_shots // len(beam_rad)))
+def initial_state(beams: Beams, params: SequentialAngleParams) -> SequentialAngleState:
+    """Return the state before the first block."""
+    sides = beams.sides
+    n_lines = max(1, min(params.start_lines, params.start_shots // len(beams.beam_rad)))
     regions = CurbState.start(sides.n_sides, sides.columns.shape[1], params.curb)
     ground_so_far = GroundSoFar((), np.empty(0), n_lines * sides.n_sides, None)
-    return SequentialAngleState(sides, beam_rad, ground_so_far, CurbsSoFar(regions, ()))
+    return SequentialAngleState(ground_so_far, CurbsSoFar(regions, ()))
 
 
 def classify_block(
-    range_m: F32,
-    xyz_m: F32 | None,
-    state: SequentialAngleState,
-    params: SequentialAngleParams,
-    *,
-    last: bool = False,
-) -> SequentialAngleResult:
+    range_m: F32, xyz_m: F32 | None, beams: Beams, turn: Turn, params: SequentialAngleParams, *, last: bool = False
+) -> Final:
     """Take the next lines of a stream, of any number, and label those that thereby become final.
 
     Parameters
@@ -222,92 +276,45 @@ def classify_block(
         Slant range [m]; NaN = missing.
     xyz_m : (lines, M, 3) float32 or None
         Relative to the scanner, z up [m]; None = taken from range and beam angle, in the scan plane.
-    state : SequentialAngleState
-        From the block before, or :func:`initial_state`.
+    beams : Beams
+    turn : Turn
+        Hands on ``ground`` and ``curbs`` of :class:`SequentialAngleState`.
     params : SequentialAngleParams
     last : bool
         No lines follow: all that waits becomes final.
-
-    Raises
-    ------
-    InputError
-        When the block is not as wide as the stream began.
     """
-    _check_shape(range_m, xyz_m, state)
-    rows = within_lines(range_m, xyz_m, state, params)
-    ready, ground_so_far = follow_ground(rows, state.ground, params, last=last)
+    rows = within_lines(range_m, xyz_m, beams, params)
+    ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, params, last=last))
     found = [find_cars(part, params) for part in ready]
-    (done, curb), curbs_so_far = decide_curbs(found, state.curbs, params, last=last)
-    state = replace(state, ground=ground_so_far, curbs=curbs_so_far)
-    return SequentialAngleResult(in_columns(done, curb, state), stages_in_columns(done, state), state)
+    done, curb = turn.hand_on(CURBS, lambda before: decide_curbs(found, before, params, last=last))
+    return Final(in_columns(done, curb, beams), done)
 
 
-class ParallelBlocks:
-    """Blocks of one scanner, several of them at the same time in threads.
-
-    The steps are those of :func:`classify_block`; the two that need the blocks before take turns in the order of the
-    stream, so results do not depend on the number of threads.
-
-    Parameters
-    ----------
-    beam_rad : (M,) float64
-        As for :func:`initial_state`.
-    params : SequentialAngleParams
-    stages : bool
-        Bring back what was found on the way too.
-    """
-
-    def __init__(self, beam_rad: F64, params: SequentialAngleParams, *, stages: bool = False) -> None:
-        self._params, self._stages = params, stages
-        self._beams = initial_state(beam_rad, params)
-        self._turn = 0
-        self._ground = Relay(self._beams.ground)
-        self._curbs = Relay(self._beams.curbs)
-
-    def begin(self, range_m: F32, xyz_m: F32 | None, *, last: bool) -> BlockJob:
-        """Take the next block of the stream, as in :func:`classify_block`; call it in the order of the stream.
-
-        Raises
-        ------
-        InputError
-            When the block is not as wide as the stream began.
-        """
-        _check_shape(range_m, xyz_m, self._beams)
-        job = BlockJob(self._turn, range_m, xyz_m, last)
-        self._turn += 1
-        return job
-
-    def classify(self, job: BlockJob) -> tuple[U8, StageLabels | None]:
-        """Label the lines that became final, in any thread; jobs must begin in order."""
-        params, last = self._params, job.last
-        try:
-            rows = within_lines(job.range_m, job.xyz_m, self._beams, params)
-            ready, _ = self._ground.take_turn(job.turn, lambda before: follow_ground(rows, before, params, last=last))
-            found = [find_cars(part, params) for part in ready]
-            (done, curb), _ = self._curbs.take_turn(
-                job.turn, lambda before: decide_curbs(found, before, params, last=last)
-            )
-            return in_columns(done, curb, self._beams), stages_in_columns(done, self._beams) if self._stages else None
-        except BaseException:
-            for relay in (self._ground, self._curbs):
-                relay.give_up(job.turn)
-            raise
+def _take_lines(waiting: tuple[ScanBlock, ...], n_lines: int) -> tuple[list[ScanBlock], tuple[ScanBlock, ...]]:
+    """Take the first lines of those that wait; return them and the others."""
+    buffer = LineBuffer()
+    for block in waiting:
+        buffer.add(block)
+    return buffer.take_parts(n_lines), tuple(buffer.parts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockJob:
-    """A block on its way through :class:`ParallelBlocks`."""
-
-    turn: int
-    range_m: F32
-    xyz_m: F32 | None
-    last: bool
+def _labelled(block: ScanBlock, labels: U8, stages: StageLabels | None, params: SequentialAngleParams) -> LabelledBlock:
+    """Put final lines and their labels together, and label their further returns."""
+    # what lies beyond the scanner's reach is missing to the method, but it is a return
+    labels, n_beyond = kernels.mark_beyond(block.range_m, labels)
+    block = replace(block, next_m=None, tally=block.tally + ReadTally(n_beyond=n_beyond))
+    # lines leave alone or together, as it happens: only the shot's own line may have a say
+    further, limit_m = block.extra, params.extra_return_m
+    extra = label_extra_returns(
+        block.range_m, labels, further.line, further.column, further.range_m, limit_m, 0.0, alone=Label.UNCLASSIFIED
+    )
+    return LabelledBlock(block, labels, extra, stages=stages)
 
 
 @stage("angles")
-def within_lines(range_m: F32, xyz_m: F32 | None, state: SequentialAngleState, params: SequentialAngleParams) -> Within:
-    """Run what needs a half-line alone: the coarse layer, the car layer, potential ground; of the state the beams."""
-    lines = vertical_lines(range_m, xyz_m, state.beam_rad, state.sides, params.max_range_m)
+def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, params: SequentialAngleParams) -> Within:
+    """Run what needs a half-line alone: the coarse layer, the car layer, potential ground."""
+    lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, params.max_range_m)
     angles = signed_angles(lines, params.angles)
     surface = coarse(angles.signed_deg, lines, params.coarse)
     dense = dense_vegetation(angle_differences(angles.signed_deg), params.dense_vegetation)
@@ -409,9 +416,9 @@ def combine(rows: Undecided, curb: Mask) -> U8:
 
 
 @stage("classes")
-def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], state: SequentialAngleState) -> U8:
-    """Label final rows, and bring them back to the columns of their scan lines; of the state the beams."""
-    sides, m = state.sides, len(state.beam_rad)
+def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams) -> U8:
+    """Label final rows, and bring them back to the columns of their scan lines."""
+    sides, m = beams.sides, len(beams.beam_rad)
     if not done:
         return np.empty((0, m), np.uint8)
     curbs_of_all = curb[0] if len(curb) == 1 else np.concatenate(curb)
@@ -424,9 +431,9 @@ def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], state: Sequentia
 
 
 @stage("stages")
-def stages_in_columns(done: Sequence[Undecided], state: SequentialAngleState) -> StageLabels:
+def stages_in_columns(done: Sequence[Undecided], beams: Beams) -> StageLabels:
     """Bring what was found on the way of final rows back to the columns of their scan lines."""
-    sides, m = state.sides, len(state.beam_rad)
+    sides, m = beams.sides, len(beams.beam_rad)
     if not done:
         none = np.empty((0, m), np.uint8)
         return StageLabels(none, none.astype(np.bool_), none.astype(np.float32))
@@ -462,9 +469,9 @@ def _join(parts: Sequence[Undecided]) -> Undecided:
     return Undecided(**values)
 
 
-def _check_shape(range_m: F32, xyz_m: F32 | None, state: SequentialAngleState) -> None:
+def _check_shape(range_m: F32, xyz_m: F32 | None, beams: Beams) -> None:
     """Refuse what cannot be the next lines of the stream."""
-    width = len(state.beam_rad)
+    width = len(beams.beam_rad)
     if range_m.ndim != 2 or range_m.shape[1] != width:
         problem = f"found an array of shape {range_m.shape}, expected (lines, {width}) as the stream began"
         raise InputError("block of ranges", problem, "check points_per_line")

@@ -30,6 +30,7 @@ from prc_cli import __version__
 from prc_cli.classifiers.prc.parts import WARM_UP_BLOCKS, BlockFacts, JoinedBlocks, JoinJob, PartBlocks
 from prc_cli.classifiers.prc.pipeline import BlockJob, PrcParams
 from prc_cli.classifiers.prc.support import window_reach
+from prc_cli.core.blocks import look_ahead_lines, regroup
 from prc_cli.core.errors import InputError, PrcError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.memory import keep_memory
@@ -62,7 +63,6 @@ from prc_cli.jobs.classify import (
     load_classifier,
     open_stream,
 )
-from prc_cli.stream.blocks import look_ahead_lines, regroup
 
 SPLIT_SHOTS = 200_000_000
 """A part has about so many shots, some twenty seconds of one core."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from prc_cli.classifiers.prc.surfaces import area_threshold
 from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import output_errors
 from prc_cli.core.stream import FAR_M, ReadTally, ScanStream
@@ -37,7 +38,6 @@ from prc_cli.jobs.calibrate.search import (
 )
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import Progress, open_stream
-from prc_cli.stream.blocks import regroup
 
 SHOTS_AT_ONCE = 1 << 18
 """Shots measured at a time; results do not depend on it, but for the few pairs of lines across two of them."""

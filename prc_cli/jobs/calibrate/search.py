@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import SEQUENTIAL_ANGLE, RunConfig
+from prc_cli.config import RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build, merge
 from prc_cli.core.errors import ConfigError, InputError
@@ -220,7 +220,7 @@ def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
     >>> [axis.key for axis in axes_of(RunConfig(), ("prc.surfaces.gamma", "prc.surfaces.area"))]
     ['prc.background.d_c', 'prc.support.zeta_p', 'prc.support.zeta_s']
     """
-    axes = ANGLE_AXES if config.method == SEQUENTIAL_ANGLE else PRC_AXES
+    axes = ANGLE_AXES if config.method == "sequential-angle" else PRC_AXES
     known = [axis.key for axis in axes]
     where = "--keep"
     for key in keep:

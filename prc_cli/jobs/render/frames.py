@@ -10,8 +10,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, initial_state, trace_block
+from prc_cli.classifiers.base import OneByOne
+from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
 from prc_cli.config import LoadedConfig
+from prc_cli.core.blocks import regroup
 from prc_cli.core.classes import LABEL_OF_SURFACE, Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
@@ -19,7 +21,6 @@ from prc_cli.core.types import F64
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render.options import PRC_STEPS
 from prc_cli.stream.beams import with_beams
-from prc_cli.stream.blocks import regroup
 
 Plane: TypeAlias = NDArray[Any]
 
@@ -122,11 +123,10 @@ def frames(
 
 def trace_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[tuple[ScanBlock, PrcTrace]]:
     """Run PRC over the blocks of one scanner and keep the images on the way."""
-    state: PrcState | None = None
+    turn: OneByOne[PrcState] | None = None
     for block in regroup(blocks, params.lines_per_block):
-        trace = trace_block(block.range_m, block.next_m, state or initial_state(block.points_per_line), params)
-        state = trace.result.state
-        yield block, trace
+        turn = turn or OneByOne(initial_state(block.points_per_line))
+        yield block, classify_block(block.range_m, block.next_m, turn, params, segments=True)
 
 
 def _traced(blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ...]) -> Iterator[Frame]:
@@ -137,7 +137,7 @@ def _traced(blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ..
         "surfaces": lambda trace: _ids(trace.surfaces.to_patches()),
     }
     for block, trace in trace_blocks(blocks, params):
-        planes = {**_of_block(block, steps), "classes": trace.result.labels}
+        planes = {**_of_block(block, steps), "classes": trace.labels}
         planes |= {step: images[step](trace) for step in steps if step in images}
         yield Frame(block, planes)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from prc_cli.config import FUSED, SEQUENTIAL_ANGLE
 from prc_cli.core.errors import ConfigError
 
 View: TypeAlias = Literal["scan", "top", "perspective"]
@@ -136,9 +135,9 @@ def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     """Return the steps that can be drawn."""
     if options.labels is not None:
         steps: tuple[str, ...] = LABEL_FILE_STEPS
-    elif method == SEQUENTIAL_ANGLE:
+    elif method == "sequential-angle":
         steps = ("range", "intensity", *SEQUENTIAL_STEPS, "classes")
-    elif method == FUSED:
+    elif method == "fused":
         steps = ("range", "intensity", "classes")
     else:
         steps = ("range", "intensity", *PRC_STEPS, "classes")
@@ -161,7 +160,7 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     possible = possible_steps(method, options)
     chosen = FIGURE_1 if options.figure1 else options.steps
     if chosen is None:
-        whole = options.block is None and options.lines is None and method != SEQUENTIAL_ANGLE
+        whole = options.block is None and options.lines is None and method != "sequential-angle"
         chosen = ("range", "classes") if whole else tuple(s for s in possible if s not in ("intensity", "dense"))
         if whole and options.reference is not None:
             chosen = (*chosen, *REFERENCE_STEPS)

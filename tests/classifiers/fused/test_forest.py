@@ -13,12 +13,12 @@ from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.classifiers.fused.stems import StemsParams, find_stems
 from prc_cli.classifiers.fused.terrain import TerrainParams, heights_over_ground
 from prc_cli.config import load_config
+from prc_cli.core.blocks import join
 from prc_cli.core.classes import Label
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges
 from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
-from prc_cli.stream.blocks import join
 
 HEIGHT_M = 2.0
 N_LINES = 12

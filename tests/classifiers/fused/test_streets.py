@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.classifiers.fused.pipeline import FusedParams, ParallelBlocks, classify_block, initial_state
+from prc_cli.classifiers.base import LABELS_ALONE, OneByOne
+from prc_cli.classifiers.fused import pipeline
+from prc_cli.classifiers.fused.pipeline import Fused, FusedParams, FusedScanner, FusedState, initial_state
 from prc_cli.classifiers.fused.plane import Noise, ScanPlane, SensorParams
+from prc_cli.classifiers.run import run_blocks
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ScanBlock
-from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, U8
 from prc_cli.jobs.classify import label_blocks
 from tests.classifiers.fused.street_lines import (
@@ -28,6 +30,7 @@ from tests.classifiers.fused.street_lines import (
 )
 
 PLANE = ScanPlane.of(BEAM)
+SCANNER = FusedScanner.of(BEAM)
 EXPECTED = {
     GROUND: Label.GROUND,
     BUILDING: Label.BUILDING,
@@ -37,13 +40,21 @@ EXPECTED = {
 }
 
 
+def classify_block(
+    ranges: F32, following: F32 | None, state: FusedState, params: FusedParams, scanner: FusedScanner = SCANNER
+) -> tuple[U8, FusedState]:
+    """Classify one block: its labels, and the state after it."""
+    turn = OneByOne(state)
+    (found,) = Fused(params).label(ScanBlock(0, ranges, next_m=following), scanner, turn, LABELS_ALONE)
+    return found.labels, turn.state
+
+
 def classified(ranges: F32, params: FusedParams | None = None) -> U8:
     params = params or FusedParams()
-    state, parts, k = initial_state(BEAM), [], params.lines_per_block
+    state, parts, k = initial_state(SCANNER), [], params.lines_per_block
     for first in range(0, len(ranges), k):
-        result = classify_block(ranges[first : first + k], ranges[first + k : first + k + 5], state, params)
-        state = result.state
-        parts.append(result.labels)
+        labels, state = classify_block(ranges[first : first + k], ranges[first + k : first + k + 5], state, params)
+        parts.append(labels)
     return np.concatenate(parts)
 
 
@@ -154,17 +165,17 @@ def test_votes_settle_single_shots(street: tuple[F32, U8]) -> None:
 def test_labels_do_not_depend_on_threads(street: tuple[F32, U8]) -> None:
     ranges, params = street[0], FusedParams(lines_per_block=16)
     for threads in (1, 3):
-        blocks = ParallelBlocks(BEAM, params)
-        jobs = (blocks.begin(ranges[i : i + 16], ranges[i + 16 : i + 21]) for i in range(0, len(ranges), 16))
-        labels = np.concatenate(list(ordered(blocks.classify, jobs, threads=threads)))
+        found = run_blocks(iter([ScanBlock(0, ranges, beam_rad=BEAM)]), Fused(params), threads=threads)
+        labels = np.concatenate([item.labels for item in found])
         np.testing.assert_array_equal(labels, classified(ranges, params))
 
 
 def test_what_a_block_leaves_does_not_grow(street: tuple[F32, U8]) -> None:
-    state, params = initial_state(BEAM), FusedParams(lines_per_block=20)
+    state, params = initial_state(SCANNER), FusedParams(lines_per_block=20)
     for first in range(0, 60, 20):
-        state = classify_block(street[0][first : first + 20], None, state, params).state
+        _, state = classify_block(street[0][first : first + 20], None, state, params)
         assert state.tail.shape == (5, len(BEAM))
+        assert state.tail.base is None, "a view would keep the whole block alive"
         assert state.memory.height_m.shape == (2, 320)
 
 
@@ -204,13 +215,14 @@ def test_any_lines_are_labelled() -> None:
         for share in (0.0, 0.5, 1.0):
             ranges = rng.uniform(0.5, 80, shape).astype(np.float32)
             ranges[rng.random(shape) < share] = np.nan
-            labels = classify_block(ranges, None, initial_state(beam), FusedParams()).labels
+            scanner = FusedScanner.of(beam)
+            labels, _ = classify_block(ranges, None, initial_state(scanner), FusedParams(), scanner)
             assert labels.shape == shape
             assert ((labels == Label.MISSING) == np.isnan(ranges)).all()
 
 
 def test_blocks_that_cannot_be_are_refused() -> None:
-    state, params = initial_state(BEAM), FusedParams(lines_per_block=4)
+    state, params = initial_state(SCANNER), FusedParams(lines_per_block=4)
     for shape in ((0, len(BEAM)), (5, len(BEAM)), (2, 7)):
         with pytest.raises(InputError, match="block of ranges"):
             classify_block(np.ones(shape, np.float32), None, state, params)
@@ -218,13 +230,22 @@ def test_blocks_that_cannot_be_are_refused() -> None:
         classify_block(np.ones((2, len(BEAM)), np.float32), np.ones((1, 3), np.float32), state, params)
 
 
-def test_a_job_that_fails_lets_the_others_end() -> None:
-    """A window that is not in one piece raises in every job, and nobody waits for a turn that never comes."""
-    blocks = ParallelBlocks(BEAM, FusedParams(lines_per_block=4))
-    jobs = [blocks.begin(np.ones((4, len(BEAM)), np.float32), None) for _ in range(3)]
-    broken = [type(job)(job.turn, job.window[:, :3], job.range_m) for job in jobs]
-    with pytest.raises(Exception, match=r"."):
-        list(ordered(blocks.classify, iter(broken), threads=2))
+@pytest.mark.parametrize("step", ["_measure", "_see", "_follow", "_decide"])
+def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    """Before, in, between and after the steps that hand on: nobody waits for a turn that never comes."""
+    plain = getattr(pipeline, step)
+    calls: list[None] = []
+
+    def fails(*arguments: object) -> object:
+        calls.append(None)
+        if len(calls) == 2:
+            raise MemoryError(step)
+        return plain(*arguments)
+
+    monkeypatch.setattr(pipeline, step, fails)
+    block = ScanBlock(0, np.ones((24, len(BEAM)), np.float32), beam_rad=BEAM)
+    with pytest.raises(MemoryError, match=step):
+        list(run_blocks(iter([block]), Fused(FusedParams(lines_per_block=4)), threads=2))
 
 
 def test_a_further_return_of_a_leaf_that_is_on_its_own_is_a_leaf(street: tuple[F32, U8]) -> None:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.classifiers.prc.pipeline import PrcParams, PrcResult, PrcTrace, initial_state, trace_block
+from prc_cli.classifiers.base import OneByOne
+from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, PrcTrace, classify_block, initial_state
 from prc_cli.classifiers.prc.surfaces import area_threshold
 from prc_cli.core.types import F32, I64, U8
 from prc_cli.reference.prc.method import Settings
@@ -16,29 +17,38 @@ TIGHT_LOOK_AHEAD = {1: 4, 2: 2}
 """Lines of look-ahead that suffice for very short scan lines; two for all others."""
 
 
-def run_blocks(range_m: F32, params: PrcParams, extra_lines: int = 0) -> list[PrcTrace]:
-    """Classify a stream as the program does: k lines and the least look-ahead at a time."""
+def trace_block(
+    range_m: F32, next_m: F32 | None, state: PrcState, params: PrcParams, *, segments: bool = True
+) -> tuple[PrcTrace, PrcState]:
+    """Classify one block: what was found, and the state after it."""
+    turn = OneByOne(state)
+    trace = classify_block(range_m, next_m, turn, params, segments=segments)
+    return trace, turn.state
+
+
+def run_blocks(range_m: F32, params: PrcParams, extra_lines: int = 0) -> list[tuple[PrcTrace, PrcState]]:
+    """Classify a stream as the program does, k lines and the least look-ahead at a time; the state after each."""
     k, width = params.lines_per_block, range_m.shape[1]
     ahead = TIGHT_LOOK_AHEAD.get(width, 2) + extra_lines
     state = initial_state(width)
-    traces = []
+    found = []
     for first in range(0, len(range_m), k):
         following = range_m[first + k : first + k + ahead]
-        traces.append(trace_block(range_m[first : first + k], following, state, params))
-        state = traces[-1].result.state
-    return traces
+        trace, state = trace_block(range_m[first : first + k], following, state, params)
+        found.append((trace, state))
+    return found
 
 
 def run_stream(range_m: F32, params: PrcParams) -> tuple[U8, I64]:
     """Labels and segments of a whole stream."""
-    results: list[PrcResult] = [trace.result for trace in run_blocks(range_m, params)]
-    return np.concatenate([r.labels for r in results]), np.concatenate([segments_of(r) for r in results])
+    traces = [trace for trace, _ in run_blocks(range_m, params)]
+    return np.concatenate([trace.labels for trace in traces]), np.concatenate([segments_of(each) for each in traces])
 
 
-def segments_of(result: PrcResult) -> I64:
+def segments_of(trace: PrcTrace) -> I64:
     """Segment ids that were asked for."""
-    assert result.segments is not None
-    return result.segments
+    assert trace.segments is not None
+    return trace.segments
 
 
 def to_settings(params: PrcParams, points_per_line: int) -> Settings:

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
+from prc_cli.classifiers.base import Wanted
 from prc_cli.classifiers.prc import pipeline
-from prc_cli.classifiers.prc.pipeline import BlockJob, ParallelBlocks, PrcParams, classify_block, initial_state
+from prc_cli.classifiers.prc.pipeline import Prc, PrcParams, initial_state
+from prc_cli.classifiers.run import run_blocks
 from prc_cli.core.errors import InputError
-from prc_cli.core.threads import ordered
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, I64, U8
-from tests.classifiers.prc.streams import TIGHT_LOOK_AHEAD, random_params, random_stream, run_stream
-
-
-def begin(blocks: ParallelBlocks, stream: F32, k: int) -> Iterator[BlockJob]:
-    ahead = TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
-    for first in range(0, len(stream), k):
-        yield blocks.begin(stream[first : first + k], stream[first + k : first + k + ahead])
+from tests.classifiers.prc.streams import TIGHT_LOOK_AHEAD, random_params, random_stream, run_stream, trace_block
 
 
 def run_threads(stream: F32, params: PrcParams, threads: int, *, segments: bool) -> tuple[U8, list[I64 | None]]:
-    blocks = ParallelBlocks(stream.shape[1], params, segments=segments)
-    jobs = begin(blocks, stream, params.lines_per_block)
-    found = list(ordered(blocks.classify, jobs, threads=threads))
-    return np.concatenate([labels for labels, _ in found]), [ids for _, ids in found]
+    blocks = iter([ScanBlock(0, stream)])
+    found = list(run_blocks(blocks, Prc(params), threads=threads, wanted=Wanted(segments=segments)))
+    return np.concatenate([item.labels for item in found]), [item.segments for item in found]
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -52,10 +45,9 @@ def test_labels_do_not_depend_on_whether_segments_are_asked_for() -> None:
         k, ahead = params.lines_per_block, TIGHT_LOOK_AHEAD.get(stream.shape[1], 2)
         for first in range(0, len(stream), k):
             following = stream[first + k : first + k + ahead]
-            result = classify_block(stream[first : first + k], following, state, params)
-            assert result.segments is None
-            np.testing.assert_array_equal(result.labels, expected[first : first + k])
-            state = result.state
+            trace, state = trace_block(stream[first : first + k], following, state, params, segments=False)
+            assert trace.segments is None
+            np.testing.assert_array_equal(trace.labels, expected[first : first + k])
 
 
 @pytest.mark.parametrize("stage", ["background", "identify", "count_smooth", "urban"])
@@ -73,15 +65,14 @@ def test_error_in_any_stage_is_the_one_that_is_seen(monkeypatch: pytest.MonkeyPa
         return plain(*arguments)
 
     monkeypatch.setattr(pipeline, stage, fails)
-    blocks = ParallelBlocks(40, PrcParams(lines_per_block=6))
     n_found = 0
     with pytest.raises(MemoryError, match=stage):
-        for _ in ordered(blocks.classify, begin(blocks, stream, 6), threads=3):
+        for _ in run_blocks(iter([ScanBlock(0, stream)]), Prc(PrcParams(lines_per_block=6)), threads=3):
             n_found += 1
     assert n_found <= 5, "blocks are begun in order, and calls of a stage nearly so"
 
 
 def test_blocks_that_do_not_fit_are_refused() -> None:
-    blocks = ParallelBlocks(5, PrcParams())
-    with pytest.raises(InputError, match=r"found an array of shape \(3, 4\)"):
-        blocks.begin(np.ones((3, 4), np.float32), None)
+    blocks = [ScanBlock(0, np.ones((4, 5), np.float32)), ScanBlock(4, np.ones((5, 4), np.float32))]
+    with pytest.raises(InputError, match=r"found an array of shape \(\d, 4\)"):
+        list(run_blocks(iter(blocks), Prc(PrcParams(lines_per_block=2)), threads=2))

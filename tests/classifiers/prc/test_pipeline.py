@@ -10,12 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prc_cli.classifiers.prc.pipeline import PrcParams, classify_block, initial_state, trace_block
+from prc_cli.classifiers.base import LABELS_ALONE, OneByOne
+from prc_cli.classifiers.prc.pipeline import Prc, PrcParams, initial_state
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock
 from prc_cli.reference.prc import method as oracle_prc
-from tests.classifiers.prc.streams import random_params, random_stream, run_blocks, run_stream, to_settings
+from tests.classifiers.prc.streams import random_params, random_stream, run_blocks, run_stream, to_settings, trace_block
 
 
 def assert_equals_oracle(seed: int) -> set[int]:
@@ -80,7 +82,7 @@ def test_support_and_background_do_not_depend_on_block_length(seed: int) -> None
     expected_s = oracle_prc.support(stream, to_settings(params, stream.shape[1]))
     expected_g = oracle_prc.extended_background(stream, expected_s, to_settings(params, stream.shape[1]))
     for k in (1, 2, 3, 7, len(stream), 1000):
-        traces = run_blocks(stream, params.model_copy(update={"lines_per_block": k}))
+        traces = [trace for trace, _ in run_blocks(stream, params.model_copy(update={"lines_per_block": k}))]
         np.testing.assert_array_equal(np.concatenate([t.supported for t in traces]), expected_s)
         np.testing.assert_array_equal(np.concatenate([t.background for t in traces]), expected_g)
 
@@ -89,9 +91,10 @@ def test_support_and_background_do_not_depend_on_block_length(seed: int) -> None
 def test_more_look_ahead_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
     stream, params = random_stream(rng), random_params(rng)
-    for one, other in zip(run_blocks(stream, params), run_blocks(stream, params, extra_lines=5), strict=True):
-        np.testing.assert_array_equal(one.result.labels, other.result.labels)
-        np.testing.assert_array_equal(one.result.state.tail, other.result.state.tail)
+    few, more = run_blocks(stream, params), run_blocks(stream, params, extra_lines=5)
+    for (one, after_one), (other, after_other) in zip(few, more, strict=True):
+        np.testing.assert_array_equal(one.labels, other.labels)
+        np.testing.assert_array_equal(after_one.tail, after_other.tail)
 
 
 def test_state_can_be_stored_and_taken_up_again() -> None:
@@ -100,9 +103,9 @@ def test_state_can_be_stored_and_taken_up_again() -> None:
     state = initial_state(40)
     parts = []
     for first in (0, 10, 20):
-        result = classify_block(stream[first : first + 10], stream[first + 10 : first + 12], state, params)
-        state = pickle.loads(pickle.dumps(result.state))
-        parts.append(result.labels)
+        trace, state = trace_block(stream[first : first + 10], stream[first + 10 : first + 12], state, params)
+        state = pickle.loads(pickle.dumps(state))
+        parts.append(trace.labels)
     np.testing.assert_array_equal(np.concatenate(parts), run_stream(stream, params)[0])
 
 
@@ -110,11 +113,11 @@ def test_state_does_not_grow() -> None:
     rng = np.random.default_rng(3)
     stream = rng.choice(np.array([5.0, 5.01, 9.0], dtype=np.float32), (400, 16))
     params = build(PrcParams, {"lines_per_block": 4, "surfaces": {"area": 2, "gamma": 0}}, "test")
-    states = [trace.result.state for trace in run_blocks(stream, params)]
+    states = [state for _, state in run_blocks(stream, params)]
     assert max(len(state.totals.ids) for state in states) <= 16
     assert max(len(state.totals.ids) for state in states) > 1
     for state in states:
-        assert (state.tail.shape, state.last_line.shape) == ((17,), (16,))
+        assert (state.tail.shape, state.link.last_line.shape) == ((17,), (16,))
         assert state.tail.base is None, "a view would keep the whole block alive"
 
 
@@ -125,17 +128,17 @@ def test_inputs_are_not_written_to() -> None:
     before = stream.copy()
     stream.setflags(write=False)
     state = initial_state(9)
-    for array in (state.tail, state.last_line):
+    for array in (state.tail, state.link.last_line):
         array.setflags(write=False)
-    classify_block(stream[:6], stream[6:], state, PrcParams())
+    trace_block(stream[:6], stream[6:], state, PrcParams())
     np.testing.assert_array_equal(stream, before)
 
 
 def test_slices_of_a_larger_image_are_welcome() -> None:
     image = np.full((8, 30), 20.0, dtype=np.float32)
     part = image[::2, 3:20]
-    labels = classify_block(part, None, initial_state(17), PrcParams()).labels
-    np.testing.assert_array_equal(labels, np.full((4, 17), Label.GROUND))
+    trace, _ = trace_block(part, None, initial_state(17), PrcParams())
+    np.testing.assert_array_equal(trace.labels, np.full((4, 17), Label.GROUND))
 
 
 def test_every_shot_is_labelled_once_and_segments_go_with_it() -> None:
@@ -153,14 +156,14 @@ def test_trace_shows_the_images_on_the_way() -> None:
     image = np.full((9, 40), 20.0, dtype=np.float32)
     image[:, 20:] = 8.0
     image[4, 5] = 3.0
-    trace = trace_block(image, None, initial_state(40), PrcParams())
+    trace, _ = trace_block(image, None, initial_state(40), PrcParams())
     assert not trace.supported[4, 5]
     assert trace.background[:, 19:21].all()
     assert not (trace.background & ~trace.supported).any()
     h = trace.components.to_segments()
     assert h[0, 0] != h[0, 30]
     assert (trace.surfaces.to_patches() == 0).all()
-    np.testing.assert_array_equal(trace.result.segments, h)
+    np.testing.assert_array_equal(trace.segments, h)
 
 
 @pytest.mark.parametrize("filling", [np.nan, 5.0])
@@ -188,14 +191,17 @@ def test_narrow_streams_of_one_kind(width: int, filling: float) -> None:
 def test_blocks_that_do_not_fit_are_refused(
     range_shape: tuple[int, ...], next_shape: tuple[int, ...], message: str
 ) -> None:
+    block = ScanBlock(0, np.ones(range_shape, np.float32), next_m=np.ones(next_shape, np.float32))
     with pytest.raises(InputError, match=message):
-        classify_block(np.ones(range_shape, np.float32), np.ones(next_shape, np.float32), initial_state(5), PrcParams())
+        Prc(PrcParams()).label(block, 5, OneByOne(initial_state(5)), LABELS_ALONE)
 
 
 def test_block_beyond_the_pixel_numbers_is_refused() -> None:
     huge = np.broadcast_to(np.float32(1), (70_000, 40_000))
     with pytest.raises(InputError, match=r"70000 x 40000 shots, expected fewer than 2\^31; lower prc.lines_per_block"):
-        classify_block(huge, None, initial_state(40_000), PrcParams(lines_per_block=80_000))
+        Prc(PrcParams(lines_per_block=80_000)).label(
+            ScanBlock(0, huge), 40_000, OneByOne(initial_state(40_000)), LABELS_ALONE
+        )
 
 
 def test_defaults_are_the_published_urban_parameters() -> None:

@@ -9,14 +9,14 @@ from prc_cli import kernels
 from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.components import Components, ComponentsParams, identify, join
 from prc_cli.classifiers.prc.forest import ForestParams, forest
-from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, initial_state, trace_block
+from prc_cli.classifiers.prc.pipeline import PrcParams, PrcState, initial_state
 from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, window_reach
 from prc_cli.classifiers.prc.surfaces import Surfaces, SurfacesParams, area_threshold, find_small, surfaces
 from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
 from prc_cli.core.classes import Label
 from prc_cli.core.config import build
 from prc_cli.core.types import F32, I64, U8, Mask
-from tests.classifiers.prc.streams import run_blocks, segments_of
+from tests.classifiers.prc.streams import run_blocks, segments_of, trace_block
 
 nan = np.nan
 
@@ -140,7 +140,7 @@ class TestReading4BlockEdges:
         stream = wall(6, 12)
         stream[3:] = 5.0  # shot (2, 11) and shot (3, 0) are a step apart
         for k in (1, 3, 6):
-            traces = run_blocks(stream, PrcParams(lines_per_block=k))
+            traces = [trace for trace, _ in run_blocks(stream, PrcParams(lines_per_block=k))]
             g = np.concatenate([trace.background for trace in traces])
             assert np.argwhere(g).tolist() == [[2, 11], [3, 0]]
 
@@ -166,10 +166,10 @@ class TestReading5Missing:
     def test_missing_shots_cut_components(self) -> None:
         image = wall(3, 21)
         image[:, 10] = nan
-        trace = trace_block(image, None, initial_state(21), PrcParams())
+        trace, _ = trace_block(image, None, initial_state(21), PrcParams())
         h = trace.components.to_segments()
         assert (h[0, 0], h[0, 10], h[0, 20]) == (1, 0, 2)
-        assert (trace.result.labels[:, 10] == Label.MISSING).all()
+        assert (trace.labels[:, 10] == Label.MISSING).all()
 
 
 class TestReading6BackgroundBesideMissing:
@@ -312,15 +312,15 @@ class TestReading10Votes:
         stream = wall(6, 21)
         stream[:3, 10] = nan
         traces = run_blocks(stream, build(PrcParams, {"lines_per_block": 3, "surfaces": {"area": "auto"}}, "test"))
-        assert np.unique(segments_of(traces[0].result)).tolist() == [0, 1, 2]
-        assert np.unique(segments_of(traces[1].result)).tolist() == [1]
+        assert np.unique(segments_of(traces[0][0])).tolist() == [0, 1, 2]
+        assert np.unique(segments_of(traces[1][0])).tolist() == [1]
 
     def test_only_smooth_labels_vote(self) -> None:
         stream = wall(4, 30)
         stream[:, 12] = nan  # 12 columns are too small for area 30, 17 are not
         params = build(PrcParams, {"lines_per_block": 2, "surfaces": {"area": 30, "gamma": 0}}, "test")
-        first, second = (trace.result for trace in run_blocks(stream, params))
-        assert first.state.last_line.tolist() == [0] * 13 + [2] * 17
+        (first, after), (second, _) = run_blocks(stream, params)
+        assert after.link.last_line.tolist() == [0] * 13 + [2] * 17
         assert np.unique(segments_of(first)[:, :12]).tolist() == [3]
         assert np.unique(segments_of(second)[:, 13:]).tolist() == [2]
         assert segments_of(second)[0, 0] > 3
@@ -354,9 +354,9 @@ def test_reading_12_area_is_counted_in_the_block_alone() -> None:
     stream = wall(6, 20)
     stream[3:, 8:] = nan
     params = build(PrcParams, {"lines_per_block": 3, "surfaces": {"area": 30, "gamma": 0}}, "test")
-    first, second = (trace.result for trace in run_blocks(stream, params))
+    (first, after), (second, _) = run_blocks(stream, params)
     assert (first.labels == Label.GROUND).all()
-    assert (first.state.last_line == 1).all()
+    assert (after.link.last_line == 1).all()
     assert (second.labels[:, :8] == Label.VEGETATION).all()
 
 
@@ -393,7 +393,7 @@ def test_reading_15_patches_have_ids_of_their_own_in_every_block() -> None:
     stream = rng.choice(np.array([5.0, 5.02, 9.0], np.float32), (30, 20))
     params = build(PrcParams, {"lines_per_block": 5, "surfaces": {"area": 8}}, "test")
     seen: set[int] = set()
-    for trace in run_blocks(stream, params):
+    for trace, _ in run_blocks(stream, params):
         patches = set(np.unique(trace.surfaces.to_patches()).tolist()) - {0}
         h = set(np.unique(trace.components.to_segments()).tolist()) - {0}
         assert patches
@@ -481,7 +481,7 @@ class TestReading17ForestGround:
         image = wall(9, 20)
         image[4, 5] = nan
         params = build(PrcParams, {"environment": "forest"}, "test")
-        labels = trace_block(image, None, initial_state(20), params).result.labels
+        labels = trace_block(image, None, initial_state(20), params)[0].labels
         assert labels[4, 5] == Label.MISSING
         assert (np.delete(labels.ravel(), 85) == Label.GROUND).all()
 
@@ -502,7 +502,7 @@ class TestReading19LastBlock:
     @pytest.mark.parametrize(("lines_per_block", "expected"), [(6, Label.VEGETATION), (20, Label.GROUND)])
     def test_small_segment_in_a_short_block(self, lines_per_block: int, expected: Label) -> None:
         params = build(PrcParams, {"lines_per_block": lines_per_block, "surfaces": {"area": 100}}, "test")
-        labels = trace_block(wall(6, 10), None, initial_state(10), params).result.labels
+        labels = trace_block(wall(6, 10), None, initial_state(10), params)[0].labels
         assert (labels == expected).all()  # 60 pixels against 100, or against 100 * 6 / 20 = 30
 
 
@@ -510,6 +510,6 @@ def test_state_is_an_explicit_value() -> None:
     state = initial_state(5)
     assert isinstance(state, PrcState)
     with pytest.raises(AttributeError):
-        state.next_id = 5  # type: ignore[misc]
-    again: I64 = initial_state(5).last_line
-    assert again is not state.last_line
+        state.link = state.link  # type: ignore[misc]
+    again: I64 = initial_state(5).link.last_line
+    assert again is not state.link.last_line

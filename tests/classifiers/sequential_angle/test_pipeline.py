@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from prc_cli import kernels
+from prc_cli.classifiers.base import LABELS_ALONE, OneByOne, Wanted
+from prc_cli.classifiers.run import run_blocks
+from prc_cli.classifiers.sequential_angle import pipeline
 from prc_cli.classifiers.sequential_angle.curb import CurbParams
 from prc_cli.classifiers.sequential_angle.pipeline import (
-    BlockJob,
-    ParallelBlocks,
+    Beams,
+    SequentialAngle,
     SequentialAngleParams,
     SequentialAngleState,
     Undecided,
@@ -20,17 +23,17 @@ from prc_cli.classifiers.sequential_angle.pipeline import (
     combine,
     follow_ground,
     initial_state,
+    stages_in_columns,
     within_lines,
 )
 from prc_cli.config import RunConfig, load_config
+from prc_cli.core.blocks import cut
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock, ScanBlock
-from prc_cli.core.threads import ordered
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import classify_ranges, label_blocks
 from prc_cli.kernels import KERNELS
-from prc_cli.stream.blocks import cut
 from tests.kernels.twins import twin
 from tests.simulated import static_arrays
 
@@ -53,19 +56,19 @@ def cuts(block: ScanBlock, rng: np.random.Generator | None = None, lines: int = 
 
 def run(blocks: Iterator[ScanBlock], params: SequentialAngleParams, n_lines: int) -> tuple[list[np.ndarray], int]:
     """Feed blocks to the classifier; return all that it says, and the most lines that ever waited."""
-    state: SequentialAngleState | None = None
+    turn: OneByOne[SequentialAngleState] | None = None
     parts: list[list[np.ndarray]] = []
     n_in = n_out = most = 0
+    method = SequentialAngle(params)
     for block in blocks:
-        assert block.beam_rad is not None
-        state = state or initial_state(block.beam_rad, params)
+        scanner = method.scanner(block)
+        turn = turn or OneByOne(method.initial_state(scanner))
         n_in += block.n_lines
-        result = classify_block(block.range_m, block.xyz_m, state, params, last=n_in == n_lines)
-        state = result.state
-        n_out += result.n_lines
+        found = classify_block(block.range_m, block.xyz_m, scanner, turn, params, last=n_in == n_lines)
+        n_out += len(found.labels)
+        stages = stages_in_columns(found.rows, scanner)
+        parts.append([found.labels, stages.surface, stages.dense_vegetation, stages.ground_height_m])
         most = max(most, n_in - n_out)
-        stages = result.stages
-        parts.append([result.labels, stages.surface, stages.dense_vegetation, stages.ground_height_m])
     assert n_out == n_in == n_lines
     return [np.concatenate(each) for each in zip(*parts, strict=True)], most
 
@@ -159,10 +162,10 @@ def wall(n_lines: int, n_beams: int = 40) -> tuple[F32, F64]:
 def test_lines_wait_for_the_fiftieth_height_of_the_ground_and_no_longer() -> None:
     block, _ = scan()
     assert block.beam_rad is not None
-    before = initial_state(block.beam_rad, PARAMS)
-    ground, n_heights, known_at = before.ground, 0, 0
+    beams = Beams.of(block.beam_rad)
+    ground, n_heights, known_at = initial_state(beams, PARAMS).ground, 0, 0
     for part in cuts(block):
-        rows = within_lines(part.range_m, part.xyz_m, before, PARAMS)
+        rows = within_lines(part.range_m, part.xyz_m, beams, PARAMS)
         n_heights += int(np.isfinite(rows.potential.height_m).sum())
         ready, ground = follow_ground(rows, ground, PARAMS, last=False)
         if ready:
@@ -322,11 +325,13 @@ def test_without_coordinates_lines_lie_in_their_plane() -> None:
 
 
 def test_blocks_of_another_width_are_refused() -> None:
-    state = initial_state(np.linspace(0.1, 2, 9), PARAMS)
+    method, beams = SequentialAngle(PARAMS), Beams.of(np.linspace(0.1, 2, 9))
+    turn = OneByOne(method.initial_state(beams))
     with pytest.raises(InputError, match=r"found an array of shape \(2, 8\), expected \(lines, 9\)"):
-        classify_block(np.zeros((2, 8), np.float32), None, state, PARAMS)
+        method.label(ScanBlock(0, np.zeros((2, 8), np.float32)), beams, turn, LABELS_ALONE)
+    block = ScanBlock(0, np.zeros((2, 9), np.float32), xyz_m=np.zeros((2, 8, 3), np.float32))
     with pytest.raises(InputError, match="found coordinates of shape"):
-        classify_block(np.zeros((2, 9), np.float32), np.zeros((2, 8, 3), np.float32), state, PARAMS)
+        method.label(block, beams, turn, LABELS_ALONE)
 
 
 def test_blocks_without_beams_are_refused() -> None:
@@ -338,20 +343,32 @@ def test_blocks_without_beams_are_refused() -> None:
 def test_threads_change_nothing(threads: int) -> None:
     block, _ = scan()
     whole, _ = run(iter([block]), PARAMS, block.n_lines)
-    assert block.beam_rad is not None
-    blocks = ParallelBlocks(block.beam_rad, PARAMS, stages=True)
+    for shots in (1, 3000, 100_000):
+        found = run_blocks(
+            cuts(block, np.random.default_rng(5)), SequentialAngle(PARAMS), threads=threads, shots_at_once=shots,
+            wanted=Wanted(stages=True),
+        )  # fmt: skip
+        parts = list(found)
+        np.testing.assert_array_equal(np.concatenate([item.labels for item in parts]), whole[0])
+        surfaces = [item.stages.surface for item in parts if item.stages is not None]
+        np.testing.assert_array_equal(np.concatenate(surfaces), whole[1])
 
-    def jobs() -> Iterator[BlockJob]:
-        n_lines = 0
-        for part in cuts(block, np.random.default_rng(5)):
-            n_lines += part.n_lines
-            yield blocks.begin(part.range_m, part.xyz_m, last=n_lines == block.n_lines)
 
-    parts = list(ordered(blocks.classify, jobs(), threads=threads))
-    np.testing.assert_array_equal(np.concatenate([labels for labels, _ in parts]), whole[0])
-    np.testing.assert_array_equal(
-        np.concatenate([stages.surface for _, stages in parts if stages is not None]), whole[1]
-    )
+@pytest.mark.parametrize("step", ["within_lines", "follow_ground", "find_cars", "decide_curbs", "in_columns"])
+def test_a_block_that_fails_lets_the_others_end(monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    block, _ = scan()
+    plain = getattr(pipeline, step)
+    calls: list[None] = []
+
+    def fails(*arguments: object, **named: object) -> object:
+        calls.append(None)
+        if len(calls) == 3:
+            raise MemoryError(step)
+        return plain(*arguments, **named)
+
+    monkeypatch.setattr(pipeline, step, fails)
+    with pytest.raises(MemoryError, match=step):
+        list(run_blocks(iter([block]), SequentialAngle(PARAMS), threads=3, shots_at_once=2000))
 
 
 def test_the_state_holds_nothing_hidden() -> None:
@@ -359,10 +376,13 @@ def test_the_state_holds_nothing_hidden() -> None:
     block, _ = scan()
     first, second = cut(block, 0, 120), cut(block, 120, block.n_lines)
     assert block.beam_rad is not None
-    begun = classify_block(first.range_m, first.xyz_m, initial_state(block.beam_rad, PARAMS), PARAMS)
+    method, beams = SequentialAngle(PARAMS), Beams.of(block.beam_rad)
+    begun = OneByOne(method.initial_state(beams))
+    method.label(first, beams, begun, LABELS_ALONE)
     again = [
-        classify_block(second.range_m, second.xyz_m, state, PARAMS, last=True).labels
+        method.label(replace(second, is_last=True), beams, OneByOne(state), LABELS_ALONE)
         for state in (begun.state, replace(begun.state))
     ]
-    np.testing.assert_array_equal(again[0], again[1])
+    for one, other in zip(*again, strict=True):
+        np.testing.assert_array_equal(one.labels, other.labels)
     assert {each.name for each in fields(begun.state)} == set(SequentialAngleState.__slots__)

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.core.blocks import join
 from prc_cli.core.errors import ConfigError, InputError, OrderError, PrcError
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
 from prc_cli.formats.arrays.read import ArrayStream
 from prc_cli.formats.options import InputConfig
-from prc_cli.stream.blocks import join
 
 AUTO = InputConfig()
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from prc_cli.core.blocks import join
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, ScanBlock, StreamInfo
 from prc_cli.formats.e57 import write as stream_e57
@@ -17,7 +18,6 @@ from prc_cli.formats.writing.record import Fingerprint, RunRecord
 from prc_cli.formats.writing.stream_writer import StreamItem, StreamShape
 from prc_cli.jobs.classify import open_stream
 from prc_cli.jobs.convert import convert
-from prc_cli.stream.blocks import join
 from tests.formats.organised_files import grid_points, ptx_scan, write_text
 
 M = 40

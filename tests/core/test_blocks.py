@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
-from prc_cli.stream.blocks import (
+from prc_cli.core.blocks import (
     cut,
     join,
     look_ahead_lines,
     regroup,
 )
+from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 
 
 def stream(n_lines: int, m: int, *, scanner: int = 0, dense: bool = False) -> ScanBlock:

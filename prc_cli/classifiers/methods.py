@@ -1,0 +1,38 @@
+"""The table of methods: the only place outside a method's folder that knows it.
+
+Reading this loads the parameters of all methods, and no compiled loop.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias, get_args
+
+from pydantic import Field
+
+from prc_cli.classifiers.fused.pipeline import FusedParams
+from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
+from prc_cli.core.config import Params
+
+MethodName: TypeAlias = Literal["prc", "sequential-angle", "fused"]
+METHODS: tuple[MethodName, ...] = get_args(MethodName)
+"""Names of the methods; the table of each has underscores for hyphens."""
+
+
+class MethodTables(Params):
+    """The parameters of every method, whichever is chosen."""
+
+    prc: PrcParams = Field(default_factory=PrcParams, description="PRC (Lehtola et al. 2019)")
+    sequential_angle: SequentialAngleParams = Field(
+        default_factory=SequentialAngleParams, description="sequential-angle (Stamos et al. 2012)"
+    )
+    fused: FusedParams = Field(default_factory=FusedParams, description="fused")
+
+
+def table_of(method: MethodName) -> str:
+    """Return the name of a method's table.
+
+    >>> table_of("sequential-angle")
+    'sequential_angle'
+    """
+    return method.replace("-", "_")
