@@ -37,7 +37,6 @@ from prc_cli.jobs.batch.run import (
 from prc_cli.jobs.batch.settings import BatchSettings
 from prc_cli.jobs.batch.summary import Alarm, BatchSummary, LeftOut
 from prc_cli.jobs.batch.types import (
-    PARTS_FOLDER,
     Done,
     Entry,
     Failed,
@@ -251,7 +250,7 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     mine = temporary_name(out / "night" / "a.laz")
     dead = mine.with_name(mine.name.replace(f"-{os.getpid()}-", f"-{int(child.stdout)}-"))
     other = mine.with_name(".a.laz.00000000-1-01234567.part")
-    parts = out / ".prc" / PARTS_FOLDER
+    parts = out / ".prc" / "parts"
     parts.mkdir(exist_ok=True)
     (parts / "piece").write_bytes(b"abc")
     kept = out / "night" / ".mine.part"
@@ -447,7 +446,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         (["a", "o", "b"], "unexpected extra argument"),
         (["a", "o", "--fail-under", "recall.ground=1"], "--reference"),
         (["a", "o", "--scheduler", "tcp://x"], "--engine dask"),
-        (["a", "o", "--split", "5"], "--engine dask"),
+        (["a", "o", "--split", "5"], "No such option"),
         (["a", "o", "--shard", "4/3"], "shard"),
         (["a", "o", "--reference", "none"], "no such folder"),
         (["a", "status"], "did you mean prc batch status FOLDER? A folder of this name is ./status"),

@@ -1,4 +1,4 @@
-"""The engine of many machines: files, and parts of large ones, as tasks of Dask's distributed scheduler.
+"""The engine of many machines: files as tasks of Dask's distributed scheduler.
 
 Every worker runs the same functions as a local run, in its own process, on paths that all machines share. A worker
 that dies costs nothing but time: the scheduler gives its files to another one, and gives a file up that has killed
@@ -19,31 +19,19 @@ import socket
 import threading
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from multiprocessing import resource_tracker
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any, TypeAlias
 
 from prc_cli import __version__
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.threads import TICK_S, take_waiting
-from prc_cli.jobs.batch.parts import (
-    SPLIT_SHOTS,
-    Part,
-    PartDone,
-    join_parts,
-    out_of,
-    remove_parts,
-    run_part,
-    split,
-)
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
-    Done,
     EngineSettings,
     Event,
     Failed,
@@ -53,7 +41,7 @@ from prc_cli.jobs.batch.types import (
     Started,
     Task,
 )
-from prc_cli.jobs.batch.work import may_pass, run_task
+from prc_cli.jobs.batch.work import run_task
 from prc_cli.jobs.batch.worker import BEAT_S, MOVED, bytes_moved
 from prc_cli.jobs.classify import load_classifier
 
@@ -71,9 +59,6 @@ STOP_S = 5.0
 SHARE_S = 5.0
 """How long a new file may take to be seen by other machines: network file systems keep listings a while [s]."""
 
-SPLIT_WORKERS = 4
-"""With fewer workers a split gains nothing."""
-
 BEGUN, LINES, ENDED = "begun", "lines", "ended"
 
 Notice: TypeAlias = Callable[[str], None]
@@ -85,13 +70,9 @@ class StoppedError(BaseException):
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a worker is asked to do: a file, a part of one, or the output from all parts."""
+    """What a worker is asked to do."""
 
     task: Task
-    parts: tuple[Part, ...]
-    """Empty: the whole file; else the one to work on, or all of them."""
-    join: bool
-    """Write the output from all parts."""
     threads: int
     topic: str
     """Where the worker tells how it goes on."""
@@ -106,7 +87,7 @@ class Report:
     """What came of an order."""
 
     worker: str
-    result: Outcome | PartDone
+    result: Outcome
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,10 +136,6 @@ def do_order(order: Order) -> Report:
             return Report(me, Failed(task.name, None, 0.0, Problem("InputError", str(task.source), problem, hint)))
         if (trajectory := task.config.trajectory) is not None and not trajectory.is_absolute():
             os.chdir(order.folder)
-        if order.join:
-            return Report(me, join_parts(order.parts, threads=order.threads, progress=lines))
-        if order.parts:
-            return Report(me, run_part(order.parts[0], threads=order.threads, progress=lines))
         return Report(me, run_task(task, threads=order.threads, progress=lines))
     finally:
         lines.close()
@@ -214,14 +191,10 @@ class DaskEngine:
     scheduler : str, optional
         Its address, ``tcp://HOST:8786`` (or ``tls://``); default: a scheduler and workers of our own on this machine,
         as many as ``EngineSettings.jobs``.
-    split_shots : int, optional
-        Inputs of at least twice as many shots are split where that is possible; 0 = never. A split takes more time of
-        all workers together than the whole file would (``benchmarks/many_machines.py``), so by default it is done with
-        :data:`~prc_cli.jobs.batch.parts.SPLIT_SHOTS`, and only for the last files, when most workers would be idle.
     notice : callable, optional
-        Called with a sentence for the user: where the dashboard is, which large file goes whole and why.
+        Called with a sentence for the user: where the dashboard is, which worker hangs.
     jobs : int, optional
-        Most files and parts at a time on a scheduler that is given; default: as many as its workers have threads.
+        Most files at a time on a scheduler that is given; default: as many as its workers have threads.
     threads : int
         Threads a file there. This machine's cores have no say in what happens on others.
     """
@@ -230,13 +203,11 @@ class DaskEngine:
         self,
         scheduler: str | None = None,
         *,
-        split_shots: int | None = None,
         notice: Notice | None = None,
         jobs: int | None = None,
         threads: int = 1,
     ) -> None:
         self._scheduler = scheduler
-        self._split_shots = split_shots
         self._notice = notice or (lambda text: None)
         self._jobs = jobs
         self._threads = threads
@@ -275,7 +246,7 @@ class DaskEngine:
             jobs, settings = self._jobs, replace(settings, threads=self._threads)
         with _Cluster(self._scheduler, settings, self._notice, first) as cluster:
             cluster.examine(first)
-            run = _Run(cluster, settings, jobs, self._split_shots, self._notice)
+            run = _Run(cluster, settings, jobs, self._notice)
             try:
                 yield from run.events(chain([first], source))
             except OSError as error:  # whatever it was asked, it does not answer any more
@@ -363,7 +334,7 @@ class _Cluster:
             raise ConfigError("scheduler", problem, f"pip install '{EXTRA}=={__version__}' there, too") from error
         self._check_version("scheduler", version)
         first = _absolute(first)
-        token = out_of(first) / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
+        token = _out_of(first) / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
         token.parent.mkdir(parents=True, exist_ok=True)
         try:
             token.write_bytes(b"")
@@ -394,51 +365,34 @@ class _Cluster:
 
 
 @dataclass(slots=True, eq=False)
-class _Piece:
-    """An order on its way."""
+class _Job:
+    """A file on its way."""
 
-    order: Order
-    file: _File
+    task: Task
     future: Any
     worker: str | None = None
     """Who is at work on it; None while it waits."""
+    begun: float | None = None
+    """When its first worker began [s]."""
     seen: float = 0.0
     """Last sign of life [s]."""
     n_told: int = 0
     """Lines reported so far, of whichever attempt got farthest."""
 
 
-@dataclass(slots=True, eq=False)
-class _File:
-    """A file and what is left of it to do."""
-
-    task: Task
-    parts: tuple[Part, ...] = ()
-    n_left: int = 0
-    """Parts that are not done."""
-    begun: float | None = None
-    cpu_seconds: float = 0.0
-    over: bool = False
-    pieces: set[str] = field(default_factory=set)
-    """Keys of its orders on their way."""
-
-
 class _Run:
     """The tasks of one run: what waits, what is on its way, what is heard."""
 
-    def __init__(
-        self, cluster: _Cluster, settings: EngineSettings, jobs: int | None, split_shots: int | None, notice: Notice
-    ) -> None:
+    def __init__(self, cluster: _Cluster, settings: EngineSettings, jobs: int | None, notice: Notice) -> None:
         self._cluster = cluster
         self._client = cluster.client
         self._settings = settings
         self._jobs = jobs
-        self._split_shots = split_shots
         self._notice = notice
         self._topic = f"prc-{secrets.token_hex(8)}"
         self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
-        self._waiting: deque[tuple[Order, _File]] = deque()
-        self._pieces: dict[str, _Piece] = {}
+        self._on_way: dict[str, _Job] = {}
+        """Files on their way, by the key of their order."""
         self._running: dict[str, str] = {}
         """Worker by key, of orders that it has begun with and not ended, given up ones too."""
         self._n = 0
@@ -452,24 +406,21 @@ class _Run:
         more = True
         while True:
             self._look()
-            while more and len(self._pieces) + len(self._waiting) < self._room():
+            while more and len(self._on_way) < self._room():
                 task = next(tasks, None)
                 if task is None:
                     more = False
                 else:
-                    self._add(task)
-            while self._waiting and len(self._pieces) < self._room():
-                self._launch(*self._waiting.popleft(), more=more)
-            if not (more or self._waiting or self._pieces):
+                    self._submit(_absolute(task))
+            if not (more or self._on_way):
                 return
             yield from self._hear()
             yield from self._watch()
 
     def stop(self) -> None:
         """Let go of everything, and wait a little until the workers have."""
-        self._waiting.clear()
         with contextlib.suppress(Exception):  # a scheduler that is gone has nothing to stop
-            self._client.cancel([piece.future for piece in self._pieces.values()], force=True)
+            self._client.cancel([job.future for job in self._on_way.values()], force=True)
             end = time.monotonic() + STOP_S
             while self._running and time.monotonic() < end:
                 with contextlib.suppress(queue.Empty):
@@ -477,7 +428,7 @@ class _Run:
                     if kind == "event" and message[0] == ENDED:
                         self._running.pop(message[1], None)
             self._client.unsubscribe_topic(self._topic)
-        self._pieces.clear()
+        self._on_way.clear()
 
     def _room(self) -> int:
         """Return how many orders may be on their way: a few more than can be done at a time, so that nobody waits."""
@@ -499,48 +450,20 @@ class _Run:
             self._workers_seen = now
         elif now - self._workers_seen > WORKERS_S:
             raise self._cluster.no_workers()
-        for piece in self._pieces.values():
-            if piece.worker is not None and piece.worker not in self._workers:
-                piece.worker = None  # its worker died: the scheduler gives it to another one
+        for job in self._on_way.values():
+            if job.worker is not None and job.worker not in self._workers:
+                job.worker = None  # its worker died: the scheduler gives it to another one
         self._running = {key: worker for key, worker in self._running.items() if worker in self._workers}
 
-    def _add(self, task: Task) -> None:
-        task = _absolute(task)
-        self._waiting.append((self._order(task, (), join=False), _File(task)))
+    def _order(self, task: Task) -> Order:
+        return Order(task, self._settings.threads, self._topic, __version__, str(Path.cwd()))
 
-    def _launch(self, order: Order, file: _File, *, more: bool) -> None:
-        """Send an order, or the first parts of a file that is worth a split."""
-        shots = SPLIT_SHOTS if self._split_shots is None else self._split_shots
-        found = split(file.task, shots) if not file.parts and self._is_split_worth(more=more) else ""
-        if isinstance(found, str):
-            if found:
-                self._notice(f"{file.task.name} goes whole: {found}")
-            self._submit(order, file)
-            return
-        file.parts, file.n_left = found, len(found)
-        self._waiting.extendleft((self._order(file.task, (part,), join=False), file) for part in reversed(found))
-
-    def _is_split_worth(self, *, more: bool) -> bool:
-        if self._split_shots is not None:
-            return self._split_shots > 0
-        slots = self._jobs or sum(self._workers.values())
-        n_files = 1 + len(self._pieces) + len(self._waiting)
-        return not more and slots >= SPLIT_WORKERS and 2 * n_files <= slots
-
-    def _order(self, task: Task, parts: tuple[Part, ...], *, join: bool) -> Order:
-        folder = str(Path.cwd())
-        return Order(task, parts, join, self._settings.threads, self._topic, __version__, folder)
-
-    def _submit(self, order: Order, file: _File) -> None:
-        if file.over:
-            return
+    def _submit(self, task: Task) -> None:
         self._n += 1
         # the word before the dash is what the dashboard groups by
-        kind = "join" if order.join else "part" if order.parts else "classify"
-        key = f"{kind}-{self._topic.removeprefix('prc-')}{self._n:08x}"
-        future = self._client.submit(do_order, order, key=key, pure=False)
-        self._pieces[key] = _Piece(order, file, future)
-        file.pieces.add(key)
+        key = f"classify-{self._topic.removeprefix('prc-')}{self._n:08x}"
+        future = self._client.submit(do_order, self._order(task), key=key, pure=False)
+        self._on_way[key] = _Job(task, future)
         future.add_done_callback(self._hear_future)
 
     def _hear_event(self, event: tuple[float, Any]) -> None:
@@ -562,59 +485,34 @@ class _Run:
             self._running.pop(key, None)
         elif kind == BEGUN:
             self._running[key] = worker
-        piece = self._pieces.get(key)
-        if piece is None:
+        job = self._on_way.get(key)
+        if job is None:
             return
-        piece.seen = time.monotonic()
+        job.seen = time.monotonic()
         if kind == BEGUN:
-            piece.worker = worker
-            yield from _begin(piece.file, worker)
-        elif n_lines > piece.n_told and not piece.order.join:
+            job.worker = worker
+            yield from _begin(job, worker)
+        elif n_lines > job.n_told:
             # a second attempt is heard of when it gets farther than the first
-            yield Progress(piece.file.task.name, n_lines - piece.n_told)
-            piece.n_told = n_lines
+            yield Progress(job.task.name, n_lines - job.n_told)
+            job.n_told = n_lines
 
     def _take(self, key: str) -> Iterator[Event]:
         """Take what came of an order."""
-        piece = self._pieces.pop(key, None)
-        if piece is None or piece.file.over:
-            return
-        file = piece.file
-        file.pieces.discard(key)
-        report = self._report(piece)
-        yield from _begin(file, report.worker)
-        result = report.result
-        if isinstance(result, PartDone):
-            file.cpu_seconds += result.cpu_seconds
-            file.n_left -= 1
-            if not file.n_left:
-                self._waiting.appendleft((self._order(file.task, file.parts, join=True), file))
-            return
-        yield from self._close(file, result)
+        job = self._on_way.pop(key, None)
+        if job is not None:
+            report = self._report(job)
+            yield from _begin(job, report.worker)
+            yield report.result
 
-    def _close(self, file: _File, outcome: Outcome) -> Iterator[Event]:
-        """Say what became of a file, and let go of what is left of it."""
-        file.over = True
-        futures = [self._pieces.pop(key).future for key in file.pieces]
-        if futures:
-            self._client.cancel(futures, force=True)
-        if file.parts and isinstance(outcome, Failed) and not may_pass(outcome.problem):
-            remove_parts(file.task)
-        if file.parts and file.begun is not None:
-            seconds = time.monotonic() - file.begun
-            outcome = replace(outcome, seconds=seconds)
-            if isinstance(outcome, Done):
-                outcome = replace(outcome, cpu_seconds=outcome.cpu_seconds + file.cpu_seconds)
-        yield outcome
-
-    def _report(self, piece: _Piece) -> Report:
+    def _report(self, job: _Job) -> Report:
         """Return what came of an order, whatever went wrong."""
-        future, name = piece.future, piece.file.task.name
-        worker = piece.worker or "?"
+        future, name = job.future, job.task.name
+        worker = job.worker or "?"
         if future.status == "finished":
             report: Report = future.result()
             return report
-        seconds = time.monotonic() - (piece.file.begun or time.monotonic())
+        seconds = time.monotonic() - (job.begun or time.monotonic())
         if future.status != "error":
             raise _lost()
         error = future.exception()
@@ -632,21 +530,20 @@ class _Run:
     def _watch(self) -> Iterator[Event]:
         """Give up files that give no sign of life, and restart their workers."""
         now, stall_s = time.monotonic(), self._settings.stall_s
-        late = [piece for piece in self._pieces.values() if piece.worker is not None and now - piece.seen > stall_s]
-        for piece in late:
-            if piece.file.over:
-                continue
-            name = piece.file.task.name
+        late = {key: job for key, job in self._on_way.items() if job.worker is not None and now - job.seen > stall_s}
+        for key, job in late.items():
+            del self._on_way[key]
+            name = job.task.name
             hint = "check that its disk or share answers; --stall allows more"
-            problem = Problem("timeout", name, f"no progress for {stall_s:g} s on {piece.worker}, given up", hint)
-            self._client.cancel([piece.future], force=True)
-            yield from self._close(piece.file, Failed(name, None, now - (piece.file.begun or now), problem))
+            problem = Problem("timeout", name, f"no progress for {stall_s:g} s on {job.worker}, given up", hint)
+            self._client.cancel([job.future], force=True)
+            yield Failed(name, None, now - (job.begun or now), problem)
             try:
-                came = self._client.restart_workers([piece.worker], timeout=STOP_S, raise_for_error=False)
+                came = self._client.restart_workers([job.worker], timeout=STOP_S, raise_for_error=False)
             except Exception as error:  # without a nanny nobody can
-                came = {piece.worker: _one_line(error)}
-            if (what := came.get(piece.worker)) != "OK":
-                self._notice(f"worker {piece.worker} hangs and cannot be restarted from here ({what})")
+                came = {job.worker: _one_line(error)}
+            if (what := came.get(job.worker)) != "OK":
+                self._notice(f"worker {job.worker} hangs and cannot be restarted from here ({what})")
 
 
 def _lost() -> PrcError:
@@ -654,11 +551,11 @@ def _lost() -> PrcError:
     return PrcError("scheduler", "went away or began anew while files were at work", hint)
 
 
-def _begin(file: _File, worker: str) -> Iterator[Event]:
+def _begin(job: _Job, worker: str) -> Iterator[Event]:
     """Say once that a file has begun."""
-    if file.begun is None:
-        file.begun = time.monotonic()
-        yield Started(file.task.name, worker)
+    if job.begun is None:
+        job.begun = time.monotonic()
+        yield Started(job.task.name, worker)
 
 
 @contextlib.contextmanager
@@ -718,6 +615,11 @@ def _quiet() -> Iterator[None]:
 def _absolute(task: Task) -> Task:
     """Name the files of a task as every machine does."""
     return replace(task, source=task.source.absolute(), output=task.output.absolute())
+
+
+def _out_of(task: Task) -> Path:
+    """Return the output tree that the output of a task is in."""
+    return task.output.parents[len(PurePosixPath(task.name).parts) - 1]
 
 
 def _one_line(error: object) -> str:

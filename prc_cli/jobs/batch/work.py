@@ -19,7 +19,6 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.classify import (
-    Labeller,
     Progress,
     RunSummary,
     classify,
@@ -30,9 +29,7 @@ MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
 """Kinds of problems that the file's content has no part in."""
 
 
-def run_task(
-    task: Task, *, threads: int = 1, progress: Progress | None = None, label: Labeller | None = None
-) -> Outcome:
+def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
     """Classify one file.
 
     Parameters
@@ -43,8 +40,6 @@ def run_task(
         Threads that classify; they do not change a byte.
     progress : callable, optional
         Called with the number of lines that were just finished.
-    label : callable, optional
-        Labels the stream where its labels are known already in part (:mod:`prc_cli.jobs.batch.parts`).
 
     Returns
     -------
@@ -65,7 +60,7 @@ def run_task(
         begun, cpu = time.perf_counter(), time.process_time()
         _reset_peak()
         source, output, config, overwrite = task.source, task.output, task.config, task.overwrite
-        summary = classify(source, output, config, overwrite=overwrite, progress=progress, threads=threads, label=label)
+        summary = classify(source, output, config, overwrite=overwrite, progress=progress, threads=threads)
         return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
     except Exception as error:
         return Failed(task.name, before, time.perf_counter() - begun, problem_of(error, task, before))
