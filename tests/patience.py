@@ -10,6 +10,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -82,15 +83,11 @@ def start(
     **options
         Of :class:`subprocess.Popen`.
     """
-    process = popen(command, **options)
-    watch = threading.Timer(timeout, kill_group, (process,))
-    watch.daemon = True
-    watch.start()
+    process = popen(command, timeout=timeout, **options)
     try:
         yield process
     finally:
-        watch.cancel()
-        kill_group(process)
+        _kill_group(process)
         process.wait()
         for stream in (process.stdin, process.stdout, process.stderr):
             if stream is not None:
@@ -98,12 +95,26 @@ def start(
                     stream.close()
 
 
-def popen(command: Sequence[str | os.PathLike[str]], **options: Any) -> subprocess.Popen[Any]:
-    """Start a program that hears SIGINT in a process group of its own; for who ends it without :func:`start`."""
+def popen(
+    command: Sequence[str | os.PathLike[str]], *, timeout: float = HANGS_S, **options: Any
+) -> subprocess.Popen[Any]:
+    """Do the same for who ends the program without a block; the time limit holds here too."""
     if os.name == "posix" and not options.get("start_new_session"):
         options.setdefault("process_group", 0)
     with hearing_interrupts():
-        return subprocess.Popen(command, **options)
+        process = subprocess.Popen(command, **options)
+    threading.Thread(target=_end_late, args=(process, timeout), daemon=True).start()
+    return process
+
+
+def _end_late(process: subprocess.Popen[Any], timeout: float) -> None:
+    """Kill a program that still runs after so long; in a thread, which ends soon after the program."""
+    end = time.monotonic() + timeout
+    while process.returncode is None:
+        if time.monotonic() > end:
+            _kill_group(process)
+            return
+        time.sleep(1.0)
 
 
 @contextlib.contextmanager
@@ -122,7 +133,14 @@ def hearing_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def kill_group(process: subprocess.Popen[Any]) -> None:
+def dead_process() -> int:
+    """Return the number of a process that has ended."""
+    process = popen([sys.executable, "-c", ""])
+    process.wait(HANGS_S)
+    return process.pid
+
+
+def _kill_group(process: subprocess.Popen[Any]) -> None:
     """Kill a program and its process group, which may outlive it."""
     with contextlib.suppress(OSError):
         if os.name == "posix":

@@ -6,7 +6,6 @@ import importlib.metadata as metadata
 import json
 import os
 import sqlite3
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +17,7 @@ from prc_cli.core.errors import OutputError
 from prc_cli.formats.las.check import classes_by_laspy
 from prc_cli.jobs import doctor
 from prc_cli.jobs.doctor import Check, examine, file_system
-from tests.patience import HANGS_S
+from tests import patience
 
 
 def checks(out: Path | None = None) -> dict[str, Check]:
@@ -105,7 +104,7 @@ def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_pat
     (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")
     command = [sys.executable, "-m", "prc_cli", "doctor", "--json", "--out", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=HANGS_S)
+    ended = patience.run(command, env=environment, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (1, "")
     found = {check["name"]: check for check in json.loads(ended.stdout)["checks"]}
     assert found["packages"]["status"] == "bad"

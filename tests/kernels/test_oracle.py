@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import inspect
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
@@ -22,6 +21,7 @@ from prc_cli.core.types import F32, I32, Mask
 from prc_cli.kernels import KERNELS, load_kernels
 from prc_cli.reference.prc import method as oracle_prc
 from prc_cli.reference.prc import stages as oracle
+from tests import patience
 from tests.kernels import (
     cases_angles,
     cases_calibration,
@@ -271,5 +271,5 @@ def test_reading_the_parameters_does_not_load_the_compiler() -> None:
         "import sys; import prc_cli.classifiers.prc.pipeline, prc_cli.classifiers.returns; "
         "print([name for name in ('numba', 'scipy', 'skimage') if name in sys.modules])"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    result = patience.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

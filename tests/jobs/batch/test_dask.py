@@ -40,6 +40,7 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.classify import classify, load_classifier
+from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import write_endless
 
@@ -348,7 +349,7 @@ def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Ite
     with ExitStack() as stack:
         started = []
         for command in commands:
-            process = subprocess.Popen(
+            process = patience.popen(
                 command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
             )
             stack.callback(end, process)
@@ -467,10 +468,11 @@ def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
         "dask",
     ]
     with (tmp_path / "said").open("wb") as said:
-        process = subprocess.Popen([*command, "--jobs", "2"], stdout=said, stderr=said, start_new_session=True)
-        wait_until(lambda: list((tmp_path / "out").glob("*.npy")))
-        os.killpg(process.pid, signal.SIGINT)
-        assert process.wait(HANGS_S) == 130
+        how = {"stdout": said, "stderr": said, "start_new_session": True}
+        with patience.start([*command, "--jobs", "2"], **how) as process:
+            wait_until(lambda: list((tmp_path / "out").glob("*.npy")))
+            os.killpg(process.pid, signal.SIGINT)
+            assert process.wait(HANGS_S) == 130
     text = (tmp_path / "said").read_text()
     assert "interrupted" in text
     assert "Traceback" not in text
@@ -488,7 +490,7 @@ def shards_of(tmp_path: Path, index: int, **more: str) -> subprocess.CompletedPr
     given = {"ARCHIVE": tmp_path / "in", "OUT": tmp_path / "out", "CONFIG": tmp_path / "a.toml"}
     environment = {**os.environ, **{key: str(value) for key, value in given.items()}, "SLURM_ARRAY_TASK_ID": str(index)}
     environment |= {"PATH": f"{program.parent}{os.pathsep}{os.environ['PATH']}", **more}
-    return subprocess.run(["bash", str(script)], env=environment, capture_output=True, text=True, check=False)
+    return patience.run(["bash", str(script)], env=environment, capture_output=True, text=True)
 
 
 @pytest.mark.slow

@@ -29,6 +29,7 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.classify import classify
+from tests import patience
 from tests.patience import wait_until
 from tests.street import street, write_endless, write_npz
 
@@ -218,16 +219,11 @@ for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
     if isinstance(event, Progress):
         print("progress", flush=True)
 """
-    parent = subprocess.Popen([sys.executable, "-c", script, str(source)], stdout=subprocess.PIPE, text=True)
-    try:
+    with patience.start([sys.executable, "-c", script, str(source)], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         assert parent.stdout.readline() == "progress\n"
         workers = children(parent.pid)
         assert workers
-    finally:
-        parent.kill()
-        parent.wait()
-        parent.stdout.close()
     wait_until(lambda: not any(is_running(process) for process in workers))
     assert list((tmp_path / "out").iterdir()) == []
 
@@ -334,7 +330,7 @@ try:
 finally:
     print("rolled back", flush=True)
 """
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    found = patience.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert found.stdout == "rolled back\n"
     assert found.returncode == worker.ENDED
 
