@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata as metadata
 import json
 import os
@@ -97,6 +98,19 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
     found = checks()["LAZ"]
     assert found.status == "bad"
     assert "differ" in found.found
+
+
+def test_a_file_system_without_locks_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    assert checks(tmp_path)["locks in it"].status == "ok"
+
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    found = checks(tmp_path)["locks in it"]
+    assert found.status == "warn"
+    assert "--shard" in found.hint
 
 
 @pytest.mark.parametrize("package", ["lazrs", "numba"])

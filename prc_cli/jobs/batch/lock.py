@@ -289,6 +289,27 @@ def _holder(path: Path, now: float, silent_s: float, wait_s: float | None) -> Ho
     return Holder(path, owner, None, held)
 
 
+def has_locks(folder: Path) -> bool:
+    """Tell whether the file system of a folder has locks; for ``prc doctor``.
+
+    Raises
+    ------
+    OSError
+        When a file cannot be made there.
+    """
+    lock = _file_lock(folder / GATE)
+    try:
+        lock.acquire(timeout=LOOK_S)
+    except Timeout:
+        return True
+    except OSError as error:
+        if error.errno in _NO_LOCKS:
+            return False
+        raise
+    lock.release()
+    return True
+
+
 @contextlib.contextmanager
 def _gate(folder: Path) -> Iterator[None]:
     """Keep others from taking locks of a folder."""
