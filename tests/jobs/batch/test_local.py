@@ -63,9 +63,9 @@ class Clock:
         patch.setattr(local._Worker, "give", given)
 
 
-def pass_for_listening(patch: pytest.MonkeyPatch) -> None:
+def count_pauses_as_silence(patch: pytest.MonkeyPatch) -> None:
     """Let the engine hold the time by which its clock was turned on against its workers."""
-    patch.setattr(local, "LONGEST_LOOK_S", float("inf"))
+    patch.setattr(local, "LONGEST_CHECK_S", float("inf"))
 
 
 def task(folder: Path, name: str, source: Path) -> Task:
@@ -110,7 +110,7 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]
     found: list[Event] = []
     with pytest.MonkeyPatch.context() as patch:
         clock = Clock(patch)
-        pass_for_listening(patch)
+        count_pauses_as_silence(patch)
         for event in LocalEngine().run(iter(tasks), EngineSettings(jobs=2, stall_s=STALL_S)):
             found.append(event)
             # the task is sent when the next event is asked for: the process dies, or sleeps, with the task before it
@@ -257,7 +257,7 @@ def test_a_worker_that_cannot_be_killed_is_left_behind(tmp_path: Path, monkeypat
     source = write_npz(tmp_path / "a.npz", street(80))
     clock = Clock(monkeypatch)
     clock.turn_on_when_given(monkeypatch, "hangs")
-    pass_for_listening(monkeypatch)
+    count_pauses_as_silence(monkeypatch)
     stopped: list[int] = []
     real_kill = subprocess.Popen.kill
     # it is told to end, does not, and is given up
