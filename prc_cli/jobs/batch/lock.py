@@ -4,7 +4,7 @@ The lock is a lock of the operating system on an empty file (:mod:`filelock`). I
 ends. A JSON file beside it says who holds it, for messages and for ``prc batch status``.
 
 All that take a lock first take the *gate*, a second lock, for a moment. So nobody else takes a lock between the look at
-the other locks of the folder and the lock of one's own.
+the other locks of the folder and the lock of one's own. Both files are removed before they are released.
 
 Some file systems have no locks. There the JSON file is the lock: its owner touches it every few seconds, and whoever
 finds it old takes it over. Two rivals may do that at the same moment; the first then finds the name of the other in
@@ -142,7 +142,7 @@ class Lock:
         self._shard = shard
         self._beat_s = beat_s
         self._silent_s = silent_s
-        self._lock = _file_lock(_locked_file(self.path))
+        self._lock = _LockFile(_locked_file(self.path))
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -187,7 +187,7 @@ class Lock:
             with _gate(self._folder):
                 self._refuse(by_locks=True)
                 try:
-                    self._lock.acquire(timeout=LOOK_S)
+                    self._lock.acquire(LOOK_S)
                 except Timeout:
                     raise _busy(self.path, _read(self.path) or _unknown(), None) from None
                 self.inherited_from = _read(self.path)
@@ -195,6 +195,7 @@ class Lock:
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
+            (self._folder / GATE).unlink(missing_ok=True)
             self._take_by_heartbeat()
 
     def _take_by_heartbeat(self) -> None:
@@ -247,8 +248,7 @@ class Lock:
             found = _read(self.path)
             if found is not None and found.token == self.owner.token:
                 self.path.unlink()
-        with contextlib.suppress(OSError):
-            self._lock.release(force=True)
+        self._lock.release()
 
 
 def holders(folder: Path) -> list[Holder]:
@@ -297,9 +297,9 @@ def has_locks(folder: Path) -> bool:
     OSError
         When a file cannot be made there.
     """
-    lock = _file_lock(folder / GATE)
+    lock = _LockFile(folder / GATE)
     try:
-        lock.acquire(timeout=LOOK_S)
+        lock.acquire(LOOK_S)
     except Timeout:
         return True
     except OSError as error:
@@ -313,9 +313,9 @@ def has_locks(folder: Path) -> bool:
 @contextlib.contextmanager
 def _gate(folder: Path) -> Iterator[None]:
     """Keep others from taking locks of a folder."""
-    gate = _file_lock(folder / GATE)
+    gate = _LockFile(folder / GATE)
     try:
-        gate.acquire(timeout=GATE_S)
+        gate.acquire(GATE_S)
     except Timeout:
         problem = f"another run has been taking its lock for {GATE_S:g} s"
         raise BusyError(str(folder / GATE), problem, "try again") from None
@@ -325,8 +325,55 @@ def _gate(folder: Path) -> Iterator[None]:
         gate.release()
 
 
-def _file_lock(path: Path) -> FileLock:
-    return FileLock(path, thread_local=False, poll_interval=POLL_S, fallback_to_soft=False)
+class _LockFile:
+    """A lock of the system on an empty file, which is removed when it is released.
+
+    Who waits for the lock may have opened the file before it was removed, and then holds a lock that no one else can
+    find. So the file is compared with that of its name after the lock was taken.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._number = 0
+        """Of the file that is locked."""
+        self._lock = FileLock(
+            path, thread_local=False, poll_interval=POLL_S, fallback_to_soft=False, on_acquired=self._keep_number
+        )
+
+    def acquire(self, timeout_s: float) -> None:
+        """Take the lock.
+
+        Raises
+        ------
+        Timeout
+            When another process holds it for so long.
+        OSError
+            When the file cannot be opened, or the file system has no locks.
+        """
+        end = time.monotonic() + timeout_s
+        while True:
+            self._lock.acquire(timeout=max(0.0, end - time.monotonic()))
+            if self._has_its_name():
+                return
+            self._lock.release()
+
+    def release(self) -> None:
+        """Remove the file and release the lock, if it is held."""
+        if self._lock.is_locked:
+            with contextlib.suppress(OSError):  # Windows keeps files that are open
+                if self._has_its_name():
+                    self._path.unlink()
+        with contextlib.suppress(OSError):
+            self._lock.release(force=True)
+
+    def _keep_number(self, handle: int) -> None:
+        self._number = os.fstat(handle).st_ino
+
+    def _has_its_name(self) -> bool:
+        try:
+            return self._path.stat().st_ino == self._number
+        except FileNotFoundError:
+            return False
 
 
 def _locked_file(path: Path) -> Path:
@@ -342,7 +389,7 @@ def _is_held(path: Path, wait_s: float) -> bool | None:
     """Tell whether a process holds a lock; None where the file system has no locks."""
     if not path.exists():
         return False
-    lock = _file_lock(path)
+    lock = FileLock(path, thread_local=False, poll_interval=POLL_S, fallback_to_soft=False)
     try:
         lock.acquire(timeout=wait_s)
     except Timeout:
