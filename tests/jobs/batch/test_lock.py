@@ -250,6 +250,26 @@ def test_a_gate_that_stays_shut_is_said_so(folder: Path, monkeypatch: pytest.Mon
         pass
 
 
+def test_a_lock_on_a_file_that_lost_its_name_does_not_count(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on NFS, where a file that somebody has open is renamed when it is removed."""
+    fcntl = pytest.importorskip("fcntl")
+    folder.mkdir()
+    path, flock = folder / "lock", fcntl.flock
+
+    def late(handle: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", flock)
+        path.rename(folder / ".nfs0001")
+        flock(handle, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    lock = subject._LockFile(path)
+    lock.acquire(5.0)
+    assert (folder / ".nfs0001").exists()
+    assert path.exists()
+    lock.release()
+    assert os.listdir(folder) == [".nfs0001"]
+
+
 # -- file systems without locks ---------------------------------------------------------------------------------------
 
 
