@@ -1,8 +1,7 @@
-"""What a billion records take of one core, and what a split of one file gains: figures to plan many machines by.
+"""What a billion records take of one core: figures to plan many machines by.
 
     python -m benchmarks.many_machines                   # about 5 million shots a job
     python -m benchmarks.many_machines --lines 9286      # 20 million
-    python -m benchmarks.many_machines split             # parts of a raw dump instead
     python -m benchmarks.many_machines plan --rate 1.3 --read 5.9 --written 5.9 --records 1e13 --cores 512
 
 The last one measures nothing: it computes hours and cost from a row of the first, with prices of one's own. The
@@ -22,17 +21,9 @@ import numpy as np
 
 from benchmarks.drives import POINTS_PER_LINE, write_drive, write_raw
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.jobs.batch.parts import (
-    join_parts,
-    parts_folder,
-    run_part,
-    split,
-)
-from prc_cli.jobs.batch.types import Task
 from prc_cli.jobs.classify import classify, load_classifier
 
 BILLION = 1e9
-WORKERS = (2, 4, 8, 32)
 
 
 def least_cpu_s(job: Callable[[], object], runs: int) -> float:
@@ -81,36 +72,6 @@ def rates(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
         target.unlink()
 
 
-def parts(folder: Path, n_lines: int, runs: int) -> Iterator[str]:
-    """Rows of the table of a split, and what follows from it."""
-    source, output = folder / "drive.bin", folder / "out" / "drive.npy"
-    output.parent.mkdir()
-    write_raw(source, n_lines)
-    n = n_lines * POINTS_PER_LINE
-    task = Task("drive.bin", source, output, configured("urban"), "0" * 64, overwrite=True)
-    load_classifier(task.config)
-    found = split(task, n // 4)
-    assert isinstance(found, tuple)
-    whole = least_cpu_s(lambda: classify(source, folder / "whole.npy", task.config, overwrite=True, threads=1), runs)
-    apart, joined, stored = [], [], 0.0
-    for _ in range(runs):
-        apart.append(sum(least_cpu_s(lambda part=part: run_part(part), 1) for part in found))  # type: ignore[misc]
-        stored = sum(path.stat().st_size for path in parts_folder(task).iterdir()) / n
-        joined.append(least_cpu_s(lambda: join_parts(found), 1))
-    assert output.read_bytes() == (folder / "whole.npy").read_bytes()
-    yield "| step | million shots a second of one core |"
-    yield "|---|---:|"
-    for name, seconds in (("whole file", whole), ("parts", min(apart)), ("output from parts", min(joined))):
-        yield f"| {name} | {n / seconds / 1e6:.1f} |"
-    yield ""
-    yield f"Parts hold {stored:.2f} bytes a shot. Beside one worker with the whole file:"
-    yield ""
-    yield "| workers of one thread | " + " | ".join(map(str, WORKERS)) + " |"
-    yield "|---|" + "---:|" * len(WORKERS)
-    gains = [whole / (min(apart) / workers + min(joined)) for workers in WORKERS]
-    yield "| times as fast | " + " | ".join(f"{gain:.2f}" for gain in gains) + " |"
-
-
 def plan(rate: float, read: float, written: float, options: argparse.Namespace) -> Iterator[str]:
     """Hours and cost of an archive.
 
@@ -136,7 +97,7 @@ def plan(rate: float, read: float, written: float, options: argparse.Namespace) 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", nargs="?", choices=["formats", "split", "plan"], default="formats")
+    parser.add_argument("what", nargs="?", choices=["formats", "plan"], default="formats")
     parser.add_argument("--lines", type=int, default=2400)
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--rate", type=float, help="plan: million records a second of one core")
@@ -151,8 +112,7 @@ def main() -> None:
         print(*plan(options.rate, options.read, options.written, options), sep="\n")
         return
     with tempfile.TemporaryDirectory() as folder:
-        rows = (rates if options.what == "formats" else parts)(Path(folder), options.lines, options.runs)
-        for row in rows:
+        for row in rates(Path(folder), options.lines, options.runs):
             print(row, flush=True)
 
 

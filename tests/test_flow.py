@@ -25,6 +25,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.jobs.classify import classify, load_classifier
 from prc_cli.stream.grid import GridStream
+from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
 
@@ -190,9 +191,7 @@ def test_a_full_disk_is_told_in_one_line(tmp_path: Path, image: np.ndarray, suff
     # loops that are not in the cache yet could not be written there
     load_classifier(SHORT)
     command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(output), "-M", str(POINTS_PER_LINE), "-q"]
-    run = subprocess.run(
-        [*command, "--threads", "2"], capture_output=True, text=True, check=False, preexec_fn=limit, timeout=HANGS_S
-    )
+    run = patience.run([*command, "--threads", "2"], capture_output=True, text=True, preexec_fn=limit)
     assert run.returncode == 1, run.stderr
     assert run.stderr.count("\n") == 1
     assert "cannot be written" in run.stderr
@@ -205,7 +204,7 @@ def test_ctrl_c_in_mid_run_ends_it_within_seconds(tmp_path: Path, threads: str) 
     source, out = write_endless(tmp_path / "drive.bin"), tmp_path / "out"
     out.mkdir()
     command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(out / "labels.npy"), "-M", "2000", "-q"]
-    with subprocess.Popen([*command, "--threads", threads], stderr=subprocess.PIPE, text=True) as run:
+    with patience.start([*command, "--threads", threads], stderr=subprocess.PIPE, text=True) as run:
         # the run is in its midst when labels are there
         wait_until(lambda: any(part.stat().st_size > 300_000 for part in out.iterdir()) or run.poll() is not None)
         assert run.poll() is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -14,6 +13,7 @@ import prc_cli
 from prc_cli.cli import COMMANDS, cli
 from prc_cli.config import load_config
 from prc_cli.evaluation import mapping
+from tests import patience
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "prc_cli").rglob("*.py"))
@@ -35,7 +35,7 @@ def test_help_loads_nothing_heavy() -> None:
         "heavy = {'numpy', 'numba', 'laspy', 'scipy', 'skimage', 'pyarrow', 'pydantic', 'rich', 'tqdm', 'PIL'}\n"
         "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    result = patience.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, f"loaded: {result.stderr}"
     assert "classify" in result.stdout
 

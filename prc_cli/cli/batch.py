@@ -78,9 +78,6 @@ _WORK = [
             help="Processes of this machine, or a Dask cluster."),
     _option("--scheduler", metavar="ADDRESS",
             help="Of the Dask cluster, e.g. tcp://10.0.0.1:8786; default: one of its own on this machine."),
-    _option("--split", type=click.IntRange(min=0), metavar="SHOTS",
-            help="Dask: split an input of twice so many shots or more, if it can be; 0 = never.  [default: 200000000, "
-            "for the last files, when most workers would be idle]"),
     _option("--retry", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
             help="Try a file N times more in this run where the problem may pass."),
     _option("--fail-fast/--keep-going", default=False, help="Begin no file after the first failure, or go on.  "
@@ -282,15 +279,14 @@ def _settings(options: dict[str, Any]) -> BatchSettings:
 def _engine(options: dict[str, Any], notice: Callable[[str], None]) -> Engine | None:
     """Return the engine that is asked for; None for that of this machine."""
     if options["engine"] == "local":
-        for name in ("scheduler", "split"):
-            if options[name] is not None:
-                message = f"--{name} is for --engine dask"
-                raise click.UsageError(message)
+        if options["scheduler"] is not None:
+            message = "--scheduler is for --engine dask"
+            raise click.UsageError(message)
         return None
     from prc_cli.jobs.batch.dask_engine import DaskEngine
 
     jobs, threads = options["jobs"], options["threads"] or 1
-    return DaskEngine(options["scheduler"], split_shots=options["split"], notice=notice, jobs=jobs, threads=threads)
+    return DaskEngine(options["scheduler"], notice=notice, jobs=jobs, threads=threads)
 
 
 def _dry_run(settings: BatchSettings, options: dict[str, Any]) -> None:

@@ -202,12 +202,17 @@ def print_plan(plan: Plan, estimate: Estimate, *, verbose: bool) -> None:
 def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[Holder]) -> dict[str, Any]:
     """Return the state of an output folder as plain values."""
     return {
-        "at_work": [asdict(found.owner) | {"silent_s": round(found.silent_s, 1)} for found in owners if found.alive],
+        "at_work": [_holder_dict(found) for found in owners if found.alive],
         "dead_owners": [asdict(found.owner) for found in owners if not found.alive],
         "counts": dict(Counter(entry.state for entry in entries)),
         "runs": [asdict(run) | {"totals": dict(run.totals)} for run in runs],
         "files": [_entry_dict(entry) for entry in entries],
     }
+
+
+def _holder_dict(holder: Holder) -> dict[str, Any]:
+    silent_s = None if holder.silent_s is None else round(holder.silent_s, 1)
+    return asdict(holder.owner) | {"silent_s": silent_s}
 
 
 def _entry_dict(entry: Entry) -> dict[str, Any]:
@@ -240,7 +245,8 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
     ]  # fmt: skip
     tell(f"{out}: {count_of(len(entries), 'file')}: " + ", ".join(f"{count:,} {what}" for count, what in told if count))
     for found in living:
-        tell(f"at work: {found.owner}, last heard of {max(0.0, found.silent_s):.0f} s ago")
+        heard = "" if found.silent_s is None else f", last heard of {found.silent_s:.0f} s ago"
+        tell(f"at work: {found.owner}{heard}")
     if not living:
         tell("no run is at work")
     table = Table(title="last runs")

@@ -24,9 +24,9 @@ _A = TypeVar("_A")
 _B = TypeVar("_B")
 
 TICK_S = 0.2
-"""Longest wait without a look at signals [s]; where the system interrupts waits (POSIX) they are seen at once."""
+"""Longest wait before signals are handled [s]; where the system interrupts waits (POSIX) they are handled at once."""
 PATIENCE_S = 5.0
-"""How long a reader that is not needed any more may take to notice [s]."""
+"""How long a reader thread that is not needed any more may take to end [s]."""
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -121,20 +121,20 @@ def _in_threads(function: Callable[[_A], _B], items: Iterator[_A], threads: int,
 
 
 def _wait(future: Future[_B]) -> _B:
-    """Wait for a result such that signals are handled meanwhile on every system."""
+    """Wait for a result; signals are handled meanwhile on every system."""
     while not future.done():
         try:
             return future.result(TICK_S)
         except TimeoutError:
-            continue  # the wait has ended, or what it waited for: the next line tells them apart
+            continue  # either the wait timed out, or the job raised TimeoutError: result() below raises it
     return future.result()
 
 
 class Relay(Generic[_A]):
-    """A value that jobs in several threads hand on in a fixed order, such as the state between blocks.
+    """A value that jobs in several threads pass on in a fixed order, such as the state between blocks.
 
-    Jobs have turns 0, 1, 2 ... and must begin in that order (:func:`ordered` sees to it), so that the job that
-    everybody waits for is always running.
+    Jobs have turns 0, 1, 2 ... and must begin in that order, as :func:`ordered` begins them. So the job that all others
+    wait for is always running.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class Relay(Generic[_A]):
         self._changed = threading.Condition()
 
     def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> tuple[_B, _A]:
-        """Wait for a turn, let the function make a result and the value for the next turn of the value now.
+        """Wait for a turn; call the function with the value, which returns a result and the value of the next turn.
 
         Returns
         -------
@@ -178,7 +178,7 @@ class Relay(Generic[_A]):
         return result, value
 
     def give_up(self, turn: int) -> None:
-        """Tell all after this turn that theirs does not come; for a job that fails, wherever it does."""
+        """Let all later turns fail with RelayBrokenError; to be called by a job that fails at any point."""
         with self._changed:
             self._broken_at = turn if self._broken_at is None else min(turn, self._broken_at)
             self._changed.notify_all()
@@ -188,48 +188,48 @@ class Relay(Generic[_A]):
 
 
 class RelayBrokenError(Exception):
-    """A job before this one failed; it is that job's error which the caller of :func:`ordered` sees."""
+    """A job before this one failed; the caller of :func:`ordered` gets the error of that job."""
 
 
 class _Channel(Generic[_A]):
-    """A short queue between two threads, either of which may end it."""
+    """A short queue between two threads; the sender may end it, the receiver may cancel it."""
 
     def __init__(self, depth: int) -> None:
         self._items: deque[_A] = deque()
         self._depth = max(1, depth)
         self._changed = threading.Condition()
         self._ended = False
-        self._left = False
+        self._cancelled = False
         self._error: BaseException | None = None
 
     def put(self, item: _A) -> bool:
-        """Append an item when there is room; False, at once, when the receiver has left."""
+        """Append an item when there is room; False, at once, when the receiver has cancelled."""
         with self._changed:
-            while len(self._items) >= self._depth and not self._left:
+            while len(self._items) >= self._depth and not self._cancelled:
                 self._changed.wait(TICK_S)
-            if self._left:
+            if self._cancelled:
                 return False
             self._items.append(item)
             self._changed.notify_all()
             return True
 
     def end(self, error: BaseException | None = None) -> None:
-        """Say that no more items come, because of an error or as it should be."""
+        """End the queue: no more items come. ``error`` is raised in the receiver."""
         with self._changed:
             self._ended, self._error = True, error
             self._changed.notify_all()
 
-    def leave(self) -> None:
-        """Say that no more items are wanted; those that wait are dropped."""
+    def cancel(self) -> None:
+        """Cancel the queue: items that wait are dropped, and no more are accepted."""
         with self._changed:
-            self._left = True
+            self._cancelled = True
             self._items.clear()
             self._changed.notify_all()
 
     def __iter__(self) -> Iterator[_A]:
         while True:
             with self._changed:
-                while not (self._items or self._ended or self._left):
+                while not (self._items or self._ended or self._cancelled):
                     self._changed.wait(TICK_S)
                 if not self._items:
                     break
@@ -237,7 +237,7 @@ class _Channel(Generic[_A]):
                 self._changed.notify_all()
             yield item
             del item
-        if self._error is not None and not self._left:
+        if self._error is not None and not self._cancelled:
             raise self._error
 
 
@@ -284,7 +284,7 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
     try:
         yield from channel
     finally:
-        channel.leave()
+        channel.cancel()
         thread.join(patience_s)
 
 
@@ -322,7 +322,7 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
                 del item
         except BaseException as raised:  # raised again where the items come from
             self._error = raised
-            self._channel.leave()
+            self._channel.cancel()
 
     def put(self, item: _A) -> None:
         """Pass an item on; raises what the sink raised for an earlier one."""
@@ -341,7 +341,7 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
 
     def abort(self) -> None:
         """Drop the items that wait, and wait for the one that is being written; its error is not raised."""
-        self._channel.leave()
+        self._channel.cancel()
         self._join()
 
     def _join(self) -> None:
@@ -358,13 +358,13 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
             self.abort()
 
 
-def take_waiting(messages: queue.SimpleQueue[_A]) -> list[_A]:
-    """Return all messages of a queue, after :data:`TICK_S` seconds at the most; empty if none came.
+def drain(messages: queue.SimpleQueue[_A]) -> list[_A]:
+    """Take all messages out of a queue; wait for the first :data:`TICK_S` seconds at most; empty if none came.
 
     >>> messages: queue.SimpleQueue[int] = queue.SimpleQueue()
     >>> messages.put(1)
     >>> messages.put(2)
-    >>> take_waiting(messages)
+    >>> drain(messages)
     [1, 2]
     """
     taken = []
@@ -376,7 +376,7 @@ def take_waiting(messages: queue.SimpleQueue[_A]) -> list[_A]:
 
 
 def close_items(items: Iterator[object]) -> None:
-    """Close a generator now, not when its last reference happens to go."""
+    """Close a generator now, not when it is garbage-collected."""
     close = getattr(items, "close", None)
     if close is not None:
         close()

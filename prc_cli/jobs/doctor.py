@@ -430,6 +430,8 @@ def _space(out: Path, folder: Path) -> Check:
 
 def _links(trial: Path) -> Check:
     """Try what the lock of a batch run and atomic outputs are made of."""
+    from prc_cli.jobs.batch.lock import has_locks
+
     name = "locks in it"
     first, second = trial / "first", trial / "second"
     before = time.time()
@@ -454,11 +456,15 @@ def _links(trial: Path) -> Check:
     third.replace(first)
     if third.exists() or first.read_bytes() != b"y" or (linked and second.read_bytes() != b"x"):
         return Check(name, "bad", "a file did not replace another one whole", "use another disk for outputs")
-    details = {"hard_links": linked, "clock_s": round(clock_s, 3)}
+    locks = has_locks(trial)
+    details = {"locks": locks, "hard_links": linked, "clock_s": round(clock_s, 3)}
+    if not locks:
+        hint = "heartbeats are used instead: give every machine a part of its own with --shard I/N"
+        return Check(name, "warn", "the file system has no locks", hint, details)
     if abs(clock_s) > CLOCK_S:
         text = f"exclusive files and renaming work; the clock of the file server is {clock_s:+.0f} s off"
         return Check(name, "warn", text, "let both keep time with NTP: --since and changed inputs go by it", details)
-    return Check(name, "ok", f"exclusive files, renaming{' and hard links' * linked} work", "", details)
+    return Check(name, "ok", f"locks, exclusive files, renaming{' and hard links' * linked} work", "", details)
 
 
 def _sqlite(trial: Path) -> Check:

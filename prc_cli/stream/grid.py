@@ -17,7 +17,6 @@ from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
-from prc_cli.formats.raw_binary.read import RawBinarySource
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.stream.cells import (
     INTENSITY,
@@ -154,31 +153,6 @@ class GridStream:
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
         return self._dense_blocks() if self.rules.is_dense else self._sparse_blocks()
-
-    @property
-    def can_seek(self) -> bool:
-        """Whether :meth:`lines` gives any lines without reading those before them."""
-        return self.rules.is_dense and isinstance(self.source, RawBinarySource)
-
-    def lines(self, first_line: int, stop_line: int) -> Iterator[F32]:
-        """Read the ranges of some lines alone, cleaned as in :meth:`blocks`; see :attr:`can_seek`.
-
-        Yields
-        ------
-        (lines, M) float32, metres
-        """
-        assert isinstance(self.source, RawBinarySource)
-        config, m = self.rules.config, self._setup(0).points_per_line
-        rest: F32 = np.empty(0, np.float32)
-        for chunk in self.source.chunks(self.ranges.names, first_line * m, stop_line * m):
-            found, _ = measure_ranges(chunk.values, self.ranges)
-            cleaned, _ = clean_ranges(found, config.min_range, config.max_range)
-            cleaned = np.concatenate([rest, cleaned]) if len(rest) else cleaned
-            n_whole = len(cleaned) // m * m
-            yield cleaned[:n_whole].reshape(-1, m)
-            rest = cleaned[n_whole:]
-        if len(rest):  # the last line of the file, padded
-            yield np.concatenate([rest, np.full(m - len(rest), np.nan, np.float32)])[None, :]
 
     def _setup(self, scanner: int) -> ScannerSetup:
         setup = self.setups.get(scanner, self.default)

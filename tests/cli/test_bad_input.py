@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from prc_cli.formats.writing.base import StagedWriter
+from tests import patience
 from tests.cli.test_commands import Prc, prc
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -241,22 +242,20 @@ def test_odd_ranges_are_missing_and_counted(prc: Prc, tmp_path: Path) -> None:
 def test_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)], capture_output=True, check=False
-    )
+    mounted = patience.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(small)], capture_output=True)
     if mounted.returncode:
         pytest.skip("mounting a small file system needs root")
     try:
         source = write_npz(tmp_path / "drive.npz", np.tile(street(), (20, 1)))
         command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(small / "labels.las"), "-q"]
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        result = patience.run(command, capture_output=True, text=True)
         assert result.returncode == 1
         assert result.stderr.startswith("error: ")
         assert "the disk is full" in result.stderr
         assert len(result.stderr.splitlines()) == 1
         assert os.listdir(small) == []
     finally:
-        subprocess.run(["umount", str(small)], check=True)
+        patience.run(["umount", str(small)], check=True)
 
 
 def test_names_with_control_characters_stay_on_one_line(prc: Prc, tmp_path: Path) -> None:
@@ -282,8 +281,8 @@ def test_names_with_brackets_are_printed_as_they_are(prc: Prc, tmp_path: Path) -
 @pytest.mark.parametrize("command", [["config", "show"], ["config", "schema"], ["completion", "bash"], ["--help"]])
 def test_a_result_that_cannot_be_printed_is_one_line(command: list[str]) -> None:
     with Path("/dev/full").open("w") as full:
-        result = subprocess.run(
-            [sys.executable, "-m", "prc_cli", *command], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        result = patience.run(
+            [sys.executable, "-m", "prc_cli", *command], stdout=full, stderr=subprocess.PIPE, text=True
         )
     assert result.returncode == 1
     assert result.stderr == "error: the result cannot be printed (No space left on device)\n"

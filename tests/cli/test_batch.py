@@ -37,7 +37,6 @@ from prc_cli.jobs.batch.run import (
 from prc_cli.jobs.batch.settings import BatchSettings
 from prc_cli.jobs.batch.summary import Alarm, BatchSummary, LeftOut
 from prc_cli.jobs.batch.types import (
-    PARTS_FOLDER,
     Done,
     Entry,
     Failed,
@@ -48,7 +47,7 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.batch.types import Run as JournalRun
-from tests.patience import HANGS_S
+from tests import patience
 from tests.street import street, write_csv, write_npz
 
 PRC = [sys.executable, "-m", "prc_cli"]
@@ -96,14 +95,12 @@ def office(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     elif "HOME" in os.environ:  # without a home, but not without what is compiled already
         environment["XDG_CACHE_HOME"] = os.environ.get("XDG_CACHE_HOME", os.environ["HOME"] + "/.cache")
     command = [*PRC, "batch", "archive", "out", "--preset", "urban", "--jobs", "1", "--log-json", "log.jsonl"]
-    result = subprocess.run(
+    result = patience.run(
         command,
         cwd=folder,
         env=environment,
         stdin=subprocess.DEVNULL,
         capture_output=True,
-        check=False,
-        timeout=HANGS_S,
     )
     assert result.returncode == 1, result.stderr
     assert result.stdout == b""
@@ -247,11 +244,11 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
 ) -> None:
     out = tmp_path / "out"
     shutil.copytree(office[1], out)
-    child = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+    child = patience.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
     mine = temporary_name(out / "night" / "a.laz")
     dead = mine.with_name(mine.name.replace(f"-{os.getpid()}-", f"-{int(child.stdout)}-"))
     other = mine.with_name(".a.laz.00000000-1-01234567.part")
-    parts = out / ".prc" / PARTS_FOLDER
+    parts = out / ".prc" / "parts"
     parts.mkdir(exist_ok=True)
     (parts / "piece").write_bytes(b"abc")
     kept = out / "night" / ".mine.part"
@@ -447,7 +444,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
         (["a", "o", "b"], "unexpected extra argument"),
         (["a", "o", "--fail-under", "recall.ground=1"], "--reference"),
         (["a", "o", "--scheduler", "tcp://x"], "--engine dask"),
-        (["a", "o", "--split", "5"], "--engine dask"),
+        (["a", "o", "--split", "5"], "No such option"),
         (["a", "o", "--shard", "4/3"], "shard"),
         (["a", "o", "--reference", "none"], "no such folder"),
         (["a", "status"], "did you mean prc batch status FOLDER? A folder of this name is ./status"),
@@ -563,7 +560,7 @@ def test_a_reader_of_the_lines_that_goes_away_does_not_end_the_run(office: tuple
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "wb") as pipe:
-        found = subprocess.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe, check=False, timeout=HANGS_S)
+        found = patience.run(command, cwd=tmp_path, stdout=pipe, stderr=pipe)
     assert found.returncode == 0
     assert (tmp_path / "out" / "drive.npz.labels.npy").exists()
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["counts"]["done"] == 1

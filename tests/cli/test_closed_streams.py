@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.patience import HANGS_S
+from tests import patience
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="the shell closes the streams")
 
 
 def run(redirection: str, *arguments: str) -> tuple[int, bytes, str]:
     command = [sys.executable, "-m", "prc_cli", *arguments]
-    done = subprocess.run(
-        ["sh", "-c", f'"$@" {redirection}', "sh", *command], input=bytes(4 * 90), capture_output=True, timeout=HANGS_S
-    )
+    done = patience.run(["sh", "-c", f'"$@" {redirection}', "sh", *command], input=bytes(4 * 90), capture_output=True)
     return done.returncode, done.stdout, done.stderr.decode()
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main, report
+from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
 
@@ -224,7 +224,7 @@ def test_unknown_commands_and_options_are_usage_errors(prc: Prc) -> None:
 def test_a_terminal_gets_a_progress_bar_and_a_pipe_none(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.npy")]
-    piped = subprocess.run(command, capture_output=True, text=True, check=True)
+    piped = patience.run(command, capture_output=True, text=True, check=True)
     assert "lines/s" not in piped.stderr
     assert "\r" not in piped.stderr
     if os.name != "posix":
@@ -232,7 +232,7 @@ def test_a_terminal_gets_a_progress_bar_and_a_pipe_none(tmp_path: Path) -> None:
     import pty
 
     master, slave = pty.openpty()
-    subprocess.run([*command, "--overwrite"], stderr=slave, check=True)
+    patience.run([*command, "--overwrite"], stderr=slave, check=True)
     os.close(slave)
     shown = b""
     while chunk := _read(master):
@@ -254,10 +254,10 @@ def test_sigterm_leaves_nothing(tmp_path: Path) -> None:
 
     source = write_endless(tmp_path / "drive.bin")
     command = [sys.executable, "-m", "prc_cli", "classify", str(source), str(tmp_path / "a.laz"), "-M", "2000", "-q"]
-    run = subprocess.Popen(command)
-    wait_until(lambda: list(tmp_path.glob(".a.laz.*")) or run.poll() is not None)
-    run.send_signal(signal.SIGTERM)
-    assert run.wait(HANGS_S) == 128 + signal.SIGTERM
+    with patience.start(command) as run:
+        wait_until(lambda: list(tmp_path.glob(".a.laz.*")) or run.poll() is not None)
+        run.send_signal(signal.SIGTERM)
+        assert run.wait(HANGS_S) == 128 + signal.SIGTERM
     assert sorted(os.listdir(tmp_path)) == ["drive.bin"]
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata as metadata
 import json
 import os
 import sqlite3
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ from prc_cli.core.errors import OutputError
 from prc_cli.formats.las.check import classes_by_laspy
 from prc_cli.jobs import doctor
 from prc_cli.jobs.doctor import Check, examine, file_system
-from tests.patience import HANGS_S
+from tests import patience
 
 
 def checks(out: Path | None = None) -> dict[str, Check]:
@@ -100,12 +100,25 @@ def test_laz_that_comes_back_different_is_bad(monkeypatch: pytest.MonkeyPatch) -
     assert "differ" in found.found
 
 
+def test_a_file_system_without_locks_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    assert checks(tmp_path)["locks in it"].status == "ok"
+
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    found = checks(tmp_path)["locks in it"]
+    assert found.status == "warn"
+    assert "--shard" in found.hint
+
+
 @pytest.mark.parametrize("package", ["lazrs", "numba"])
 def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_path: Path, package: str) -> None:
     (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")
     command = [sys.executable, "-m", "prc_cli", "doctor", "--json", "--out", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=HANGS_S)
+    ended = patience.run(command, env=environment, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (1, "")
     found = {check["name"]: check for check in json.loads(ended.stdout)["checks"]}
     assert found["packages"]["status"] == "bad"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 
 import pytest
 
+from tests import patience
 from tests.patience import HANGS_S
 
 PROGRAM = """
@@ -30,5 +30,5 @@ print("still running")
 @pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGINT", -2)])
 def test_it_comes_again(name: str, code: int) -> None:
     program = PROGRAM.format(name=name, hangs=HANGS_S)
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = patience.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (code, "")

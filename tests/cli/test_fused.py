@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
 from prc_cli.jobs.classify import label_blocks
+from tests import patience
 from tests.classifiers.fused.street_lines import BEAM, street_lines
 from tests.cli.test_commands import Prc
 
@@ -53,7 +53,7 @@ def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: P
         np.testing.assert_array_equal(np.load(out).reshape(ranges.shape), codes)
     command = [sys.executable, "-m", "prc_cli", "stream", "-q", *given]
     with dump.open("rb") as source:
-        piped = subprocess.run(command, stdin=source, capture_output=True, check=True).stdout
+        piped = patience.run(command, stdin=source, capture_output=True, check=True).stdout
     assert piped == np.load(out).tobytes()
 
 

@@ -16,6 +16,7 @@ import pytest
 
 from prc_cli.cli import main
 from prc_cli.core.classes import ClassCodes
+from tests import patience
 from tests.patience import HANGS_S
 from tests.street import POINTS_PER_LINE, angles, street
 
@@ -25,7 +26,7 @@ URBAN = ("--preset", "urban", "-M", str(POINTS_PER_LINE), "--set", "prc.lines_pe
 def start(*arguments: str) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "prc_cli", "stream", *arguments]
     pipe = subprocess.PIPE
-    return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0)
+    return patience.popen(command, stdin=pipe, stdout=pipe, stderr=pipe, bufsize=0)
 
 
 def run(data: bytes, *arguments: str) -> tuple[int, bytes, str]:

@@ -6,7 +6,6 @@ import errno
 import io
 import os
 import pickle
-import subprocess
 import sys
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import pytest
 from prc_cli.core import files
 from prc_cli.core.errors import ConfigError, GateError, InputError, OutputError, OutputExistsError, PrcError
 from prc_cli.core.files import atomic_output, check_output
+from tests import patience
 
 
 def test_a_finished_file_takes_its_name_and_leaves_nothing_else(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_what_a_killed_run_left_is_removed_and_nothing_else(tmp_path: Path) -> N
         "path = temporary_name(Path(sys.argv[1])); path.write_bytes(b'half'); print(path)"
     )
     command = [sys.executable, "-c", code, str(target)]
-    dead = Path(subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip())
+    dead = Path(patience.run(command, capture_output=True, text=True, check=True).stdout.strip())
     mine = files.temporary_name(target)
     mine.write_bytes(b"half")
     other = tmp_path / ".labels[1].npy.0badcafe-1-00000000.part"

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import platform
-import subprocess
 import sys
 
 import pytest
+
+from tests import patience
 
 SCRIPT = """
 import resource
 import numpy as np
 from prc_cli.core.memory import keep_memory
+from tests import patience
 
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -28,5 +30,5 @@ print(faults())
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="what it is about is done by the GNU C library")
 def test_arrays_that_follow_each_other_share_memory() -> None:
-    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
+    done = patience.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
     assert int(done.stdout) < 20 * 16, "20 arrays of 256 pages"

@@ -292,7 +292,7 @@ class TestWriteBehind:
 
         def sink(n: int) -> None:
             written.append(n)
-            wait_until(lambda: queue._channel._left)
+            wait_until(lambda: queue._channel._cancelled)
 
         with pytest.raises(KeyError), write_behind(sink, depth=50) as queue:
             for n in range(50):

@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from prc_cli.evaluation.latex import as_latex, escape
+from tests import patience
 from tests.evaluation import samples
-from tests.patience import HANGS_S
 
 NASTY = '50%_a&b {x} $y$ #1 ^~\\end{table} <|>"\n%.npy'
 
@@ -54,5 +53,5 @@ def test_latex_takes_the_tables(tmp_path: Path) -> None:
     )
     (tmp_path / "page.tex").write_text(document, encoding="utf-8")
     command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "page.tex"]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=HANGS_S, check=False)
+    result = patience.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout[-2000:]

@@ -21,6 +21,7 @@ from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.simulate import simulate
 from prc_cli.simulation.settings import load_settings
+from tests import patience
 from tests.patience import HANGS_S
 
 MARK = "PRC_FAULTS_MARK"
@@ -116,7 +117,7 @@ class Batch:
         self.out = out
         self._mark = secrets.token_hex(8)
         words = [] if config is None else ["--config", str(config)]
-        self.process = subprocess.Popen(
+        self.process = patience.popen(
             [sys.executable, *(["-c", AS_PLAIN_USER] if plain_user else []), "-m", "prc_cli", "batch",
              str(archive), str(out), "--jobs", str(jobs), *words, *options],
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="surrogateescape",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +12,10 @@ import pytest
 
 from prc_cli.core.files import temporary_name
 from prc_cli.jobs.batch.types import OWN_FOLDER
+from tests import patience
 from tests.faults.harness import Archive, Batch, check_nothing_half, check_whole, entries, parts, tree
 from tests.faults.test_inputs import failures, resume
-from tests.jobs.batch.test_lock import dead_process
+from tests.patience import dead_process
 
 
 @contextlib.contextmanager
@@ -23,17 +23,17 @@ def small_disk(folder: Path, kib: int) -> Iterator[Path]:
     """Mount a file system of so many KiB."""
     folder.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", f"size={kib}k", "tmpfs", str(folder)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False) if os.getuid() == 0 else None
+    result = patience.run(command, capture_output=True, text=True) if os.getuid() == 0 else None
     if result is None or result.returncode:
         pytest.skip("only root can mount a small disk" if result is None else f"cannot mount: {result.stderr}")
     try:
         yield folder
     finally:
-        subprocess.run(["umount", str(folder)], check=True)
+        patience.run(["umount", str(folder)], check=True)
 
 
 def change(disk: Path, options: str) -> None:
-    subprocess.run(["mount", "-o", f"remount,{options}", str(disk)], check=True)
+    patience.run(["mount", "-o", f"remount,{options}", str(disk)], check=True)
 
 
 @pytest.mark.parametrize(
@@ -70,8 +70,8 @@ def test_a_disk_that_becomes_read_only_keeps_what_it_has(few: Archive, tmp_path:
         (line,) = [line for line in said.splitlines() if line.startswith("error: ")]
         assert "ead-only file system" in line
         assert tree(out) == before
-        status = subprocess.run(
-            [sys.executable, "-m", "prc_cli", "batch", "status", str(out)], capture_output=True, text=True, check=False
+        status = patience.run(
+            [sys.executable, "-m", "prc_cli", "batch", "status", str(out)], capture_output=True, text=True
         )
         assert status.returncode == 0, status.stderr
         change(disk, "rw")

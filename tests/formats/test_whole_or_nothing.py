@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +15,7 @@ from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, OutputError, OutputExistsError
 from prc_cli.core.files import commit
 from prc_cli.formats.writing.options import OutputConfig
+from tests import patience
 from tests.formats.common import (
     labelled,
     random_labels,
@@ -176,13 +176,11 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
         pytest.skip("mounting a tiny disk needs Linux and root")
     folder = tmp_path / "disk"
     folder.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", folder], capture_output=True, check=False
-    )
+    mounted = patience.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", folder], capture_output=True)
     if mounted.returncode:
         pytest.skip(f"cannot mount a tiny disk: {mounted.stderr.decode().strip()}")
     yield folder
-    subprocess.run(["umount", folder], check=True)
+    patience.run(["umount", folder], check=True)
 
 
 @pytest.mark.parametrize("kind", [".las", ".laz", ".bin"])

@@ -18,6 +18,7 @@ from prc_cli.core.errors import PrcError
 from prc_cli.formats import check_input, open_source
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.labels.read import OPENERS, open_codes
+from tests import patience
 from tests.fuzz.campaign import LIMIT_S, WatchedWorker
 from tests.fuzz.guard import unprintable
 from tests.fuzz.mutations import MUTATIONS, mutate
@@ -76,7 +77,6 @@ ATTACKS = (
 @pytest.mark.parametrize("text", ATTACKS)
 def test_the_guard_sees(tmp_path: Path, text: str) -> None:
     """In a process of its own: a hook can never be removed."""
-    import subprocess
     import sys
 
     program = (
@@ -91,7 +91,7 @@ def test_the_guard_sees(tmp_path: Path, text: str) -> None:
     script = tmp_path / "attack.py"
     script.write_text(program)
     root = Path(__file__).resolve().parents[2]
-    assert subprocess.run([sys.executable, str(script)], check=False, env={"PYTHONPATH": str(root)}).returncode == 0
+    assert patience.run([sys.executable, str(script)], env={"PYTHONPATH": str(root)}).returncode == 0
 
 
 class Evil:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -15,9 +14,11 @@ import numba
 import pytest
 
 from prc_cli.kernels import cache
+from tests import patience
 
 MODULE = """
 from prc_cli.kernels.cache import kernel
+from tests import patience
 
 @kernel("int64(int64)")
 def twice(number):
@@ -78,7 +79,7 @@ def test_a_second_process_takes_the_compiled_code(tmp_path: Path) -> None:
     code = "import some_kernels; print(sum(some_kernels.twice.stats.cache_hits.values()))"
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
     hits = [
-        subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
+        patience.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True).stdout
         for _ in range(2)
     ]
     assert hits == ["0\n", "1\n"]

@@ -13,6 +13,7 @@ import pytest
 
 from prc_cli import kernels
 from prc_cli.kernels import KERNELS, compiling
+from tests import patience
 
 needs_compiler = pytest.mark.skipif(bool(os.environ.get("NUMBA_DISABLE_JIT")), reason="nothing is compiled")
 needs_locks = pytest.mark.skipif(os.name == "nt", reason="no file locks on this system")
@@ -29,7 +30,7 @@ print(sum(first_high_verticals.stats.cache_misses.values()))
 
 def python(code: str, folder: Path) -> subprocess.Popen[str]:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
-    return subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
+    return patience.popen([sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, text=True)
 
 
 @needs_compiler
@@ -45,13 +46,9 @@ def test_of_four_processes_on_an_empty_cache_one_compiles(tmp_path: Path) -> Non
 def test_lock_of_a_dead_process_is_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = "import fcntl, os, sys, time; handle = open(sys.argv[1], 'ab'); fcntl.flock(handle, fcntl.LOCK_EX)"
     path = tmp_path / compiling._LOCK
-    owner = subprocess.Popen(
-        [sys.executable, "-c", f"{code}; print('mine', flush=True); time.sleep(3600)", str(path)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert owner.stdout is not None
-    with owner:
+    holding = f"{code}; print('mine', flush=True); time.sleep(3600)"
+    with patience.start([sys.executable, "-c", holding, str(path)], stdout=subprocess.PIPE, text=True) as owner:
+        assert owner.stdout is not None
         assert owner.stdout.readline() == "mine\n"
         owner.kill()
     clock = SimpleNamespace(monotonic=time.monotonic, sleep=lambda seconds: pytest.fail("waited for a dead process"))

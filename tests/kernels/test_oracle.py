@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import subprocess
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -19,6 +18,7 @@ from prc_cli import kernels
 from prc_cli.core.types import F32, I32, Mask
 from prc_cli.kernels import KERNELS, load_kernels
 from prc_cli.reference.prc import stages as oracle
+from tests import patience
 from tests.kernels import (
     cases_angles,
     cases_calibration,
@@ -252,7 +252,7 @@ def test_reading_the_parameters_does_not_load_the_compiler() -> None:
         "import sys; import prc_cli.classifiers.prc.pipeline, prc_cli.classifiers.returns; "
         "print([name for name in ('numba', 'scipy', 'skimage') if name in sys.modules])"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    result = patience.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
 
 

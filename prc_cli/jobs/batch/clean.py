@@ -14,8 +14,10 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import is_left_behind
 from prc_cli.jobs.batch.journal import Journal, journal_paths, read_entries
 from prc_cli.jobs.batch.lock import Lock
-from prc_cli.jobs.batch.types import OWN_FOLDER, PARTS_FOLDER
+from prc_cli.jobs.batch.types import OWN_FOLDER
 
+PARTS_FOLDER = "parts"
+"""Folder in which earlier versions kept parts of large files."""
 OTHER_MACHINE_S = 86_400.0
 """A temporary file of another machine that was not written to for so long is taken for left behind [s]."""
 

@@ -1,10 +1,10 @@
-"""The engine of many machines: files, and parts of large ones, as tasks of Dask's distributed scheduler.
+"""The engine of many machines: files as tasks of Dask's distributed scheduler.
 
-Every worker runs the same functions as a local run, in its own process, on paths that all machines share. A worker
-that dies costs nothing but time: the scheduler gives its files to another one, and gives a file up that has killed
-several. What workers say on the way (begun, so many lines, ended) travels as events of the scheduler.
+Every worker runs the same functions as a local run, in its own process, on paths that all machines share. The scheduler
+gives the files of a worker that died to another one; a file that has killed several workers fails. Workers report their
+progress (begun, number of lines, ended) as events of the scheduler.
 
-The only module that knows Dask, and it is imported where it is used: an installation without it works.
+This is the only module that uses Dask. It imports Dask inside functions, because Dask is an optional package.
 """
 
 from __future__ import annotations
@@ -19,31 +19,19 @@ import socket
 import threading
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from multiprocessing import resource_tracker
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import TracebackType
 from typing import Any, TypeAlias
 
 from prc_cli import __version__
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.threads import TICK_S, take_waiting
-from prc_cli.jobs.batch.parts import (
-    SPLIT_SHOTS,
-    Part,
-    PartDone,
-    join_parts,
-    out_of,
-    remove_parts,
-    run_part,
-    split,
-)
+from prc_cli.core.threads import TICK_S, drain
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
-    Done,
     EngineSettings,
     Event,
     Failed,
@@ -53,7 +41,7 @@ from prc_cli.jobs.batch.types import (
     Started,
     Task,
 )
-from prc_cli.jobs.batch.work import may_pass, run_task
+from prc_cli.jobs.batch.work import run_task
 from prc_cli.jobs.batch.worker import BEAT_S, MOVED, bytes_moved
 from prc_cli.jobs.classify import load_classifier
 
@@ -63,16 +51,13 @@ CONNECT_S = 20.0
 WORKERS_S = 60.0
 """How long there may be no worker at all [s]."""
 PROGRESS_S = 1.0
-"""Finished lines are reported at most so often [s]: all workers' words go through one scheduler to one client."""
-LOOK_S = 2.0
-"""How often the engine asks who is there [s]."""
+"""Finished lines are reported at most so often [s]: the reports of all workers go through one scheduler."""
+CHECK_S = 2.0
+"""How often the engine asks the scheduler which workers there are [s]."""
 STOP_S = 5.0
-"""How long workers may take to roll back what they are doing when a run is stopped [s]."""
+"""How long workers may take to roll back their files when a run is stopped [s]."""
 SHARE_S = 5.0
-"""How long a new file may take to be seen by other machines: network file systems keep listings a while [s]."""
-
-SPLIT_WORKERS = 4
-"""With fewer workers a split gains nothing."""
+"""How long a new file may take to appear on other machines: network file systems cache listings [s]."""
 
 BEGUN, LINES, ENDED = "begun", "lines", "ended"
 
@@ -80,47 +65,46 @@ Notice: TypeAlias = Callable[[str], None]
 
 
 class StoppedError(BaseException):
-    """The run does not want this file any more; no error of the file, so nothing that catches errors keeps it."""
+    """The run was stopped while a worker had this file.
+
+    Not an Exception, so that no handler takes it for an error of the file.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a worker is asked to do: a file, a part of one, or the output from all parts."""
+    """What a worker is asked to do."""
 
     task: Task
-    parts: tuple[Part, ...]
-    """Empty: the whole file; else the one to work on, or all of them."""
-    join: bool
-    """Write the output from all parts."""
     threads: int
     topic: str
-    """Where the worker tells how it goes on."""
+    """Topic of the events by which the worker reports progress."""
     version: str
-    """Version of this program that gives the order."""
+    """Version of the program that sends the order."""
     folder: str
-    """Current folder of who gives the order: where relative names in the configuration start."""
+    """Current folder of the program that sends the order: relative names in the configuration start there."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What came of an order."""
+    """The outcome of an order."""
 
     worker: str
-    result: Outcome | PartDone
+    result: Outcome
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerFacts:
-    """What a worker says of itself."""
+    """Version, machine and visible files of a worker."""
 
     version: str
     host: str
     unseen: tuple[str, ...]
-    """Paths that it should see and does not."""
+    """Paths that should exist for it and do not."""
 
 
 def examine_worker(paths: tuple[str, ...]) -> WorkerFacts:
-    """Say which version runs here, and which of the paths are not here; run on every worker."""
+    """Return the version here, and which of the paths do not exist here; run on every worker."""
     end = time.monotonic() + SHARE_S
     unseen = tuple(path for path in paths if not os.path.lexists(path))
     while unseen and time.monotonic() < end:
@@ -135,7 +119,7 @@ def version_here() -> str:
 
 
 def do_order(order: Order) -> Report:
-    """Do what is asked for; run on a worker, in one of its threads."""
+    """Classify a file; run on a worker, in one of its threads."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -145,7 +129,7 @@ def do_order(order: Order) -> Report:
         problem = f"the worker on {socket.gethostname()} runs prc {__version__}, this run {order.version}"
         raise PrcError(f"worker {me}", problem, f"pip install '{EXTRA}=={order.version}' there")
     lines = _Lines(lambda kind, n: worker.log_event(order.topic, (kind, key, me, n)), lambda: _is_wanted(worker, key))
-    lines.tell(BEGUN, 0)
+    lines.report(BEGUN, 0)
     beat = threading.Thread(target=lines.beat, name="beat", daemon=True)
     beat.start()
     try:
@@ -155,29 +139,25 @@ def do_order(order: Order) -> Report:
             return Report(me, Failed(task.name, None, 0.0, Problem("InputError", str(task.source), problem, hint)))
         if (trajectory := task.config.trajectory) is not None and not trajectory.is_absolute():
             os.chdir(order.folder)
-        if order.join:
-            return Report(me, join_parts(order.parts, threads=order.threads, progress=lines))
-        if order.parts:
-            return Report(me, run_part(order.parts[0], threads=order.threads, progress=lines))
         return Report(me, run_task(task, threads=order.threads, progress=lines))
     finally:
         lines.close()
         beat.join()
-        lines.tell(ENDED, lines.n)
+        lines.report(ENDED, lines.n)
 
 
 def _is_wanted(worker: Any, key: str) -> bool:
-    """Tell whether anybody still waits for a task: who ends, or gives it up, lets go of it."""
+    """Tell whether a task is still wanted: the client cancels it when the run ends or gives it up."""
     state = worker.state.tasks.get(key)
     return state is not None and state.state != "cancelled"
 
 
 class _Lines:
-    """Counts finished lines, tells now and then how many, and stops a file that nobody wants any more."""
+    """Counts finished lines, reports them at intervals, and stops a file that is not wanted any more."""
 
-    def __init__(self, tell: Callable[[str, int], None], is_wanted: Callable[[], bool]) -> None:
+    def __init__(self, report: Callable[[str, int], None], is_wanted: Callable[[], bool]) -> None:
         self.n = 0
-        self.tell = tell
+        self.report = report
         self._is_wanted = is_wanted
         self._last = 0.0
         self._end = threading.Event()
@@ -187,19 +167,19 @@ class _Lines:
         now = time.monotonic()
         if now - self._last >= PROGRESS_S:
             self._last = now
-            self.tell(LINES, self.n)
+            self.report(LINES, self.n)
             if not self._is_wanted():
                 raise StoppedError
 
     def beat(self) -> None:
-        """Tell that data is moving although no line is finished, as at the end of a file; in a thread."""
+        """Report that data is moving although no line is finished, as at the end of a file; in a thread."""
         moved = bytes_moved()
         with contextlib.suppress(OSError, ValueError):
             last = moved()
             while not self._end.wait(BEAT_S):
                 if (now := moved()) - last >= MOVED:
                     last = now
-                    self.tell(LINES, self.n)
+                    self.report(LINES, self.n)
 
     def close(self) -> None:
         """End the thread."""
@@ -214,14 +194,10 @@ class DaskEngine:
     scheduler : str, optional
         Its address, ``tcp://HOST:8786`` (or ``tls://``); default: a scheduler and workers of our own on this machine,
         as many as ``EngineSettings.jobs``.
-    split_shots : int, optional
-        Inputs of at least twice as many shots are split where that is possible; 0 = never. A split takes more time of
-        all workers together than the whole file would (``benchmarks/many_machines.py``), so by default it is done with
-        :data:`~prc_cli.jobs.batch.parts.SPLIT_SHOTS`, and only for the last files, when most workers would be idle.
     notice : callable, optional
-        Called with a sentence for the user: where the dashboard is, which large file goes whole and why.
+        Called with a sentence for the user: where the dashboard is, which worker hangs.
     jobs : int, optional
-        Most files and parts at a time on a scheduler that is given; default: as many as its workers have threads.
+        Most files at a time on a scheduler that is given; default: as many as its workers have threads.
     threads : int
         Threads a file there. This machine's cores have no say in what happens on others.
     """
@@ -230,13 +206,11 @@ class DaskEngine:
         self,
         scheduler: str | None = None,
         *,
-        split_shots: int | None = None,
         notice: Notice | None = None,
         jobs: int | None = None,
         threads: int = 1,
     ) -> None:
         self._scheduler = scheduler
-        self._split_shots = split_shots
         self._notice = notice or (lambda text: None)
         self._jobs = jobs
         self._threads = threads
@@ -275,7 +249,7 @@ class DaskEngine:
             jobs, settings = self._jobs, replace(settings, threads=self._threads)
         with _Cluster(self._scheduler, settings, self._notice, first) as cluster:
             cluster.examine(first)
-            run = _Run(cluster, settings, jobs, self._split_shots, self._notice)
+            run = _Run(cluster, settings, jobs, self._notice)
             try:
                 yield from run.events(chain([first], source))
             except OSError as error:  # whatever it was asked, it does not answer any more
@@ -295,7 +269,7 @@ def _import() -> Any:
 
 
 class _Cluster:
-    """A connection to a scheduler, and the scheduler and workers too where there was none."""
+    """A connection to a scheduler; where none is given, also a scheduler and workers of our own."""
 
     def __init__(self, scheduler: str | None, settings: EngineSettings, notice: Notice, first: Task) -> None:
         self._address = scheduler
@@ -326,14 +300,14 @@ class _Cluster:
     def _connect(self, place: Any) -> Any:
         distributed = _import()
         try:
-            with warnings.catch_warnings(record=True) as said:
+            with warnings.catch_warnings(record=True) as raised:
                 warnings.simplefilter("always")
                 client = distributed.Client(place, timeout=CONNECT_S, set_as_default=False, name="prc")
         except (OSError, TimeoutError, ValueError, ImportError) as error:
             problem = f"no scheduler answers at {self._address} ({_one_line(error)})"
             hint = "start one with: dask scheduler; its address looks like tcp://HOST:8786"
             raise ConfigError("--scheduler", problem, hint) from error
-        for warning in said:
+        for warning in raised:
             self._notice(f"Dask: {_one_line(warning.message)}")
         return client
 
@@ -344,12 +318,12 @@ class _Cluster:
             raise self.no_workers() from error
 
     def no_workers(self) -> PrcError:
-        """Return the refusal to wait any longer."""
+        """Return the error of a scheduler without workers."""
         problem = f"there has been no worker for {WORKERS_S:g} s"
         return PrcError(f"scheduler {self._address or ''}".strip(), problem, f"start some: dask worker {self._address}")
 
     def examine(self, first: Task) -> None:
-        """Make sure that everybody runs this version, and sees the archive and the outputs.
+        """Check that scheduler and workers run this version, and that workers see the archive and the outputs.
 
         Raises
         ------
@@ -363,7 +337,7 @@ class _Cluster:
             raise ConfigError("scheduler", problem, f"pip install '{EXTRA}=={__version__}' there, too") from error
         self._check_version("scheduler", version)
         first = _absolute(first)
-        token = out_of(first) / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
+        token = _out_of(first) / OWN_FOLDER / f"shared-{secrets.token_hex(8)}"
         token.parent.mkdir(parents=True, exist_ok=True)
         try:
             token.write_bytes(b"")
@@ -394,82 +368,62 @@ class _Cluster:
 
 
 @dataclass(slots=True, eq=False)
-class _Piece:
-    """An order on its way."""
-
-    order: Order
-    file: _File
-    future: Any
-    worker: str | None = None
-    """Who is at work on it; None while it waits."""
-    seen: float = 0.0
-    """Last sign of life [s]."""
-    n_told: int = 0
-    """Lines reported so far, of whichever attempt got farthest."""
-
-
-@dataclass(slots=True, eq=False)
-class _File:
-    """A file and what is left of it to do."""
+class _Job:
+    """A file that was sent to the scheduler."""
 
     task: Task
-    parts: tuple[Part, ...] = ()
-    n_left: int = 0
-    """Parts that are not done."""
+    future: Any
+    worker: str | None = None
+    """Address of the worker that has it; None while it waits."""
     begun: float | None = None
-    cpu_seconds: float = 0.0
-    over: bool = False
-    pieces: set[str] = field(default_factory=set)
-    """Keys of its orders on their way."""
+    """When its first worker began [s]."""
+    seen: float = 0.0
+    """Last sign of life [s]."""
+    n_reported: int = 0
+    """Lines reported so far, by the attempt that got farthest."""
 
 
 class _Run:
-    """The tasks of one run: what waits, what is on its way, what is heard."""
+    """The tasks of one run and the messages about them."""
 
-    def __init__(
-        self, cluster: _Cluster, settings: EngineSettings, jobs: int | None, split_shots: int | None, notice: Notice
-    ) -> None:
+    def __init__(self, cluster: _Cluster, settings: EngineSettings, jobs: int | None, notice: Notice) -> None:
         self._cluster = cluster
         self._client = cluster.client
         self._settings = settings
         self._jobs = jobs
-        self._split_shots = split_shots
         self._notice = notice
         self._topic = f"prc-{secrets.token_hex(8)}"
         self._messages: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
-        self._waiting: deque[tuple[Order, _File]] = deque()
-        self._pieces: dict[str, _Piece] = {}
+        self._pending: dict[str, _Job] = {}
+        """Files that were sent and have no outcome yet, by key of the Dask task."""
         self._running: dict[str, str] = {}
-        """Worker by key, of orders that it has begun with and not ended, given up ones too."""
+        """Worker by key, of orders that were begun and have not ended, including those given up."""
         self._n = 0
         self._workers: dict[str, int] = {}
-        self._looked = 0.0
+        self._checked = 0.0
         self._workers_seen = time.monotonic()
-        self._client.subscribe_topic(self._topic, self._hear_event)
+        self._client.subscribe_topic(self._topic, self._queue_event)
 
     def events(self, tasks: Iterator[Task]) -> Iterator[Event]:
-        """Keep the workers busy and tell what happens."""
+        """Keep the workers busy and yield what happens."""
         more = True
         while True:
-            self._look()
-            while more and len(self._pieces) + len(self._waiting) < self._room():
+            self._check_cluster()
+            while more and len(self._pending) < self._capacity():
                 task = next(tasks, None)
                 if task is None:
                     more = False
                 else:
-                    self._add(task)
-            while self._waiting and len(self._pieces) < self._room():
-                self._launch(*self._waiting.popleft(), more=more)
-            if not (more or self._waiting or self._pieces):
+                    self._submit(_absolute(task))
+            if not (more or self._pending):
                 return
-            yield from self._hear()
+            yield from self._drain()
             yield from self._watch()
 
     def stop(self) -> None:
-        """Let go of everything, and wait a little until the workers have."""
-        self._waiting.clear()
+        """Cancel everything, and wait a little until the workers have stopped."""
         with contextlib.suppress(Exception):  # a scheduler that is gone has nothing to stop
-            self._client.cancel([piece.future for piece in self._pieces.values()], force=True)
+            self._client.cancel([job.future for job in self._pending.values()], force=True)
             end = time.monotonic() + STOP_S
             while self._running and time.monotonic() < end:
                 with contextlib.suppress(queue.Empty):
@@ -477,21 +431,21 @@ class _Run:
                     if kind == "event" and message[0] == ENDED:
                         self._running.pop(message[1], None)
             self._client.unsubscribe_topic(self._topic)
-        self._pieces.clear()
+        self._pending.clear()
 
-    def _room(self) -> int:
-        """Return how many orders may be on their way: a few more than can be done at a time, so that nobody waits."""
+    def _capacity(self) -> int:
+        """Return how many orders may be pending: a few more than workers have threads, so that none is idle."""
         if self._jobs is not None:
             return self._jobs
         slots = sum(self._workers.values())
         return slots + max(1, slots // 8)
 
-    def _look(self) -> None:
-        """See who is there."""
+    def _check_cluster(self) -> None:
+        """Ask for the workers; raise when the scheduler is gone, or there is no worker for too long."""
         now = time.monotonic()
-        if now - self._looked < LOOK_S:
+        if now - self._checked < CHECK_S:
             return
-        self._looked = now
+        self._checked = now
         if self._client.status != "running":
             raise _lost()
         self._workers = dict(self._client.nthreads())
@@ -499,122 +453,69 @@ class _Run:
             self._workers_seen = now
         elif now - self._workers_seen > WORKERS_S:
             raise self._cluster.no_workers()
-        for piece in self._pieces.values():
-            if piece.worker is not None and piece.worker not in self._workers:
-                piece.worker = None  # its worker died: the scheduler gives it to another one
+        for job in self._pending.values():
+            if job.worker is not None and job.worker not in self._workers:
+                job.worker = None  # its worker died: the scheduler gives it to another one
         self._running = {key: worker for key, worker in self._running.items() if worker in self._workers}
 
-    def _add(self, task: Task) -> None:
-        task = _absolute(task)
-        self._waiting.append((self._order(task, (), join=False), _File(task)))
+    def _order(self, task: Task) -> Order:
+        return Order(task, self._settings.threads, self._topic, __version__, str(Path.cwd()))
 
-    def _launch(self, order: Order, file: _File, *, more: bool) -> None:
-        """Send an order, or the first parts of a file that is worth a split."""
-        shots = SPLIT_SHOTS if self._split_shots is None else self._split_shots
-        found = split(file.task, shots) if not file.parts and self._is_split_worth(more=more) else ""
-        if isinstance(found, str):
-            if found:
-                self._notice(f"{file.task.name} goes whole: {found}")
-            self._submit(order, file)
-            return
-        file.parts, file.n_left = found, len(found)
-        self._waiting.extendleft((self._order(file.task, (part,), join=False), file) for part in reversed(found))
-
-    def _is_split_worth(self, *, more: bool) -> bool:
-        if self._split_shots is not None:
-            return self._split_shots > 0
-        slots = self._jobs or sum(self._workers.values())
-        n_files = 1 + len(self._pieces) + len(self._waiting)
-        return not more and slots >= SPLIT_WORKERS and 2 * n_files <= slots
-
-    def _order(self, task: Task, parts: tuple[Part, ...], *, join: bool) -> Order:
-        folder = str(Path.cwd())
-        return Order(task, parts, join, self._settings.threads, self._topic, __version__, folder)
-
-    def _submit(self, order: Order, file: _File) -> None:
-        if file.over:
-            return
+    def _submit(self, task: Task) -> None:
         self._n += 1
         # the word before the dash is what the dashboard groups by
-        kind = "join" if order.join else "part" if order.parts else "classify"
-        key = f"{kind}-{self._topic.removeprefix('prc-')}{self._n:08x}"
-        future = self._client.submit(do_order, order, key=key, pure=False)
-        self._pieces[key] = _Piece(order, file, future)
-        file.pieces.add(key)
-        future.add_done_callback(self._hear_future)
+        key = f"classify-{self._topic.removeprefix('prc-')}{self._n:08x}"
+        future = self._client.submit(do_order, self._order(task), key=key, pure=False)
+        self._pending[key] = _Job(task, future)
+        future.add_done_callback(self._queue_future)
 
-    def _hear_event(self, event: tuple[float, Any]) -> None:
-        """Take what a worker says, in Dask's thread."""
+    def _queue_event(self, event: tuple[float, Any]) -> None:
+        """Queue the report of a worker; called in Dask's thread."""
         self._messages.put(("event", event[1]))
 
-    def _hear_future(self, future: Any) -> None:
-        """Take what came of an order, in Dask's thread."""
+    def _queue_future(self, future: Any) -> None:
+        """Queue the key of an order that has ended; called in Dask's thread."""
         self._messages.put(("future", future.key))
 
-    def _hear(self) -> Iterator[Event]:
-        """Wait a little for messages and turn all there are into events."""
-        for kind, message in take_waiting(self._messages):
-            yield from self._see(*message) if kind == "event" else self._take(message)
+    def _drain(self) -> Iterator[Event]:
+        """Wait a little for messages, and turn all that came into events."""
+        for kind, message in drain(self._messages):
+            yield from self._on_event(*message) if kind == "event" else self._on_result(message)
 
-    def _see(self, kind: str, key: str, worker: str, n_lines: int) -> Iterator[Event]:
-        """Turn what a worker says into events."""
+    def _on_event(self, kind: str, key: str, worker: str, n_lines: int) -> Iterator[Event]:
+        """Turn the report of a worker into events."""
         if kind == ENDED:
             self._running.pop(key, None)
         elif kind == BEGUN:
             self._running[key] = worker
-        piece = self._pieces.get(key)
-        if piece is None:
+        job = self._pending.get(key)
+        if job is None:
             return
-        piece.seen = time.monotonic()
+        job.seen = time.monotonic()
         if kind == BEGUN:
-            piece.worker = worker
-            yield from _begin(piece.file, worker)
-        elif n_lines > piece.n_told and not piece.order.join:
-            # a second attempt is heard of when it gets farther than the first
-            yield Progress(piece.file.task.name, n_lines - piece.n_told)
-            piece.n_told = n_lines
+            job.worker = worker
+            yield from _started(job, worker)
+        elif n_lines > job.n_reported:
+            # a second attempt reports nothing until it gets farther than the first
+            yield Progress(job.task.name, n_lines - job.n_reported)
+            job.n_reported = n_lines
 
-    def _take(self, key: str) -> Iterator[Event]:
-        """Take what came of an order."""
-        piece = self._pieces.pop(key, None)
-        if piece is None or piece.file.over:
-            return
-        file = piece.file
-        file.pieces.discard(key)
-        report = self._report(piece)
-        yield from _begin(file, report.worker)
-        result = report.result
-        if isinstance(result, PartDone):
-            file.cpu_seconds += result.cpu_seconds
-            file.n_left -= 1
-            if not file.n_left:
-                self._waiting.appendleft((self._order(file.task, file.parts, join=True), file))
-            return
-        yield from self._close(file, result)
+    def _on_result(self, key: str) -> Iterator[Event]:
+        """Yield the outcome of an order."""
+        job = self._pending.pop(key, None)
+        if job is not None:
+            report = self._report(job)
+            yield from _started(job, report.worker)
+            yield report.result
 
-    def _close(self, file: _File, outcome: Outcome) -> Iterator[Event]:
-        """Say what became of a file, and let go of what is left of it."""
-        file.over = True
-        futures = [self._pieces.pop(key).future for key in file.pieces]
-        if futures:
-            self._client.cancel(futures, force=True)
-        if file.parts and isinstance(outcome, Failed) and not may_pass(outcome.problem):
-            remove_parts(file.task)
-        if file.parts and file.begun is not None:
-            seconds = time.monotonic() - file.begun
-            outcome = replace(outcome, seconds=seconds)
-            if isinstance(outcome, Done):
-                outcome = replace(outcome, cpu_seconds=outcome.cpu_seconds + file.cpu_seconds)
-        yield outcome
-
-    def _report(self, piece: _Piece) -> Report:
-        """Return what came of an order, whatever went wrong."""
-        future, name = piece.future, piece.file.task.name
-        worker = piece.worker or "?"
+    def _report(self, job: _Job) -> Report:
+        """Return the outcome of an order, whatever went wrong."""
+        future, name = job.future, job.task.name
+        worker = job.worker or "?"
         if future.status == "finished":
             report: Report = future.result()
             return report
-        seconds = time.monotonic() - (piece.file.begun or time.monotonic())
+        seconds = time.monotonic() - (job.begun or time.monotonic())
         if future.status != "error":
             raise _lost()
         error = future.exception()
@@ -630,23 +531,22 @@ class _Run:
         return Report(worker, Failed(name, None, seconds, Problem.of(error)))
 
     def _watch(self) -> Iterator[Event]:
-        """Give up files that give no sign of life, and restart their workers."""
+        """Give up files without progress for too long, and restart their workers."""
         now, stall_s = time.monotonic(), self._settings.stall_s
-        late = [piece for piece in self._pieces.values() if piece.worker is not None and now - piece.seen > stall_s]
-        for piece in late:
-            if piece.file.over:
-                continue
-            name = piece.file.task.name
+        late = {key: job for key, job in self._pending.items() if job.worker is not None and now - job.seen > stall_s}
+        for key, job in late.items():
+            del self._pending[key]
+            name = job.task.name
             hint = "check that its disk or share answers; --stall allows more"
-            problem = Problem("timeout", name, f"no progress for {stall_s:g} s on {piece.worker}, given up", hint)
-            self._client.cancel([piece.future], force=True)
-            yield from self._close(piece.file, Failed(name, None, now - (piece.file.begun or now), problem))
+            problem = Problem("timeout", name, f"no progress for {stall_s:g} s on {job.worker}, given up", hint)
+            self._client.cancel([job.future], force=True)
+            yield Failed(name, None, now - (job.begun or now), problem)
             try:
-                came = self._client.restart_workers([piece.worker], timeout=STOP_S, raise_for_error=False)
+                came = self._client.restart_workers([job.worker], timeout=STOP_S, raise_for_error=False)
             except Exception as error:  # without a nanny nobody can
-                came = {piece.worker: _one_line(error)}
-            if (what := came.get(piece.worker)) != "OK":
-                self._notice(f"worker {piece.worker} hangs and cannot be restarted from here ({what})")
+                came = {job.worker: _one_line(error)}
+            if (what := came.get(job.worker)) != "OK":
+                self._notice(f"worker {job.worker} hangs and cannot be restarted from here ({what})")
 
 
 def _lost() -> PrcError:
@@ -654,16 +554,16 @@ def _lost() -> PrcError:
     return PrcError("scheduler", "went away or began anew while files were at work", hint)
 
 
-def _begin(file: _File, worker: str) -> Iterator[Event]:
-    """Say once that a file has begun."""
-    if file.begun is None:
-        file.begun = time.monotonic()
-        yield Started(file.task.name, worker)
+def _started(job: _Job, worker: str) -> Iterator[Event]:
+    """Yield, once a file, that it has begun."""
+    if job.begun is None:
+        job.begun = time.monotonic()
+        yield Started(job.task.name, worker)
 
 
 @contextlib.contextmanager
 def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
-    """Start a scheduler and single-threaded workers on this machine, and end them."""
+    """Start a scheduler and single-threaded workers on this machine, and end them afterwards."""
     distributed = _import()
     memory = 0 if settings.memory_limit_mib is None else settings.memory_limit_mib << 20
     try:
@@ -687,11 +587,11 @@ def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let threads that begin here, and the processes that they begin, never hear Ctrl-C: it is for this process."""
+    """Block SIGINT in threads and processes that are started here: this process alone handles Ctrl-C."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # who begins Python's tracker of shared resources hears interrupts again: it must be there before
+    # starting Python's resource tracker unblocks SIGINT, so it must run before
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -702,8 +602,8 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Dask from printing: what matters becomes an event, a notice or an error."""
-    # each has a level and a handler of its own
+    """Keep Dask from printing: what matters is reported as an event, a notice or an error."""
+    # each logger has a level and a handler of its own
     names = [name for name in logging.root.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
     levels = {name: logging.getLogger(name).level for name in names}
     for name in names:
@@ -716,8 +616,13 @@ def _quiet() -> Iterator[None]:
 
 
 def _absolute(task: Task) -> Task:
-    """Name the files of a task as every machine does."""
+    """Return a task with absolute paths, which are the same on every machine."""
     return replace(task, source=task.source.absolute(), output=task.output.absolute())
+
+
+def _out_of(task: Task) -> Path:
+    """Return the output tree that the output of a task is in."""
+    return task.output.parents[len(PurePosixPath(task.name).parts) - 1]
 
 
 def _one_line(error: object) -> str:

@@ -1,7 +1,7 @@
-"""Worker processes of this machine that live for many files; a file that kills its worker costs itself alone.
+"""Worker processes of this machine, each used for many files; a file that kills its worker fails alone.
 
-A worker is a process of its own (:mod:`prc_cli.jobs.batch.worker`), begun once, because loading the compiled loops
-takes a second. It gets the next task when it has done the one before, so that nothing waits in queues.
+A worker (:mod:`prc_cli.jobs.batch.worker`) is started once, because loading the compiled loops takes a second. It gets
+the next task when it has finished the one before, so no task waits in a queue.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any
 
 from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.files import remove_stale
-from prc_cli.core.threads import default_threads, take_waiting
+from prc_cli.core.threads import default_threads, drain
 from prc_cli.formats.writing.record import record_path
 from prc_cli.jobs.batch.types import (
     EngineSettings,
@@ -37,20 +37,20 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.batch.work import MEMORY
-from prc_cli.jobs.batch.worker import PATIENCE_S, READY
+from prc_cli.jobs.batch.worker import READY, STOP_S
 
 START_S = 120.0
-"""A worker that is not ready after so long is given up [s]."""
+"""Time limit for a worker to get ready [s]."""
 FAILED_STARTS = 3
-"""So many workers in a row that never got ready end the run."""
+"""The run ends when so many workers in a row did not get ready."""
 KILL_S = 5.0
 """How long the system may take to end a process that was killed [s]."""
-LONGEST_LOOK_S = 1.0
-"""Between two looks at the workers lies less than this, unless this process was stopped [s]."""
+LONGEST_CHECK_S = 1.0
+"""Longest time between two checks of the workers, unless this process was paused [s]."""
 ABANDON_S = 10.0
-"""A worker that is still there so long after it was killed hangs in the system [s]."""
-LAST_WORDS = 400
-"""Of what a worker printed before it died [bytes]."""
+"""A worker that still exists so long after it was killed hangs in a system call [s]."""
+LAST_PRINTED = 400
+"""How much is kept of what a worker printed before it died [bytes]."""
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS")
 """Libraries that would otherwise start a thread for every core in every worker."""
 
@@ -80,24 +80,24 @@ class _Worker:
     """A process and what it is doing."""
 
     process: subprocess.Popen[bytes]
-    words: Any
-    """File of what it prints."""
+    printed: Any
+    """File that holds what it prints."""
     name: str
     ready: bool = False
-    leaves: bool = False
-    """It gets no more tasks."""
+    retiring: bool = False
+    """It gets no more tasks, and ends."""
     task: Task | None = None
     begun: float = 0.0
     """When it got the task, or was started [s]."""
     seen: float = 0.0
     """When it last gave a sign of life [s]."""
-    verdict: Problem | None = None
+    kill_reason: Problem | None = None
     """Why this process killed it."""
     killed: float = 0.0
     """When [s]."""
 
     def give(self, task: Task) -> None:
-        """Send a task; if the worker is dead by now, its end tells."""
+        """Send a task; a worker that has died meanwhile is noticed by its end of output."""
         self.task = task
         self.begun = self.seen = time.monotonic()
         with contextlib.suppress(OSError):
@@ -105,33 +105,33 @@ class _Worker:
             pickle.dump(task, self.process.stdin)
             self.process.stdin.flush()
 
-    def dismiss(self) -> None:
-        """Tell it that no more tasks come; it rolls back what it is doing."""
+    def close_input(self) -> None:
+        """Close its input: no more tasks come, and it rolls back what it is doing."""
         with contextlib.suppress(OSError):
             assert self.process.stdin is not None
             self.process.stdin.close()
 
-    def kill(self, verdict: Problem) -> None:
-        """End it at once; its end comes as a message."""
-        self.verdict, self.killed = verdict, time.monotonic()
+    def kill(self, kill_reason: Problem) -> None:
+        """Kill it; the reader thread then reports its end."""
+        self.kill_reason, self.killed = kill_reason, time.monotonic()
         self.process.kill()
 
     def clean_up(self) -> None:
-        """After its end: close its files, and remove what it left."""
-        self.dismiss()
+        """After its end: close its files, and remove its temporary ones."""
+        self.close_input()
         with contextlib.suppress(OSError):
-            self.words.close()
+            self.printed.close()
         if self.task is not None:
             for path in (self.task.output, record_path(self.task.output)):
                 with contextlib.suppress(OSError):
                     remove_stale(path)
 
-    def last_words(self) -> str:
+    def last_printed(self) -> str:
         """Return the end of what it printed, as one line."""
         with contextlib.suppress(OSError):
-            size = self.words.seek(0, os.SEEK_END)
-            self.words.seek(max(0, size - LAST_WORDS))
-            return " ".join(self.words.read().decode("utf-8", "replace").split())
+            size = self.printed.seek(0, os.SEEK_END)
+            self.printed.seek(max(0, size - LAST_PRINTED))
+            return " ".join(self.printed.read().decode("utf-8", "replace").split())
         return ""
 
 
@@ -188,10 +188,10 @@ class _Pool:
         self._workers: list[_Worker] = []
         self._messages: queue.SimpleQueue[tuple[_Worker, Any]] = queue.SimpleQueue()
         self._failed_starts = 0
-        self._looked = time.monotonic()
+        self._checked = time.monotonic()
 
     def run(self, tasks: Iterator[Task]) -> Iterator[Event]:
-        """Give every worker a task when it is free, and tell what becomes of it."""
+        """Give every free worker a task, and yield what happens."""
         more = True
         while True:
             while more and len(self._workers) < self._settings.jobs:
@@ -205,14 +205,14 @@ class _Pool:
                     worker.give(task)
             if not more and all(worker.task is None for worker in self._workers):
                 return
-            yield from self._hear()
+            yield from self._drain()
             yield from self._watch()
 
     def stop(self) -> None:
-        """End all workers within seconds, and remove what those left that had to be killed."""
+        """End all workers within seconds, and remove temporary files of those that were killed."""
         for worker in self._workers:
-            worker.dismiss()
-        end = time.monotonic() + PATIENCE_S + 1
+            worker.close_input()
+        end = time.monotonic() + STOP_S + 1
         for worker in self._workers:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 worker.process.wait(max(0.0, end - time.monotonic()))
@@ -220,17 +220,19 @@ class _Pool:
             if worker.process.poll() is None:
                 worker.process.kill()
         for worker in self._workers:
-            with contextlib.suppress(subprocess.TimeoutExpired):  # it hangs in the system: the kill waits for it
+            with contextlib.suppress(
+                subprocess.TimeoutExpired
+            ):  # it hangs in a system call: the kill takes effect later
                 worker.process.wait(KILL_S)
             worker.clean_up()
         self._workers.clear()
 
     def _free_worker(self) -> _Worker | None:
-        free = (worker for worker in self._workers if worker.ready and not worker.leaves and worker.task is None)
+        free = (worker for worker in self._workers if worker.ready and not worker.retiring and worker.task is None)
         return next(free, None)
 
     def _start(self) -> None:
-        words = tempfile.TemporaryFile()  # noqa: SIM115 - closed in clean_up
+        printed = tempfile.TemporaryFile()  # noqa: SIM115 - closed in clean_up
         threads = self._settings.threads
         path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
         environment = {**{name: str(threads) for name in _POOLS}, **os.environ, "PYTHONPATH": path}
@@ -240,25 +242,25 @@ class _Pool:
                 # -P: nothing is imported from the current folder
                 [sys.executable, "-P", "-m", "prc_cli.jobs.batch.worker",
                  str(threads), str(self._settings.memory_limit_mib or 0)],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=words, env=environment,
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=printed, env=environment,
                 **apart,  # Ctrl-C on the terminal is for this process, which knows what to do
             )  # fmt: skip
         except OSError as error:
-            words.close()
+            printed.close()
             problem = f"cannot be started ({error.strerror or error})"
             raise PrcError(
                 "worker process", problem, "fewer --jobs; check the limits of processes and memory"
             ) from error
-        worker = _Worker(process, words, f"process {process.pid}", begun=time.monotonic(), seen=time.monotonic())
+        worker = _Worker(process, printed, f"process {process.pid}", begun=time.monotonic(), seen=time.monotonic())
         self._workers.append(worker)
         threading.Thread(target=_read, args=(worker, self._messages), name="worker-messages", daemon=True).start()
 
-    def _hear(self) -> Iterator[Event]:
-        """Wait a little for messages and turn all there are into events."""
-        for worker, message in take_waiting(self._messages):
+    def _drain(self) -> Iterator[Event]:
+        """Wait a little for messages, and turn all that came into events."""
+        for worker, message in drain(self._messages):
             worker.seen = time.monotonic()
             if message is None:
-                yield from self._bury(worker)
+                yield from self._reap(worker)
             elif message == READY:
                 worker.ready, self._failed_starts = True, 0
             elif isinstance(message, int):
@@ -268,40 +270,40 @@ class _Pool:
                 outcome: Outcome = message
                 worker.task = None
                 if isinstance(outcome, Failed) and outcome.problem.kind == MEMORY:
-                    worker.leaves = True  # what is left of its memory is in pieces
-                    worker.dismiss()
+                    worker.retiring = True  # its memory may be fragmented
+                    worker.close_input()
                 yield outcome
 
-    def _bury(self, worker: _Worker) -> Iterator[Event]:
-        """Say what became of the task of a worker that has ended."""
+    def _reap(self, worker: _Worker) -> Iterator[Event]:
+        """Remove a worker that has ended, and report its task as failed if it had one."""
         if worker not in self._workers:  # it was given up before
             return
         code = worker.process.wait()
         self._workers.remove(worker)
-        words = worker.last_words()
+        printed = worker.last_printed()
         worker.clean_up()
         if worker.task is not None:
-            problem = worker.verdict or _death(worker.task.name, code, words)
+            problem = worker.kill_reason or _death(worker.task.name, code, printed)
             yield Failed(worker.task.name, None, time.monotonic() - worker.begun, problem)
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
-                found = f"ended before it was ready, {FAILED_STARTS} times ({_how(code)}{_said(words)})"
+                found = f"ended before it was ready, {FAILED_STARTS} times ({_how(code)}{_printed(printed)})"
                 raise PrcError("worker process", found, "prc doctor checks the installation")
 
     def _watch(self) -> Iterator[Event]:
-        """Kill workers that give no sign of life; their end comes as a message.
+        """Kill workers that have been silent for too long; the reader threads then report their end.
 
-        Time in which nobody listened, as after Ctrl-Z, is not held against them.
+        Time in which this process was paused, as after Ctrl-Z, does not count as silence.
         """
         now, stall_s = time.monotonic(), self._settings.stall_s
-        deaf_s = max(0.0, now - self._looked - LONGEST_LOOK_S)
-        self._looked = now
+        paused_s = max(0.0, now - self._checked - LONGEST_CHECK_S)
+        self._checked = now
         for worker in tuple(self._workers):
-            worker.seen = min(now, worker.seen + deaf_s)
-            if worker.verdict is not None:
+            worker.seen = min(now, worker.seen + paused_s)
+            if worker.kill_reason is not None:
                 if now - worker.killed > ABANDON_S:
-                    yield from self._abandon(worker, worker.verdict)
+                    yield from self._abandon(worker, worker.kill_reason)
             elif worker.task is not None and now - worker.seen > stall_s:
                 problem = f"no progress for {stall_s:g} s, given up"
                 hint = "check that its disk or share answers; --stall allows more"
@@ -309,20 +311,20 @@ class _Pool:
             elif not worker.ready and now - worker.seen > START_S:
                 worker.kill(Problem("timeout", "worker process", f"not ready after {START_S:g} s"))
 
-    def _abandon(self, worker: _Worker, verdict: Problem) -> Iterator[Event]:
-        """Go on without a worker that cannot even be killed, because it hangs in the system."""
+    def _abandon(self, worker: _Worker, kill_reason: Problem) -> Iterator[Event]:
+        """Go on without a worker that cannot be killed, because it hangs in a system call."""
         self._workers.remove(worker)
         task, worker.task = worker.task, None  # its temporary files stay, as long as it is there
         worker.clean_up()
         if task is not None:
-            yield Failed(task.name, None, time.monotonic() - worker.begun, verdict)
+            yield Failed(task.name, None, time.monotonic() - worker.begun, kill_reason)
 
 
 _NEW_GROUP = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
 
 
 def _read(worker: _Worker, messages: queue.SimpleQueue[tuple[_Worker, Any]]) -> None:
-    """Pass on what a worker says, in a thread; None when it has ended."""
+    """Queue the messages of a worker, in a thread; None when it has ended."""
     stream = worker.process.stdout
     assert stream is not None
     with stream:
@@ -336,16 +338,16 @@ def _read(worker: _Worker, messages: queue.SimpleQueue[tuple[_Worker, Any]]) -> 
     messages.put((worker, None))
 
 
-def _death(name: str, code: int, words: str) -> Problem:
-    """Say how a worker ended that should not have."""
+def _death(name: str, code: int, printed: str) -> Problem:
+    """Describe how a worker died."""
     hint = "the file is tried again alone"
     if code == -getattr(signal, "SIGKILL", 9):
         hint = "the system kills so when memory is short: fewer --jobs, or --memory-limit"
-    return Problem("killed", name, f"its worker process {_how(code)}{_said(words)}", hint)
+    return Problem("killed", name, f"its worker process {_how(code)}{_printed(printed)}", hint)
 
 
 def _how(code: int) -> str:
-    """Name an exit code.
+    """Describe an exit code.
 
     >>> _how(3)
     'ended with exit code 3'
@@ -358,5 +360,5 @@ def _how(code: int) -> str:
         return f"was killed by signal {-code}"
 
 
-def _said(words: str) -> str:
-    return f"; it said: {words}" if words else ""
+def _printed(text: str) -> str:
+    return f"; it said: {text}" if text else ""

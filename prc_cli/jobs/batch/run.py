@@ -1,4 +1,4 @@
-"""A batch run from lock to summary; reads like the algorithm."""
+"""A batch run from lock to summary."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Noted:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The plan stands."""
+    """The plan is made, and work begins."""
 
     plan: Plan
     jobs: int
@@ -94,19 +94,19 @@ class Again:
 
 
 RunEvent: TypeAlias = Ready | Event | Again | Alarm | Noted
-"""What a listener hears; a :class:`Failed` that is followed by :class:`Again` is not final."""
+"""What a listener gets; a :class:`Failed` that is followed by :class:`Again` is not final."""
 
 Listener: TypeAlias = Callable[[RunEvent], None]
 
 
-def _nobody(event: RunEvent) -> None:
-    """Hear an event and do nothing."""
+def _ignore(event: RunEvent) -> None:
+    """Do nothing with an event."""
 
 
 def plan_batch(
-    settings: BatchSettings, engine: Engine | None = None, listener: Listener = _nobody
+    settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore
 ) -> tuple[Plan, Estimate]:
-    """Say what :func:`run_batch` would do, and what it would take; nothing is written.
+    """Return what :func:`run_batch` would do, and what it would take; nothing is written.
 
     What a format takes is known from earlier files of the archive, else from a file that is classified, twice, into
     a temporary folder of the system.
@@ -127,7 +127,7 @@ def plan_batch(
     return plan, estimate(plan.todo, rates, jobs)
 
 
-def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: Listener = _nobody) -> BatchSummary:
+def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore) -> BatchSummary:
     """Classify every file of an archive that is not done yet.
 
     Parameters
@@ -137,7 +137,7 @@ def run_batch(settings: BatchSettings, engine: Engine | None = None, listener: L
     engine : Engine, optional
         What runs the files; default: worker processes of this machine.
     listener : callable
-        Hears every event, in this thread.
+        Called with every event, in this thread.
 
     Returns
     -------
@@ -194,7 +194,7 @@ class _Run:
         self._started, self._clock = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
 
     def execute(self, plan: Plan, config: BatchConfig, earlier: _Earlier) -> BatchSummary:
-        """Do what is planned and say what came out."""
+        """Do what is planned and return its summary."""
         run = self._journal.begin_run(self._owner)
         if self._lock.inherited_from is not None:
             self._note(f"took over from a run that died: {self._lock.inherited_from}")
@@ -282,7 +282,7 @@ class _Run:
         return attempt < allowed and may_pass(failed.problem)
 
     def _pass(self, items: Sequence[Planned], settings: EngineSettings, attempt: int) -> None:
-        """Run files once; whatever happens, no worker is left when this returns."""
+        """Run files once; no worker is left when this returns or raises."""
         if not items or self._stopping:
             return
         settings = replace(settings, jobs=min(settings.jobs, len(items)))
@@ -314,7 +314,7 @@ class _Run:
                 self._stopping = True
 
     def _give_up_running(self) -> None:
-        """Note that files were begun and not ended, and leave no outcome of theirs."""
+        """Record files that were begun and not ended as interrupted, and remove their outcomes."""
         for name, begun in self._running.items():
             problem = Problem("interrupted", name, "the run was stopped before its end", "run again")
             self._journal.finish(Failed(name, None, time.monotonic() - begun, problem))

@@ -18,9 +18,7 @@ from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, PrcError
 
 OWN_FOLDER = ".prc"
-"""Folder in the output tree that holds journal, lock and temporary parts."""
-PARTS_FOLDER = "parts"
-"""Folder in it that holds parts of large files."""
+"""Folder in the output tree that holds journal and lock."""
 
 State: TypeAlias = Literal["running", "done", "failed"]
 """What the journal knows of a file: an entry that stays running was left by a killed run."""

@@ -1,7 +1,7 @@
-"""The other end of :mod:`prc_cli.jobs.batch.local`: a process that classifies one file after another.
+"""A worker process of :mod:`prc_cli.jobs.batch.local`, which classifies one file after another.
 
-Its standard input carries tasks, its standard output what becomes of them. When its input ends, because the parent
-asks for it or is dead, the file at work is rolled back and the process ends.
+It reads tasks from its standard input and writes outcomes to its standard output. When its input ends, because the
+parent closed it or died, the current file is rolled back and the process ends.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from prc_cli.jobs.classify import load_classifier
 READY = "ready"
 """First message of a worker."""
 BEAT_S = 1.0
-"""How often a worker looks whether it has moved data [s]."""
+"""How often a worker checks whether it has moved data [s]."""
 PROGRESS_S = 0.2
 """Finished lines are reported at most so often [s]."""
 MOVED = 1 << 14
 """So many bytes read or written are a sign of life [bytes]; looking itself moves a few hundred."""
-PATIENCE_S = 5.0
+STOP_S = 5.0
 """How long a worker that must end may take to remove its temporary files [s]."""
 AGAIN_S = 0.05
 """An interrupt that Python dropped is raised again so much later [s]."""
@@ -59,7 +59,7 @@ class _Interrupts:
 
     def end(self) -> None:
         """End the main thread's work, from another thread; the process ends however long that takes."""
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + STOP_S
         main = threading.main_thread().ident
         while time.monotonic() < end:
             if hasattr(signal, "pthread_kill") and main is not None:
@@ -71,14 +71,14 @@ class _Interrupts:
 
 
 class _Parent:
-    """What goes back to the parent; from several threads."""
+    """Sends messages to the parent; from several threads."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self._stream = stream
         self._lock = threading.Lock()
 
-    def tell(self, message: Any) -> None:
-        """Send a message; end the process where nobody listens any more."""
+    def send(self, message: Any) -> None:
+        """Send a message; end the process when the parent is gone."""
         data = pickle.dumps(message)
         try:
             with self._lock:
@@ -105,23 +105,23 @@ class _Lines:
 
     def flush(self) -> None:
         if self._waiting:
-            self._parent.tell(self._waiting)
+            self._parent.send(self._waiting)
             self._waiting = 0
 
 
 def _serve(tasks: queue.SimpleQueue[Task | None], parent: _Parent, threads: int, limit_mib: int | None) -> None:
-    """Do one task after the other until there are no more."""
+    """Do one task after the other until no more come."""
     limited = False
     while (task := tasks.get()) is not None:
         if limit_mib is not None and not limited:
-            with contextlib.suppress(Exception):  # what is wrong comes up again where it is reported
-                load_classifier(task.config)  # what the libraries take is no file's fault
+            with contextlib.suppress(Exception):  # the same error comes again, and is reported, with the file
+                load_classifier(task.config)  # memory of the libraries does not count
             limit_memory(limit_mib)
             limited = True
         lines = _Lines(parent)
         outcome: Outcome = run_task(task, threads=threads, progress=lines)
         lines.flush()
-        parent.tell(outcome)
+        parent.send(outcome)
 
 
 def limit_memory(mib: int) -> None:
@@ -159,7 +159,7 @@ def bytes_moved() -> Callable[[], int]:
 
 
 def _beat(parent: _Parent) -> None:
-    """Tell the parent, from a thread, that data is moving although no line is finished, as at the end of a file."""
+    """Tell the parent that data is moving although no line is finished, as at the end of a file; in a thread."""
     moved = bytes_moved()
     last = moved()
     while True:
@@ -168,11 +168,11 @@ def _beat(parent: _Parent) -> None:
             now = moved()
             if now - last >= MOVED:
                 last = now
-                parent.tell(0)
+                parent.send(0)
 
 
-def _listen(stream: IO[bytes], tasks: queue.SimpleQueue[Task | None], interrupts: _Interrupts) -> None:
-    """Take tasks from the parent, in a thread; when there is no parent any more, end."""
+def _receive(stream: IO[bytes], tasks: queue.SimpleQueue[Task | None], interrupts: _Interrupts) -> None:
+    """Receive tasks from the parent, in a thread; end the process when the parent is gone."""
     while True:
         try:
             task = pickle.load(stream)
@@ -186,19 +186,19 @@ def _listen(stream: IO[bytes], tasks: queue.SimpleQueue[Task | None], interrupts
 def main(threads: int, limit_mib: int | None) -> int:
     """Run as a worker process; returns its exit code."""
     interrupts = _Interrupts()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent hears it and says what is to be done
-    with contextlib.suppress(OSError):  # when memory is short, a worker shall go, not its parent
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    with contextlib.suppress(OSError):  # when memory is short, the system kills a worker, not its parent
         Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
-    # whatever prints goes to stderr, which the parent keeps for its messages
+    # what libraries print goes to stderr, which the parent keeps for error messages
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     parent = _Parent(out)
     tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
     code = 0
     try:
-        threading.Thread(target=_listen, args=(sys.stdin.buffer, tasks, interrupts), daemon=True).start()
+        threading.Thread(target=_receive, args=(sys.stdin.buffer, tasks, interrupts), daemon=True).start()
         threading.Thread(target=_beat, args=(parent,), daemon=True).start()
-        parent.tell(READY)
+        parent.send(READY)
         _serve(tasks, parent, threads, limit_mib)
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else 1
@@ -206,5 +206,5 @@ def main(threads: int, limit_mib: int | None) -> int:
 
 
 if __name__ == "__main__":
-    # all files are closed: nothing is gained by taking the libraries apart
+    # all files are closed; unloading the libraries would only take time
     os._exit(main(int(sys.argv[1]), int(sys.argv[2]) or None))

@@ -1,4 +1,4 @@
-"""Processes that fight for one lock and drop dead in the middle of it; a script of its own, because it forks.
+"""Processes that compete for one lock and die in the middle of it; a script of its own, because it forks.
 
 ``python rivals.py FOLDER SEED LIVES INHERITED KINDS`` prints what happened as JSON. Every step of a rival in the file
 system may be slow, and may be its last: it leaves with ``os._exit``, as a kill would make it. There are at least so
@@ -37,7 +37,7 @@ MOST_LIVES = 20_000
 def main() -> None:
     folder, seed, n_wanted, n_inherited = Path(sys.argv[1]), *map(int, sys.argv[2:5])
     kinds = [None if kind == "whole" else Shard.parse(kind) for kind in sys.argv[5].split(",")]
-    subject.ATTEMPT_PAUSE_S, subject.CONFLICT_PAUSE_S = 0.002, 0.01
+    subject.POLL_S, subject.LOOK_S = 0.001, 0.05
     (folder / "inside").mkdir()
     log = folder / "log"
     log.touch()
@@ -59,8 +59,7 @@ def main() -> None:
         n_failed += os.waitstatus_to_exitcode(status) not in (0, DIED)
         goes_on = n_lives < n_wanted or (log.read_text().count("inherited") < n_inherited and n_lives < MOST_LIVES)
     counts = Counter(log.read_text().split())
-    left = [name for name in os.listdir(folder / ".prc") if "heir" in name]
-    sys.stdout.write(json.dumps({**counts, "lives": n_lives, "failed": n_failed, "heirs left": len(left)}))
+    sys.stdout.write(json.dumps({**counts, "lives": n_lives, "failed": n_failed}))
 
 
 def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
@@ -76,10 +75,11 @@ def _live(folder: Path, rng: random.Random, kinds: list[Shard | None]) -> None:
             log.write("died\n")
             os._exit(DIED)
 
-    for name in ("_read", "_link", "_write", "_judge", "_chain"):
+    for name in ("_read", "_is_held", "_file_system_time"):
         setattr(subject, name, _with_steps(getattr(subject, name), step))
+    for name in ("acquire", "release"):
+        setattr(subject.FileLock, name, _with_steps(getattr(subject.FileLock, name), step))
     unlink = Path.unlink
-    os.fsync = lambda handle: None  # no power is cut here; more rounds a second
     Path.replace = _with_steps(Path.replace, step)  # type: ignore[method-assign]
     Path.unlink = _with_steps(Path.unlink, step)  # type: ignore[method-assign]
     for _ in range(N_FIGHTS):

@@ -1,4 +1,4 @@
-"""Files and parts on Dask: the bytes of the local engine, whatever dies on the way."""
+"""Files on Dask: the bytes of the local engine, whatever dies on the way."""
 
 from __future__ import annotations
 
@@ -40,6 +40,7 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.classify import classify, load_classifier
+from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import write_endless
 
@@ -152,67 +153,6 @@ def test_long_list_is_asked_for_as_there_is_room(cluster: Any, tmp_path: Path) -
         done += isinstance(event, Done)
     assert done == 30
     assert ahead <= 5
-
-
-def test_large_file_in_parts(cluster: Any, tmp_path: Path) -> None:
-    tasks = tasks_in(tmp_path, {"small.npy": 20, "deep/large.npy": 403, "other.npy": 25})
-    table = tmp_path / "in" / "table.csv"
-    table.write_text("range\n" + "5.5\n" * 4000)
-    whole = load_config(options={"input": {"points_per_line": 40}})
-    tasks.append(Task("table.csv", table, tmp_path / "out" / "table.npy", whole, "c0ffee"))
-    notices: list[str] = []
-    engine = DaskEngine(cluster.scheduler_address, split_shots=1600, notice=notices.append)
-    events = run(engine, tasks)
-    found = outcomes(events)
-    assert all(isinstance(outcome, Done) for outcome in found.values()), found
-    check_bytes(tasks, tmp_path)
-    large = [event for event in events if event.name == "deep/large.npy"]
-    assert len([event for event in large if isinstance(event, Started)]) == 1
-    assert sum(event.n_lines for event in large if isinstance(event, Progress)) <= 403
-    assert any("table.csv goes whole: .csv is read from its start" in text for text in notices)
-    assert not (tmp_path / "out" / ".prc" / "parts").exists()
-
-
-def test_split_when_workers_would_be_idle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quiet: None) -> None:
-    """A split takes more of all workers together: while there are other files, files go whole."""
-    tasks = tasks_in(tmp_path, {**{f"{i}.npy": 402 + i for i in range(9)}, "last.npy": 400})
-    real, tried = dask_engine.split, []
-
-    def watched(task: Task, shots: int) -> Any:
-        tried.append(task.name)
-        return real(task, 1600)
-
-    monkeypatch.setattr(dask_engine, "split", watched)
-    where = {"processes": False, "dashboard_address": ":0", "memory_limit": 0}
-    with distributed.LocalCluster(n_workers=1, threads_per_worker=4, **where) as own:
-        found = outcomes(run(DaskEngine(own.scheduler_address), tasks))
-        assert all(isinstance(outcome, Done) for outcome in found.values()), found
-        assert len(tried) <= 2
-        assert not {task.name for task in tasks[:7]} & set(tried)
-        tried.clear()
-        run(DaskEngine(own.scheduler_address), [replace(task, overwrite=True) for task in tasks[-1:]])
-        assert tried == ["last.npy"]
-        tried.clear()
-        run(DaskEngine(own.scheduler_address, split_shots=0), [replace(tasks[0], overwrite=True)])
-        assert tried == []
-    check_bytes(tasks, tmp_path)
-
-
-def test_part_that_fails_ends_its_file_alone(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tasks = tasks_in(tmp_path, {"large.npy": 403, "other.npy": 25})
-    real = dask_engine.run_part
-
-    def fails(part: Any, **how: Any) -> Any:
-        if part.header.first_block > 20:
-            raise PermissionError(13, "Permission denied", str(part.task.source))
-        return real(part, **how)
-
-    monkeypatch.setattr(dask_engine, "run_part", fails)
-    found = outcomes(run(DaskEngine(cluster.scheduler_address, split_shots=1600), tasks))
-    assert isinstance(found["other.npy"], Done)
-    failed = found["large.npy"]
-    assert isinstance(failed, Failed)
-    assert failed.problem.kind == "PermissionError"
 
 
 def test_trajectory_named_from_here(cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -409,7 +349,7 @@ def machines(tmp_path: Path, quiet: None, request: pytest.FixtureRequest) -> Ite
     with ExitStack() as stack:
         started = []
         for command in commands:
-            process = subprocess.Popen(
+            process = patience.popen(
                 command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
             )
             stack.callback(end, process)
@@ -433,15 +373,14 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 def test_worker_killed_in_mid_run(machines: Machines, tmp_path: Path) -> None:
-    """Separately started scheduler and workers; one is killed while it has a file, and a part."""
-    lines = {"first.npy": 20_000, **{f"{i}.npy": 300 for i in range(4)}, "large.npy": 24_000}
+    """Separately started scheduler and workers; one is killed while it has a file."""
+    lines = {"first.npy": 20_000, **{f"{i}.npy": 300 for i in range(4)}, "last.npy": 2400}
     tasks = tasks_in(tmp_path, lines, m=100)
     pids = machines.client.run(os.getpid)
     owner: dict[str, str] = {}
     killed: list[str] = []
     events: list[Event] = []
-    # large enough to be split is but the last one
-    engine = DaskEngine(machines.address, split_shots=1_100_000)
+    engine = DaskEngine(machines.address)
     with closing(stream := engine.run(iter(tasks), EngineSettings())):  # type: ignore[type-var]
         for event in stream:
             events.append(event)
@@ -495,7 +434,7 @@ def test_cluster_of_its_own(tmp_path: Path, quiet: None) -> None:
     """Without a scheduler the engine starts one with processes on this machine, and leaves none behind."""
     tasks = tasks_in(tmp_path, {**{f"{i}.npy": 50 for i in range(5)}, "large.npy": 403})
     notices: list[str] = []
-    engine = DaskEngine(split_shots=4000, notice=notices.append)
+    engine = DaskEngine(notice=notices.append)
     workers: set[str] = set()
     events = []
     for event in engine.run(iter(tasks), EngineSettings(jobs=2)):
@@ -529,10 +468,11 @@ def test_ctrl_c_on_a_terminal(tmp_path: Path) -> None:
         "dask",
     ]
     with (tmp_path / "said").open("wb") as said:
-        process = subprocess.Popen([*command, "--jobs", "2"], stdout=said, stderr=said, start_new_session=True)
-        wait_until(lambda: list((tmp_path / "out").glob("*.npy")))
-        os.killpg(process.pid, signal.SIGINT)
-        assert process.wait(HANGS_S) == 130
+        how = {"stdout": said, "stderr": said, "start_new_session": True}
+        with patience.start([*command, "--jobs", "2"], **how) as process:
+            wait_until(lambda: list((tmp_path / "out").glob("*.npy")))
+            os.killpg(process.pid, signal.SIGINT)
+            assert process.wait(HANGS_S) == 130
     text = (tmp_path / "said").read_text()
     assert "interrupted" in text
     assert "Traceback" not in text
@@ -550,7 +490,7 @@ def shards_of(tmp_path: Path, index: int, **more: str) -> subprocess.CompletedPr
     given = {"ARCHIVE": tmp_path / "in", "OUT": tmp_path / "out", "CONFIG": tmp_path / "a.toml"}
     environment = {**os.environ, **{key: str(value) for key, value in given.items()}, "SLURM_ARRAY_TASK_ID": str(index)}
     environment |= {"PATH": f"{program.parent}{os.pathsep}{os.environ['PATH']}", **more}
-    return subprocess.run(["bash", str(script)], env=environment, capture_output=True, text=True, check=False)
+    return patience.run(["bash", str(script)], env=environment, capture_output=True, text=True)
 
 
 @pytest.mark.slow

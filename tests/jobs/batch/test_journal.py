@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import sqlite3
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -33,6 +32,7 @@ from prc_cli.jobs.batch.types import (
     Shard,
     Task,
 )
+from tests import patience
 
 ODD_NAMES = [
     "plain.laz",
@@ -345,9 +345,7 @@ def test_a_read_only_folder_can_be_read_and_is_refused_for_writing(open_to_all: 
             journal.close()
         folder.chmod(0o555)
         try:
-            result = subprocess.run(
-                [sys.executable, "-c", AS_NOBODY, str(folder)], capture_output=True, text=True, check=False
-            )
+            result = patience.run([sys.executable, "-c", AS_NOBODY, str(folder)], capture_output=True, text=True)
         finally:
             folder.chmod(0o755)
     assert result.stdout.startswith("1\nOutputError"), (result.stdout, result.stderr)
@@ -364,7 +362,7 @@ def kill_writers(folder: Path, seed: int, n_kills: int, n_rows: int) -> None:
     """Kill writers, each going on where the one before was, until so many rows were finished."""
     script = Path(__file__).with_name("killed_writers.py")
     command = [sys.executable, str(script), str(folder), str(seed), str(n_kills), str(n_rows)]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=3600)
+    result = patience.run(command, capture_output=True, text=True, timeout=3600)
     assert result.returncode == 0, result.stderr
     assert int(result.stdout) >= n_rows
 

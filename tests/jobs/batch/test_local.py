@@ -29,6 +29,7 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.classify import classify
+from tests import patience
 from tests.patience import wait_until
 from tests.street import street, write_endless, write_npz
 
@@ -62,9 +63,9 @@ class Clock:
         patch.setattr(local._Worker, "give", given)
 
 
-def pass_for_listening(patch: pytest.MonkeyPatch) -> None:
+def count_pauses_as_silence(patch: pytest.MonkeyPatch) -> None:
     """Let the engine hold the time by which its clock was turned on against its workers."""
-    patch.setattr(local, "LONGEST_LOOK_S", float("inf"))
+    patch.setattr(local, "LONGEST_CHECK_S", float("inf"))
 
 
 def task(folder: Path, name: str, source: Path) -> Task:
@@ -109,7 +110,7 @@ def events(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]
     found: list[Event] = []
     with pytest.MonkeyPatch.context() as patch:
         clock = Clock(patch)
-        pass_for_listening(patch)
+        count_pauses_as_silence(patch)
         for event in LocalEngine().run(iter(tasks), EngineSettings(jobs=2, stall_s=STALL_S)):
             found.append(event)
             # the task is sent when the next event is asked for: the process dies, or sleeps, with the task before it
@@ -218,16 +219,11 @@ for event in LocalEngine().run(tasks, EngineSettings(jobs=1)):
     if isinstance(event, Progress):
         print("progress", flush=True)
 """
-    parent = subprocess.Popen([sys.executable, "-c", script, str(source)], stdout=subprocess.PIPE, text=True)
-    try:
+    with patience.start([sys.executable, "-c", script, str(source)], stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         assert parent.stdout.readline() == "progress\n"
         workers = children(parent.pid)
         assert workers
-    finally:
-        parent.kill()
-        parent.wait()
-        parent.stdout.close()
     wait_until(lambda: not any(is_running(process) for process in workers))
     assert list((tmp_path / "out").iterdir()) == []
 
@@ -261,7 +257,7 @@ def test_a_worker_that_cannot_be_killed_is_left_behind(tmp_path: Path, monkeypat
     source = write_npz(tmp_path / "a.npz", street(80))
     clock = Clock(monkeypatch)
     clock.turn_on_when_given(monkeypatch, "hangs")
-    pass_for_listening(monkeypatch)
+    count_pauses_as_silence(monkeypatch)
     stopped: list[int] = []
     real_kill = subprocess.Popen.kill
     # it is told to end, does not, and is given up
@@ -334,7 +330,7 @@ try:
 finally:
     print("rolled back", flush=True)
 """
-    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    found = patience.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert found.stdout == "rolled back\n"
     assert found.returncode == worker.ENDED
 

@@ -1,39 +1,42 @@
-"""One run at a time: a live owner is respected, a dead one inherited from by exactly one rival."""
+"""One run at a time: a living owner is respected, the lock of a dead one is free."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import platform
+import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
-from itertools import count, pairwise
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import pytest
+from filelock import FileLock
 
 from prc_cli.core.errors import BusyError, ConfigError, OutputError
 from prc_cli.jobs.batch import lock as subject
-from prc_cli.jobs.batch.lock import (
-    Lock,
-    Owner,
-    holders,
-    lock_path,
-)
+from prc_cli.jobs.batch.lock import GATE, Lock, Owner, holders, lock_path
 from prc_cli.jobs.batch.types import Shard
-from tests.patience import wait_until
+from tests.patience import run, start, wait_until
 
 RIVALS = Path(__file__).with_name("rivals.py")
 HOLD = """
 import sys, time
 from pathlib import Path
 from prc_cli.jobs.batch.lock import Lock
-with Lock(Path(sys.argv[1]), beat_s=0.1):
+with Lock(Path(sys.argv[1])):
+    if len(sys.argv) > 2:  # as a run starts its workers
+        import subprocess
+        child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"], stdin=subprocess.DEVNULL)
+        print(child.pid, flush=True)
     print("held", flush=True)
     time.sleep(3600)
 """
@@ -44,24 +47,44 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / ".prc"
 
 
+@pytest.fixture
+def without_locks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file system without locks, or without its lock server."""
+
+    def acquire(lock: FileLock, *arguments: Any, **named: Any) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(FileLock, "acquire", acquire)
+
+
 def leave(path: Path, owner: Owner, silent_s: float = 0.0) -> None:
-    """Leave the lock of somebody whose last heartbeat is so long ago."""
+    """Leave the file of an owner whose last heartbeat is so long ago."""
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(asdict(owner)))
     then = path.stat().st_mtime - silent_s
     os.utime(path, (then, then))
 
 
-def dead_process() -> int:
-    process = subprocess.Popen([sys.executable, "-c", ""])
-    process.wait()
-    return process.pid
+def beating() -> Owner:
+    return replace(Owner.myself(beats=True), host="elsewhere")
+
+
+@contextmanager
+def held_by_another_process(folder: Path, *more: str) -> Iterator[subprocess.Popen[str]]:
+    with start([sys.executable, "-c", HOLD, str(folder), *more], stdout=subprocess.PIPE, text=True) as process:
+        yield process
+
+
+def line_of(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline().rstrip("\n")
 
 
 def test_a_lock_is_held_and_released(folder: Path) -> None:
     with Lock(folder) as lock:
         (holder,) = holders(folder)
         assert holder.alive
+        assert holder.silent_s is None
         assert holder.owner == lock.owner
         assert holder.owner.pid == os.getpid()
         lock.check()
@@ -74,7 +97,7 @@ def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
     with Lock(folder), pytest.raises(BusyError) as caught, Lock(folder):
         pass
     assert caught.value.exit_code == 5
-    for word in (str(os.getpid()), platform.node(), "another run is at work", f"kill {os.getpid()}"):
+    for word in (str(os.getpid()), platform.node(), "another run is at work", "since 20", f"kill {os.getpid()}"):
         assert word in str(caught.value)
     assert os.listdir(folder) == []
 
@@ -91,10 +114,12 @@ def test_a_second_run_is_told_who_is_at_work(folder: Path) -> None:
         ("11/12", "1/2", False),
     ],
 )
+@pytest.mark.parametrize("locks", [True, False])
 def test_runs_with_files_in_common_exclude_each_other(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, first: str | None, second: str | None, together: bool
+    folder: Path, request: pytest.FixtureRequest, first: str | None, second: str | None, together: bool, locks: bool
 ) -> None:
-    monkeypatch.setattr(subject, "CONFLICT_PAUSE_S", 0.001)
+    if not locks:
+        request.getfixturevalue("without_locks")
     one, other = (None if text is None else Shard.parse(text) for text in (first, second))
     with Lock(folder, one) as lock:
         if together:
@@ -104,167 +129,99 @@ def test_runs_with_files_in_common_exclude_each_other(
             with pytest.raises(BusyError), Lock(folder, other):
                 pass
         assert [holder.owner for holder in holders(folder)] == [lock.owner]
-
-
-def test_the_lock_of_a_killed_process_is_taken_over_at_once(folder: Path) -> None:
-    process = subprocess.Popen([sys.executable, "-c", HOLD, str(folder)], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "held\n"
-    with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
-        pass
-    process.kill()
-    # not asked for its exit code yet: a dead process whose parent is busy is dead all the same
-    wait_until(lambda: not holders(folder)[0].alive)
-    with Lock(folder) as lock:
-        assert lock.inherited_from is not None
-        assert lock.inherited_from.pid == process.pid
         lock.check()
-    process.wait()
-    process.stdout.close()
     assert os.listdir(folder) == []
 
 
-def test_a_stopped_process_of_this_machine_is_not_dead(folder: Path) -> None:
-    leave(lock_path(folder), Owner.myself(), silent_s=10_000)
-    with pytest.raises(BusyError), Lock(folder):
-        pass
-
-
-def test_a_process_number_that_was_given_again_is_not_the_owner(folder: Path) -> None:
-    """Our own number, but a process that started at another time."""
-    leave(lock_path(folder), replace(Owner.myself(), born="1"))
-    with Lock(folder) as lock:
-        assert lock.inherited_from is not None
-
-
-@pytest.mark.parametrize(
-    ("silent_s", "changes", "alive"),
-    [
-        (0, {"host": "elsewhere"}, True),
-        (60, {"host": "elsewhere"}, True),
-        (121, {"host": "elsewhere"}, False),
-        (0, {"boot": "before the crash"}, True),
-        (5, {"boot": "before the crash"}, True),
-        (31, {"boot": "before the crash"}, False),
-        (60, {"pid_space": "another container"}, True),
-        (121, {"pid_space": "another container"}, False),
-        (60, {"boot": "", "pid_space": ""}, True),
-        (121, {"boot": "", "pid_space": ""}, False),
-        (60, {"born": ""}, True),
-        (121, {"born": ""}, False),
-    ],
-)
-def test_owners_that_cannot_be_asked_live_by_their_heartbeat(
-    folder: Path, silent_s: float, changes: dict[str, str], alive: bool
-) -> None:
-    leave(lock_path(folder), replace(Owner.myself(), **changes), silent_s)
-    assert [holder.alive for holder in holders(folder)] == [alive]
-    if alive:
-        with pytest.raises(BusyError), Lock(folder):
-            pass
-    else:
-        with Lock(folder):
-            pass
-
-
-@pytest.mark.parametrize("skew_s", [-86_400.0, 86_400.0])
-def test_clocks_of_machines_do_not_matter(folder: Path, monkeypatch: pytest.MonkeyPatch, skew_s: float) -> None:
-    """Heartbeats are compared with a file that is touched at the same place, not with the clock of this machine."""
-    now = time.time
-    monkeypatch.setattr(subject.time, "time", lambda: now() + skew_s)
-    leave(lock_path(folder), replace(Owner.myself(), host="elsewhere"), silent_s=60)
-    with pytest.raises(BusyError), Lock(folder):
-        pass
-    leave(lock_path(folder), replace(Owner.myself(), host="elsewhere"), silent_s=180)
+def test_a_thread_may_release_the_lock_of_another(folder: Path) -> None:
+    lock = Lock(folder)
+    lock.__enter__()
+    thread = threading.Thread(target=lock.__exit__, args=(None, None, None))
+    thread.start()
+    thread.join()
     with Lock(folder):
         pass
 
 
-def test_the_heartbeat_beats_while_the_lock_is_held(folder: Path) -> None:
-    with Lock(folder, beat_s=0.02) as lock:
-        os.utime(lock.path, (1000, 1000))
-        wait_until(lambda: lock.path.stat().st_mtime > 1000)
-        assert holders(folder)[0].silent_s < 3600
+def test_the_lock_of_a_killed_process_is_free_at_once(folder: Path) -> None:
+    with held_by_another_process(folder) as process:
+        assert line_of(process) == "held"
+        with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
+            pass
+        process.kill()
+        # not asked for its exit code yet: the lock does not wait for that
+        wait_until(lambda: not holders(folder)[0].alive)
+        with Lock(folder) as lock:
+            assert lock.inherited_from is not None
+            assert lock.inherited_from.pid == process.pid
+            lock.check()
+    assert os.listdir(folder) == []
 
 
-@pytest.mark.parametrize("event", ["taken over", "inherited", "removed"])
-def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(folder: Path, event: str) -> None:
-    """As after a machine slept: the owner was taken for dead."""
-    other = replace(Owner.myself(), host="elsewhere")
-    with Lock(folder, beat_s=0.02) as lock:
-        if event == "taken over":
-            leave(lock.path, other)
-        elif event == "inherited":
-            leave(lock.path.with_name(f"{lock.path.name}.heir-{lock.owner.token}"), other)
-        else:
-            lock.path.unlink()
-        with pytest.raises(BusyError, match="the lock was lost"):
-            wait_until(lock.check)
-    if event == "taken over":
-        assert [holder.owner for holder in holders(folder)] == [other]
+def test_workers_do_not_keep_the_lock_of_their_parent(folder: Path) -> None:
+    """Files of the parent are not open in its children, so its lock ends with it."""
+    with held_by_another_process(folder, "with a child") as process:
+        child = int(line_of(process))
+        assert line_of(process) == "held"
+        process.kill()
+        wait_until(lambda: not holders(folder)[0].alive)
+        os.kill(child, 0)  # it still runs
+        with Lock(folder) as lock:
+            assert lock.inherited_from is not None
 
 
-@pytest.mark.parametrize("n_dead_heirs", [0, 1, 3])
-def test_heirs_that_died_before_they_had_the_lock_are_inherited_from(folder: Path, n_dead_heirs: int) -> None:
-    path = lock_path(folder)
-    dead = [replace(Owner.myself(), pid=dead_process()) for _ in range(n_dead_heirs + 1)]
-    leave(path, dead[0])
-    for before, heir in pairwise(dead):
-        leave(path.with_name(f"{path.name}.heir-{before.token}"), heir)
-    with Lock(folder) as lock:
-        assert lock.inherited_from == dead[-1]
-        assert os.listdir(folder) == [path.name]
-
-
-def test_a_living_heir_that_has_not_got_the_lock_yet_is_respected(folder: Path) -> None:
-    path = lock_path(folder)
-    dead = replace(Owner.myself(), pid=dead_process())
-    leave(path, dead)
-    leave(path.with_name(f"{path.name}.heir-{dead.token}"), replace(Owner.myself(), user="heir"))
-    with pytest.raises(BusyError, match="of heir on"), Lock(folder):
-        pass
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+def test_a_stopped_process_is_not_dead(folder: Path) -> None:
+    with held_by_another_process(folder) as process:
+        assert line_of(process) == "held"
+        os.kill(process.pid, signal.SIGSTOP)
+        os.utime(lock_path(folder), (1000, 1000))
+        with pytest.raises(BusyError, match=f"process {process.pid}"), Lock(folder):
+            pass
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"{", b"[]", b"\x00" * 4096, b'{"pid": "x"}', b"[" * 100_000, b'{"token": "../../x"}']
 )
-def test_a_lock_that_says_nothing_is_respected_for_two_minutes(folder: Path, content: bytes) -> None:
+def test_a_file_that_names_nobody_stops_nobody(folder: Path, content: bytes) -> None:
     folder.mkdir()
-    path = lock_path(folder)
-    path.write_bytes(content)
-    with pytest.raises(BusyError, match="an unknown user on an unknown machine"), Lock(folder):
-        pass
-    then = path.stat().st_mtime - 121
-    os.utime(path, (then, then))
+    lock_path(folder).write_bytes(content)
     with Lock(folder) as lock:
         lock.check()
-    assert os.listdir(folder) == []
+        lock_path(folder).write_bytes(content)
+        with pytest.raises(BusyError, match="an unknown user on an unknown machine"), Lock(folder):
+            pass
+        with pytest.raises(BusyError, match="the lock was lost"):
+            lock.check()
 
 
-def test_without_second_names_of_files_there_is_one_owner_as_well(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("event", ["taken over", "removed"])
+@pytest.mark.parametrize("locks", [True, False])
+def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
+    folder: Path, request: pytest.FixtureRequest, event: str, locks: bool
 ) -> None:
-    def no_links(source: Path, target: Path) -> None:
-        raise PermissionError("Operation not permitted")
+    """As after somebody removed files, or a machine slept and was taken for dead."""
+    if not locks:
+        request.getfixturevalue("without_locks")
+    other = beating()
+    with Lock(folder, beat_s=0.02) as lock:
+        if event == "taken over":
+            leave(lock.path, other)
+        else:
+            lock.path.unlink()
+        with pytest.raises(BusyError, match="the lock was lost"):
+            lock.check()
+    assert [holder.owner for holder in holders(folder)] == ([other] if event == "taken over" else [])
 
-    monkeypatch.setattr(os, "link", no_links)
-    with Lock(folder), pytest.raises(BusyError), Lock(folder):
-        pass
-    leave(lock_path(folder), replace(Owner.myself(), pid=dead_process()))
-    with Lock(folder) as lock:
-        assert lock.inherited_from is not None
 
-
-def test_a_link_whose_answer_was_lost_is_ours(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    link = os.link
-
-    def lost_answer(source: Path, target: Path) -> None:
-        link(source, target)
-        raise FileExistsError
-
-    monkeypatch.setattr(os, "link", lost_answer)
-    with Lock(folder) as lock:
-        assert [holder.owner for holder in holders(folder)] == [lock.owner]
+@pytest.mark.skipif(os.name != "posix", reason="files that are open are not removed")
+def test_a_lock_that_was_removed_lets_another_run_in_and_the_first_one_stops(folder: Path) -> None:
+    with Lock(folder) as first:
+        (folder / "lock").unlink()
+        with Lock(folder) as second:
+            second.check()
+            with pytest.raises(BusyError, match="taken over by"):
+                first.check()
 
 
 def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
@@ -273,9 +230,151 @@ def test_a_folder_that_cannot_be_made_is_said_so(tmp_path: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize("found", ["nothing", "the lock of a dead owner"])
+def test_a_lock_that_may_not_be_opened_is_said_so(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def acquire(lock: FileLock, *arguments: Any, **named: Any) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", lock.lock_file)
+
+    with Lock(folder) as lock:
+        monkeypatch.setattr(FileLock, "acquire", acquire)
+        # who may not ask believes what is written
+        assert [(holder.owner, holder.alive) for holder in holders(folder)] == [(lock.owner, True)]
+        with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"), Lock(folder):
+            pass
+
+
+def test_a_gate_that_stays_shut_is_said_so(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subject, "GATE_S", 0.05)
+    folder.mkdir()
+    gate = FileLock(folder / GATE)
+    with gate, pytest.raises(BusyError, match=r"taking its lock for 0\.05 s; try again"), Lock(folder):
+        pass
+
+
+def test_a_lock_on_a_file_that_lost_its_name_does_not_count(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on NFS, where a file that somebody has open is renamed when it is removed."""
+    fcntl = pytest.importorskip("fcntl")
+    folder.mkdir()
+    path, flock = folder / "lock", fcntl.flock
+
+    def late(handle: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", flock)
+        path.rename(folder / ".nfs0001")
+        flock(handle, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    lock = subject._LockFile(path)
+    lock.acquire(5.0)
+    assert (folder / ".nfs0001").exists()
+    assert path.exists()
+    lock.release()
+    assert os.listdir(folder) == [".nfs0001"]
+
+
+# -- file systems without locks ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [errno.ENOTSUP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL])
+def test_without_locks_a_second_run_is_refused_and_told_of_shards(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def flock(handle: int, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with Lock(folder) as lock:
+        assert lock.owner.beats
+        lock.check()
+        (holder,) = holders(folder)
+        assert holder.alive
+        assert holder.silent_s is not None
+        with pytest.raises(BusyError, match="another run is at work") as caught, Lock(folder):
+            pass
+        assert caught.value.exit_code == 5
+        assert "--shard" in caught.value.hint
+    assert os.listdir(folder) == []
+
+
+def test_the_heartbeat_beats_while_the_lock_is_held(folder: Path, without_locks: None) -> None:
+    with Lock(folder, beat_s=0.02) as lock:
+        os.utime(lock.path, (1000, 1000))
+        wait_until(lambda: lock.path.stat().st_mtime > 1000)
+        assert holders(folder)[0].silent_s is not None
+
+
+@pytest.mark.parametrize("locks", [True, False])
+@pytest.mark.parametrize(("silent_s", "alive"), [(0, True), (60, True), (121, False)])
+def test_owners_without_locks_live_by_their_heartbeat(
+    folder: Path, request: pytest.FixtureRequest, locks: bool, silent_s: float, alive: bool
+) -> None:
+    """Also for who has locks: machines may mount the same folder in different ways."""
+    if not locks:
+        request.getfixturevalue("without_locks")
+    other = beating()
+    leave(lock_path(folder), other, silent_s)
+    assert [holder.alive for holder in holders(folder)] == [alive]
+    if alive:
+        with pytest.raises(BusyError, match="last heard of"), Lock(folder):
+            pass
+    else:
+        with Lock(folder) as lock:
+            assert lock.inherited_from == other
+            lock.check()
+
+
+def test_the_lock_of_an_earlier_version_lives_by_its_heartbeat(folder: Path) -> None:
+    folder.mkdir()
+    table = asdict(beating()) | {"boot": "b", "pid_space": "", "born": "12"}
+    del table["beats"]
+    lock_path(folder).write_text(json.dumps(table))
+    with pytest.raises(BusyError, match="on elsewhere"), Lock(folder):
+        pass
+
+
+@pytest.mark.parametrize("skew_s", [-86_400.0, 86_400.0])
+def test_clocks_of_machines_do_not_matter(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None, skew_s: float
+) -> None:
+    """Heartbeats are compared with the time of the file system, not with the clock of this machine."""
+    now = time.time
+    monkeypatch.setattr(subject.time, "time", lambda: now() + skew_s)
+    leave(lock_path(folder), beating(), silent_s=60)
+    with pytest.raises(BusyError), Lock(folder):
+        pass
+    leave(lock_path(folder), beating(), silent_s=180)
+    with Lock(folder):
+        pass
+
+
+def test_without_locks_one_of_two_that_start_together_stops(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None
+) -> None:
+    """Both found the same dead owner; the later one removes the file of the earlier one, which finds out."""
+    leave(lock_path(folder), beating(), silent_s=180)
+    with ExitStack() as stack:
+        first = Lock(folder)
+        unlink = Path.unlink
+
+        def slow(path: Path, missing_ok: bool = False) -> None:
+            if path == lock_path(folder):
+                monkeypatch.setattr(Path, "unlink", unlink)
+                stack.enter_context(first)
+            unlink(path, missing_ok=missing_ok)
+
+        monkeypatch.setattr(Path, "unlink", slow)
+        second = stack.enter_context(Lock(folder))
+        second.check()
+        with pytest.raises(BusyError, match="taken over by"):
+            first.check()
+
+
+# -- rivals -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("found", ["nothing", "the file of a dead owner"])
+@pytest.mark.parametrize("rival", [None, "1/2"])
 def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, found: str, rival: str | None
 ) -> None:
     """The random fights below in all their variants of one rival that is quick while the other one is slow."""
     until: int | None = None
@@ -288,21 +387,23 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
                 until -= 1
                 if until == 0:
                     until = None
-                    come()
+                    come(None if rival is None else Shard.parse(rival))
             return function(*arguments, **named)
 
         return call
 
-    def come() -> None:
+    def come(shard: Shard | None = None) -> None:
         with suppress(BusyError):
-            inside.append(stack.enter_context(Lock(folder)))
+            inside.append(stack.enter_context(Lock(folder, shard)))
 
-    for name in ("_read", "_link", "_write", "_judge", "_chain"):
+    for name in ("_read", "_is_held", "_file_system_time", "_gate", "_lock_paths"):
         monkeypatch.setattr(subject, name, stepped(getattr(subject, name)))
     for name in ("replace", "unlink"):
         monkeypatch.setattr(Path, name, stepped(getattr(Path, name)))
-    monkeypatch.setattr(os, "fsync", lambda handle: None)
-    dead = replace(Owner.myself(), pid=dead_process())
+    monkeypatch.setattr(FileLock, "acquire", stepped(FileLock.acquire))
+    monkeypatch.setattr(subject, "GATE_S", 0.01)
+    monkeypatch.setattr(subject, "LOOK_S", 0.01)
+    dead = Owner.myself()
     for n_steps in count(1):
         folder, inside = tmp_path / f"{n_steps}", list[Lock]()
         if found != "nothing":
@@ -313,17 +414,17 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
             if until is not None:  # there are fewer steps
                 break
             assert len(inside) == 1, n_steps
-            assert [holder.owner for holder in holders(folder)] == [inside[0].owner]
+            living = [holder.owner for holder in holders(folder) if holder.alive]
+            assert living == [inside[0].owner]
             inside[0].check()
-        assert os.listdir(folder) == []
     until = None
     assert n_steps > 5
 
 
 def fight(folder: Path, seed: int, n_lives: int, n_inherited: int, kinds: str) -> None:
-    """Let rivals fight until so many lived and so many inherited a lock; nobody may have met another inside."""
+    """Let rivals compete until so many lived, and so many took the lock of a dead one; no two may be inside at once."""
     command = [sys.executable, str(RIVALS), str(folder), str(seed), str(n_lives), str(n_inherited), kinds]
-    result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=3600)
+    result = run(command, capture_output=True, text=True, timeout=3600)
     assert result.returncode == 0, result.stderr
     counts: dict[str, int] = json.loads(result.stdout)
     assert counts.get("VIOLATION", 0) == 0

@@ -44,6 +44,7 @@ from prc_cli.jobs.batch.types import (
     Task,
 )
 from prc_cli.jobs.classify import classify
+from tests import patience
 from tests.patience import HANGS_S
 from tests.street import street, write_csv, write_endless, write_npz, write_raw
 
@@ -475,13 +476,12 @@ except KeyboardInterrupt:
     sys.exit(130)
 """
     command = [sys.executable, "-c", script, str(tmp_path)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, process_group=0)
-    assert process.stdout is not None
-    assert process.stdout.readline() == "progress\n"
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
-    process.stdout.read()
-    process.stdout.close()
-    assert process.wait(HANGS_S) == 130
+    with patience.start(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "progress\n"
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        process.stdout.read()
+        assert process.wait(HANGS_S) == 130
     written = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert written["ended"] == "interrupted"
     entries = {entry.name: entry for entry in read_entries(tmp_path / "out" / OWN_FOLDER)}
