@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from operator import add, attrgetter
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
-
-if TYPE_CHECKING:
-    from prc_cli.formats.las.contexts import LazContexts
 
 FAR_M = 20_000.0
 """No laser scanner on the ground measures so far [m]: a sign of a wrong origin, unit or coordinate system."""
@@ -58,10 +56,10 @@ class StreamInfo:
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
     """The same two by scanner, of those whose own was found; where there are any, it is unknown for all others."""
     assumptions: tuple[Assumption, ...] = ()
-    notes: tuple[str, ...] = ()
-    """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""
-    laz_contexts: LazContexts | None = field(default=None, repr=False, compare=False)
-    """LAZ of point formats 6-10: filled while the blocks are read, for writing the same file again."""
+    facts: SourceFacts = field(default_factory=SourceFacts)
+    """What the file says of itself."""
+    dimensions: tuple[str, ...] = ()
+    """Names of the records' dimensions where lines were found among them; empty for images and frames."""
 
     def down(self, scanner: int) -> tuple[float | None, float]:
         """Return the scan angle that points straight down for a scanner [rad], None if unknown, and the fall there."""

@@ -252,7 +252,7 @@ def open_items(
         elif records is None and codes and suffix_of(source) == ".npz":
             carried = _carry_array(source, stream.info, output, stack)
         item = _item(first, carried)
-        scanners = loaded.config.input.scanner != "none" or stream.info.format in ("PTX", "E57")
+        scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
         returns = stream.rules.has_returns if isinstance(stream, GridStream) else stream.info.format == "E57"
         shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
 
@@ -394,9 +394,9 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
     other = [name for name in records.dimensions if name.lower() not in known and name not in taken]
     if other:
         yield f"other dimensions of the records: {', '.join(other[:30])}{' ...' if len(other) > 30 else ''}"
-    if getattr(records, "crs_wkt", None):
+    if records.facts.crs_wkt:
         yield "the coordinate system"
-    if getattr(records, "format", "").startswith("LA"):
+    if records.format.startswith("LA"):
         yield "header, VLRs and EVLRs of the LAS file"
 
 

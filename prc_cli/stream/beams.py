@@ -47,8 +47,6 @@ _WITH_ANGLES = "input.nadir with scan angles (input.angle_start and input.angle_
 _ANGLES_ALONE = (
     "scan angles (input.angle_start and input.angle_step where the input has none), and input.nadir if known"
 )
-ORGANISED = ("PTX", "E57")
-"""Formats whose scans follow one another, each with directions of its own."""
 _ARRAY = "array"
 
 
@@ -80,8 +78,7 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
     ConfigError
         When ``nadir`` is given and the stream has no scan angles.
     """
-    source = getattr(stream, "source", None)
-    finder = _Finder(stream.info, config, frozenset(getattr(source, "dimensions", ())), from_ground)
+    finder = _Finder(stream.info, config, from_ground)
     known: dict[int, _Found] = {}
     waiting: dict[int, _Sample] = {}
     for block in stream.blocks():
@@ -114,7 +111,8 @@ class BeamStream:
         info, every = self.source.info, [*self.known.values(), *self.late.values()]
         found = dict.fromkeys(one.assumption for one in every if one.assumption is not None)
         notes = dict.fromkeys(one.note for one in every if one.note)
-        return replace(info, assumptions=(*info.assumptions, *found), notes=(*info.notes, *notes))
+        facts = replace(info.facts, notes=(*info.facts.notes, *notes))
+        return replace(info, assumptions=(*info.assumptions, *found), facts=facts)
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
@@ -200,8 +198,6 @@ class _Finder:
 
     info: StreamInfo
     config: InputConfig
-    dimensions: frozenset[str]
-    """Of the records; empty for other inputs."""
     from_ground: bool = False
     """Whether the ranges may tell, where nothing else does."""
 
@@ -314,7 +310,7 @@ class _Finder:
 
     def _which(self, scanner: int) -> str:
         """Name a scanner where the input may have several."""
-        if self.info.format in ORGANISED:
+        if self.info.facts.has_scans:
             return f"scan {scanner}"
         return "" if self.config.scanner == "none" else f"{self.config.scanner} {scanner}"
 
@@ -329,7 +325,7 @@ class _Finder:
         """Say what this kind of input can do about it."""
         if isinstance(error, NoddingError):
             return "check that the origin is the scanner and z is up; a scanner that nods is for --method prc"
-        if self.info.format in ORGANISED:
+        if self.info.facts.has_scans:
             if isinstance(error, LevelLinesError):
                 return "check whether rows and columns are exchanged in the header, and whether its pose turns z up"
             if isinstance(error, WrongOriginError):
@@ -354,10 +350,11 @@ class _Finder:
         return _ANGLES_ALONE if self.from_ground else _WITH_ANGLES
 
     def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
-        if self.dimensions and not self.dimensions >= set(XYZ):
+        has = self.info.dimensions
+        if has and not set(has) >= set(XYZ):
             return []
         ways = ["--range origin:X,Y,Z (where the scanner stood)"]
-        if not self.dimensions or "time" in self.dimensions:
+        if not has or "time" in has:
             ways.insert(0, "--range trajectory:FILE")
         return ways if origin_only else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
 

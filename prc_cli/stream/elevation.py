@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
@@ -74,6 +75,11 @@ class _WithElevation(DerivedSource):
     def dimensions(self) -> tuple[str, ...]:
         """Names of the source, ``angle`` and the line."""
         return (*dict.fromkeys(("angle", *self.source.dimensions)), _LINE)
+
+    @property
+    def facts(self) -> SourceFacts:
+        """Those of the source; M that a file records is that of other lines."""
+        return replace(self.source.facts, points_per_line=None)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions; a point at the origin has no elevation and stays in the line it stands in.

@@ -94,8 +94,7 @@ def open_grid(
         raise
     if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
-    crs_wkt: str | None = getattr(source, "crs_wkt", None)
-    ranges = open_ranges(rules.range, records.dimensions, source.path, config, crs_wkt=crs_wkt)
+    ranges = open_ranges(rules.range, records.dimensions, source.path, config, crs_wkt=source.facts.crs_wkt)
     ranges = replace(ranges, sensor_xyz=rules.has_sensor_xyz)
     m, assumption = given_points_per_line(rules, source)
     if rules.lines == "fixed" and m is not None and not rules.has_returns and source.n_records is not None:
@@ -120,14 +119,13 @@ def open_grid(
             scanner: (setup.nadir_rad, setup.fall) for scanner, setup in setups.items() if setup.nadir_rad is not None
         },
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
-        laz_contexts=getattr(source, "laz_contexts", None),
+        facts=source.facts,
+        dimensions=records.dimensions,
     )
     default = None if m is None else ScannerSetup(m, None, None, given_angles(config, m), beat=given_beat(rules, m))
     stream = GridStream(info, records, rules, ranges, setups, default, only_ranges)
     if only_ranges and "intensity" not in (*rules.names, *ranges.names):
-        spare_intensity = getattr(source, "spare_intensity", None)
-        if spare_intensity is not None:
-            spare_intensity()
+        source.facts.skip_intensity()
     return stream
 
 

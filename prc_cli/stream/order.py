@@ -7,13 +7,18 @@ tiles or sorted by coordinate it would label noise. Hence the default is to refu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from prc_cli.core.errors import OrderError
+from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64, I64
+
+Policy: TypeAlias = Literal["require", "trust", "sort-time"]
+"""What is done about records out of order (``input.order``)."""
 
 MAX_SHARE_BACK = 1e-4
 """Share of steps that may go back: files written by several threads swap a pair now and then."""
@@ -126,7 +131,7 @@ class OrderWatch:
     def __init__(
         self,
         path: str,
-        policy: Literal["require", "trust", "sort-time"],
+        policy: Policy,
         what: str = "gps_time",
         *,
         can_sort: bool = True,
@@ -239,6 +244,42 @@ class OrderWatch:
         if evidence.n_back == 1 and abs(evidence.largest_back - _WEEK_S) < _WEEK_S / 100:
             hint = "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
         raise OrderError(self._path, problem, hint)
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedStream:
+    """Blocks of images, whose lines cannot be sorted: their times are watched as they pass."""
+
+    source: ScanStream
+    policy: Policy
+
+    @property
+    def info(self) -> StreamInfo:
+        """What is known before reading."""
+        return self.source.info
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
+
+        Raises
+        ------
+        OrderError
+            When times go back and the order is not trusted.
+        """
+        info = self.info
+        watch = OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False)
+        for block in self.source.blocks():
+            if block.time_s is None:
+                yield block
+                continue
+            before = watch.n_back
+            if info.facts.has_line_times:
+                lines = np.arange(block.first_line, block.first_line + block.n_lines, dtype=np.int64)
+                watch.see(block.time_s[:, 0], lines * block.points_per_line)
+            else:
+                watch.see(block.time_s.ravel(), None)
+            yield replace(block, tally=block.tally + ReadTally(n_time_steps_back=watch.n_back - before))
+        watch.finish()
 
 
 @dataclass(frozen=True, slots=True)

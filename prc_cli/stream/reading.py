@@ -163,8 +163,7 @@ def first_records(
 
 def open_watch(source: RecordSource, config: InputConfig) -> OrderWatch:
     """Return a watch over the times of a source."""
-    what = "gps_time" if source.format.startswith("LA") else "time"
-    return OrderWatch(source.path, config.order, what)
+    return OrderWatch(source.path, config.order, source.facts.time_name)
 
 
 def see_times(watch: OrderWatch, records: Table) -> ReadTally:

@@ -161,6 +161,7 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         points_per_line=n_rings,
         n_records=source.n_records if source.n_records is not None else n_records,
         n_lines=n_lines,
+        facts=source.facts,
         assumptions=_assumptions(turns, n_rings, n_lines, config, int(np.count_nonzero(~in_order))),
     )
     return RingStream(info, image)

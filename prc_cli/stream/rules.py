@@ -254,7 +254,7 @@ def given_points_per_line(rules: GridRules, source: RecordSource) -> tuple[int |
         # shots that no column would be left for were dropped by rounding down
         m = max(math.ceil(rules.shot_hz / rules.line_hz - 0.01), 1)
         return m, Assumption(key, str(m), f"{rules.shot_hz:g} shots and {rules.line_hz:g} lines a second")
-    hint_m: int | None = getattr(source, "points_per_line_hint", None)
+    hint_m = source.facts.points_per_line
     if hint_m is not None and hint_m > 0:
         return hint_m, Assumption(key, str(hint_m), "recorded in the file")
     return None, None

@@ -174,7 +174,7 @@ def test_nothing_tells() -> None:
 def test_where_nothing_can_be_classified_any_directions_do(block: ScanBlock, note: str) -> None:
     full = lines(GEOMETRIES["whole circle"])
     alone = with_beams(stream(replace(block, angle_rad=None)), AUTO)
-    assert alone.info.notes == (note,)
+    assert alone.info.facts.notes == (note,)
     assert is_strictly_monotone(beams_of(alone))
     for format_, which in (("PTX", "scan 1: "), ("LAS", "")):
         parts = (replace(full, is_last=True), replace(block, scanner=1, angle_rad=None, is_last=True))
@@ -183,7 +183,7 @@ def test_where_nothing_can_be_classified_any_directions_do(block: ScanBlock, not
         assert found[0].beam_rad is not None
         assert worst_deg(found[0].beam_rad, GEOMETRIES["whole circle"]) < 0.25
         assert found[1].beam_rad is not None
-        assert both.info.notes == (f"{which}{note}",)
+        assert both.info.facts.notes == (f"{which}{note}",)
 
 
 def test_hints_are_possible_for_the_input_and_messages_name_the_scan() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OrderError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
@@ -159,10 +160,13 @@ def test_what_goes_along_stands_in_the_right_cells() -> None:
         np.testing.assert_allclose(block.angle_rad, 2 * np.pi * np.arange(M) / M, atol=1e-9)
 
 
-class _SparingSource(MemorySource):
+class _SkippingSource(MemorySource):
     """Intensities of shots with one return are made up once they may be."""
 
-    def spare_intensity(self) -> None:
+    def __post_init__(self) -> None:
+        self.facts = SourceFacts(skip_intensity=self._skip_intensity)
+
+    def _skip_intensity(self) -> None:
         single = self.values["number_of_returns"] <= 1
         self.values = {**self.values, "intensity": np.where(single, -7.0, self.values["intensity"])}
 
@@ -181,7 +185,7 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
     options: dict[str, Any] = {"return": rule, "columns": "dimension:column"}
     config = InputConfig.model_validate(options)
     whole = read(open_grid(MemorySource(twice, chunk_records), config))
-    found = read(open_grid(_SparingSource(twice, chunk_records), config, only_ranges=True))
+    found = read(open_grid(_SkippingSource(twice, chunk_records), config, only_ranges=True))
     assert np.array_equal(found.range_m, whole.range_m, equal_nan=True)
     assert np.array_equal(found.record, whole.record)
     assert found.extras == whole.extras
@@ -190,12 +194,12 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
     assert all(block.time_s is None and block.intensity is None for block in found.blocks)
 
 
-def test_intensities_that_are_ranges_or_lines_are_never_spared() -> None:
+def test_intensities_that_are_ranges_or_lines_are_never_skipped() -> None:
     _, records = scene()
     records["number_of_returns"] = np.ones(len(records["range"]))
     records["intensity"] = records["range"]
     config = InputConfig(range="dimension:intensity")
-    whole = read(open_grid(_SparingSource(records), config, only_ranges=True))
+    whole = read(open_grid(_SkippingSource(records), config, only_ranges=True))
     assert np.array_equal(whole.range_m, read(open_grid(MemorySource(records), config)).range_m, equal_nan=True)
 
 
@@ -419,10 +423,10 @@ def test_the_first_defect_is_the_reason_however_the_input_is_chunked() -> None:
 def test_a_recorded_m_is_believed_within_reason() -> None:
     for options in ({}, {"scanner": "user_data"}):
         source = MemorySource({**dict.fromkeys(("range", "scan_line", "column", "user_data"), np.ones(4))})
-        source.points_per_line_hint = 1_004_001  # type: ignore[attr-defined]
+        source.facts = SourceFacts(points_per_line=1_004_001)
         with pytest.raises(InputError, match="lines of 1004001 columns for 4 records, expected at most 1004000; .*-M"):
             open_grid(source, InputConfig(**options))
-        source.points_per_line_hint = 1_004_000  # type: ignore[attr-defined]
+        source.facts = SourceFacts(points_per_line=1_004_000)
         assert open_grid(source, InputConfig(**options)).info.points_per_line == 1_004_000
 
 
@@ -596,7 +600,7 @@ def test_a_partial_line_is_refused_before_anything_is_read() -> None:
 
 def test_m_recorded_in_the_file_is_taken() -> None:
     source = MemorySource({"range": np.ones(4), "scan_line": np.arange(4) // 2, "column": np.arange(4) % 2})
-    source.points_per_line_hint = 6  # type: ignore[attr-defined]
+    source.facts = SourceFacts(points_per_line=6)
     stream = open_grid(source, InputConfig())
     assert stream.info.points_per_line == 6
     assert source.reads == []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import read_ahead
 from prc_cli.formats.las.contexts import LazContexts, contexts_of
 from prc_cli.formats.las.header import (
@@ -58,7 +59,7 @@ class LasSource:
         self._layout = read_layout(str(path), self.header)
         self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
         """Kept from the records that :meth:`chunks` decodes, for who writes the file again."""
-        self._spares_intensity = False
+        self._skips_intensity = False
         self._n_unread_chunks = 0
         if self.header.compressed:
             with path.open("rb") as handle:
@@ -141,12 +142,31 @@ class LasSource:
         notes.extend(self._layout.notes)
         return tuple(notes)
 
-    def spare_intensity(self) -> None:
+    @cached_property
+    def facts(self) -> SourceFacts:
+        """What the file says of itself beside its records.
+
+        Raises
+        ------
+        InputError
+            As :attr:`dimensions` does.
+        """
+        return SourceFacts(
+            points_per_line=self.points_per_line_hint,
+            crs_wkt=self.crs_wkt,
+            time_name="gps_time",
+            notes=self.notes,
+            laz_contexts=self.laz_contexts,
+            describe=self.describe,
+            skip_intensity=self.skip_intensity,
+        )
+
+    def skip_intensity(self) -> None:
         """Decode ``intensity`` only where it may decide between returns of a shot; elsewhere it may be anything.
 
         Noisy as it is, its layer takes a fifth of the whole decompression.
         """
-        self._spares_intensity = True
+        self._skips_intensity = True
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the file.
@@ -193,7 +213,7 @@ class LasSource:
             if header.compressed:
                 asked = [self._layout.fields[name] for name in names]
                 layers, several = layers_of(asked), None
-                if self._spares_intensity and "intensity" in names:
+                if self._skips_intensity and "intensity" in names:
                     several = layers
                     layers = layers_of([field for field in asked if field.layer != "intensity"])
                 yield from LazRecords(self.path, handle, header).batches(self._chunk_records, layers, several)
