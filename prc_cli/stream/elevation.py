@@ -78,8 +78,8 @@ class _WithElevation(DerivedSource):
 
     @property
     def facts(self) -> SourceFacts:
-        """Those of the source; M that a file records is that of other lines."""
-        return replace(self.source.facts, points_per_line=None)
+        """Those of the source without its notes; M that a file records is that of other lines."""
+        return replace(self.source.facts, points_per_line=None, notes=())
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions; a point at the origin has no elevation and stays in the line it stands in.
