@@ -21,10 +21,9 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ExtraReturns, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.records import RecordSource
 from prc_cli.stream.down import wrap
-from prc_cli.stream.ranges import measure_ranges, open_ranges
+from prc_cli.stream.ranges import clean_measured, open_ranges
 
 MAX_RECORDS = 10_000_000
 """Records of a frame, which is held in memory (about 130 bytes a record at most)."""
@@ -193,8 +192,7 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[_Frame, int, ReadT
         if n_records > MAX_RECORDS:
             problem = f"more than {MAX_RECORDS} records, expected one frame: it is held in memory"
             raise InputError(source.path, problem, "cut the file into frames")
-        found, xyz = measure_ranges(chunk.values, ranges)
-        range_m, cleaned = clean_ranges(found, config.min_range, config.max_range)
+        range_m, xyz, cleaned = clean_measured(chunk.values, ranges)
         tally += cleaned
         if xyz is None:
             continue

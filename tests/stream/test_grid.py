@@ -24,18 +24,18 @@ from prc_cli.stream import (
     limits as grid_limits,
 )
 from prc_cli.stream import (
+    probe as grid_probe,
+)
+from prc_cli.stream import (
     reading as grid_read,
 )
 from prc_cli.stream import (
     rules as grid_rules,
 )
 from prc_cli.stream import (
-    setup as grid_setup,
-)
-from prc_cli.stream import (
     whole_lines as grid_lines,
 )
-from prc_cli.stream.grid import open_grid
+from prc_cli.stream.open import open_grid
 from tests.stream.record_lists import (
     LINE_HZ,
     N_LINES,
@@ -485,7 +485,7 @@ def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_rec
 
 
 def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid_setup, "PROBE_RECORDS", 50)
+    monkeypatch.setattr(grid_probe, "PROBE_RECORDS", 50)
     up = np.tile(np.arange(10) / 10, 20)
     angle = np.concatenate([up, -up])
     records = {"range": np.ones(400), "angle": angle, "point_source_id": np.repeat([1, 2], 200)}
@@ -672,7 +672,7 @@ def test_the_first_records_do_not_depend_on_chunks(split: bool) -> None:
     for chunk_records in (1, 7, 50, 1000):
         source = MemorySource(records, chunk_records)
         rules = grid_rules.resolve_rules(source, config)
-        parts = grid_read.first_records(source, rules, ("angle", *rules.names), 40, to_end=False)
+        parts = grid_read.first_records(source, rules.scanner, ("angle", *rules.names), 40, to_end=False)
         found.append({scanner: table["angle"].tolist() for scanner, table in parts.items()})
         assert sum(len(angles) for angles in found[-1].values()) == 40
     assert all(one == found[0] for one in found)
