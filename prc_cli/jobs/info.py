@@ -19,7 +19,8 @@ from prc_cli.formats import open_source
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.stream.beams import with_beams
-from prc_cli.stream.open import open_grid, open_input
+from prc_cli.stream.grid import open_grid
+from prc_cli.stream.open import open_input
 from prc_cli.stream.order import (
     OrderEvidence,
     OrderWatch,

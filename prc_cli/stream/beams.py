@@ -78,7 +78,8 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
     ConfigError
         When ``nadir`` is given and the stream has no scan angles.
     """
-    finder = _Finder(stream.info, config, from_ground)
+    split_by = None if config.scanner == "none" else config.scanner
+    finder = _Finder(stream.info, config.nadir, split_by, from_ground)
     known: dict[int, _Found] = {}
     waiting: dict[int, _Sample] = {}
     for block in stream.blocks():
@@ -197,7 +198,10 @@ class _Finder:
     """Finds the directions of a scanner out of its first lines."""
 
     info: StreamInfo
-    config: InputConfig
+    nadir_deg: float | None
+    """Scan angle that points straight down where it is given [deg]."""
+    split_by: str | None
+    """Dimension that splits the input."""
     from_ground: bool = False
     """Whether the ranges may tell, where nothing else does."""
 
@@ -231,12 +235,12 @@ class _Finder:
         range_m = np.stack(sample.range_m) if n else np.empty((0, 0), np.float32)
         xyz = np.stack(sample.xyz_m) if n and len(sample.xyz_m) == n else None
         off_m = None if xyz is None else _off(xyz, range_m)
-        if self.config.nadir is not None:
+        if self.nadir_deg is not None:
             if angle is None:
                 problem = f"is given, but {self.info.path} has no scan angles"
                 raise ConfigError(KEY, problem, "give input.angle_start and input.angle_step, or --columns angle")
-            shown = f"{self.config.nadir:g} deg"
-            return self._turned(angle, math.radians(self.config.nadir), off_m, shown, "input.nadir is given")
+            shown = f"{self.nadir_deg:g} deg"
+            return self._turned(angle, math.radians(self.nadir_deg), off_m, shown, "input.nadir is given")
         nadir_rad, fall = self.info.down(scanner)
         if nadir_rad is not None and angle is not None:
             told = any(one.key.startswith(KEY) for one in self.info.assumptions)
@@ -312,7 +316,7 @@ class _Finder:
         """Name a scanner where the input may have several."""
         if self.info.facts.has_scans:
             return f"scan {scanner}"
-        return "" if self.config.scanner == "none" else f"{self.config.scanner} {scanner}"
+        return "" if self.split_by is None else f"{self.split_by} {scanner}"
 
     def _where(self, scanner: int) -> str:
         which = self._which(scanner)

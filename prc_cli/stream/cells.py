@@ -33,6 +33,8 @@ class CellRules:
     """Whether blocks hold times; likewise below."""
     with_intensity: bool
     with_xyz: bool
+    pads_last_line: bool = False
+    """Dense records: whether cells at the end may have no record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,3 +154,42 @@ def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.nd
     own = np.zeros(len(cell), np.bool_)
     own[winner[winner >= 0]] = True
     return own
+
+
+def dense_block(table: Table, first_line: int, rules: CellRules, tally: ReadTally) -> ScanBlock:
+    """Make a block of records that are the cells already, one after the other; nothing is moved.
+
+    Parameters
+    ----------
+    table : Table
+        Records of whole lines, with ``slant range`` (cleaned), and ``time`` and ``intensity`` where known.
+    first_line : int
+        Index of their first line.
+    rules : CellRules
+    tally : ReadTally
+        What goes with the block.
+    """
+    shape = (-1, rules.points_per_line)
+    time_s: F64 | None = np.asarray(table["time"], np.float64).reshape(shape) if rules.with_time else None
+    intensity: F32 | None = table[INTENSITY].astype(np.float32).reshape(shape) if rules.with_intensity else None
+    # cells that were padded have no record, so the short form would be wrong
+    record: I64 | None = table[RECORD].reshape(shape) if rules.pads_last_line else None
+    return ScanBlock(
+        first_line=first_line,
+        range_m=table[RANGE].reshape(shape),
+        record=record,
+        time_s=time_s,
+        intensity=intensity,
+        angle_rad=rules.angle_rad,
+        tally=tally,
+    )
+
+
+def pad_line(rest: Table, m: int) -> Table:
+    """Fill the last line up with missing shots."""
+    padded: Table = {}
+    for name, column in rest.items():
+        filler = np.full(m - len(column), -1 if name == RECORD else np.nan)
+        padded[name] = np.concatenate([column, filler.astype(column.dtype if name == RECORD else np.float64)])
+    padded[RANGE] = padded[RANGE].astype(np.float32)
+    return padded

@@ -24,11 +24,6 @@ _LINE = "line by elevation"
 """The blanks keep it apart from dimensions."""
 
 
-def has_lines_by_elevation(config: InputConfig) -> bool:
-    """Tell whether lines are to be found by the elevation."""
-    return config.lines.startswith("elevation:")
-
-
 def with_elevation(source: RecordSource, config: InputConfig) -> tuple[RecordSource, InputConfig]:
     """Return the source with the elevation as ``angle`` [rad] and the lines it makes, and the rules that take them.
 

@@ -1,7 +1,8 @@
-"""Records to blocks, the same way for every format: chunks, whole lines, cells.
+"""Records to the stream of blocks, the same way for every format.
 
-Which line, column and range a record has is decided by rules that are resolved before (:mod:`.rules`, :mod:`.setup`).
-Memory stays at a chunk of records and the open lines of every scanner.
+First the rules are resolved (:mod:`.rules`) and the scanners set up (:mod:`.setup`). Then chunks of records become
+whole lines (:mod:`.reading`), and whole lines become cells of blocks (:mod:`.cells`). Memory stays at a chunk of
+records and the open lines of every scanner.
 """
 
 from __future__ import annotations
@@ -13,23 +14,112 @@ import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
-from prc_cli.core.types import F32, F64, I64
+from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk, RecordSource
-from prc_cli.stream.cells import MAX_BLOCK_CELLS, CellRules, blocks_of
-from prc_cli.stream.gps_weeks import times_of_trajectory, week_steps
+from prc_cli.stream.cells import MAX_BLOCK_CELLS, CellRules, blocks_of, dense_block, pad_line
+from prc_cli.stream.gps_weeks import WeekSource, times_of_trajectory, week_steps
 from prc_cli.stream.limits import cell_limit
-from prc_cli.stream.probe import line_rules
-from prc_cli.stream.ranges import RangeRule, clean_measured
-from prc_cli.stream.reading import check_partial_line, nothing_placed, open_watch, see_times, table_of, whole_lines
-from prc_cli.stream.rules import GridRules
-from prc_cli.stream.setup import ScannerSetup, column_rule
-from prc_cli.stream.table import INTENSITY, RANGE, RECORD, XYZ, Table
+from prc_cli.stream.probe import Estimates, given_beat, line_rules
+from prc_cli.stream.ranges import RangeRule, clean_measured, open_ranges
+from prc_cli.stream.reading import (
+    check_partial_line,
+    judge_first_records,
+    nothing_placed,
+    open_watch,
+    see_times,
+    table_of,
+    whole_lines,
+)
+from prc_cli.stream.rules import GridRules, given_points_per_line, resolve_rules
+from prc_cli.stream.setup import ScannerSetup, column_rule, find_setups, given_angles
+from prc_cli.stream.sorting import sorted_by_time
+from prc_cli.stream.table import INTENSITY, RANGE, XYZ, Table, take
 from prc_cli.stream.whole_lines import LineRules
+
+
+def open_grid(
+    source: RecordSource,
+    config: InputConfig,
+    *,
+    line_hz: float | None = None,
+    geometry: bool = True,
+    only_ranges: bool = False,
+) -> GridStream:
+    """Turn a list of records into the stream.
+
+    Parameters
+    ----------
+    source : RecordSource
+        Decoded records; read once from the start, or twice where M must be found first.
+    config : InputConfig
+        How lines, columns and ranges are found; ``auto`` is resolved and reported in ``info.assumptions``.
+    line_hz : float, optional
+        Scan lines a second, where a layout says so [Hz].
+    geometry : bool
+        Find the angles of the columns, and where down is, where the lines do not need them.
+    only_ranges : bool
+        Leave times and intensities out of the blocks: what decides nothing then is not decoded.
+
+    Raises
+    ------
+    InputError
+        When the input does not hold what lines, columns or ranges could be found by.
+    OrderError
+        When that is so and its first records are not in the order they were fired either.
+    ConfigError
+        When the configuration names a dimension that is not there, or M is needed and not given.
+    """
+    records = sorted_by_time(source) if config.order == "sort-time" else source
+    try:
+        rules = resolve_rules(records, config)
+    except InputError:
+        # a file of no lines is often a tile: then its order is the better reason
+        if config.order == "require":
+            judge_first_records(source)
+        raise
+    if rules.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
+        records = WeekSource(records)
+    facts, n_records = source.facts, source.n_records
+    ranges = open_ranges(
+        rules.range, records.dimensions, source.path, config, crs_wkt=facts.crs_wkt, sensor_xyz=rules.has_sensor_xyz
+    )
+    m, assumption = given_points_per_line(rules, facts.points_per_line)
+    counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
+    if counts_records and m is not None and n_records is not None:
+        check_partial_line(source.path, n_records, m)
+    setups, n_lines, found = find_setups(records, rules, ranges, m, geometry=geometry)
+    sizes = [setup.points_per_line for setup in setups.values()] or ([m] if m is not None else [])
+    if not sizes:
+        raise nothing_placed(source.path)
+    if n_lines is None and rules.is_dense and n_records is not None:
+        n_lines = -(-n_records // max(sizes))
+    default = None
+    if m is not None:
+        default = ScannerSetup(m, Estimates(beat=given_beat(rules, m)), given_angles(rules, m))
+    alone = next(iter(setups.values())) if len(setups) == 1 else None
+    info = StreamInfo(
+        path=source.path,
+        format=source.format,
+        points_per_line=max(sizes),
+        n_records=n_records,
+        n_lines=n_lines,
+        angle_rad=None if alone is None else alone.angle_rad,
+        line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
+        nadir_rad=None if alone is None else alone.nadir_rad,
+        fall=1.0 if alone is None else alone.fall,
+        downs={one: (setup.nadir_rad, setup.fall) for one, setup in setups.items() if setup.nadir_rad is not None},
+        assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
+        facts=facts,
+        dimensions=records.dimensions,
+    )
+    if only_ranges and "intensity" not in (*rules.names, *ranges.names):
+        facts.skip_intensity()
+    return GridStream(info, records, rules, ranges, setups, default, only_ranges)
 
 
 @dataclass(frozen=True, slots=True)
 class GridStream:
-    """Records as a stream of blocks; see :func:`prc_cli.stream.open.open_grid`."""
+    """Records as a stream of blocks; see :func:`open_grid`."""
 
     info: StreamInfo
     source: RecordSource
@@ -77,6 +167,7 @@ class GridStream:
             with_time=rules.has_time and not self.only_ranges,
             with_intensity=rules.has_intensity and not self.only_ranges,
             with_xyz=self.ranges.gives_xyz,
+            pads_last_line=rules.pads_last_line,
         )
 
     def _spent(self) -> tuple[str, ...]:
@@ -115,8 +206,8 @@ class GridStream:
 
     def _dense_blocks(self) -> Iterator[ScanBlock]:
         """Cut records that are the cells already into lines; nothing is moved."""
-        setup, rules = self._setup(0), self.rules
-        m = setup.points_per_line
+        rules, cells = self.rules, self._cell_rules(0)
+        m = cells.points_per_line
         watch = open_watch(self.source, rules.order) if rules.has_time else None
         needs_records = watch is not None or rules.pads_last_line
         rest: Table = {}
@@ -134,7 +225,7 @@ class GridStream:
             n_whole = len(table[RANGE]) // m
             for start in range(0, n_whole, max(MAX_BLOCK_CELLS // m, 1)):
                 stop = min(start + max(MAX_BLOCK_CELLS // m, 1), n_whole)
-                yield self._dense_block(table, slice(start * m, stop * m), first_line, setup, tally)
+                yield dense_block(take(table, slice(start * m, stop * m)), first_line, cells, tally)
                 first_line, tally = first_line + stop - start, ReadTally()
             rest = {name: column[n_whole * m :].copy() for name, column in table.items()}
         if watch is not None:
@@ -144,36 +235,4 @@ class GridStream:
         if not rules.pads_last_line:
             check_partial_line(self.source.path, n_records, m)
         if n_records % m:
-            yield self._dense_block(_pad(rest, m), slice(0, m), first_line, setup, tally)
-
-    def _dense_block(
-        self, table: Table, part: slice, first_line: int, setup: ScannerSetup, tally: ReadTally
-    ) -> ScanBlock:
-        shape = (-1, setup.points_per_line)
-        time_s: F64 | None = None
-        if "time" in table and not self.only_ranges:
-            time_s = np.asarray(table["time"][part], np.float64).reshape(shape)
-        intensity: F32 | None = None
-        if INTENSITY in table:
-            intensity = table[INTENSITY][part].astype(np.float32).reshape(shape)
-        # cells that were padded have no record, so the short form would be wrong
-        record: I64 | None = table[RECORD][part].reshape(shape) if self.rules.pads_last_line else None
-        return ScanBlock(
-            first_line=first_line,
-            range_m=table[RANGE][part].reshape(shape),
-            record=record,
-            time_s=time_s,
-            intensity=intensity,
-            angle_rad=setup.angle_rad,
-            tally=tally,
-        )
-
-
-def _pad(rest: Table, m: int) -> Table:
-    """Fill the last line up with missing shots."""
-    padded: Table = {}
-    for name, column in rest.items():
-        filler = np.full(m - len(column), -1 if name == RECORD else np.nan)
-        padded[name] = np.concatenate([column, filler.astype(column.dtype if name == RECORD else np.float64)])
-    padded[RANGE] = padded[RANGE].astype(np.float32)
-    return padded
+            yield dense_block(pad_line(rest, m), first_line, cells, tally)

@@ -15,7 +15,8 @@ from prc_cli.core.stream import ScanStream
 from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout
 from prc_cli.formats.raw_binary.read import LayoutRecords
 from prc_cli.formats.records import RecordChunk
-from prc_cli.stream.open import open_grid, with_layout
+from prc_cli.stream.grid import open_grid
+from prc_cli.stream.open import with_layout
 
 READ_BYTES = 1 << 20
 """Most bytes taken from the pipe at a time, and what the pipe is asked to hold where the system lets one ask."""

@@ -14,7 +14,7 @@ from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
 from prc_cli.core.types import F32, I64
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
-from prc_cli.stream.open import open_grid
+from prc_cli.stream.grid import open_grid
 
 N_LINES, M = 23, 40
 LINE_HZ = 50.0

@@ -35,7 +35,7 @@ from prc_cli.stream import (
 from prc_cli.stream import (
     whole_lines as grid_lines,
 )
-from prc_cli.stream.open import open_grid
+from prc_cli.stream.grid import open_grid
 from tests.stream.record_lists import (
     LINE_HZ,
     N_LINES,

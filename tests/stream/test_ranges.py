@@ -10,7 +10,7 @@ import pytest
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
-from prc_cli.stream.open import open_grid
+from prc_cli.stream.grid import open_grid
 from prc_cli.stream.ranges import RangeRule, measure_ranges, open_ranges
 from prc_cli.stream.trajectory import Trajectory
 from tests.stream.record_lists import MemorySource, open_records, read
