@@ -49,10 +49,10 @@ class StreamInfo:
     """(M,) float64, scan angle of every column [rad], None if unknown."""
     line_hz: float | None = None
     """Scan lines a second [Hz], None if unknown."""
-    nadir_rad: float | None = None
+    down_rad: float | None = None
     """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad]; None if unknown."""
-    fall: float = 1.0
-    """Metres that the height falls a metre of range along that beam: the cosine of the lean of the scan plane."""
+    cos_tilt: float = 1.0
+    """Cosine of the tilt of the scan plane from the vertical: metres of height a metre of range along that beam."""
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
     """The same two by scanner, of those whose own was found; where there are any, it is unknown for all others."""
     assumptions: tuple[Assumption, ...] = ()
@@ -62,8 +62,8 @@ class StreamInfo:
     """Names of the records' dimensions where lines were found among them; empty for images and frames."""
 
     def down(self, scanner: int) -> tuple[float | None, float]:
-        """Return the scan angle that points straight down for a scanner [rad], None if unknown, and the fall there."""
-        return self.downs.get(scanner, (None, 1.0)) if self.downs else (self.nadir_rad, self.fall)
+        """Return the scan angle that points straight down [rad], None if unknown, and the cosine of the tilt there."""
+        return self.downs.get(scanner, (None, 1.0)) if self.downs else (self.down_rad, self.cos_tilt)
 
 
 @dataclass(frozen=True, slots=True)

@@ -412,8 +412,8 @@ def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, .
         told.append(f"read it with --config {output.name}.toml")
     directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*_LAS, *_TABLES)
     directed = directed or suffix == ".e57"
-    if shape.nadir_rad is not None and not directed and suffix != ".bin":
-        angle = float(np.rad2deg(shape.nadir_rad))
+    if shape.down_rad is not None and not directed and suffix != ".bin":
+        angle = float(np.rad2deg(shape.down_rad))
         lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
         told.append(f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}")
     return tuple(told)

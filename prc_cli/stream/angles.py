@@ -155,7 +155,8 @@ def _grid(value: F64, line: I64, forward: F64, step: float, start_rad: float | N
         step = sign * _TURN / round(_TURN / size)
         size = abs(step)
     if start_rad is None:
-        # the earliest first shot of a line (the input may begin in the middle of its first), then onto the beat
+        # the earliest first shot of a line (the input may begin in the middle of its first), then a whole number of
+        # steps from the others
         early = value[first[1:] if len(first) > 2 else first]
         middle = _circular_mean(early)
         away = sign * (early - middle)

@@ -20,7 +20,7 @@ from prc_cli.core.stream import Assumption, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.stream.down import (
-    MIN_LEAN_RAD,
+    MIN_TILT_RAD,
     Beams,
     LevelLinesError,
     NoddingError,
@@ -29,11 +29,11 @@ from prc_cli.stream.down import (
     WrongOriginError,
     fit_beams,
     fit_heights,
-    shown_lean,
+    shown_tilt,
     turn_evenly,
     wrap,
 )
-from prc_cli.stream.down_from_ground import nadir_of_ground
+from prc_cli.stream.down_from_ground import down_of_ground
 from prc_cli.stream.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
 
 SAMPLE_LINES = 64
@@ -186,8 +186,8 @@ class _Found:
     beam_rad: F64
     keep_xyz: bool
     assumption: Assumption | None
-    fall: float = 1.0
-    """Metres that the height falls a metre of range straight down: below 1 the scan plane leans over."""
+    cos_tilt: float = 1.0
+    """Cosine of the tilt of the scan plane from the vertical."""
     is_made_up: bool = False
     """Whether the directions mean nothing, so that no line may have two returns."""
     note: str = ""
@@ -198,7 +198,7 @@ class _Finder:
     """Finds the directions of a scanner out of its first lines."""
 
     info: StreamInfo
-    nadir_deg: float | None
+    down_deg: float | None
     """Scan angle that points straight down where it is given [deg]."""
     split_by: str | None
     """Dimension that splits the input."""
@@ -217,8 +217,8 @@ class _Finder:
             where, problem = self._where(block.scanner), f"the first {MAX_SAMPLE_CELLS} shots tell nothing"
             raise InputError(where, f"no vertical direction known: {problem}", self._hint(None))
         xyz_m = block.xyz_m if found.keep_xyz else None
-        if xyz_m is None and found.fall < math.cos(MIN_LEAN_RAD):
-            xyz_m = _leaning(block.range_m, found.beam_rad, found.fall)
+        if xyz_m is None and found.cos_tilt < math.cos(MIN_TILT_RAD):
+            xyz_m = _tilted(block.range_m, found.beam_rad, found.cos_tilt)
         return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m)
 
     def find(self, sample: _Sample) -> _Found:
@@ -235,24 +235,24 @@ class _Finder:
         range_m = np.stack(sample.range_m) if n else np.empty((0, 0), np.float32)
         xyz = np.stack(sample.xyz_m) if n and len(sample.xyz_m) == n else None
         off_m = None if xyz is None else _off(xyz, range_m)
-        if self.nadir_deg is not None:
+        if self.down_deg is not None:
             if angle is None:
                 problem = f"is given, but {self.info.path} has no scan angles"
                 raise ConfigError(KEY, problem, "give input.angle_start and input.angle_step, or --columns angle")
-            shown = f"{self.nadir_deg:g} deg"
-            return self._turned(angle, math.radians(self.nadir_deg), off_m, shown, "input.nadir is given")
-        nadir_rad, fall = self.info.down(scanner)
-        if nadir_rad is not None and angle is not None:
+            shown = f"{self.down_deg:g} deg"
+            return self._turned(angle, math.radians(self.down_deg), off_m, shown, "input.nadir is given")
+        down_rad, cos_tilt = self.info.down(scanner)
+        if down_rad is not None and angle is not None:
             told = any(one.key.startswith(KEY) for one in self.info.assumptions)
-            shown = "" if told else f"{math.degrees(nadir_rad):.2f} deg"
-            return self._turned(angle, nadir_rad, off_m, shown, "the input says where down is", fall)
+            shown = "" if told else f"{math.degrees(down_rad):.2f} deg"
+            return self._turned(angle, down_rad, off_m, shown, "the input says where down is", cos_tilt)
         if not (np.isfinite(range_m).sum(axis=1) > 1).any():
             return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
         if xyz is None and self.from_ground and angle is not None:
-            nadir_rad = nadir_of_ground(angle, range_m)
-            if nadir_rad is not None:
+            down_rad = down_of_ground(angle, range_m)
+            if down_rad is not None:
                 why = f"{n} lines see level ground around it; give input.nadir to be exact"
-                return self._turned(angle, nadir_rad, None, f"{math.degrees(nadir_rad):.1f} deg", why)
+                return self._turned(angle, down_rad, None, f"{math.degrees(down_rad):.1f} deg", why)
         if xyz is None:
             raise self._refusal(scanner, self._lacks(scanner, angle), None)
         if off_m is not None:
@@ -274,17 +274,17 @@ class _Finder:
         return _Found(beam_rad, True, None, is_made_up=True, note=f"{which}: {shown}" if which else shown)
 
     def _turned(
-        self, angle: F64, nadir_rad: float, off_m: float | None, shown: str, why: str, fall: float = 1.0
+        self, angle: F64, down_rad: float, off_m: float | None, shown: str, why: str, cos_tilt: float = 1.0
     ) -> _Found:
         """Turn scan angles so that straight down is 0."""
         try:
-            beam_rad = from_angles(angle, nadir_rad)
+            beam_rad = from_angles(angle, down_rad)
         except NoDirectionError as error:
             raise InputError(self.info.path, f"scan angles: {error}", "check the scan angles and columns") from error
         if off_m is not None:
-            shown = shown or f"{math.degrees(nadir_rad):.2f} deg"
+            shown = shown or f"{math.degrees(down_rad):.2f} deg"
             why = f"{why}; xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
-        return _Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, fall)
+        return _Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt)
 
     def _registered(self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float) -> _Found:
         """Use coordinates of a map: their heights, if scan angles stand beside them."""
@@ -299,8 +299,8 @@ class _Finder:
         except NoDirectionError as error:
             raise self._refusal(scanner, f"{problem}, and {error}", error) from error
         why = f"found from the heights of xyz over {len(range_m)} lines, within {fit.off_m:.3f} m in the middle"
-        shown = f"{math.degrees(fit.nadir_rad):.2f} deg{shown_lean(fit.fall)}"
-        return self._turned(angle, fit.nadir_rad, off_m, shown, why, fit.fall)
+        shown = f"{math.degrees(fit.down_rad):.2f} deg{shown_tilt(fit.cos_tilt)}"
+        return self._turned(angle, fit.down_rad, off_m, shown, why, fit.cos_tilt)
 
     def _lacks(self, scanner: int, angle: F64 | None) -> str:
         """Say what the stream has and lacks."""
@@ -363,9 +363,9 @@ class _Finder:
         return ways if origin_only else ["--range sensor-xyz if x, y, z are relative to the scanner", *ways]
 
 
-def _leaning(range_m: F32, beam_rad: F64, fall: float) -> F32:
-    """Return coordinates (lines, M, 3) in a leaning scan plane: true heights, all that is sideways in x."""
-    up = -fall * np.cos(beam_rad)
+def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
+    """Return coordinates (lines, M, 3) in a tilted scan plane: true heights, all that is sideways in x."""
+    up = -cos_tilt * np.cos(beam_rad)
     across = np.copysign(np.sqrt(1 - up * up), np.sin(beam_rad))
     xyz: F32 = np.zeros((*range_m.shape, 3), np.float32)
     xyz[..., 0], xyz[..., 2] = range_m * across, range_m * up
@@ -373,14 +373,14 @@ def _leaning(range_m: F32, beam_rad: F64, fall: float) -> F32:
     return xyz
 
 
-def from_angles(angle_rad: F64, nadir_rad: float) -> F64:
+def from_angles(angle_rad: F64, down_rad: float) -> F64:
     """Turn scan angles so that straight down is 0.
 
     Parameters
     ----------
     angle_rad : (M,) float64
         Scan angle of every column [rad].
-    nadir_rad : float
+    down_rad : float
         The one that points straight down [rad].
 
     Returns
@@ -399,12 +399,12 @@ def from_angles(angle_rad: F64, nadir_rad: float) -> F64:
     array([ 10.,   0., -10.])
     """
     if len(angle_rad) < 2:
-        return wrap(np.asarray(angle_rad, np.float64) - nadir_rad)
+        return wrap(np.asarray(angle_rad, np.float64) - down_rad)
     way = math.copysign(1.0, float(np.sign(wrap(np.diff(angle_rad))).sum()))
-    beam = way * (angle_rad - nadir_rad)
+    beam = way * (angle_rad - down_rad)
     along = np.diff(np.unwrap(beam))
     if (along > 0).all() and along.sum() <= 2 * math.pi:
-        return wrap(angle_rad - nadir_rad)
+        return wrap(angle_rad - down_rad)
     m = len(beam)
     return wrap(way * turn_evenly(np.arange(m), beam, np.ones(m), m)[0])
 

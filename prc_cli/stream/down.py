@@ -33,19 +33,19 @@ shots: scanners that turn while they sweep come to 0.011."""
 MIN_OFF_PLANE_RAD = math.radians(0.1)
 """Shots closer to the plane than this are in it, however short the arc."""
 MAX_DRIFT_RAD = math.radians(15.0)
-"""Change of the lean of the scan planes; where there is more the scanner nods, and its lines are not vertical lines."""
+"""Change of the tilt of the scan planes; where there is more the scanner nods, and its lines are not vertical lines."""
 MIN_LEVEL_RAD = math.radians(10.0)
 """Lines that rise by less, and by less than they sweep sideways, are level arcs."""
 MAX_HEIGHT_OFF_M = 0.25
 """Median deviation of registered heights from the fit; where there is more, height and angle do not belong together."""
 MIN_SHOTS = 32
 """Shots beyond the lines that a fit of heights needs."""
-MAX_FALL = 1.05
-"""Metres that a height may fall a metre of range; rounding leaves a little over 1."""
+MAX_COS_TILT = 1.05
+"""Largest cosine of a tilt that heights may tell; rounding leaves a little over 1."""
 MIN_SPREAD = 1e-3
 """Least ratio of the two extents of a fit of heights."""
-MIN_LEAN_RAD = math.radians(6.0)
-"""Scan planes that lean over by less are taken as upright: heights are wrong by less than 0.6 %, and fits of upright
+MIN_TILT_RAD = math.radians(6.0)
+"""Scan planes tilted by less are taken as vertical: heights are wrong by less than 0.6 %, and fits of upright
 profilers come to 5 deg."""
 LEAST_STEP_RAD = 1e-6
 """Angles closer than this are equal."""
@@ -121,7 +121,7 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
     Raises
     ------
     NoDirectionError
-        When there are too few returns, the origin is not the scanner, the planes are horizontal or lean differently,
+        When there are too few returns, the origin is not the scanner, the planes are horizontal or differently tilted,
         or the columns share no direction.
 
     Examples
@@ -190,7 +190,7 @@ def _check_level(unit: F64, seen: Mask) -> None:
 
 
 def _check_planes(arc: F64, off: F64, rise: F64) -> None:
-    """Refuse lines whose shots lie off a plane through the origin, and planes that lean differently."""
+    """Refuse lines whose shots lie off a plane through the origin, and planes that are differently tilted."""
     out, whole = float(np.median(off)), float(np.median(arc))
     if out > max(MAX_OFF_PLANE * whole, MIN_OFF_PLANE_RAD):
         message = (
@@ -361,10 +361,10 @@ def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
 class HeightFit:
     """What registered heights say of the scan angle."""
 
-    nadir_rad: float
+    down_rad: float
     """Scan angle of the beam that points straight down [rad]."""
-    fall: float
-    """Metres that the height falls a metre of range there: the cosine of the lean of the scan plane, 1 at most."""
+    cos_tilt: float
+    """Cosine of the tilt of the scan plane from the vertical, 1 at most."""
     off_m: float
     """Median deviation of the heights from the fit [m]."""
     n_shots: int
@@ -393,7 +393,7 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
     --------
     >>> angle, range_m = np.deg2rad([60.0, 80.0, 100.0, 120.0] * 10), np.arange(2.0, 42.0)
     >>> z = 100 - range_m * np.cos(angle - np.deg2rad(90.0))
-    >>> bool(abs(np.rad2deg(fit_heights(angle, range_m, z, np.zeros(40, int)).nadir_rad) - 90) < 1e-6)
+    >>> bool(abs(np.rad2deg(fit_heights(angle, range_m, z, np.zeros(40, int)).down_rad) - 90) < 1e-6)
     True
     """
     angle, range_m, z = (np.asarray(values, np.float64) for values in (angle, range_m, z))
@@ -416,20 +416,20 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
         off = np.abs(centred[2] - matrix @ solution)
         keep = off <= max(3 * 1.4826 * float(np.median(off[keep])), 1e-3)
     _check_heights(solution, float(np.median(off)), matrix[keep])
-    nadir_rad = round(math.atan2(-solution[1], -solution[0]), DECIMALS)
-    fall = min(round(math.hypot(*solution), DECIMALS), 1.0)
-    return HeightFit(nadir_rad, fall, float(np.median(off)), len(z))
+    down_rad = round(math.atan2(-solution[1], -solution[0]), DECIMALS)
+    cos_tilt = min(round(math.hypot(*solution), DECIMALS), 1.0)
+    return HeightFit(down_rad, cos_tilt, float(np.median(off)), len(z))
 
 
-def shown_lean(fall: float) -> str:
-    """Tell by how much a scan plane leans over, nothing where it stands upright.
+def shown_tilt(cos_tilt: float) -> str:
+    """Say by how much a scan plane is tilted, nothing where it is vertical.
 
-    >>> shown_lean(0.7071), shown_lean(1.0)
+    >>> shown_tilt(0.7071), shown_tilt(1.0)
     (', the scan plane leans over by 45.0 deg', '')
     """
-    if fall >= math.cos(MIN_LEAN_RAD):
+    if cos_tilt >= math.cos(MIN_TILT_RAD):
         return ""
-    return f", the scan plane leans over by {math.degrees(math.acos(fall)):.1f} deg"
+    return f", the scan plane leans over by {math.degrees(math.acos(cos_tilt)):.1f} deg"
 
 
 def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:
@@ -440,13 +440,13 @@ def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:
 
 
 def _check_heights(solution: F64, off_m: float, matrix: F64) -> None:
-    fall = math.hypot(*solution)
+    cos_tilt = math.hypot(*solution)
     if off_m > MAX_HEIGHT_OFF_M:
         message = f"the heights lie {off_m:.2f} m off what range and scan angle say, in the middle"
         raise NoDirectionError(message)
     # a plane closer to the horizontal than MIN_RISE_RAD hardly falls; more than the range no height can fall
-    if not math.sin(MIN_RISE_RAD) < fall < MAX_FALL:
-        message = f"the heights fall {fall:.2f} m a metre of range straight down, expected about 1"
+    if not math.sin(MIN_RISE_RAD) < cos_tilt < MAX_COS_TILT:
+        message = f"the heights fall {cos_tilt:.2f} m a metre of range straight down, expected about 1"
         raise NoDirectionError(message)
     values = np.linalg.svd(matrix, compute_uv=False)
     if values[-1] < MIN_SPREAD * values[0]:

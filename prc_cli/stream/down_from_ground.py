@@ -25,7 +25,7 @@ BIN_M = 0.1
 LEAST_LINES = 4
 
 
-def nadir_of_ground(angle_rad: F64, range_m: F32) -> float | None:
+def down_of_ground(angle_rad: F64, range_m: F32) -> float | None:
     """Find the scan angle that points straight down.
 
     Parameters
@@ -45,7 +45,7 @@ def nadir_of_ground(angle_rad: F64, range_m: F32) -> float | None:
     >>> angle = np.deg2rad(np.linspace(0, 180, 361))
     >>> down = np.cos(angle - np.deg2rad(100))
     >>> lines = np.tile(np.where(down > 0.2, 2.0 / np.maximum(down, 0.2), np.nan), (10, 1)).astype(np.float32)
-    >>> round(math.degrees(nadir_of_ground(angle, lines)), 1)
+    >>> round(math.degrees(down_of_ground(angle, lines)), 1)
     100.0
     """
     middle = _middle_of_lines(range_m)
@@ -75,14 +75,14 @@ def _middle_of_lines(range_m: F32) -> F64:
 
 
 def _fill(
-    angle_rad: F64, middle_m: F64, held: NDArray[np.intp], nadir_rad: float, step_rad: float
+    angle_rad: F64, middle_m: F64, held: NDArray[np.intp], down_rad: float, step_rad: float
 ) -> tuple[float, NDArray[np.intp]]:
     """Return how well a plane straight below fills the lines, nearer ones better, and the columns that see it."""
-    off = np.abs(wrap(angle_rad[held] - nadir_rad))
+    off = np.abs(wrap(angle_rad[held] - down_rad))
     near = held[off < REACH_RAD]
     if not len(near):
         return 0.0, near
-    depth = middle_m[near] * np.cos(angle_rad[near] - nadir_rad)
+    depth = middle_m[near] * np.cos(angle_rad[near] - down_rad)
     counts = np.bincount(np.minimum(depth / BIN_M, 1000).astype(np.int64))
     fullest = int(np.argmax(counts))
     inside = near[np.abs(depth - (fullest + 0.5) * BIN_M) < BIN_M]

@@ -58,8 +58,8 @@ def tell_elevation(stream: GridStream, rule: str) -> GridStream:
     info = stream.info
     why = "lines end where the elevation of x, y, z jumps back; the scan angle is the elevation"
     assumptions = (Assumption("input.lines", rule, why), *info.assumptions)
-    nadir_rad = None if info.angle_rad is None else -math.pi / 2
-    return replace(stream, info=replace(info, assumptions=assumptions, nadir_rad=nadir_rad))
+    down_rad = None if info.angle_rad is None else -math.pi / 2
+    return replace(stream, info=replace(info, assumptions=assumptions, down_rad=down_rad))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.stream.cells import MAX_BLOCK_CELLS, CellRules, blocks_of, dense_block, pad_line
 from prc_cli.stream.gps_weeks import WeekSource, times_of_trajectory, week_steps
 from prc_cli.stream.limits import cell_limit
-from prc_cli.stream.probe import Estimates, given_beat, line_rules
+from prc_cli.stream.probe import Estimates, given_timing, line_rules
 from prc_cli.stream.ranges import RangeRule, clean_measured, open_ranges
 from prc_cli.stream.reading import (
     check_partial_line,
@@ -95,7 +95,7 @@ def open_grid(
         n_lines = -(-n_records // max(sizes))
     default = None
     if m is not None:
-        default = ScannerSetup(m, Estimates(beat=given_beat(rules, m)), given_angles(rules, m))
+        default = ScannerSetup(m, Estimates(timing=given_timing(rules, m)), given_angles(rules, m))
     alone = next(iter(setups.values())) if len(setups) == 1 else None
     info = StreamInfo(
         path=source.path,
@@ -105,9 +105,9 @@ def open_grid(
         n_lines=n_lines,
         angle_rad=None if alone is None else alone.angle_rad,
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
-        nadir_rad=None if alone is None else alone.nadir_rad,
-        fall=1.0 if alone is None else alone.fall,
-        downs={one: (setup.nadir_rad, setup.fall) for one, setup in setups.items() if setup.nadir_rad is not None},
+        down_rad=None if alone is None else alone.down_rad,
+        cos_tilt=1.0 if alone is None else alone.cos_tilt,
+        downs={one: (setup.down_rad, setup.cos_tilt) for one, setup in setups.items() if setup.down_rad is not None},
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
         facts=facts,
         dimensions=records.dimensions,

@@ -253,7 +253,7 @@ def lines_by_time(
     line_hz : float
         Lines a second.
     half_shot_s : float
-        Half the time between shots [s], 0 if unknown: shots are on a beat, so one that seems to come just
+        Half the time between shots [s], 0 if unknown: shots are evenly timed, so one that seems to come just
         before its line (rounded times) is its column 0.
     origin_s : float or None
         Time of line 0, column 0 [s]; None = the first known time, less the time since its line began if known.

@@ -167,7 +167,7 @@ def estimate_line_frequency(time_s: F64) -> float | None:
     Returns
     -------
     float or None
-        Frequency [Hz]; None with fewer than 3 times, or where they do not follow a beat.
+        Frequency [Hz]; None with fewer than 3 times, or where they are not evenly spaced.
 
     Examples
     --------
@@ -178,9 +178,9 @@ def estimate_line_frequency(time_s: F64) -> float | None:
     steps = steps[steps > 0]
     if len(steps) < 2:
         return None
-    beat = float(np.median(steps))
-    n_lines = np.rint(steps / beat)
-    on_beat = (n_lines >= 1) & (np.abs(steps / beat - n_lines) < 0.1 * np.maximum(n_lines, 1))
-    if np.count_nonzero(on_beat) < 0.8 * len(steps):
+    period_s = float(np.median(steps))
+    n_lines = np.rint(steps / period_s)
+    is_even = (n_lines >= 1) & (np.abs(steps / period_s - n_lines) < 0.1 * np.maximum(n_lines, 1))
+    if np.count_nonzero(is_even) < 0.8 * len(steps):
         return None
-    return round(float(n_lines[on_beat].sum() / steps[on_beat].sum()), 9)
+    return round(float(n_lines[is_even].sum() / steps[is_even].sum()), 9)

@@ -1,4 +1,4 @@
-"""What the first records of every scanner tell: the sweep, the grid of angles, the beat of the shots."""
+"""What the first records of every scanner tell: the sweep, the grid of angles, the timing of the shots."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from prc_cli.stream.limits import Admission, CellLimit
 from prc_cli.stream.lines import FixedLines, LineRule, NumberedLines, SweptLines, TimedLines
 from prc_cli.stream.reading import first_records, nothing_placed
 from prc_cli.stream.rules import GridRules
-from prc_cli.stream.shot_timing import UNKNOWN, Beat, find_beat
+from prc_cli.stream.shot_timing import UNKNOWN, ShotTiming, find_timing
 from prc_cli.stream.table import LINE, START, Table, take
 from prc_cli.stream.whole_lines import LineRules, ScanState, advance, whole_shots
 
@@ -33,7 +33,7 @@ class Estimates:
 
     sweep: Sweep | None = None
     angle_grid: AngleGrid | None = None
-    beat: Beat = UNKNOWN
+    timing: ShotTiming = UNKNOWN
 
 
 def line_rules(
@@ -89,7 +89,7 @@ def _line_rule(rules: GridRules, points_per_line: int | None, found: Estimates) 
         return SweptLines(found.sweep) if found.sweep is not None else FixedLines(points_per_line or 1)
     if rules.shot_hz is not None:
         return TimedLines(rules.line_hz, 0.5 / rules.shot_hz, rules.time_origin_s)
-    half_s, column_s = found.beat.shot_s / 2, found.beat.column_s
+    half_s, column_s = found.timing.shot_s / 2, found.timing.column_s
     column = rules.column_dimension if column_s > 0 else None
     return TimedLines(rules.line_hz, half_s, rules.time_origin_s, column, column_s)
 
@@ -118,36 +118,36 @@ def _needs_probe(rules: GridRules) -> bool:
     return rules.lines == "angle-wrap" or rules.columns == "angle"
 
 
-def given_beat(rules: GridRules, points_per_line: int | None) -> Beat:
-    """Return the beat as far as nothing needs to be read for it."""
+def given_timing(rules: GridRules, points_per_line: int | None) -> ShotTiming:
+    """Return the timing as far as nothing needs to be read for it."""
     if rules.line_hz is None or points_per_line is None:
         return UNKNOWN
-    return Beat(1 / (rules.line_hz * points_per_line))
+    return ShotTiming(1 / (rules.line_hz * points_per_line))
 
 
-def _needs_beat(rules: GridRules, points_per_line: int | None) -> bool:
+def _needs_timing(rules: GridRules, points_per_line: int | None) -> bool:
     """Whether only the first records tell where in its line a shot is."""
     if rules.line_hz is None or rules.shot_hz is not None:
         return False
     return points_per_line is None or rules.column_dimension is not None
 
 
-def _beat(rules: GridRules, records: Table, points_per_line: int | None) -> Beat:
-    """Find the beat of the first records of a scanner."""
-    if rules.line_hz is None or not _needs_beat(rules, points_per_line):
-        return given_beat(rules, points_per_line)
+def _timing(rules: GridRules, records: Table, points_per_line: int | None) -> ShotTiming:
+    """Find the timing of the first records of a scanner."""
+    if rules.line_hz is None or not _needs_timing(rules, points_per_line):
+        return given_timing(rules, points_per_line)
     every = line_rules(rules, points_per_line, Estimates())
     records, starts, _ = whole_shots(records, ScanState(), every, final=True)
     shots = take(records, starts)
     name = rules.column_dimension
     column = None if name is None else columns_by_dimension(shots[name])
-    return find_beat(np.asarray(shots["time"], np.float64), column, rules.line_hz, points_per_line)
+    return find_timing(np.asarray(shots["time"], np.float64), column, rules.line_hz, points_per_line)
 
 
 def probe(
     source: RecordSource, rules: GridRules, points_per_line: int | None, *, geometry: bool
 ) -> tuple[dict[int, Estimates], dict[int, Table]]:
-    """Read the first records of every scanner and estimate sweep, column angles and beat.
+    """Read the first records of every scanner and estimate sweep, column angles and timing.
 
     Returns
     -------
@@ -157,14 +157,14 @@ def probe(
         The whole lines of those records, where angles were looked for.
     """
     for_angles = geometry and rules.has_angle and (rules.columns == "dimension" or rules.lines == "fixed")
-    needs_beat = _needs_beat(rules, points_per_line)
-    if not _needs_probe(rules) and not for_angles and not needs_beat:
-        return ({0: Estimates(beat=given_beat(rules, points_per_line))} if rules.scanner is None else {}), {}
+    needs_timing = _needs_timing(rules, points_per_line)
+    if not _needs_probe(rules) and not for_angles and not needs_timing:
+        return ({0: Estimates(timing=given_timing(rules, points_per_line))} if rules.scanner is None else {}), {}
     beside = ("angle", *(rules.height_names if geometry else ())) if rules.has_angle else ()
     names = tuple(dict.fromkeys((*rules.names, *beside)))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
-    # every scanner must be met where the rules depend on its angles or its beat
-    to_end = rules.scanner is not None and (_needs_probe(rules) or needs_beat)
+    # every scanner must be met where the rules depend on its angles or its timing
+    to_end = rules.scanner is not None and (_needs_probe(rules) or needs_timing)
     first = first_records(source, rules.scanner, names, limit, to_end=to_end)
     if not first:
         raise nothing_placed(source.path)
@@ -173,20 +173,20 @@ def probe(
     for scanner, records in first.items():
         where = source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
         sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
-        beat = _beat(rules, records, points_per_line)
+        timing = _timing(rules, records, points_per_line)
         if not _needs_probe(rules) and not for_angles:
-            estimates[scanner] = Estimates(beat=beat)
+            estimates[scanner] = Estimates(timing=timing)
             continue
         # lines that go back are judged while reading, not here
-        lenient = line_rules(rules, points_per_line, Estimates(sweep, None, beat), judges_order=False)
+        lenient = line_rules(rules, points_per_line, Estimates(sweep, None, timing), judges_order=False)
         whole, _ = advance(scanner, records, ScanState(), lenient, final=True)
         grid = None
         if rules.columns == "angle" and whole is not None:
             grid = _angle_grid(rules, take(whole.records, whole.records[START]), where)
             if rules.line_hz is not None and points_per_line is None:
                 # where shots are missing the columns tell better how far they are apart
-                beat = replace(beat, shot_s=min(beat.shot_s, 1 / (rules.line_hz * grid.n_columns)))
-        estimates[scanner] = Estimates(sweep, grid, beat)
+                timing = replace(timing, shot_s=min(timing.shot_s, 1 / (rules.line_hz * grid.n_columns)))
+        estimates[scanner] = Estimates(sweep, grid, timing)
         if whole is not None:
             probes[scanner] = whole.records
     return estimates, probes

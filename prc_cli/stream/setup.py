@@ -15,7 +15,7 @@ from prc_cli.core.types import F64
 from prc_cli.formats.records import RecordSource
 from prc_cli.stream.angles import column_angles
 from prc_cli.stream.columns import AngleGrid, ColumnRule, find_columns
-from prc_cli.stream.down import NoDirectionError, fit_heights, shown_lean
+from prc_cli.stream.down import NoDirectionError, fit_heights, shown_tilt
 from prc_cli.stream.limits import check_found_columns, check_image
 from prc_cli.stream.probe import Estimates, estimate_assumptions, line_rules, probe
 from prc_cli.stream.ranges import RangeRule, clean_measured
@@ -24,7 +24,7 @@ from prc_cli.stream.rules import GridRules
 from prc_cli.stream.table import LINE, START, Table, n_rows
 from prc_cli.stream.whole_lines import LineRules
 
-NADIR_LINES = 64
+DOWN_LINES = 64
 """Lines with returns that the direction of down is found in."""
 
 
@@ -36,10 +36,10 @@ class ScannerSetup:
     found: Estimates
     angle_rad: F64 | None
     """(M,) float64, angle of every column [rad], None if unknown."""
-    nadir_rad: float | None = None
+    down_rad: float | None = None
     """Scan angle that points straight down [rad], None if unknown."""
-    fall: float = 1.0
-    """Metres that the height falls a metre of range there: the cosine of the lean of the scan plane."""
+    cos_tilt: float = 1.0
+    """Cosine of the tilt of the scan plane from the vertical."""
     n_shots: int = 0
     """Shots of the whole input, if it was read."""
 
@@ -110,12 +110,12 @@ def find_setups(
             check_found_columns(rules.path, size, source.n_records)
         found = estimates.get(scanner, Estimates())
         angle = _angles(rules, size, found, probes.get(scanner))
-        nadir_rad, fall = None, 1.0
+        down_rad, cos_tilt = None, 1.0
         if geometry and angle is not None and rules.height_names and scanner in probes:
-            nadir_rad, fall, assumption = _nadir(rules, ranges, probes[scanner], scanner)
+            down_rad, cos_tilt, assumption = _down(rules, ranges, probes[scanner], scanner)
             taken.append(assumption)
         n_shots = extents[scanner].n_shots if scanner in extents else 0
-        setups[scanner] = ScannerSetup(size, found, angle, nadir_rad, fall, n_shots)
+        setups[scanner] = ScannerSetup(size, found, angle, down_rad, cos_tilt, n_shots)
     return setups, n_lines, tuple(taken)
 
 
@@ -174,19 +174,19 @@ def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, Estimat
     return extents
 
 
-def _nadir(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
-    """Find the scan angle that points straight down, and the fall along it, in heights of the first lines."""
+def _down(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
+    """Find the scan angle that points straight down, and the tilt, in heights of the first lines."""
     key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
     range_m, _, _ = clean_measured(records, replace(ranges, sensor_xyz=False))
-    lines = np.unique(records[LINE][np.isfinite(range_m)])[:NADIR_LINES]
+    lines = np.unique(records[LINE][np.isfinite(range_m)])[:DOWN_LINES]
     first = np.isin(records[LINE], lines)
     try:
         fit = fit_heights(records["angle"][first], range_m[first], records["z"][first], records[LINE][first])
     except NoDirectionError as error:
         return None, 1.0, Assumption(key, "not found", f"z is there beside range and scan angle, but {error}")
     why = f"found from z, range and scan angle of {fit.n_shots} shots, heights within {fit.off_m:.3f} m in the middle"
-    shown = f"{math.degrees(fit.nadir_rad):.2f} deg{shown_lean(fit.fall)}"
-    return fit.nadir_rad, fit.fall, Assumption(key, shown, why)
+    shown = f"{math.degrees(fit.down_rad):.2f} deg{shown_tilt(fit.cos_tilt)}"
+    return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
 
 
 def _angles(rules: GridRules, size: int, found: Estimates, records: Table | None) -> F64 | None:

@@ -119,9 +119,9 @@ def test_nadir_given_on_the_scale_of_the_scan_angles() -> None:
 
 def test_nadir_of_the_reader() -> None:
     block = with_angles(np.linspace(130.0, 30.0, 101))
-    found = beams_of(stream(block, nadir_rad=np.pi))
+    found = beams_of(stream(block, down_rad=np.pi))
     assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [-50.0, -150.0]
-    found = beams_of(stream(block, nadir_rad=np.pi), InputConfig(nadir=0.0))
+    found = beams_of(stream(block, down_rad=np.pi), InputConfig(nadir=0.0))
     assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [130.0, 30.0]
 
 
@@ -265,7 +265,7 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
     path = tmp_path / "scan.npz"
     np.savez(path, range_m=block.range_m, zenith_deg=180.0 - np.rad2deg(true))
     info = open_input(path, AUTO).info
-    assert info.nadir_rad == np.pi
+    assert info.down_rad == np.pi
     (read,) = with_beams(open_input(path, AUTO), AUTO).blocks()
     assert read.beam_rad is not None
     assert worst_deg(read.beam_rad, true) < 1e-6
@@ -281,7 +281,7 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
     assert read.beam_rad is not None
     assert worst_deg(read.beam_rad, true) < 0.3
     np.savez(path, xyz=block.xyz_m, angle_deg=np.arange(len(true)))
-    assert open_input(path, AUTO).info.nadir_rad is None
+    assert open_input(path, AUTO).info.down_rad is None
     np.savez(path, xyz=np.zeros((3, 4, 2)))
     with pytest.raises(InputError, match="shape"):
         open_input(path, AUTO)
@@ -305,7 +305,7 @@ def test_down_from_registered_coordinates_beside_range_and_angle() -> None:
         "x": records["x"] + 5000.0,
     }
     info = open_records(records).info
-    assert info.nadir_rad == pytest.approx(0.0, abs=1e-3)
+    assert info.down_rad == pytest.approx(0.0, abs=1e-3)
     assert any(one.key == "input.nadir" and "found from z" in one.why for one in info.assumptions)
     blocks = list(with_beams(open_records(records, 77), AUTO).blocks())
     expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
@@ -325,7 +325,7 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
     records["point_source_id"] = np.repeat([3, 8], n)
     records["angle"][n:] = (records["angle"][n:] + np.deg2rad(30.0)) % (2 * np.pi)
     read = open_records(records, scanner="point_source_id")
-    assert read.info.nadir_rad is None
+    assert read.info.down_rad is None
     assert np.rad2deg([read.info.down(scanner)[0] for scanner in (3, 8)]) == pytest.approx([0.0, 30.0], abs=0.1)
     expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
     found = with_beams(read, AUTO)
@@ -364,7 +364,7 @@ def test_registered_coordinates_that_do_not_fit_are_told_and_refused() -> None:
     _, records = scene()
     records["z"] = np.random.default_rng(0).normal(0, 30, len(records["z"]))
     read = open_records(records)
-    assert read.info.nadir_rad is None
+    assert read.info.down_rad is None
     (told,) = [one for one in read.info.assumptions if one.key == "input.nadir"]
     assert told.value == "not found"
     with pytest.raises(InputError, match="no vertical direction known: z is there beside range and scan angle, but"):

@@ -93,7 +93,7 @@ class ArrayStream:
             n_lines=self._n_lines,
             angle_rad=angle_rad,
             line_hz=self._find_line_hz(),
-            nadir_rad=math.pi if self._angles == ZENITH else None,
+            down_rad=math.pi if self._angles == ZENITH else None,
             assumptions=tuple(assumed),
             facts=SourceFacts(time_name=TIME, has_line_times=self._has_line_times),
         )
