@@ -27,7 +27,7 @@ from prc_cli.stream.order import (
     RangeCorrelation,
     range_correlation,
 )
-from prc_cli.stream.periodicity import PeriodEstimate, estimate_line_frequency, estimate_points_per_line
+from prc_cli.stream.evidence import PeriodEstimate, estimate_line_frequency, estimate_points_per_line
 
 SAMPLE_SHOTS = 4_000_000
 """Ranges kept from the start of a file for the median, the correlation and the estimate of M."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.stream.periodicity import WEAK, estimate_line_frequency, estimate_points_per_line
+from prc_cli.stream.evidence import WEAK, estimate_line_frequency, estimate_points_per_line
 
 
 def street(m: int, n_lines: int, seed: int = 0) -> np.ndarray:
