@@ -10,9 +10,10 @@ from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.stream import beams as module
+from prc_cli.stream import beam_finder as module
 from prc_cli.stream import probe as grid_probe
-from prc_cli.stream.beams import from_angles, with_beams
+from prc_cli.stream.beam_finder import from_angles
+from prc_cli.stream.beams import with_beams
 from prc_cli.stream.down import NoDirectionError
 from prc_cli.stream.open import open_input
 from tests.stream.beam_lines import (

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64, I64
+from prc_cli.stream.directions import fit_beams, turn_evenly
 from prc_cli.stream.down import (
     LevelLinesError,
     NoddingError,
     NoDirectionError,
-    fit_beams,
     fit_heights,
-    turn_evenly,
     wrap,
 )
 from tests.stream.beam_lines import (

@@ -15,7 +15,7 @@ from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import open_stream
 from prc_cli.stream.beams import with_beams
-from prc_cli.stream.down_from_ground import down_of_ground
+from prc_cli.stream.down import down_of_ground
 from tests.classifiers.fused.street_lines import BEAM, street_lines
 
 
