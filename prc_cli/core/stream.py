@@ -214,17 +214,6 @@ class ScanStream(Protocol):
         """
 
 
-class SeekableStream(ScanStream, Protocol):
-    """A stream whose lines can be read from anywhere, where ``can_seek`` says so."""
-
-    @property
-    def can_seek(self) -> bool:
-        """Whether :meth:`lines` can be used."""
-
-    def lines(self, first_line: int, stop_line: int) -> Iterator[F32]:
-        """Read the ranges of some lines, as they are in :meth:`blocks`, in arrays of (lines, M) float32 [m]."""
-
-
 @dataclass(frozen=True, slots=True)
 class StageLabels:
     """What the sequential-angle classifier found on the way (Stamos et al. 2012)."""

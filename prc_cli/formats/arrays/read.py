@@ -186,27 +186,6 @@ class ArrayStream:
             for each in rows:
                 each.finish()
 
-    can_seek = True
-    """Whether :meth:`lines` gives any lines without reading those before them (or, compressed, nearly so)."""
-
-    def lines(self, first_line: int, stop_line: int) -> Iterator[F32]:
-        """Read the ranges of some lines alone, cleaned as in :meth:`blocks`.
-
-        Yields
-        ------
-        (lines, M) float32, metres
-        """
-        with self._file.open(self._range) as (rows,):
-            rows.skip(first_line * (self._m if self._flat else 1))
-            for first in range(first_line, stop_line, self._chunk_lines):
-                ranges, _ = self._some_ranges(rows, first, min(self._chunk_lines, stop_line - first))
-                yield ranges
-
-    def _some_ranges(self, rows: Rows, first: int, n: int) -> tuple[F32, ReadTally]:
-        if self._range == XYZ:
-            return self._lengths(_to_float32(rows.read(n)))
-        return self._read_ranges(rows, first, n)
-
     def _block(self, rows: dict[str, Rows], first: int, n: int) -> ScanBlock:
         stored_xyz = _to_float32(rows[XYZ].read(n)) if XYZ in rows else None
         if self._range == XYZ and stored_xyz is not None:

@@ -103,21 +103,6 @@ class Rows:
         self._n_read += n
         return np.frombuffer(raw, header.dtype).reshape(n, *header.shape[1:])
 
-    def skip(self, n: int) -> None:
-        """Leave out the next ``n`` rows; what is compressed is decompressed all the same.
-
-        Raises
-        ------
-        InputError
-            When they are damaged, as far as that shows.
-        """
-        try:
-            self._handle.seek(n * self._row_bytes, 1)
-        except _DAMAGED as error:
-            problem = f"rows {self._n_read} to {self._n_read + n - 1} cannot be read ({error})"
-            raise InputError(self.header.where, problem, _COPY) from error
-        self._n_read += n
-
     def finish(self) -> None:
         """Make sure that nothing follows; in an archive this is where the checksum is compared.
 
@@ -151,10 +136,6 @@ class _FortranRows(Rows):
             raise InputError(header.where, problem, _COPY) from error
         self._n_read += n
         return rows.T.reshape((n, *header.shape[1:]), order="F")
-
-    def skip(self, n: int) -> None:
-        """Leave out the next ``n`` rows; every row is sought for itself."""
-        self._n_read += n
 
     def finish(self) -> None:
         """Nothing can follow: the size was compared when the file was opened."""

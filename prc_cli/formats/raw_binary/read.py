@@ -129,14 +129,12 @@ class RawBinarySource(LayoutRecords):
         """Number of records, from the size of the file."""
         return self._n_records
 
-    def chunks(self, names: tuple[str, ...], first: int = 0, stop: int | None = None) -> Iterator[RecordChunk]:
-        """Decode the named fields in bounded memory, in the order of the file: all of them, or a stretch.
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode the named fields in bounded memory, in the order of the file.
 
         Parameters
         ----------
         names : tuple of str
-        first, stop : int
-            First record, and the one after the last.
 
         Raises
         ------
@@ -147,10 +145,9 @@ class RawBinarySource(LayoutRecords):
         """
         self._check_names(names)
         with open_to_read(self._path) as handle:
-            handle.seek(self._header_bytes + first * self._dtype.itemsize)
-            end = self._n_records if stop is None else min(stop, self._n_records)
-            for start in range(first, end, self._chunk_records):
-                records = self._read(handle, start, min(self._chunk_records, end - start))
+            handle.seek(self._header_bytes)
+            for start in range(0, self._n_records, self._chunk_records):
+                records = self._read(handle, start, min(self._chunk_records, self._n_records - start))
                 yield self._decoded(start, records, names)
 
     def _read(self, handle: IO[bytes], first: int, wanted: int) -> NDArray[Any]:
