@@ -59,7 +59,7 @@ class LasSource:
         self._layout = read_layout(str(path), self.header)
         self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
         """Kept from the records that :meth:`chunks` decodes, for who writes the file again."""
-        self._skips_intensity = False
+        self._spares_intensity = False
         self._n_unread_chunks = 0
         if self.header.compressed:
             with path.open("rb") as handle:
@@ -166,7 +166,7 @@ class LasSource:
 
         Noisy as it is, its layer takes a fifth of the whole decompression.
         """
-        self._skips_intensity = True
+        self._spares_intensity = True
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the file.
@@ -213,7 +213,7 @@ class LasSource:
             if header.compressed:
                 asked = [self._layout.fields[name] for name in names]
                 layers, several = layers_of(asked), None
-                if self._skips_intensity and "intensity" in names:
+                if self._spares_intensity and "intensity" in names:
                     several = layers
                     layers = layers_of([field for field in asked if field.layer != "intensity"])
                 yield from LazRecords(self.path, handle, header).batches(self._chunk_records, layers, several)
