@@ -180,11 +180,11 @@ def simulated(spec: Simulated) -> Scan:
     extra_world = [part.extra_world_m for part in parts if part.extra_world_m is not None]
     angle_rad = blocks[0].angle_rad
     assert angle_rad is not None
-    nadir_rad = simulation.scan.info.nadir_rad
+    down_rad = simulation.scan.info.down_rad
     return Scan(
         spec.name,
         np.concatenate([block.range_m for block in blocks]),
-        angle_rad - (nadir_rad or 0.0),
+        angle_rad - (down_rad or 0.0),
         np.concatenate([lookup[part.labelled.labels] for part in parts]).astype(np.int64),
         "cylinders" if spec.cylinders else "street" if spec.kind == "street" else "forest",
         time_s=np.concatenate([block.time_s for block in blocks if block.time_s is not None]),

@@ -24,7 +24,7 @@ from prc_cli.core.profile import profiling
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.jobs.classify import classify, load_classifier
-from prc_cli.stream.grid import GridStream
+from prc_cli.stream import grid
 from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
@@ -96,7 +96,7 @@ def test_an_error_anywhere_ends_the_run_and_leaves_nothing(
     out.mkdir()
     progress = None
     if where == "reader":
-        monkeypatch.setattr(GridStream, "_dense_block", after(1, GridStream._dense_block, error))
+        monkeypatch.setattr(grid, "dense_block", after(1, grid.dense_block, error))
         monkeypatch.setattr("prc_cli.formats.raw_binary.read.CHUNK_BYTES", 4 * 20 * POINTS_PER_LINE)
     elif where == "classifier":
         monkeypatch.setattr(Prc, "label", after(2, Prc.label, error))
@@ -143,7 +143,7 @@ def test_the_input_is_read_and_fingerprinted_while_blocks_are_classified(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, image: np.ndarray
 ) -> None:
     names: set[str] = set()
-    block_of, add = GridStream._dense_block, StagedWriter.add
+    block_of, add = grid.dense_block, StagedWriter.add
 
     def read(*arguments: object) -> ScanBlock:
         names.add(threading.current_thread().name)
@@ -153,7 +153,7 @@ def test_the_input_is_read_and_fingerprinted_while_blocks_are_classified(
         names.add(threading.current_thread().name)
         add(self, block)
 
-    monkeypatch.setattr(GridStream, "_dense_block", read)
+    monkeypatch.setattr(grid, "dense_block", read)
     monkeypatch.setattr(StagedWriter, "add", write)
     source = write_raw(tmp_path / "drive.bin", image)
     classify(source, tmp_path / "one.npy", SHORT, threads=1)

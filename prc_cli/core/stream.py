@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from operator import add, attrgetter
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
-
-if TYPE_CHECKING:
-    from prc_cli.formats.las.contexts import LazContexts
 
 FAR_M = 20_000.0
 """No laser scanner on the ground measures so far [m]: a sign of a wrong origin, unit or coordinate system."""
@@ -51,21 +49,21 @@ class StreamInfo:
     """(M,) float64, scan angle of every column [rad], None if unknown."""
     line_hz: float | None = None
     """Scan lines a second [Hz], None if unknown."""
-    nadir_rad: float | None = None
+    down_rad: float | None = None
     """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad]; None if unknown."""
-    fall: float = 1.0
-    """Metres that the height falls a metre of range along that beam: the cosine of the lean of the scan plane."""
+    cos_tilt: float = 1.0
+    """Cosine of the tilt of the scan plane from the vertical: metres of height a metre of range along that beam."""
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
     """The same two by scanner, of those whose own was found; where there are any, it is unknown for all others."""
     assumptions: tuple[Assumption, ...] = ()
-    notes: tuple[str, ...] = ()
-    """What is unusual about the file, a plain sentence each: always told, and kept in the run record."""
-    laz_contexts: LazContexts | None = field(default=None, repr=False, compare=False)
-    """LAZ of point formats 6-10: filled while the blocks are read, for writing the same file again."""
+    facts: SourceFacts = field(default_factory=SourceFacts)
+    """What the file says of itself."""
+    dimensions: tuple[str, ...] = ()
+    """Names of the records' dimensions where lines were found among them; empty for images and frames."""
 
     def down(self, scanner: int) -> tuple[float | None, float]:
-        """Return the scan angle that points straight down for a scanner [rad], None if unknown, and the fall there."""
-        return self.downs.get(scanner, (None, 1.0)) if self.downs else (self.nadir_rad, self.fall)
+        """Return the scan angle that points straight down [rad], None if unknown, and the cosine of the tilt there."""
+        return self.downs.get(scanner, (None, 1.0)) if self.downs else (self.down_rad, self.cos_tilt)
 
 
 @dataclass(frozen=True, slots=True)

@@ -59,23 +59,31 @@ READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
 """Readers of record lists by suffix."""
 
 
-def _ptx(path: Path, config: InputConfig) -> ScanStream:
+def _array(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
+    from prc_cli.formats.arrays.read import ArrayStream
+
+    return ArrayStream(path, config, lines_at_once=lines_at_once)
+
+
+def _ptx(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
     from prc_cli.formats.ptx import PtxStream
 
     return PtxStream(path, config)
 
 
-def _e57(path: Path, config: InputConfig) -> ScanStream:
+def _e57(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
     from prc_cli.formats.e57.read import E57Stream
 
     return E57Stream(path, config)
 
 
-SCAN_READERS: dict[str, Callable[[Path, InputConfig], ScanStream]] = {".ptx": _ptx, ".e57": _e57}
-"""Readers of organised scans by suffix: they are blocks of the stream already."""
-
-ARRAY_SUFFIXES = (".npy", ".npz")
-"""Range images, which are blocks of the stream already."""
+IMAGE_READERS: dict[str, Callable[[Path, InputConfig, int], ScanStream]] = {
+    ".npy": _array,
+    ".npz": _array,
+    ".ptx": _ptx,
+    ".e57": _e57,
+}
+"""Readers of range images and organised scans by suffix: their lines and columns are in the file."""
 
 LAS_SUFFIXES = (".las", ".laz")
 
@@ -88,7 +96,7 @@ def check_input(path: Path) -> str:
     InputError
         When it is absent, not a file, empty, or of a suffix that no reader takes.
     """
-    known = (*READERS, *ARRAY_SUFFIXES, *SCAN_READERS)
+    known = (*READERS, *IMAGE_READERS)
     suffix = suffix_of(path)
     if path.is_dir():
         raise InputError(str(path), "is a folder, expected a file", "name the files in it")
@@ -116,11 +124,26 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
     return READERS[suffix](path, layout) if suffix in READERS else None
 
 
+def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
+    """Open a file that :func:`open_source` finds no list of records in.
+
+    Parameters
+    ----------
+    path : Path
+        Range image or organised scans.
+    config : InputConfig
+        How the file is read.
+    lines_at_once : int
+        Lines of which multiples are best read.
+    """
+    return IMAGE_READERS[suffix_of(path)](path, config, lines_at_once)
+
+
 __all__ = [
-    "ARRAY_SUFFIXES",
+    "IMAGE_READERS",
     "LAS_SUFFIXES",
     "READERS",
-    "SCAN_READERS",
     "check_input",
+    "open_images",
     "open_source",
 ]

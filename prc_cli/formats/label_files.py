@@ -10,8 +10,8 @@ from pathlib import Path
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.facts import ClassContexts
 from prc_cli.core.files import check_output
-from prc_cli.formats.las.contexts import LazContexts
 from prc_cli.formats.writing.base import LabelWriter
 from prc_cli.formats.writing.options import OutputConfig, check_codes
 from prc_cli.formats.writing.record import (
@@ -52,7 +52,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     codes: ClassCodes,
     options: OutputConfig,
     overwrite: bool,
-    laz_contexts: LazContexts | None = None,
+    laz_contexts: ClassContexts | None = None,
 ) -> LabelWriter:
     """Choose and check a writer; nothing is created before its ``with`` block.
 
@@ -74,7 +74,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
         ``[output]``.
     overwrite : bool
         Whether an existing output may be replaced.
-    laz_contexts : LazContexts, optional
+    laz_contexts : ClassContexts, optional
         Kept from reading the LAZ input; makes writing it again faster and changes nothing else.
 
     Raises

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig
@@ -182,7 +183,7 @@ def describe(
         n_records=sum(shape.n_records for shape in shapes),
         n_lines=sum(shape.n_lines for shape in full),
         assumptions=tuple(assumed),
-        notes=tuple(notes),
+        facts=SourceFacts(has_scans=True, notes=tuple(notes)),
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import I64
 
 STANDARD_NAMES = (
@@ -58,6 +59,10 @@ class RecordSource(Protocol):
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver, standard names first."""
 
+    @property
+    def facts(self) -> SourceFacts:
+        """What the file says of itself beside its records."""
+
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the input.
 
@@ -93,3 +98,8 @@ class DerivedSource:
     def dimensions(self) -> tuple[str, ...]:
         """Names that the source can deliver, standard names first."""
         return self.source.dimensions
+
+    @property
+    def facts(self) -> SourceFacts:
+        """What the file says of itself beside its records."""
+        return self.source.facts

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F32, Mask
+
+ReturnRule: TypeAlias = Literal["strongest", "first", "last"]
+"""The return that stands for a shot (``input.return``)."""
 
 
 def continues_run(keys: tuple[NDArray[Any], ...], number_of_returns: NDArray[Any]) -> Mask:
@@ -71,7 +74,7 @@ def choose_returns(
     range_m: F32,
     intensity: NDArray[Any] | None,
     return_number: NDArray[Any] | None,
-    rule: Literal["strongest", "first", "last"],
+    rule: ReturnRule,
 ) -> Mask:
     """Mark the one return of every shot that stands for it in the range image.
 

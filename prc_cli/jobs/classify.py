@@ -237,7 +237,7 @@ def classify(
             codes=loaded.config.classes,
             options=loaded.config.output,
             overwrite=overwrite,
-            laz_contexts=stream.info.laz_contexts,
+            laz_contexts=stream.info.facts.laz_contexts,
         ) as writer,
     ):
         counts = _write_labels(stream, writer, loaded.config, threads, progress)
@@ -398,7 +398,7 @@ def run_record(
         n_missing=int(counts.labels[Label.MISSING]),
         assumptions=info.assumptions,
         tally=counts.tally,
-        notices=info.notes,
+        notices=info.facts.notes,
     )
 
 

@@ -252,7 +252,7 @@ def open_items(
         elif records is None and codes and suffix_of(source) == ".npz":
             carried = _carry_array(source, stream.info, output, stack)
         item = _item(first, carried)
-        scanners = loaded.config.input.scanner != "none" or stream.info.format in ("PTX", "E57")
+        scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
         returns = stream.rules.has_returns if isinstance(stream, GridStream) else stream.info.format == "E57"
         shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
 
@@ -394,9 +394,9 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
     other = [name for name in records.dimensions if name.lower() not in known and name not in taken]
     if other:
         yield f"other dimensions of the records: {', '.join(other[:30])}{' ...' if len(other) > 30 else ''}"
-    if getattr(records, "crs_wkt", None):
+    if records.facts.crs_wkt:
         yield "the coordinate system"
-    if getattr(records, "format", "").startswith("LA"):
+    if records.format.startswith("LA"):
         yield "header, VLRs and EVLRs of the LAS file"
 
 
@@ -412,8 +412,8 @@ def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, .
         told.append(f"read it with --config {output.name}.toml")
     directed = shape.xyz if suffix == ".npz" else shape.registered and suffix in (*_LAS, *_TABLES)
     directed = directed or suffix == ".e57"
-    if shape.nadir_rad is not None and not directed and suffix != ".bin":
-        angle = float(np.rad2deg(shape.nadir_rad))
+    if shape.down_rad is not None and not directed and suffix != ".bin":
+        angle = float(np.rad2deg(shape.down_rad))
         lean = "; a lean of the scan plane is lost with the coordinates" if shape.registered else ""
         told.append(f"straight down is at scan angle {angle:.9g} deg{lean}: read it with --set input.nadir={angle:.9g}")
     return tuple(told)

@@ -12,21 +12,23 @@ import numpy as np
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
 from prc_cli.formats import open_source
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
-from prc_cli.stream.beams import ORGANISED, with_beams
-from prc_cli.stream.grid import open_grid
-from prc_cli.stream.open import open_input
-from prc_cli.stream.order import (
-    OrderEvidence,
-    OrderWatch,
+from prc_cli.stream.beams import with_beams
+from prc_cli.stream.evidence import (
+    PeriodEstimate,
     RangeCorrelation,
+    estimate_line_frequency,
+    estimate_points_per_line,
     range_correlation,
 )
-from prc_cli.stream.periodicity import PeriodEstimate, estimate_line_frequency, estimate_points_per_line
+from prc_cli.stream.grid import open_grid
+from prc_cli.stream.open import open_input
+from prc_cli.stream.order import OrderEvidence, OrderWatch
 
 SAMPLE_SHOTS = 4_000_000
 """Ranges kept from the start of a file for the median, the correlation and the estimate of M."""
@@ -139,7 +141,7 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
         return stream, None
     try:
         directed = with_beams(stream, inputs, from_ground=loaded.config.nadir_from_ground)
-        if stream.info.format in ORGANISED or inputs.scanner != "none":
+        if stream.info.facts.has_scans or inputs.scanner != "none":
             # a scan met late is refused late
             for _ in directed.blocks():
                 pass
@@ -169,6 +171,7 @@ def _describe(
                 raise
     problem, hint = _verdict(order, facts, refusal, judged=judged)
     info = None if stream is None else stream.info
+    told = info.facts if info is not None else source.facts if source is not None else SourceFacts()
     n_records = None if source is None else source.n_records
     return Inspection(
         path=str(path),
@@ -181,8 +184,8 @@ def _describe(
         order=order,
         facts=facts,
         assumptions=() if info is None else info.assumptions,
-        header=getattr(source, "describe", dict)(),
-        notes=getattr(source, "notes", ()) if info is None else info.notes,
+        header=told.describe(),
+        notes=told.notes,
         problem=problem,
         hint=hint,
     )
@@ -255,8 +258,7 @@ def _time_order(source: RecordSource) -> OrderEvidence | None:
     """Read the times alone, in the order of the input."""
     if "time" not in source.dimensions:
         return None
-    what = "gps_time" if source.format.startswith("LA") else "time"
-    watch = OrderWatch(source.path, "trust", what)
+    watch = OrderWatch(source.path, "trust", source.facts.time_name)
     for chunk in source.chunks(("time",)):
         watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
     return watch.evidence()
@@ -292,6 +294,11 @@ class _UnitRanges(DerivedSource):
     @property
     def dimensions(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(("range", *self.source.dimensions)))
+
+    @property
+    def facts(self) -> SourceFacts:
+        # what is unusual about a file is shown of streams that ranges are known of, and where there is no stream
+        return replace(self.source.facts, notes=())
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         for chunk in self.source.chunks(tuple(name for name in names if name != "range")):

@@ -179,7 +179,7 @@ def _write(
         registered=scan.with_world and not scan.with_xyz and suffix in _REGISTERED,
         intensity=True,
         codes=True,
-        nadir_rad=scan.info.nadir_rad,
+        down_rad=scan.info.down_rad,
     )
     n_further = 0
     with open_stream_writer(output, shape) as writer:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import check_output, remove_stale, suffix_of
 from prc_cli.core.stream import Assumption
 from prc_cli.formats import (
@@ -374,6 +375,7 @@ class _CodesAlone:
     codes: Any
     format: str = "labels"
     dimensions: tuple[str, ...] = ()
+    facts: SourceFacts = field(default_factory=SourceFacts)
 
     @property
     def path(self) -> str:

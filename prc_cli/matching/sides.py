@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F64, I64
 from prc_cli.formats.labels.read import CodeSource, open_codes
 from prc_cli.formats.las.read import LasSource
@@ -93,7 +94,7 @@ class SideFile:
     def crs(self) -> str | None:
         """Coordinate system of the coordinates, None where the file does not say."""
         found = self.find(("x",))
-        return found[0].crs_wkt if found is not None and isinstance(found[0], LasSource) else None
+        return None if found is None else found[0].facts.crs_wkt
 
 
 @dataclass(slots=True)
@@ -145,6 +146,11 @@ class Side:
     def format(self) -> str:
         """Reader name."""
         return "class codes"
+
+    @property
+    def facts(self) -> SourceFacts:
+        """The files are asked one by one: see :class:`SideFile`."""
+        return SourceFacts()
 
     @property
     def n_records(self) -> int | None:

@@ -102,8 +102,8 @@ class SimulatedScan:
             n_lines=self.n_lines,
             angle_rad=scanner.angle_rad(),
             line_hz=scanner.line_hz,
-            nadir_rad=0.0 if scanner.is_static else -float(np.deg2rad(scanner.roll_deg)),
-            fall=1.0 if scanner.is_static else float(np.cos(np.deg2rad(scanner.slant_deg))),
+            down_rad=0.0 if scanner.is_static else -float(np.deg2rad(scanner.roll_deg)),
+            cos_tilt=1.0 if scanner.is_static else float(np.cos(np.deg2rad(scanner.slant_deg))),
             assumptions=(Assumption("seed", str(self.seed), "the same seed gives the same scan"),),
         )
 

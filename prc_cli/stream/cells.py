@@ -9,24 +9,32 @@ import numpy as np
 
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64
-from prc_cli.formats.returns import choose_returns
-from prc_cli.stream.columns import is_within
-from prc_cli.stream.rules import GridRules
-from prc_cli.stream.setup import ScannerSetup, find_columns
-from prc_cli.stream.whole_lines import (
-    LINE,
-    RECORD,
-    START,
-    Table,
-    WholeLines,
-    n_rows,
-    take,
-)
+from prc_cli.formats.returns import ReturnRule, choose_returns
+from prc_cli.stream.columns import ColumnRule, find_columns, is_within
+from prc_cli.stream.table import INTENSITY, LINE, RANGE, RECORD, START, XYZ, Table, n_rows, take
+from prc_cli.stream.whole_lines import WholeLines
 
 MAX_BLOCK_CELLS = 1 << 21
 """Cells of a block at most (at least a line): long gaps leave in pieces."""
-RANGE, XYZ, INTENSITY = "slant range", "sensor xyz", "intensity"
-"""Columns of a table; the blanks keep what was computed apart from dimensions."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellRules:
+    """What the image of one scanner depends on."""
+
+    points_per_line: int
+    """M."""
+    columns: ColumnRule
+    chosen_return: ReturnRule
+    """The return that stands for a shot of several."""
+    angle_rad: F64 | None
+    """(M,) float64, scan angle of every column [rad]."""
+    with_time: bool
+    """Whether blocks hold times; likewise below."""
+    with_intensity: bool
+    with_xyz: bool
+    pads_last_line: bool = False
+    """Dense records: whether cells at the end may have no record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,25 +48,18 @@ class _Cells:
     """(n,) bool, the record that stands for its shot."""
 
 
-def blocks_of(
-    whole: WholeLines, rules: GridRules, setup: ScannerSetup, *, only_ranges: bool = False
-) -> Iterator[ScanBlock]:
+def blocks_of(whole: WholeLines, rules: CellRules) -> Iterator[ScanBlock]:
     """Yield whole lines as blocks of bounded size; the first takes the tally along.
 
     Parameters
     ----------
     whole : WholeLines
         Its records carry ``slant range`` (cleaned), and ``time``, ``intensity`` and ``sensor xyz`` where known.
-    rules : GridRules
-    setup : ScannerSetup
-    only_ranges : bool
-        Leave times and intensities out.
+    rules : CellRules
+        Of the scanner.
     """
-    m = setup.points_per_line
-    if only_ranges:
-        # they have done their work once the returns are chosen
-        rules = replace(rules, has_time=False, has_intensity=False)
-    cells, n_unplaced = _place(whole, rules, setup)
+    m = rules.points_per_line
+    cells, n_unplaced = _place(whole, rules)
     tally = whole.tally + ReadTally(n_unplaced=n_unplaced)
     n_lines = max(MAX_BLOCK_CELLS // m, 1)
     for first in range(whole.first_line, whole.stop_line, n_lines):
@@ -66,43 +67,41 @@ def blocks_of(
         low, high = np.searchsorted(cells.line, (first, stop))
         part = slice(int(low), int(high))
         piece = _Cells(take(cells.records, part), cells.line[part], cells.column[part], cells.stands[part])
-        block = _fill(piece, first, stop - first, rules, setup)
+        block = _fill(piece, first, stop - first, rules)
         yield replace(block, scanner=whole.scanner, tally=block.tally + tally)
         tally = ReadTally()
 
 
-def _place(whole: WholeLines, rules: GridRules, setup: ScannerSetup) -> tuple[_Cells, int]:
+def _place(whole: WholeLines, rules: CellRules) -> tuple[_Cells, int]:
     """Give every record its cell and choose the returns; records outside the image are left out and counted."""
     records = whole.records
     if not n_rows(records):
         none = np.empty(0, np.int64)
         return _Cells(records, none, none, np.empty(0, np.bool_)), 0
     starts = records[START]
-    column = find_columns(whole, rules, setup.angle_grid)
+    column = find_columns(records, rules.columns, whole.origin_s)
     if not starts.all():
         column = column[np.cumsum(starts) - 1]
     stands = choose_returns(
-        starts, records[RANGE], records.get(INTENSITY), records.get("return_number"), rules.config.return_
+        starts, records[RANGE], records.get(INTENSITY), records.get("return_number"), rules.chosen_return
     )
     n_unplaced = 0
-    if not is_within(column, setup.points_per_line):
-        inside = (column >= 0) & (column < setup.points_per_line)
+    if not is_within(column, rules.points_per_line):
+        inside = (column >= 0) & (column < rules.points_per_line)
         n_unplaced = len(inside) - int(np.count_nonzero(inside))
         records, column, stands = take(records, inside), column[inside], stands[inside]
     return _Cells(records, records[LINE], column, stands), n_unplaced
 
 
-def _fill(cells: _Cells, first_line: int, n_lines: int, rules: GridRules, setup: ScannerSetup) -> ScanBlock:
+def _fill(cells: _Cells, first_line: int, n_lines: int, rules: CellRules) -> ScanBlock:
     """Make the block of lines ``first_line`` on; of several shots in a cell the first with a range stays."""
-    m = setup.points_per_line
+    m = rules.points_per_line
     records = cells.records
     range_m: F32 = np.full(n_lines * m, np.nan, np.float32)
     record: I64 = np.full(n_lines * m, -1, np.int64)
-    with_time = rules.has_time
-    time_s: F64 | None = np.full(n_lines * m, np.nan) if with_time else None
-    intensity: F32 | None = np.full(n_lines * m, np.nan, np.float32) if rules.has_intensity else None
-    with_xyz = rules.has_sensor_xyz or not rules.range.startswith("dimension:")
-    xyz: F32 | None = np.full((n_lines * m, 3), np.nan, np.float32) if with_xyz else None
+    time_s: F64 | None = np.full(n_lines * m, np.nan) if rules.with_time else None
+    intensity: F32 | None = np.full(n_lines * m, np.nan, np.float32) if rules.with_intensity else None
+    xyz: F32 | None = np.full((n_lines * m, 3), np.nan, np.float32) if rules.with_xyz else None
     extra, tally = ExtraReturns.none(), ReadTally()
     if n_rows(records):
         cell = cells.line - first_line
@@ -138,7 +137,7 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: GridRules, setup:
         time_s=None if time_s is None else time_s.reshape(shape),
         xyz_m=None if xyz is None else xyz.reshape(n_lines, m, 3),
         intensity=None if intensity is None else intensity.reshape(shape),
-        angle_rad=setup.angle_rad,
+        angle_rad=rules.angle_rad,
         extra=extra,
         tally=tally,
     )
@@ -155,3 +154,42 @@ def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.nd
     own = np.zeros(len(cell), np.bool_)
     own[winner[winner >= 0]] = True
     return own
+
+
+def dense_block(table: Table, first_line: int, rules: CellRules, tally: ReadTally) -> ScanBlock:
+    """Make a block of records that are the cells already, one after the other; nothing is moved.
+
+    Parameters
+    ----------
+    table : Table
+        Records of whole lines, with ``slant range`` (cleaned), and ``time`` and ``intensity`` where known.
+    first_line : int
+        Index of their first line.
+    rules : CellRules
+    tally : ReadTally
+        What goes with the block.
+    """
+    shape = (-1, rules.points_per_line)
+    time_s: F64 | None = np.asarray(table["time"], np.float64).reshape(shape) if rules.with_time else None
+    intensity: F32 | None = table[INTENSITY].astype(np.float32).reshape(shape) if rules.with_intensity else None
+    # cells that were padded have no record, so the short form would be wrong
+    record: I64 | None = table[RECORD].reshape(shape) if rules.pads_last_line else None
+    return ScanBlock(
+        first_line=first_line,
+        range_m=table[RANGE].reshape(shape),
+        record=record,
+        time_s=time_s,
+        intensity=intensity,
+        angle_rad=rules.angle_rad,
+        tally=tally,
+    )
+
+
+def pad_line(rest: Table, m: int) -> Table:
+    """Fill the last line up with missing shots."""
+    padded: Table = {}
+    for name, column in rest.items():
+        filler = np.full(m - len(column), -1 if name == RECORD else np.nan)
+        padded[name] = np.concatenate([column, filler.astype(column.dtype if name == RECORD else np.float64)])
+    padded[RANGE] = padded[RANGE].astype(np.float32)
+    return padded

@@ -14,10 +14,78 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.types import F64, I64, Mask
+from prc_cli.stream.table import LINE, ORDINAL, SPREAD, START, Table, take
 
 NO_COLUMN = -1
 MAX_COLUMN = 10_000_000
 """Columns beyond are taken for none; as many as ``points_per_line`` may be."""
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class AngleGrid:
+    """Columns as steps of the scan angle."""
+
+    start_rad: float
+    """Angle of column 0 [rad]."""
+    step_rad: float
+    """From column to column, signed [rad]."""
+    n_columns: int
+    """Columns of the sector that the lines span, or of a whole turn."""
+    whole_turn: bool
+
+    def angles(self, points_per_line: int) -> F64:
+        """Return the scan angle of every column, (M,) [rad]."""
+        return self.start_rad + self.step_rad * np.arange(points_per_line, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnRule:
+    """How columns are found: the first of dimension, grid and shot frequency that is there, else the order."""
+
+    dimension: str | None = None
+    """Dimension that numbers them."""
+    grid: AngleGrid | None = None
+    """Steps of the scan angle."""
+    shot_hz: float | None = None
+    """Shots a second."""
+    line_hz: float | None = None
+    """Lines a second, where lines are found by time."""
+
+
+def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I64:
+    """Return the column of every shot of whole lines.
+
+    Parameters
+    ----------
+    records : Table
+        Sorted by line, with the columns that :mod:`prc_cli.stream.whole_lines` adds.
+    rule : ColumnRule
+    origin_s : float or None
+        Time of line 0 [s] where lines are found by time.
+
+    Returns
+    -------
+    (n,) int64
+        Below 0 or beyond M where there is none.
+    """
+    starts = records[START]
+    shots = records if starts.all() else take(records, starts)
+    line: I64 = shots[LINE]
+    if rule.dimension is not None:
+        return columns_by_dimension(shots[rule.dimension])
+    if rule.grid is not None:
+        return columns_by_angle(shots["angle"], rule.grid)
+    if rule.shot_hz is None:
+        return columns_by_order(line)
+    spread: F64 = shots[SPREAD]
+    stamp = np.asarray(shots["time"], np.float64)
+    if rule.line_hz is not None and origin_s is not None:
+        # relative to the origin first: line / HZ keeps full resolution however long the drive
+        spread, start = spread - origin_s, line / rule.line_hz
+    else:
+        start = line_starts(spread, line)
+    return columns_by_time(spread, stamp, shots[ORDINAL], line, rule.shot_hz, start)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +170,28 @@ def columns_by_order(line: I64) -> I64:
     """
     position = np.arange(len(line), dtype=np.int64)
     return position - np.maximum.accumulate(np.where(begins_line(line), position, 0))
+
+
+def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
+    """Round to the nearest step; angles are equal modulo a turn.
+
+    Examples
+    --------
+    >>> columns_by_angle(np.deg2rad([0.0, 90.4, -90.0, 359.9]), AngleGrid(0.0, np.deg2rad(90.0), 4, True))
+    array([0, 1, 3, 0])
+    """
+    value = np.asarray(angle, np.float64)
+    known = np.isfinite(value)
+    sign = math.copysign(1.0, grid.step_rad)
+    away = np.remainder(sign * (np.where(known, value, 0.0) - grid.start_rad), _TURN)
+    column = np.rint(away / abs(grid.step_rad)).astype(np.int64)
+    n_turn = round(_TURN / abs(grid.step_rad))
+    if grid.whole_turn:
+        column %= max(n_turn, 1)
+    else:
+        # the rest of the turn is shared by the two ends: noise before column 0 is -1, not almost a turn
+        column = np.where(column > (grid.n_columns + n_turn) / 2, column - n_turn, column)
+    return np.where(known, column, NO_COLUMN)
 
 
 def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64) -> I64:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
@@ -21,11 +22,6 @@ from prc_cli.stream.grid import GridStream
 _XYZ = ("x", "y", "z")
 _LINE = "line by elevation"
 """The blanks keep it apart from dimensions."""
-
-
-def has_lines_by_elevation(config: InputConfig) -> bool:
-    """Tell whether lines are to be found by the elevation."""
-    return config.lines.startswith("elevation:")
 
 
 def with_elevation(source: RecordSource, config: InputConfig) -> tuple[RecordSource, InputConfig]:
@@ -62,8 +58,8 @@ def tell_elevation(stream: GridStream, rule: str) -> GridStream:
     info = stream.info
     why = "lines end where the elevation of x, y, z jumps back; the scan angle is the elevation"
     assumptions = (Assumption("input.lines", rule, why), *info.assumptions)
-    nadir_rad = None if info.angle_rad is None else -math.pi / 2
-    return replace(stream, info=replace(info, assumptions=assumptions, nadir_rad=nadir_rad))
+    down_rad = None if info.angle_rad is None else -math.pi / 2
+    return replace(stream, info=replace(info, assumptions=assumptions, down_rad=down_rad))
 
 
 @dataclass(frozen=True)
@@ -74,6 +70,11 @@ class _WithElevation(DerivedSource):
     def dimensions(self) -> tuple[str, ...]:
         """Names of the source, ``angle`` and the line."""
         return (*dict.fromkeys(("angle", *self.source.dimensions)), _LINE)
+
+    @property
+    def facts(self) -> SourceFacts:
+        """Those of the source without its notes; M that a file records is that of other lines."""
+        return replace(self.source.facts, points_per_line=None, notes=())
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions; a point at the origin has no elevation and stays in the line it stands in.

@@ -1,33 +1,26 @@
-"""Lists of records to the stream of blocks, the same way for every format.
+"""Records to the stream of blocks, the same way for every format.
 
-Which line, column and range a record has is decided here and nowhere else: rules (:mod:`.grid_rules`), what must
-be known beforehand (:mod:`.grid_setup`), whole lines out of chunks (:mod:`.grid_lines`, :mod:`.grid_read`), cells
-(:mod:`.grid_cells`). Memory stays at a chunk of records and the open lines of every scanner.
+First the rules are resolved (:mod:`.rules`) and the scanners set up (:mod:`.setup`). Then chunks of records become
+whole lines (:mod:`.reading`), and whole lines become cells of blocks (:mod:`.cells`). Memory stays at a chunk of
+records and the open lines of every scanner.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
-from prc_cli.core.types import F32, F64, I64
 from prc_cli.formats.options import InputConfig
-from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.records import RecordChunk, RecordSource
-from prc_cli.stream.cells import (
-    INTENSITY,
-    MAX_BLOCK_CELLS,
-    RANGE,
-    XYZ,
-    blocks_of,
-)
+from prc_cli.stream.cells import MAX_BLOCK_CELLS, CellRules, blocks_of, dense_block, pad_line
 from prc_cli.stream.gps_weeks import WeekSource, times_of_trajectory, week_steps
 from prc_cli.stream.limits import cell_limit
-from prc_cli.stream.ranges import RangeRule, measure_ranges, open_ranges
+from prc_cli.stream.probe import Estimates, given_timing, line_rules
+from prc_cli.stream.ranges import RangeRule, clean_measured, open_ranges
 from prc_cli.stream.reading import (
     check_partial_line,
     judge_first_records,
@@ -38,14 +31,10 @@ from prc_cli.stream.reading import (
     whole_lines,
 )
 from prc_cli.stream.rules import GridRules, given_points_per_line, resolve_rules
-from prc_cli.stream.setup import (
-    ScannerSetup,
-    find_setups,
-    given_angles,
-    given_beat,
-)
+from prc_cli.stream.setup import ScannerSetup, column_rule, find_setups, given_angles
 from prc_cli.stream.sorting import sorted_by_time
-from prc_cli.stream.whole_lines import RECORD, LineRules, Table
+from prc_cli.stream.table import INTENSITY, RANGE, XYZ, Table, take
+from prc_cli.stream.whole_lines import LineRules
 
 
 def open_grid(
@@ -71,10 +60,6 @@ def open_grid(
     only_ranges : bool
         Leave times and intensities out of the blocks: what decides nothing then is not decoded.
 
-    Returns
-    -------
-    ScanStream
-
     Raises
     ------
     InputError
@@ -89,45 +74,47 @@ def open_grid(
         rules = resolve_rules(records, config)
     except InputError:
         # a file of no lines is often a tile: then its order is the better reason
-        judge_first_records(source, config)
+        if config.order == "require":
+            judge_first_records(source)
         raise
-    if config.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
+    if rules.order == "trust" and (rules.line_hz is not None or rules.shot_hz is not None):
         records = WeekSource(records)
-    crs_wkt: str | None = getattr(source, "crs_wkt", None)
-    ranges = open_ranges(rules.range, records.dimensions, source.path, config, crs_wkt=crs_wkt)
-    ranges = replace(ranges, sensor_xyz=rules.has_sensor_xyz)
-    m, assumption = given_points_per_line(rules, source)
-    if rules.lines == "fixed" and m is not None and not rules.has_returns and source.n_records is not None:
-        check_partial_line(source.path, source.n_records, m, config)
-    setups, n_lines, found = find_setups(records, rules, m, geometry=geometry)
+    facts, n_records = source.facts, source.n_records
+    ranges = open_ranges(
+        rules.range, records.dimensions, source.path, config, crs_wkt=facts.crs_wkt, sensor_xyz=rules.has_sensor_xyz
+    )
+    m, assumption = given_points_per_line(rules, facts.points_per_line)
+    counts_records = rules.lines == "fixed" and not rules.has_returns and not rules.pads_last_line
+    if counts_records and m is not None and n_records is not None:
+        check_partial_line(source.path, n_records, m)
+    setups, n_lines, found = find_setups(records, rules, ranges, m, geometry=geometry)
     sizes = [setup.points_per_line for setup in setups.values()] or ([m] if m is not None else [])
     if not sizes:
         raise nothing_placed(source.path)
-    if n_lines is None and rules.is_dense and source.n_records is not None:
-        n_lines = -(-source.n_records // max(sizes))
+    if n_lines is None and rules.is_dense and n_records is not None:
+        n_lines = -(-n_records // max(sizes))
+    default = None
+    if m is not None:
+        default = ScannerSetup(m, Estimates(timing=given_timing(rules, m)), given_angles(rules, m))
+    alone = next(iter(setups.values())) if len(setups) == 1 else None
     info = StreamInfo(
         path=source.path,
         format=source.format,
         points_per_line=max(sizes),
-        n_records=source.n_records,
+        n_records=n_records,
         n_lines=n_lines,
-        angle_rad=next(iter(setups.values())).angle_rad if len(setups) == 1 else None,
+        angle_rad=None if alone is None else alone.angle_rad,
         line_hz=rules.line_hz if rules.line_hz is not None else line_hz,
-        nadir_rad=next(iter(setups.values())).nadir_rad if len(setups) == 1 else None,
-        fall=next(iter(setups.values())).fall if len(setups) == 1 else 1.0,
-        downs={
-            scanner: (setup.nadir_rad, setup.fall) for scanner, setup in setups.items() if setup.nadir_rad is not None
-        },
+        down_rad=None if alone is None else alone.down_rad,
+        cos_tilt=1.0 if alone is None else alone.cos_tilt,
+        downs={one: (setup.down_rad, setup.cos_tilt) for one, setup in setups.items() if setup.down_rad is not None},
         assumptions=(*rules.assumptions, *ranges.assumptions, *([assumption] if assumption else []), *found),
-        laz_contexts=getattr(source, "laz_contexts", None),
+        facts=facts,
+        dimensions=records.dimensions,
     )
-    default = None if m is None else ScannerSetup(m, None, None, given_angles(config, m), beat=given_beat(rules, m))
-    stream = GridStream(info, records, rules, ranges, setups, default, only_ranges)
     if only_ranges and "intensity" not in (*rules.names, *ranges.names):
-        spare_intensity = getattr(source, "spare_intensity", None)
-        if spare_intensity is not None:
-            spare_intensity()
-    return stream
+        facts.skip_intensity()
+    return GridStream(info, records, rules, ranges, setups, default, only_ranges)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,14 +132,13 @@ class GridStream:
     only_ranges: bool = False
     """Whether blocks hold neither times nor intensities."""
 
-    @property
-    def n_known(self) -> int:
-        """Records as far as known, 0 if only reading can tell."""
-        return max(self.info.n_records or 0, sum(setup.n_shots for setup in self.setups.values()))
-
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
-        return self._dense_blocks() if self.rules.is_dense else self._sparse_blocks()
+        if self.rules.is_dense:
+            yield from self._dense_blocks()
+            return
+        for whole in whole_lines(self.source, self.rules, self._line_rules, self._carried(), self._prepare):
+            yield from blocks_of(whole, self._cell_rules(whole.scanner))
 
     def _setup(self, scanner: int) -> ScannerSetup:
         setup = self.setups.get(scanner, self.default)
@@ -162,11 +148,27 @@ class GridStream:
         return setup
 
     def _line_rules(self, scanner: int) -> LineRules:
-        setup = self._setup(scanner)
-        m = setup.points_per_line
+        setup, rules = self._setup(scanner), self.rules
+        m, cells = setup.points_per_line, None
         # every shot of fixed lines has its cell
-        cells = None if self.rules.lines == "fixed" else cell_limit(self.rules.config, m, self.n_known)
-        return LineRules(self.rules, m, setup.sweep, setup.beat, cells, self._spent())
+        if rules.lines != "fixed":
+            n_known = max(self.info.n_records or 0, sum(setup.n_shots for setup in self.setups.values()))
+            cells = cell_limit(m, n_known, rules.max_gap_lines, is_alone=rules.scanner is None)
+        return line_rules(rules, m, setup.found, cells=cells, spent=self._spent())
+
+    def _cell_rules(self, scanner: int) -> CellRules:
+        setup, rules = self._setup(scanner), self.rules
+        return CellRules(
+            points_per_line=setup.points_per_line,
+            columns=column_rule(rules, setup.found.angle_grid),
+            chosen_return=rules.chosen_return,
+            angle_rad=setup.angle_rad,
+            # times and intensities have done their work once the returns are chosen
+            with_time=rules.has_time and not self.only_ranges,
+            with_intensity=rules.has_intensity and not self.only_ranges,
+            with_xyz=self.ranges.gives_xyz,
+            pads_last_line=rules.pads_last_line,
+        )
 
     def _spent(self) -> tuple[str, ...]:
         """Return the dimensions that only find the shots and their lines: fewer columns are cut and joined then."""
@@ -179,18 +181,13 @@ class GridStream:
             kept.add(INTENSITY)
         return tuple(name for name in rules.names if name not in kept)
 
-    def _sparse_blocks(self) -> Iterator[ScanBlock]:
-        """Bring every record to its cell, whatever is missing between them."""
-        for whole in whole_lines(self.source, self.rules, self._line_rules, self._carried(), self._prepare):
-            yield from blocks_of(whole, self.rules, self._setup(whole.scanner), only_ranges=self.only_ranges)
-
     def _carried(self) -> tuple[str, ...]:
         """Return the dimensions that are needed beside those that decide the cells."""
         return (*self.ranges.names, *(("intensity",) if self._needs_intensity else ()))
 
     @property
     def _needs_intensity(self) -> bool:
-        decides = self.rules.has_returns and self.rules.config.return_ == "strongest"
+        decides = self.rules.has_returns and self.rules.chosen_return == "strongest"
         return self.rules.has_intensity and (decides or not self.only_ranges)
 
     def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
@@ -198,8 +195,7 @@ class GridStream:
         values = chunk.values
         if self.ranges.trajectory is not None:
             values = {**values, "time": times_of_trajectory(chunk, self.ranges.trajectory.span[0])}
-        found, xyz = measure_ranges(values, self.ranges)
-        table[RANGE], tally = clean_ranges(found, self.rules.config.min_range, self.rules.config.max_range)
+        table[RANGE], xyz, tally = clean_measured(values, self.ranges)
         # what was taken out before the watch could see it
         tally += ReadTally(n_time_steps_back=week_steps(chunk))
         if xyz is not None:
@@ -210,21 +206,16 @@ class GridStream:
 
     def _dense_blocks(self) -> Iterator[ScanBlock]:
         """Cut records that are the cells already into lines; nothing is moved."""
-        setup, config = self._setup(0), self.rules.config
-        m = setup.points_per_line
-        watch = open_watch(self.source, config) if self.rules.has_time else None
-        needs_records = watch is not None or config.partial_line == "pad"
+        rules, cells = self.rules, self._cell_rules(0)
+        m = cells.points_per_line
+        watch = open_watch(self.source, rules.order) if rules.has_time else None
+        needs_records = watch is not None or rules.pads_last_line
         rest: Table = {}
         n_records = first_line = 0
         tally = ReadTally()
-        names = tuple(dict.fromkeys((*self.rules.names, *self._carried())))
-        for chunk in self.source.chunks(names):
-            table = (
-                table_of(chunk, self.rules.names)
-                if needs_records
-                else {name: chunk.values[name] for name in self.rules.names}
-            )
-            table, cleaned = self._prepare(chunk, table)
+        for chunk in self.source.chunks(tuple(dict.fromkeys((*rules.names, *self._carried())))):
+            own = {name: chunk.values[name] for name in rules.names}
+            table, cleaned = self._prepare(chunk, table_of(chunk, rules.names) if needs_records else own)
             tally += cleaned + ReadTally(n_records=chunk.n)
             if watch is not None:
                 tally += see_times(watch, table)
@@ -234,46 +225,14 @@ class GridStream:
             n_whole = len(table[RANGE]) // m
             for start in range(0, n_whole, max(MAX_BLOCK_CELLS // m, 1)):
                 stop = min(start + max(MAX_BLOCK_CELLS // m, 1), n_whole)
-                yield self._dense_block(table, slice(start * m, stop * m), first_line, setup, tally)
+                yield dense_block(take(table, slice(start * m, stop * m)), first_line, cells, tally)
                 first_line, tally = first_line + stop - start, ReadTally()
             rest = {name: column[n_whole * m :].copy() for name, column in table.items()}
         if watch is not None:
             watch.finish()
         if not n_records:
             raise nothing_placed(self.source.path)
-        check_partial_line(self.source.path, n_records, m, config)
+        if not rules.pads_last_line:
+            check_partial_line(self.source.path, n_records, m)
         if n_records % m:
-            yield self._dense_block(_pad(rest, m), slice(0, m), first_line, setup, tally)
-
-    def _dense_block(
-        self, table: Table, part: slice, first_line: int, setup: ScannerSetup, tally: ReadTally
-    ) -> ScanBlock:
-        shape = (-1, setup.points_per_line)
-        time_s: F64 | None = None
-        if "time" in table and not self.only_ranges:
-            time_s = np.asarray(table["time"][part], np.float64).reshape(shape)
-        intensity: F32 | None = None
-        if INTENSITY in table:
-            intensity = table[INTENSITY][part].astype(np.float32).reshape(shape)
-        # cells that were padded have no record, so the short form would be wrong
-        padded = self.rules.config.partial_line == "pad"
-        record: I64 | None = table[RECORD][part].reshape(shape) if padded else None
-        return ScanBlock(
-            first_line=first_line,
-            range_m=table[RANGE][part].reshape(shape),
-            record=record,
-            time_s=time_s,
-            intensity=intensity,
-            angle_rad=setup.angle_rad,
-            tally=tally,
-        )
-
-
-def _pad(rest: Table, m: int) -> Table:
-    """Fill the last line up with missing shots."""
-    padded: Table = {}
-    for name, column in rest.items():
-        filler = np.full(m - len(column), -1 if name == RECORD else np.nan)
-        padded[name] = np.concatenate([column, filler.astype(column.dtype if name == RECORD else np.float64)])
-    padded[RANGE] = padded[RANGE].astype(np.float32)
-    return padded
+            yield dense_block(pad_line(rest, m), first_line, cells, tally)

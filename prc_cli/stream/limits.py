@@ -1,15 +1,19 @@
-"""How empty an image may be: a few wrong numbers must not cost gigabytes or hours."""
+"""Which lines and images are refused: lines that go back, gaps, and images that are nearly empty.
+
+A few wrong numbers must not cost gigabytes or hours.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from prc_cli.core.errors import InputError
-from prc_cli.core.types import I64
+from prc_cli.core.errors import InputError, OrderError
+from prc_cli.core.types import I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.stream.columns import MAX_COLUMN
+from prc_cli.stream.lines import LineState
 
 MAX_CELLS_PER_RECORD = 1000
 """Cells for every record; an image that is emptier has a wrong line or column somewhere."""
@@ -47,12 +51,120 @@ class CellLimit:
         return np.maximum(cells // self.points_per_line, 1)
 
 
-def cell_limit(config: InputConfig, points_per_line: int, n_known: int) -> CellLimit:
-    """Return the limit of one scanner; gaps that are longer than usual and allowed by name come on top."""
-    n_spare = SPARE_CELLS if config.scanner == "none" else MIN_CELLS
-    if config.max_gap_lines > USUAL_GAP_LINES:
-        n_spare += config.max_gap_lines * points_per_line
+def cell_limit(points_per_line: int, n_known: int, max_gap_lines: int, *, is_alone: bool) -> CellLimit:
+    """Return the limit of one scanner; gaps that are longer than usual and allowed by name come on top.
+
+    Parameters
+    ----------
+    points_per_line : int
+        M.
+    n_known : int
+        Records of the whole input as far as known, else 0.
+    max_gap_lines : int
+        Most missing lines in a row.
+    is_alone : bool
+        Whether the input is of one scanner.
+    """
+    n_spare = SPARE_CELLS if is_alone else MIN_CELLS
+    if max_gap_lines > USUAL_GAP_LINES:
+        n_spare += max_gap_lines * points_per_line
     return CellLimit(points_per_line, n_known, n_spare)
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """What is done with lines that go back or jump ahead."""
+
+    where: str
+    """File and rule, for messages."""
+    max_gap_lines: int
+    refuse_back: bool
+    """Whether lines that go back by more than the slack are an error (else they come too late, counted)."""
+    slack: int
+    """Lines beside the last that are still open."""
+    begins_with_first: bool = True
+    """Whether line 0 is that of the first shot; else shots before it are expected, not late."""
+    cells: CellLimit | None = None
+    """How many lines the shots so far may have; None = any number."""
+
+
+def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Admission) -> tuple[Mask, LineState]:
+    """Decide which shots still find their line open.
+
+    Parameters
+    ----------
+    line : (n,) int64
+        Line of every shot.
+    known : (n,) bool
+        False = the shot has no line.
+    record : (n,) int64
+        Record index of every shot, for messages.
+    state : LineState
+        ``top`` is used and updated.
+    rule : Admission
+
+    Returns
+    -------
+    admitted : (n,) bool
+    state : LineState
+
+    Raises
+    ------
+    OrderError
+        When lines go back and that is refused.
+    InputError
+        When more lines are missing in a row than allowed, or nearly all cells so far.
+    """
+    steady = bool(known.all()) and (not len(line) or line[0] >= max(state.top, 0)) and not np.any(line[1:] < line[:-1])
+    if steady and len(line) and _all_admitted(int(line[-1]), state, rule):
+        return known, replace(state, n_seen=state.n_seen + len(line), top=int(line[-1]))
+    seen = line if steady else np.where(known, line, np.iinfo(np.int64).min)
+    highest = np.concatenate(([state.top], seen))
+    if not steady:
+        highest = np.maximum.accumulate(highest)
+    before = highest[:-1]
+    late = np.zeros(len(line), np.bool_) if steady else known & (seen < np.maximum(before - rule.slack, 0))
+    if rule.refuse_back and late.any():
+        i = int(np.argmax(late))
+        offset = state.offset or 0
+        problem = f"goes back from {before[i] + offset} to {line[i] + offset} at record {record[i]}"
+        hint = "sort with --sort-by-time, or leave such records unclassified with --trust-order"
+        raise OrderError(rule.where, f"{problem}; expected lines in the order they were scanned", hint)
+    ahead = known & (seen - before > rule.max_gap_lines + 1)
+    first_ahead = int(np.argmax(ahead)) if ahead.any() else len(ahead)
+    if rule.cells is not None:
+        _check_cells(highest[1 : first_ahead + 1], known, record, state, rule.cells, rule.where)
+    if first_ahead < len(ahead):
+        i = first_ahead
+        missing = int(line[i] - before[i] - 1)
+        problem = f"{missing} lines are missing before record {record[i]}, expected at most {rule.max_gap_lines}"
+        hint = "check the line numbers or times there, or raise max_gap_lines"
+        raise InputError(rule.where, problem, hint)
+    n_late = int(np.count_nonzero(late & ((line >= 0) | rule.begins_with_first)))
+    state = replace(state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late)
+    return known & ~late, replace(state, top=int(highest[-1]))
+
+
+def _all_admitted(last: int, state: LineState, rule: Admission) -> bool:
+    """Tell whether lines that never go back, up to the last, cannot be refused: what nearly every chunk is like."""
+    if last - state.top > rule.max_gap_lines + 1:
+        return False
+    return rule.cells is None or last < rule.cells.most_lines(np.array([state.n_seen]))[0]
+
+
+def _check_cells(top: I64, known: Mask, record: I64, state: LineState, limit: CellLimit, where: str) -> None:
+    """Refuse lines that are nearly all empty: their cells would cost any amount of time."""
+    # neither lines nor their limit ever fall: the last line within the first limit settles it
+    if len(top) and top[-1] < limit.most_lines(np.array([state.n_seen]))[0]:
+        return
+    n_seen = state.n_seen + np.cumsum(known[: len(top)])
+    empty = top >= limit.most_lines(n_seen)
+    if empty.any():
+        i = int(np.argmax(empty))
+        m, most = limit.points_per_line, limit.most_lines(n_seen)[i]
+        problem = f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
+        hint = f"check the line numbers or times there; gaps that are meant: max_gap_lines above {USUAL_GAP_LINES}"
+        raise InputError(where, f"{problem}, expected at most {most} lines", hint)
 
 
 def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = "") -> None:

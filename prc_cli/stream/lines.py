@@ -7,19 +7,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError, OrderError
+from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.stream.limits import USUAL_GAP_LINES, CellLimit
+from prc_cli.stream.angles import Sweep
+from prc_cli.stream.columns import columns_by_dimension
+from prc_cli.stream.shot_timing import time_in_line
+from prc_cli.stream.table import Table
 
 MAX_NUMBER = 2.0**53
 """Line numbers at or beyond cannot be told apart as float64."""
-MIN_AGREEMENT = 0.75
-"""Share of steps of the scan angle that must go the same way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +52,83 @@ class LineState:
 
 
 @dataclass(frozen=True, slots=True)
-class Sweep:
-    """How the scan angle runs within a line."""
+class NumberedLines:
+    """Lines have numbers in the input."""
 
-    direction: int
-    """+1 = the angle grows from shot to shot, -1 = it falls."""
-    span_rad: float
-    """Angle between the ends of the longest lines [rad]."""
-    noise_rad: float
-    """Angles may go back by this much within a line [rad]."""
+    dimension: str
+    path: str
+    """For messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class FixedLines:
+    """Every shot is in the input, missing ones too."""
+
+    points_per_line: int
+
+
+@dataclass(frozen=True, slots=True)
+class SweptLines:
+    """A line ends where the scan angle jumps back."""
+
+    sweep: Sweep
+
+
+@dataclass(frozen=True, slots=True)
+class TimedLines:
+    """Lines begin at a fixed frequency."""
+
+    line_hz: float
+    half_shot_s: float
+    """Half the time between shots [s], 0 if unknown."""
+    origin_s: float | None
+    """Time of line 0, column 0 [s]; None = that of the first shot."""
+    column_dimension: str | None = None
+    """Where the time of column 0 is told by the column of the shot."""
+    column_s: float = 0.0
+    """Time from column to column there [s]."""
+
+
+LineRule: TypeAlias = NumberedLines | FixedLines | SweptLines | TimedLines
+
+
+def find_lines(
+    shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rule: LineRule
+) -> tuple[I64, Mask, LineState]:
+    """Apply a rule to the next shots.
+
+    Parameters
+    ----------
+    shots : Table
+        The dimension that the rule names.
+    time_s : (n,) float64 or None
+        Estimated times [s]; None = ``time`` of the table.
+    n_shots : int
+    state : LineState
+    rule : LineRule
+
+    Returns
+    -------
+    line : (n,) int64
+        Line of every shot (may be below 0 where numbers go back).
+    known : (n,) bool
+        False where the shot has no line.
+    state : LineState
+    """
+    match rule:
+        case NumberedLines(dimension, path):
+            return lines_by_dimension(shots[dimension], state, f"{path}: {dimension}")
+        case FixedLines(points_per_line):
+            return lines_fixed(n_shots, points_per_line, state)
+        case SweptLines(sweep):
+            return lines_by_wrap(shots["angle"], sweep, state)
+        case TimedLines():
+            time_s = time_s if time_s is not None else np.asarray(shots["time"], np.float64)
+            since = None
+            if rule.column_dimension is not None:
+                column = columns_by_dimension(shots[rule.column_dimension])
+                since = time_in_line(column, rule.column_s, 1 / rule.line_hz)
+            return lines_by_time(time_s, rule.line_hz, rule.half_shot_s, rule.origin_s, state, since)
 
 
 def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tuple[I64, Mask, LineState]:
@@ -126,7 +195,7 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[
     angle : (n,) float
         Scan angle [rad]; shots without one stay in the line they stand in.
     sweep : Sweep
-        From :func:`find_sweep`.
+        From :func:`prc_cli.stream.angles.find_sweep`.
     state : LineState
 
     Returns
@@ -167,45 +236,6 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[
     return line, np.ones(len(value), np.bool_), state
 
 
-def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
-    """Find direction and span of the sweep from the first shots.
-
-    Parameters
-    ----------
-    angle : (n,) float
-        Scan angles in the order of the input [rad]; NaN is left out.
-    where : str
-        File, for messages.
-
-    Raises
-    ------
-    InputError
-        When angles do not vary, or run back and forth (an oscillating mirror has no wrap).
-
-    Examples
-    --------
-    >>> find_sweep(np.tile(np.linspace(1.0, -1.0, 50), 20), "strip.laz")  # doctest: +ELLIPSIS
-    Sweep(direction=-1, span_rad=2.0, noise_rad=0.081...)
-    """
-    value = np.asarray(angle, np.float64)
-    value = value[np.isfinite(value)]
-    hint = "find lines another way: --lines dimension:NAME, fixed or time:HZ"
-    low, high = np.percentile(value, (0.1, 99.9)) if len(value) else (0.0, 0.0)
-    span = float(high - low)
-    if not span > 0:
-        raise InputError(where, f"the scan angle does not vary in {len(value)} shots, expected sweeps", hint)
-    step = np.diff(value)
-    step = step[np.abs(step) <= 0.5 * span]
-    n_up, n_down = int(np.count_nonzero(step > 0)), int(np.count_nonzero(step < 0))
-    share = max(n_up, n_down) / max(n_up + n_down, 1)
-    if share < MIN_AGREEMENT:
-        problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
-        raise InputError(where, problem, hint)
-    # angles are rounded: a few steps back and forth are no wrap
-    noise = max(2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span)
-    return Sweep(1 if n_up >= n_down else -1, span, noise)
-
-
 def lines_by_time(
     time_s: F64,
     line_hz: float,
@@ -223,7 +253,7 @@ def lines_by_time(
     line_hz : float
         Lines a second.
     half_shot_s : float
-        Half the time between shots [s], 0 if unknown: shots are on a beat, so one that seems to come just
+        Half the time between shots [s], 0 if unknown: shots are evenly timed, so one that seems to come just
         before its line (rounded times) is its column 0.
     origin_s : float or None
         Time of line 0, column 0 [s]; None = the first known time, less the time since its line began if known.
@@ -254,99 +284,3 @@ def lines_by_time(
     if since_s is not None:
         turns = np.where(np.isnan(since_s), turns, np.rint((time_s - since_s - state.origin_s) * line_hz))
     return np.clip(turns, -MAX_NUMBER, MAX_NUMBER).astype(np.int64), known, state
-
-
-@dataclass(frozen=True, slots=True)
-class Admission:
-    """What is done with lines that go back or jump ahead."""
-
-    where: str
-    """File and rule, for messages."""
-    max_gap_lines: int
-    refuse_back: bool
-    """Whether lines that go back by more than the slack are an error (else they come too late, counted)."""
-    slack: int
-    """Lines beside the last that are still open."""
-    begins_with_first: bool = True
-    """Whether line 0 is that of the first shot; else shots before it are expected, not late."""
-    cells: CellLimit | None = None
-    """How many lines the shots so far may have; None = any number."""
-
-
-def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Admission) -> tuple[Mask, LineState]:
-    """Decide which shots still find their line open.
-
-    Parameters
-    ----------
-    line : (n,) int64
-        Line of every shot.
-    known : (n,) bool
-        False = the shot has no line.
-    record : (n,) int64
-        Record index of every shot, for messages.
-    state : LineState
-        ``top`` is used and updated.
-    rule : Admission
-
-    Returns
-    -------
-    admitted : (n,) bool
-    state : LineState
-
-    Raises
-    ------
-    OrderError
-        When lines go back and that is refused.
-    InputError
-        When more lines are missing in a row than allowed, or nearly all cells so far.
-    """
-    steady = bool(known.all()) and (not len(line) or line[0] >= max(state.top, 0)) and not np.any(line[1:] < line[:-1])
-    if steady and len(line) and _all_admitted(int(line[-1]), state, rule):
-        return known, replace(state, n_seen=state.n_seen + len(line), top=int(line[-1]))
-    seen = line if steady else np.where(known, line, np.iinfo(np.int64).min)
-    highest = np.concatenate(([state.top], seen))
-    if not steady:
-        highest = np.maximum.accumulate(highest)
-    before = highest[:-1]
-    late = np.zeros(len(line), np.bool_) if steady else known & (seen < np.maximum(before - rule.slack, 0))
-    if rule.refuse_back and late.any():
-        i = int(np.argmax(late))
-        offset = state.offset or 0
-        problem = f"goes back from {before[i] + offset} to {line[i] + offset} at record {record[i]}"
-        hint = "sort with --sort-by-time, or leave such records unclassified with --trust-order"
-        raise OrderError(rule.where, f"{problem}; expected lines in the order they were scanned", hint)
-    ahead = known & (seen - before > rule.max_gap_lines + 1)
-    first_ahead = int(np.argmax(ahead)) if ahead.any() else len(ahead)
-    if rule.cells is not None:
-        _check_cells(highest[1 : first_ahead + 1], known, record, state, rule.cells, rule.where)
-    if first_ahead < len(ahead):
-        i = first_ahead
-        missing = int(line[i] - before[i] - 1)
-        problem = f"{missing} lines are missing before record {record[i]}, expected at most {rule.max_gap_lines}"
-        hint = "check the line numbers or times there, or raise max_gap_lines"
-        raise InputError(rule.where, problem, hint)
-    n_late = int(np.count_nonzero(late & ((line >= 0) | rule.begins_with_first)))
-    state = replace(state, n_seen=state.n_seen + int(np.count_nonzero(known)), n_late=state.n_late + n_late)
-    return known & ~late, replace(state, top=int(highest[-1]))
-
-
-def _all_admitted(last: int, state: LineState, rule: Admission) -> bool:
-    """Tell whether lines that never go back, up to the last, cannot be refused: what nearly every chunk is like."""
-    if last - state.top > rule.max_gap_lines + 1:
-        return False
-    return rule.cells is None or last < rule.cells.most_lines(np.array([state.n_seen]))[0]
-
-
-def _check_cells(top: I64, known: Mask, record: I64, state: LineState, limit: CellLimit, where: str) -> None:
-    """Refuse lines that are nearly all empty: their cells would cost any amount of time."""
-    # neither lines nor their limit ever fall: the last line within the first limit settles it
-    if len(top) and top[-1] < limit.most_lines(np.array([state.n_seen]))[0]:
-        return
-    n_seen = state.n_seen + np.cumsum(known[: len(top)])
-    empty = top >= limit.most_lines(n_seen)
-    if empty.any():
-        i = int(np.argmax(empty))
-        m, most = limit.points_per_line, limit.most_lines(n_seen)[i]
-        problem = f"{n_seen[i]} shots lie in {top[i] + 1} lines of {m} columns at record {record[i]}"
-        hint = f"check the line numbers or times there; gaps that are meant: max_gap_lines above {USUAL_GAP_LINES}"
-        raise InputError(where, f"{problem}, expected at most {most} lines", hint)

@@ -1,13 +1,15 @@
-"""An archive becomes a stream: which format reads the file, and which rules find its lines."""
+"""An archive becomes a stream: the source is opened, and what kind it is decides the way to its blocks.
+
+Images, whose lines and columns are in the file, are blocks of the stream already. Records become blocks in
+:mod:`prc_cli.stream.grid`, but for frames of rings (:mod:`prc_cli.stream.rings`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-from prc_cli.core.files import suffix_of
 from prc_cli.core.stream import ScanStream
-from prc_cli.formats import SCAN_READERS, open_source
+from prc_cli.formats import open_images, open_source
 from prc_cli.formats.options import InputConfig, Layout
 
 
@@ -44,30 +46,32 @@ def open_input(
         When the file is damaged or does not hold what the configuration asks for.
     """
     source = open_source(path, layout)
-    if layout is not None and config.points_per_line is None and layout.points_per_line is not None:
-        config = config.model_copy(update={"points_per_line": layout.points_per_line})
-    if source is None and (scans := SCAN_READERS.get(suffix_of(path))) is not None:
-        return scans(path, config)
+    config = with_layout(config, layout)
+    # what finds lines is imported where there are some to find: images start sooner without
     if source is None:
-        from prc_cli.formats.arrays.read import ArrayStream
+        from prc_cli.stream.order import WatchedStream
 
-        return ArrayStream(path, config, lines_at_once=lines_at_once)
-    align_chunks = getattr(source, "align_chunks", None)
-    if align_chunks is not None and config.points_per_line is not None:
-        align_chunks(config.points_per_line * lines_at_once)
+        return WatchedStream(open_images(path, config, lines_at_once=lines_at_once), config.order)
     if config.lines == "rings":
         from prc_cli.stream.rings import open_rings
 
-        rings = open_rings(source, config)
-        return replace(rings, info=replace(rings.info, notes=tuple(getattr(source, "notes", ()))))
-    from prc_cli.stream.elevation import has_lines_by_elevation, tell_elevation, with_elevation
+        return open_rings(source, config)
     from prc_cli.stream.grid import open_grid
 
-    line_rule, by_elevation = config.lines, has_lines_by_elevation(config)
-    if by_elevation:
-        source, config = with_elevation(source, config)
+    if config.points_per_line is not None:
+        source.facts.align_chunks(config.points_per_line * lines_at_once)
     line_hz = None if layout is None else layout.line_frequency
-    stream = open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
-    if by_elevation:
-        stream = tell_elevation(stream, line_rule)
-    return replace(stream, info=replace(stream.info, notes=tuple(getattr(source, "notes", ()))))
+    if not config.lines.startswith("elevation:"):
+        return open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
+    from prc_cli.stream.elevation import tell_elevation, with_elevation
+
+    risen, rules = with_elevation(source, config)
+    stream = open_grid(risen, rules, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
+    return tell_elevation(stream, config.lines)
+
+
+def with_layout(config: InputConfig, layout: Layout | None) -> InputConfig:
+    """Return the configuration with M of the layout, where it gives none itself."""
+    if layout is None or layout.points_per_line is None or config.points_per_line is not None:
+        return config
+    return config.model_copy(update={"points_per_line": layout.points_per_line})

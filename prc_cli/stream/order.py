@@ -7,20 +7,23 @@ tiles or sorted by coordinate it would label noise. Hence the default is to refu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from prc_cli.core.errors import OrderError
-from prc_cli.core.types import F32, F64, I64
+from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import F64, I64
+
+Policy: TypeAlias = Literal["require", "trust", "sort-time"]
+"""What is done about records out of order (``input.order``)."""
 
 MAX_SHARE_BACK = 1e-4
 """Share of steps that may go back: files written by several threads swap a pair now and then."""
 CHECK_RECORDS = 1 << 20
 """The share is judged after every so many records, wherever chunks are cut, and at the end."""
-RANDOM_PAIRS = 1_000_000
-"""Most pairs compared by :func:`range_correlation`."""
 _WEEK_S = 604_800.0
 _PLAIN_S = 1e15
 """Times beyond have no use for digits behind the point; written out they fill the screen."""
@@ -126,7 +129,7 @@ class OrderWatch:
     def __init__(
         self,
         path: str,
-        policy: Literal["require", "trust", "sort-time"],
+        policy: Policy,
         what: str = "gps_time",
         *,
         can_sort: bool = True,
@@ -242,62 +245,36 @@ class OrderWatch:
 
 
 @dataclass(frozen=True, slots=True)
-class RangeCorrelation:
-    """Whether consecutive shots see the same surface."""
+class WatchedStream:
+    """Blocks of images, whose lines cannot be sorted: their times are watched as they pass."""
 
-    ratio: float
-    """Median range step between neighbours over that between random pairs; NaN if there is too little to tell."""
-    n_pairs: int
-    """Neighbouring pairs where both ranges are valid."""
+    source: ScanStream
+    policy: Policy
 
     @property
-    def verdict(self) -> str:
-        """Say it in plain words.
+    def info(self) -> StreamInfo:
+        """What is known before reading."""
+        return self.source.info
 
-        >>> RangeCorrelation(0.02, 9000).verdict
-        'neighbouring shots have near ranges (ratio 0.02): as expected of shots in the order they were fired'
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
+
+        Raises
+        ------
+        OrderError
+            When times go back and the order is not trusted.
         """
-        if not np.isfinite(self.ratio):
-            return f"{self.n_pairs} neighbouring ranges are too few, or too alike, to tell"
-        if self.ratio < 0.3:
-            said = "neighbouring shots have near ranges", "as expected of shots in the order they were fired"
-        elif self.ratio < 0.7:
-            said = "neighbouring ranges are only loosely alike", "the order may be disturbed, or the scene very rough"
-        else:
-            said = "neighbouring ranges are as unlike as random pairs", "the order carries no spatial correlation"
-        return f"{said[0]} (ratio {self.ratio:.2g}): {said[1]}"
-
-
-def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
-    """Compare the range steps between neighbours with those between random pairs.
-
-    Parameters
-    ----------
-    range_m : (n,) float32
-        Ranges [m] in the order of the input, NaN = missing.
-    seed : int
-        Of the random pairing.
-
-    Returns
-    -------
-    RangeCorrelation
-        Ratio about 1: the order carries no spatial correlation; near 0: as in the order fired. A file sorted by
-        coordinate has a low ratio too, so a low ratio alone is no proof.
-
-    Examples
-    --------
-    >>> walk = np.cumsum(np.random.default_rng(1).normal(size=5000)).astype(np.float32)
-    >>> range_correlation(walk).ratio < 0.1, range_correlation(np.random.default_rng(2).permutation(walk)).ratio > 0.9
-    (True, True)
-    """
-    flat = np.ravel(range_m)
-    valid = np.isfinite(flat)
-    step = np.abs(np.diff(flat))[valid[1:] & valid[:-1]]
-    values = flat[valid]
-    if len(step) < 100:
-        return RangeCorrelation(float("nan"), len(step))
-    n_random = min(len(values), RANDOM_PAIRS)
-    pairs = np.random.default_rng(seed).integers(0, len(values), size=(2, n_random))
-    random_step = float(np.median(np.abs(values[pairs[0]] - values[pairs[1]])))
-    ratio = float(np.median(step)) / random_step if random_step > 0 else float("nan")
-    return RangeCorrelation(ratio, len(step))
+        info = self.info
+        watch = OrderWatch(info.path, self.policy, info.facts.time_name, can_sort=False)
+        for block in self.source.blocks():
+            if block.time_s is None:
+                yield block
+                continue
+            before = watch.n_back
+            if info.facts.has_line_times:
+                lines = np.arange(block.first_line, block.first_line + block.n_lines, dtype=np.int64)
+                watch.see(block.time_s[:, 0], lines * block.points_per_line)
+            else:
+                watch.see(block.time_s.ravel(), None)
+            yield replace(block, tally=block.tally + ReadTally(n_time_steps_back=watch.n_back - before))
+        watch.finish()

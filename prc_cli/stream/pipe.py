@@ -16,6 +16,7 @@ from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout
 from prc_cli.formats.raw_binary.read import LayoutRecords
 from prc_cli.formats.records import RecordChunk
 from prc_cli.stream.grid import open_grid
+from prc_cli.stream.open import with_layout
 
 READ_BYTES = 1 << 20
 """Most bytes taken from the pipe at a time, and what the pipe is asked to hold where the system lets one ask."""
@@ -149,8 +150,7 @@ def open_pipe(handle: ByteStream, config: InputConfig, layout: Layout | None = N
     """
     layout = RANGES_ONLY if layout is None else layout
     layout = layout if layout.fields else layout.model_copy(update={"fields": RANGES_ONLY.fields})
-    if config.points_per_line is None and layout.points_per_line is not None:
-        config = config.model_copy(update={"points_per_line": layout.points_per_line})
+    config = with_layout(config, layout)
     if config.order == "sort-time":
         problem = "a pipe cannot be sorted by time: its labels leave before its end"
         raise ConfigError("input.order", problem, "write the stream to a file first, or leave --sort-by-time out")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.stream import Assumption
+from prc_cli.core.stream import Assumption, ReadTally
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.options import InputConfig, parse_origin
+from prc_cli.formats.ranges import clean_ranges
 from prc_cli.stream.trajectory import Trajectory, load_trajectory
 
 XYZ = ("x", "y", "z")
@@ -34,6 +35,10 @@ class RangeRule:
     """Position of the sensor over time."""
     sensor_xyz: bool = False
     """Whether x, y, z beside a dimension of ranges are relative to the sensor."""
+    min_range_m: float = 0.0
+    """Ranges at or below are missing [m]."""
+    max_range_m: float | None = None
+    """Ranges beyond are missing [m]; None = no bound."""
 
     @property
     def assumptions(self) -> tuple[Assumption, ...]:
@@ -46,6 +51,11 @@ class RangeRule:
         return (Assumption("input.range", value, why),)
 
     @property
+    def gives_xyz(self) -> bool:
+        """Whether :func:`measure_ranges` returns coordinates."""
+        return self.sensor_xyz or self.dimension is None
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Dimensions that :func:`measure_ranges` needs."""
         if self.dimension is not None:
@@ -54,7 +64,13 @@ class RangeRule:
 
 
 def open_ranges(
-    rule: str, dimensions: tuple[str, ...], path: str, config: InputConfig, *, crs_wkt: str | None
+    rule: str,
+    dimensions: tuple[str, ...],
+    path: str,
+    config: InputConfig,
+    *,
+    crs_wkt: str | None,
+    sensor_xyz: bool = False,
 ) -> RangeRule:
     """Turn a resolved ``input.range`` into what it means; reads the trajectory if there is one.
 
@@ -67,9 +83,11 @@ def open_ranges(
     path : str
         Input, for messages.
     config : InputConfig
-        Coordinate system and time offset of the trajectory.
+        Coordinate system and time offset of the trajectory, bounds of the ranges.
     crs_wkt : str or None
         Coordinate system of the input.
+    sensor_xyz : bool
+        Whether x, y, z beside a dimension of ranges are relative to the sensor.
 
     Raises
     ------
@@ -77,17 +95,18 @@ def open_ranges(
         When the input lacks coordinates or times, or the trajectory cannot be read.
     """
     kind, _, argument = rule.partition(":")
+    bounds = RangeRule(min_range_m=config.min_range, max_range_m=config.max_range)
     if kind == "dimension":
-        return RangeRule(dimension=argument)
+        return replace(bounds, dimension=argument, sensor_xyz=sensor_xyz)
     needed = (*XYZ, "time") if kind == "trajectory" else XYZ
     lacking = [name for name in needed if name not in dimensions]
     if lacking:
         problem = f"range = {rule} needs {', '.join(needed)}; the file has no {', '.join(lacking)}"
         raise InputError(path, problem, f"it has: {', '.join(dimensions)}")
     if kind == "sensor-xyz":
-        return RangeRule(origin_m=(0.0, 0.0, 0.0))
+        return replace(bounds, origin_m=(0.0, 0.0, 0.0))
     if kind == "origin":
-        return RangeRule(origin_m=parse_origin(rule))
+        return replace(bounds, origin_m=parse_origin(rule))
     try:
         file = Path(argument).expanduser()
     except RuntimeError:
@@ -99,7 +118,7 @@ def open_ranges(
         time_offset=config.trajectory_time_offset,
         max_gap=config.trajectory_max_gap,
     )
-    return RangeRule(trajectory=trajectory)
+    return replace(bounds, trajectory=trajectory)
 
 
 def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
@@ -143,6 +162,13 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
         xyz -= rule.origin_m
     with np.errstate(over="ignore", invalid="ignore"):
         return np.sqrt((xyz * xyz).sum(axis=1)), xyz.astype(np.float32)
+
+
+def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F32, F32 | None, ReadTally]:
+    """Return ranges as the stream has them, coordinates as :func:`measure_ranges`, and what was taken as missing."""
+    found, xyz_m = measure_ranges(values, rule)
+    range_m, tally = clean_ranges(found, rule.min_range_m, rule.max_range_m)
+    return range_m, xyz_m, tally
 
 
 def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:

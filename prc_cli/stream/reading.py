@@ -10,21 +10,12 @@ import numpy as np
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.stream import ReadTally
-from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk, RecordSource
-from prc_cli.stream.order import OrderWatch
+from prc_cli.stream.lines import FixedLines
+from prc_cli.stream.order import OrderWatch, Policy
 from prc_cli.stream.rules import GridRules
-from prc_cli.stream.whole_lines import (
-    RECORD,
-    LineRules,
-    ScanState,
-    Table,
-    WholeLines,
-    advance,
-    n_rows,
-    split_scanners,
-    take,
-)
+from prc_cli.stream.table import RECORD, Table, n_rows, take
+from prc_cli.stream.whole_lines import LineRules, ScanState, WholeLines, advance, split_scanners
 
 MAX_SCANNERS = 256
 """Scanners in one input; more values are something else than scanners."""
@@ -75,7 +66,7 @@ def whole_lines(
         for scanner, records in split_scanners(table, rules.scanner, source.path):
             state = states.get(scanner, ScanState())
             if rules.has_time:
-                watch = watches.setdefault(scanner, open_watch(source, rules.config))
+                watch = watches.setdefault(scanner, open_watch(source, rules.order))
                 waiting += see_times(watch, records)
             tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
             state, waiting = replace(state, tally=tally), ReadTally()
@@ -87,7 +78,7 @@ def whole_lines(
                 raise
             if whole is not None:
                 yield whole
-        check_scanners(len(states), source.path, rules)
+        check_scanners(len(states), source.path, rules.scanner)
     finish(watches)
     yield from _last_lines(source, rules, line_rules, states)
 
@@ -99,12 +90,13 @@ def _last_lines(
     closed: list[WholeLines] = []
     leftover = ReadTally()
     for scanner in sorted(states):
-        whole, state = advance(scanner, {}, states[scanner], line_rules(scanner), final=True)
-        _check_late(source.path, state, rules.config)
-        if rules.lines == "fixed":
-            m = line_rules(scanner).points_per_line
-            what = "shots" if rules.has_returns else "records"
-            check_partial_line(source.path, state.lines.n_shots, m, rules.config, what)
+        mine = line_rules(scanner)
+        whole, state = advance(scanner, {}, states[scanner], mine, final=True)
+        if rules.order == "require":
+            _check_late(source.path, state)
+        if isinstance(mine.line, FixedLines) and not rules.pads_last_line:
+            what = "records" if mine.same_shot is None else "shots"
+            check_partial_line(source.path, state.lines.n_shots, mine.line.points_per_line, what)
         # what a scanner without a single line leaves behind
         leftover += state.tally
         if whole is not None:
@@ -115,13 +107,13 @@ def _last_lines(
     yield from closed
 
 
-def _check_late(path: str, state: ScanState, config: InputConfig) -> None:
+def _check_late(path: str, state: ScanState) -> None:
     """Refuse an input in which more than a seam's worth of shots go back to lines that have left.
 
     A piece of an earlier drive behind a later one has a single step back: no share of steps tells it.
     """
     n_late, n_seen = state.lines.n_late, state.lines.n_seen
-    if config.order == "require" and n_late > MAX_LATE * n_seen:
+    if n_late > MAX_LATE * n_seen:
         problem = f"{n_late} of {n_seen} shots go back to lines before those that they follow"
         hint = "sort with --sort-by-time, or leave them unclassified with --trust-order"
         raise OrderError(path, f"{problem}; expected lines in the order they were scanned", hint)
@@ -136,7 +128,7 @@ def table_of(chunk: RecordChunk, names: tuple[str, ...]) -> Table:
 
 
 def first_records(
-    source: RecordSource, rules: GridRules, names: tuple[str, ...], limit: int, *, to_end: bool
+    source: RecordSource, scanner: str | None, names: tuple[str, ...], limit: int, *, to_end: bool
 ) -> dict[int, Table]:
     """Return the first ``limit`` records of every scanner, the same however the source is chunked.
 
@@ -149,22 +141,21 @@ def first_records(
         if not to_end:
             table = take(table, slice(0, limit - n_seen))
         n_seen += n_rows(table)
-        for scanner, records in split_scanners(table, rules.scanner, source.path):
-            have = parts.get(scanner, {})
+        for one, records in split_scanners(table, scanner, source.path):
+            have = parts.get(one, {})
             left = limit - n_rows(have)
             if left > 0:
                 more = take(records, slice(0, left))
-                parts[scanner] = {name: np.concatenate([have[name], more[name]]) for name in more} if have else more
-        check_scanners(len(parts), source.path, rules)
+                parts[one] = {name: np.concatenate([have[name], more[name]]) for name in more} if have else more
+        check_scanners(len(parts), source.path, scanner)
         if not to_end and n_seen >= limit:
             break
-    return {scanner: parts[scanner] for scanner in sorted(parts)}
+    return dict(sorted(parts.items()))
 
 
-def open_watch(source: RecordSource, config: InputConfig) -> OrderWatch:
+def open_watch(source: RecordSource, order: Policy) -> OrderWatch:
     """Return a watch over the times of a source."""
-    what = "gps_time" if source.format.startswith("LA") else "time"
-    return OrderWatch(source.path, config.order, what)
+    return OrderWatch(source.path, order, source.facts.time_name)
 
 
 def see_times(watch: OrderWatch, records: Table) -> ReadTally:
@@ -180,36 +171,33 @@ def finish(watches: dict[int, OrderWatch]) -> None:
         watch.finish()
 
 
-def judge_first_records(source: RecordSource, config: InputConfig) -> None:
+def judge_first_records(source: RecordSource) -> None:
     """Refuse a source whose first chunk shows already that it is not chronological.
 
     Raises
     ------
     OrderError
-        Under ``order = require``.
     """
-    if config.order != "require" or "time" not in source.dimensions:
+    if "time" not in source.dimensions:
         return
-    watch = open_watch(source, config)
+    watch = open_watch(source, "require")
     for chunk in source.chunks(("time",)):
         see_times(watch, table_of(chunk, ("time",)))
         break
     watch.finish()
 
 
-def check_scanners(n_scanners: int, path: str, rules: GridRules) -> None:
+def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
     """Refuse a dimension of too many values."""
     if n_scanners > MAX_SCANNERS:
-        problem = f"{rules.scanner} has more than {MAX_SCANNERS} values, expected one a scanner"
+        problem = f"{scanner} has more than {MAX_SCANNERS} values, expected one a scanner"
         raise InputError(path, problem, "choose another dimension for --scanner, or none")
 
 
-def check_partial_line(
-    path: str, n_shots: int, points_per_line: int | None, config: InputConfig, what: str = "records"
-) -> None:
-    """Refuse a last line that is not whole, unless it may be padded."""
-    n_over = n_shots % (points_per_line or 1)
-    if n_over and config.partial_line == "error":
+def check_partial_line(path: str, n_shots: int, points_per_line: int, what: str = "records") -> None:
+    """Refuse a last line that is not whole."""
+    n_over = n_shots % points_per_line
+    if n_over:
         problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
         hint = 'check points_per_line, or pad the last line: --set input.partial_line="pad"'
         raise InputError(path, problem, hint)

@@ -10,7 +10,9 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import RecordSource
-from prc_cli.stream.lines import find_sweep
+from prc_cli.formats.returns import ReturnRule
+from prc_cli.stream.angles import find_sweep
+from prc_cli.stream.order import Policy
 from prc_cli.stream.ranges import XYZ, is_sensor_xyz
 
 
@@ -41,10 +43,25 @@ class GridRules:
     has_intensity: bool
     has_sensor_xyz: bool
     """Whether coordinates relative to the scanner stand beside ranges."""
-    has_heights: bool
-    """Whether registered coordinates stand beside ranges and scan angles."""
-    config: InputConfig
+    height_names: tuple[str, ...]
+    """Dimensions beside the scan angle that tell where down is: the range and registered heights, or none."""
     assumptions: tuple[Assumption, ...]
+    points_per_line: int | None
+    """M where it is given."""
+    time_origin_s: float | None
+    """Time of line 0, column 0 where it is given [s]."""
+    angle_start_deg: float | None
+    """Scan angle of column 0 where it is given [deg]."""
+    angle_step_deg: float | None
+    """Scan angle between columns where it is given [deg]."""
+    max_gap_lines: int
+    """Most missing lines in a row."""
+    pads_last_line: bool
+    """Whether a last line of fixed lines may be cut short."""
+    chosen_return: ReturnRule
+    """The return that stands for a shot of several."""
+    order: Policy
+    """What is done about records out of order."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -61,11 +78,6 @@ class GridRules:
         return tuple(dict.fromkeys(name for name, is_wanted in wanted if name is not None and is_wanted))
 
     @property
-    def height_names(self) -> tuple[str, ...]:
-        """Dimensions beside the scan angle that tell where down is: the range and registered heights, or none."""
-        return (self.range.partition(":")[2], "z") if self.has_heights and self.config.nadir is None else ()
-
-    @property
     def is_dense(self) -> bool:
         """Whether the records are the cells, one after the other."""
         fixed = self.lines == "fixed" and self.columns == "order" and self.range.startswith("dimension:")
@@ -74,7 +86,7 @@ class GridRules:
             and not self.has_sensor_xyz
             and self.scanner is None
             and not self.has_returns
-            and self.config.order != "sort-time"
+            and self.order != "sort-time"
         )
 
 
@@ -132,10 +144,23 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         has_return_number="return_number" in has,
         has_intensity="intensity" in has,
         has_sensor_xyz=_has_sensor_xyz(source, range_, taken),
-        has_heights=range_.startswith("dimension:") and {"angle", *XYZ} <= set(has),
-        config=config,
+        height_names=_height_names(has, range_) if config.nadir is None else (),
         assumptions=tuple(taken),
+        points_per_line=config.points_per_line,
+        time_origin_s=config.time_origin,
+        angle_start_deg=config.angle_start,
+        angle_step_deg=config.angle_step,
+        max_gap_lines=config.max_gap_lines,
+        pads_last_line=config.partial_line == "pad",
+        chosen_return=config.return_,
+        order=config.order,
     )
+
+
+def _height_names(has: tuple[str, ...], range_: str) -> tuple[str, ...]:
+    """Return what tells heights where registered coordinates stand beside ranges and scan angles."""
+    is_there = range_.startswith("dimension:") and {"angle", *XYZ} <= set(has)
+    return (range_.partition(":")[2], "z") if is_there else ()
 
 
 def _argument(rule: str) -> str | None:
@@ -236,8 +261,14 @@ def _check_dimension(key: str, name: str, source: RecordSource) -> None:
     raise ConfigError(key, problem, f"it has: {', '.join(nearest)}" if nearest else "it has none")
 
 
-def given_points_per_line(rules: GridRules, source: RecordSource) -> tuple[int | None, Assumption | None]:
+def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int | None, Assumption | None]:
     """Return M where nothing needs to be read for it.
+
+    Parameters
+    ----------
+    rules : GridRules
+    recorded : int or None
+        M that the file records.
 
     Raises
     ------
@@ -245,8 +276,8 @@ def given_points_per_line(rules: GridRules, source: RecordSource) -> tuple[int |
         When lines are fixed and M is not given.
     """
     key = "input.points_per_line"
-    if rules.config.points_per_line is not None:
-        return rules.config.points_per_line, None
+    if rules.points_per_line is not None:
+        return rules.points_per_line, None
     if rules.lines == "fixed":
         hint = f"give -M NUMBER; prc info {rules.path} estimates it"
         raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {rules.path}", hint)
@@ -254,7 +285,6 @@ def given_points_per_line(rules: GridRules, source: RecordSource) -> tuple[int |
         # shots that no column would be left for were dropped by rounding down
         m = max(math.ceil(rules.shot_hz / rules.line_hz - 0.01), 1)
         return m, Assumption(key, str(m), f"{rules.shot_hz:g} shots and {rules.line_hz:g} lines a second")
-    hint_m: int | None = getattr(source, "points_per_line_hint", None)
-    if hint_m is not None and hint_m > 0:
-        return hint_m, Assumption(key, str(hint_m), "recorded in the file")
+    if recorded is not None and recorded > 0:
+        return recorded, Assumption(key, str(recorded), "recorded in the file")
     return None, None

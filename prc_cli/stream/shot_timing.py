@@ -1,4 +1,4 @@
-"""The beat of the shots where lines are found by time: how exactly a shot tells the line that it belongs to.
+"""The timing of the shots where lines are found by time: how exactly a shot tells the line that it belongs to.
 
 Times in files are rounded, so that the first shot of a line may seem to come just before it.
 """
@@ -20,7 +20,7 @@ _FEW_EQUAL = 0.995
 
 
 @dataclass(frozen=True, slots=True)
-class Beat:
+class ShotTiming:
     """Time between shots and between columns."""
 
     shot_s: float = 0.0
@@ -29,11 +29,11 @@ class Beat:
     """Time from column to column where the input holds the column of every shot [s], 0 = unknown."""
 
 
-UNKNOWN = Beat()
+UNKNOWN = ShotTiming()
 
 
-def find_beat(time_s: F64, column: I64 | None, line_hz: float, points_per_line: int | None) -> Beat:
-    """Find the beat from the first shots.
+def find_timing(time_s: F64, column: I64 | None, line_hz: float, points_per_line: int | None) -> ShotTiming:
+    """Find the timing from the first shots.
 
     Parameters
     ----------
@@ -48,15 +48,15 @@ def find_beat(time_s: F64, column: I64 | None, line_hz: float, points_per_line: 
 
     Examples
     --------
-    >>> find_beat(np.arange(8) * 0.25, np.arange(8) % 4, 1.0, None)
-    Beat(shot_s=0.0, column_s=0.25)
-    >>> find_beat(np.arange(8) * 0.25, None, 1.0, None)
-    Beat(shot_s=0.25, column_s=0.0)
+    >>> find_timing(np.arange(8) * 0.25, np.arange(8) % 4, 1.0, None)
+    ShotTiming(shot_s=0.0, column_s=0.25)
+    >>> find_timing(np.arange(8) * 0.25, None, 1.0, None)
+    ShotTiming(shot_s=0.25, column_s=0.0)
     """
     given_s = 0.0 if points_per_line is None else 1 / (line_hz * points_per_line)
     if column is not None:
-        return Beat(given_s, _column_step(time_s, column, 1 / line_hz) or given_s)
-    return Beat(given_s or _shot_step(time_s, 1 / line_hz))
+        return ShotTiming(given_s, _column_step(time_s, column, 1 / line_hz) or given_s)
+    return ShotTiming(given_s or _shot_step(time_s, 1 / line_hz))
 
 
 def _column_step(time_s: F64, column: I64, period_s: float) -> float:

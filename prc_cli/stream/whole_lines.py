@@ -1,57 +1,43 @@
 """Chunks of records to whole scan lines: what is still open is held back, so chunking changes nothing.
 
-A table is a dict of arrays of equal length by name. Whole lines leave sorted by line; everything after that
-(columns, returns, cells) is a function of whole lines alone.
+Whole lines leave sorted by line; everything after that (columns, returns, cells) is a function of whole lines alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ReadTally
-from prc_cli.core.types import F64, I64, Mask
+from prc_cli.core.types import F64, Mask
 from prc_cli.formats.returns import continues_run, mark_shots
-from prc_cli.stream import lines as line_rules
-from prc_cli.stream.columns import StampState, columns_by_dimension, spread_stamps
-from prc_cli.stream.limits import CellLimit
-from prc_cli.stream.lines import Admission, LineState, Sweep
-from prc_cli.stream.rules import GridRules
-from prc_cli.stream.shot_timing import UNKNOWN, Beat, time_in_line
-
-Table: TypeAlias = dict[str, NDArray[Any]]
-
-RECORD, LINE, START, SPREAD, ORDINAL = "record index", "line index", "shot start", "spread time", "stamp ordinal"
-"""Columns that are added to the dimensions; the blanks keep them apart."""
+from prc_cli.stream.columns import StampState, spread_stamps
+from prc_cli.stream.limits import Admission, admit_lines
+from prc_cli.stream.lines import LineRule, LineState, find_lines
+from prc_cli.stream.table import LINE, ORDINAL, RECORD, SPREAD, START, Table, join, n_rows, take
 
 MAX_OPEN_RECORDS = 1 << 22
 """Records of open lines held at most where M is not known to be larger."""
-SLACK = 1
-"""Lines by number or time stay open for one line more: pairs swapped at the border are met in real files."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineRules:
     """What one scanner's lines depend on."""
 
-    rules: GridRules
-    points_per_line: int | None
-    sweep: Sweep | None
-    beat: Beat = UNKNOWN
-    cells: CellLimit | None = None
-    """None = where no cells are made."""
+    path: str
+    """For messages."""
+    line: LineRule
+    admission: Admission
+    same_shot: tuple[str, ...] | None = None
+    """Dimensions that the returns of a shot share; None = every record is a shot."""
+    shot_hz: float | None = None
+    """Shots a second, where shots with equal time stamps are spread."""
+    points_per_line: int | None = None
     spent: tuple[str, ...] = ()
     """Dimensions that nobody asks for once a record has its line."""
-
-    @property
-    def slack(self) -> int:
-        """Lines beside the last that stay open."""
-        return SLACK if self.rules.lines in ("dimension", "time") else 0
 
     @property
     def max_open(self) -> int:
@@ -90,24 +76,6 @@ class WholeLines:
     tally: ReadTally
 
 
-def take(table: Table, index: slice | Mask | I64) -> Table:
-    """Return the rows of a table."""
-    return {name: column[index] for name, column in table.items()}
-
-
-def join(tables: list[Table]) -> Table:
-    """Return tables of the same columns as one."""
-    full = [table for table in tables if table]
-    if len(full) <= 1:
-        return full[0] if full else {}
-    return {name: np.concatenate([table[name] for table in full]) for name in full[0]}
-
-
-def n_rows(table: Table) -> int:
-    """Return the number of rows of a table."""
-    return len(table[RECORD]) if table else 0
-
-
 def advance(
     scanner: int, records: Table, state: ScanState, rules: LineRules, *, final: bool
 ) -> tuple[WholeLines | None, ScanState]:
@@ -118,7 +86,7 @@ def advance(
     scanner : int
         Its id.
     records : Table
-        The dimensions of ``rules.rules.names`` and :data:`RECORD`, and anything that goes along.
+        The dimensions that lines and shots are found by, :data:`RECORD`, and anything that goes along.
     state : ScanState
     rules : LineRules
     final : bool
@@ -137,7 +105,7 @@ def advance(
     n_held = state.n_held + n_rows(records)
     if n_held > rules.max_open and not final:
         _check_open(held, n_held, state, rules)
-    stop = state.lines.top + 1 - (0 if final else 1 + rules.slack)
+    stop = state.lines.top + 1 - (0 if final else 1 + rules.admission.slack)
     if stop <= state.n_done:
         return None, replace(state, held=held, n_held=n_held)
     everything = join(list(held))
@@ -155,12 +123,12 @@ def advance(
 
 def _check_open(held: tuple[Table, ...], n_held: int, state: ScanState, rules: LineRules) -> None:
     """Refuse lines without end: they would have to be held in memory."""
-    open_from = state.lines.top - rules.slack
+    open_from = state.lines.top - rules.admission.slack
     n_open = sum(int(np.count_nonzero(table[LINE] >= open_from)) for table in held)
     if n_open > rules.max_open:
         problem = f"line {state.lines.top} has more than {rules.max_open} records and no end, expected scan lines"
         hint = "check the rule that finds the lines: --lines"
-        raise InputError(rules.rules.path, problem, hint)
+        raise InputError(rules.path, problem, hint)
 
 
 def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
@@ -179,12 +147,10 @@ def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bo
         When the returns of a shot never end.
     """
     n = n_rows(records)
-    if not rules.rules.has_returns or not n:
+    if rules.same_shot is None or not n:
         return records, np.ones(n, np.bool_), replace(state, tail={})
-    names = ["time"] if rules.rules.has_time else []
-    names += [name for name in (rules.rules.line_dimension, rules.rules.column_dimension) if name is not None]
     n_returns = records["number_of_returns"]
-    continues = continues_run(tuple(records[name] for name in names), n_returns)
+    continues = continues_run(tuple(records[name] for name in rules.same_shot), n_returns)
     starts = mark_shots(continues, records.get("return_number"))
     tail: Table = {}
     if not final and n_returns[-1] > 1:
@@ -193,7 +159,7 @@ def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bo
         records, starts = take(records, slice(0, last_run)), starts[:last_run]
         if n_rows(tail) > rules.max_open:
             problem = f"more than {rules.max_open} records of several returns share the time {tail.get('time', [0])[0]}"
-            raise InputError(rules.rules.path, problem, "check time and number_of_returns with prc info")
+            raise InputError(rules.path, problem, "check time and number_of_returns with prc info")
     return records, starts, replace(state, tail=tail)
 
 
@@ -201,26 +167,15 @@ def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules
     """Give every record its line; leave out and count those that have none."""
     single = bool(starts.all())
     shots = records if single else take(records, starts)
-    n_shots = n_rows(shots)
     spread: F64 | None = None
     found: Table = {}
-    if rules.rules.shot_hz is not None:
+    if rules.shot_hz is not None:
         stamp = np.asarray(shots["time"], np.float64)
-        spread, ordinal, stamps = spread_stamps(stamp, rules.rules.shot_hz, state.stamps)
+        spread, ordinal, stamps = spread_stamps(stamp, rules.shot_hz, state.stamps)
         state = replace(state, stamps=stamps)
         found = {SPREAD: spread, ORDINAL: ordinal}
-    line, known, line_state = _lines_of(shots, n_shots, spread, state.lines, rules)
-    path, policy = rules.rules.path, rules.rules.config.order
-    dimension = rules.rules.line_dimension
-    admission = Admission(
-        where=f"{path}: {dimension or 'lines = ' + rules.rules.lines}",
-        max_gap_lines=rules.rules.config.max_gap_lines,
-        refuse_back=dimension is not None and policy == "require",
-        slack=rules.slack,
-        begins_with_first=rules.rules.config.time_origin is None or dimension is not None,
-        cells=rules.cells,
-    )
-    admitted, line_state = line_rules.admit_lines(line, known, shots[RECORD], line_state, admission)
+    line, known, line_state = find_lines(shots, spread, n_rows(shots), state.lines, rules.line)
+    admitted, line_state = admit_lines(line, known, shots[RECORD], line_state, rules.admission)
     found[LINE] = line
     if single:
         records = {**records, **found, START: starts}
@@ -234,27 +189,6 @@ def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules
         records = take(records, keep)
         state = replace(state, tally=state.tally + ReadTally(n_unplaced=n_lost))
     return records, replace(state, lines=line_state)
-
-
-def _lines_of(
-    shots: Table, n_shots: int, spread: F64 | None, state: LineState, rules: LineRules
-) -> tuple[I64, Mask, LineState]:
-    """Apply the rule that finds the lines."""
-    grid = rules.rules
-    if grid.line_dimension is not None:
-        return line_rules.lines_by_dimension(shots[grid.line_dimension], state, f"{grid.path}: {grid.line_dimension}")
-    if grid.line_hz is not None:
-        time_s = spread if spread is not None else np.asarray(shots["time"], np.float64)
-        shot_s, since = rules.beat.shot_s, None
-        if grid.shot_hz is not None:
-            shot_s = 1 / grid.shot_hz
-        elif grid.column_dimension is not None and rules.beat.column_s > 0:
-            column = columns_by_dimension(shots[grid.column_dimension])
-            since = time_in_line(column, rules.beat.column_s, 1 / grid.line_hz)
-        return line_rules.lines_by_time(time_s, grid.line_hz, shot_s / 2, grid.config.time_origin, state, since)
-    if rules.sweep is not None:
-        return line_rules.lines_by_wrap(shots["angle"], rules.sweep, state)
-    return line_rules.lines_fixed(n_shots, rules.points_per_line or 1, state)
 
 
 def split_scanners(records: Table, scanner: str | None, path: str) -> Iterator[tuple[int, Table]]:

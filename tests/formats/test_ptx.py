@@ -67,7 +67,7 @@ def test_columns_are_lines_and_zeros_are_missing(tmp_path: Path) -> None:
     (block,) = scans_of(stream)
     info = stream.info
     assert (info.format, info.n_records, info.n_lines, info.points_per_line) == ("PTX", 63, 9, 7)
-    assert info.notes == ()
+    assert info.facts.notes == ()
     ranges, xyz = expected(points)
     assert equal(block.range_m, ranges)
     assert equal(block.xyz_m, xyz)
@@ -100,7 +100,7 @@ def test_the_pose_turns_z_up_and_leaves_the_scanner_at_the_origin(tmp_path: Path
     ranges, xyz = expected(points)
     np.testing.assert_allclose(block.range_m, ranges, rtol=1e-6)
     np.testing.assert_allclose(block.xyz_m, xyz @ turn.T, atol=1e-4)
-    assert stream.info.notes == ()
+    assert stream.info.facts.notes == ()
     assert any("turned by" in item.why for item in stream.info.assumptions)
 
 
@@ -111,7 +111,7 @@ def test_points_that_are_registered_already_are_taken_back_to_the_scanner(tmp_pa
     stream = PtxStream(write_text(tmp_path / "a.ptx", ptx_scan(registered, position=place)), AUTO)
     (block,) = scans_of(stream)
     np.testing.assert_allclose(block.range_m, expected(points)[0], atol=1e-4)
-    assert "scan 0" in stream.info.notes[0]
+    assert "scan 0" in stream.info.facts.notes[0]
 
 
 def test_how_the_text_is_written_changes_nothing(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_a_position_that_was_left_out_is_no_position(tmp_path: Path) -> None:
     stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
     (block,) = scans_of(stream)
     np.testing.assert_allclose(block.range_m, expected(points)[0], atol=1e-4)
-    assert not stream.info.notes
+    assert not stream.info.facts.notes
 
 
 def test_missing_points_do_not_tell_the_scale_of_intensities(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_scans_without_points_are_left_out_and_told(tmp_path: Path) -> None:
     stream = PtxStream(write_text(tmp_path / "a.ptx", text), AUTO)
     (block,) = scans_of(stream)
     assert block.scanner == 1
-    assert "left out: 0, 2" in stream.info.notes[0]
+    assert "left out: 0, 2" in stream.info.facts.notes[0]
     assert "without points" in refused(write_text(tmp_path / "b.ptx", ptx_header(0, 7)))
 
 

@@ -18,7 +18,6 @@ from tests import patience
 
 MODULE = """
 from prc_cli.kernels.cache import kernel
-from tests import patience
 
 @kernel("int64(int64)")
 def twice(number):
@@ -116,7 +115,7 @@ def test_compiled_code_knows_the_fields_of_the_tuples_it_takes(tmp_path: Path) -
     hits = []
     for fields in ("low: float; high: float", "low: float; high: float", "high: float; low: float"):
         (tmp_path / "limits.py").write_text(LIMITS.format(fields=fields))
-        done = subprocess.run(
+        done = patience.run(
             [sys.executable, "-B", "-c", "import weighed"], env=environment, capture_output=True, text=True, check=True
         )
         hits.append(done.stdout)
@@ -143,7 +142,7 @@ def test_thresholds_whose_fields_change_places_are_compiled_anew(tmp_path: Path)
     for fields in ("low high", "low high", "high low"):
         definition = "from collections import namedtuple\nLimits = namedtuple('Limits', '" + fields + "')\n"
         (tmp_path / "some_thresholds.py").write_text(definition)
-        result = subprocess.run(
+        result = patience.run(
             # -B: both definitions have one size and, by the clock of the file system, maybe one age
             [sys.executable, "-B", "-c", code],
             env=environment,

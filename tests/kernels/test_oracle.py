@@ -276,7 +276,7 @@ print("numba" in sys.modules, file=sys.stderr)
 
 def test_the_reference_runs_through_the_same_composition_without_the_compiler() -> None:
     found, compiled = (
-        subprocess.run([sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True)
+        patience.run([sys.executable, "-c", REFERENCE, how], capture_output=True, text=True, check=True)
         for how in ("reference", "compiled")
     )
     assert found.stdout == compiled.stdout
@@ -285,5 +285,5 @@ def test_the_reference_runs_through_the_same_composition_without_the_compiler() 
 
 def test_a_kernel_without_a_twin_in_the_reference_is_refused() -> None:
     code = "from prc_cli import kernels; kernels.use_reference(); kernels.load_kernels(frozenset({'fused.ground'}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    done = patience.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "engine: found reference, but fused.ground.walk_ground is written as a compiled loop alone" in done.stderr

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.blocks import cut
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 
@@ -44,7 +45,8 @@ def stream(*parts: ScanBlock, **info: Any) -> Blocks:
     first = parts[0]
     given = {"angle_rad": first.angle_rad} | info
     form = given.pop("format", "LAS")
-    return Blocks(parts, StreamInfo("drive.laz", form, first.points_per_line, None, None, **given))
+    facts = SourceFacts(has_scans=form in ("PTX", "E57"))
+    return Blocks(parts, StreamInfo("drive.laz", form, first.points_per_line, None, None, facts=facts, **given))
 
 
 def lines(

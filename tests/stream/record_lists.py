@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
 from prc_cli.core.types import F32, I64
 from prc_cli.formats.options import InputConfig
@@ -30,6 +31,7 @@ class MemorySource:
     path: str = "drive.bin"
     format: str = "raw binary"
     record: I64 | None = None
+    facts: SourceFacts = field(default_factory=SourceFacts)
     reads: list[tuple[str, ...]] = field(default_factory=list)
 
     @property

@@ -10,9 +10,10 @@ from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig, Layout
-from prc_cli.stream import beams as module
-from prc_cli.stream import setup as grid_setup
-from prc_cli.stream.beams import from_angles, with_beams
+from prc_cli.stream import beam_finder as module
+from prc_cli.stream import probe as grid_probe
+from prc_cli.stream.beam_finder import from_angles
+from prc_cli.stream.beams import with_beams
 from prc_cli.stream.down import NoDirectionError
 from prc_cli.stream.open import open_input
 from tests.stream.beam_lines import (
@@ -119,9 +120,9 @@ def test_nadir_given_on_the_scale_of_the_scan_angles() -> None:
 
 def test_nadir_of_the_reader() -> None:
     block = with_angles(np.linspace(130.0, 30.0, 101))
-    found = beams_of(stream(block, nadir_rad=np.pi))
+    found = beams_of(stream(block, down_rad=np.pi))
     assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [-50.0, -150.0]
-    found = beams_of(stream(block, nadir_rad=np.pi), InputConfig(nadir=0.0))
+    found = beams_of(stream(block, down_rad=np.pi), InputConfig(nadir=0.0))
     assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [130.0, 30.0]
 
 
@@ -174,7 +175,7 @@ def test_nothing_tells() -> None:
 def test_where_nothing_can_be_classified_any_directions_do(block: ScanBlock, note: str) -> None:
     full = lines(GEOMETRIES["whole circle"])
     alone = with_beams(stream(replace(block, angle_rad=None)), AUTO)
-    assert alone.info.notes == (note,)
+    assert alone.info.facts.notes == (note,)
     assert is_strictly_monotone(beams_of(alone))
     for format_, which in (("PTX", "scan 1: "), ("LAS", "")):
         parts = (replace(full, is_last=True), replace(block, scanner=1, angle_rad=None, is_last=True))
@@ -183,7 +184,7 @@ def test_where_nothing_can_be_classified_any_directions_do(block: ScanBlock, not
         assert found[0].beam_rad is not None
         assert worst_deg(found[0].beam_rad, GEOMETRIES["whole circle"]) < 0.25
         assert found[1].beam_rad is not None
-        assert both.info.notes == (f"{which}{note}",)
+        assert both.info.facts.notes == (f"{which}{note}",)
 
 
 def test_hints_are_possible_for_the_input_and_messages_name_the_scan() -> None:
@@ -265,7 +266,7 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
     path = tmp_path / "scan.npz"
     np.savez(path, range_m=block.range_m, zenith_deg=180.0 - np.rad2deg(true))
     info = open_input(path, AUTO).info
-    assert info.nadir_rad == np.pi
+    assert info.down_rad == np.pi
     (read,) = with_beams(open_input(path, AUTO), AUTO).blocks()
     assert read.beam_rad is not None
     assert worst_deg(read.beam_rad, true) < 1e-6
@@ -281,7 +282,7 @@ def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
     assert read.beam_rad is not None
     assert worst_deg(read.beam_rad, true) < 0.3
     np.savez(path, xyz=block.xyz_m, angle_deg=np.arange(len(true)))
-    assert open_input(path, AUTO).info.nadir_rad is None
+    assert open_input(path, AUTO).info.down_rad is None
     np.savez(path, xyz=np.zeros((3, 4, 2)))
     with pytest.raises(InputError, match="shape"):
         open_input(path, AUTO)
@@ -305,7 +306,7 @@ def test_down_from_registered_coordinates_beside_range_and_angle() -> None:
         "x": records["x"] + 5000.0,
     }
     info = open_records(records).info
-    assert info.nadir_rad == pytest.approx(0.0, abs=1e-3)
+    assert info.down_rad == pytest.approx(0.0, abs=1e-3)
     assert any(one.key == "input.nadir" and "found from z" in one.why for one in info.assumptions)
     blocks = list(with_beams(open_records(records, 77), AUTO).blocks())
     expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
@@ -325,7 +326,7 @@ def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
     records["point_source_id"] = np.repeat([3, 8], n)
     records["angle"][n:] = (records["angle"][n:] + np.deg2rad(30.0)) % (2 * np.pi)
     read = open_records(records, scanner="point_source_id")
-    assert read.info.nadir_rad is None
+    assert read.info.down_rad is None
     assert np.rad2deg([read.info.down(scanner)[0] for scanner in (3, 8)]) == pytest.approx([0.0, 30.0], abs=0.1)
     expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
     found = with_beams(read, AUTO)
@@ -343,7 +344,7 @@ def test_a_scanner_met_late_does_not_take_the_down_of_another(monkeypatch: pytes
     n = len(one["z"])
     records = {name: np.concatenate([values, values]) for name, values in one.items()}
     records["point_source_id"] = np.repeat([3, 8], n)
-    monkeypatch.setattr(grid_setup, "PROBE_RECORDS_EACH", n)
+    monkeypatch.setattr(grid_probe, "PROBE_RECORDS_EACH", n)
     read = open_records(records, scanner="point_source_id", points_per_line=M)
     assert read.info.down(3)[0] == pytest.approx(0.0, abs=1e-3)
     assert read.info.down(8) == (None, 1.0)
@@ -364,7 +365,7 @@ def test_registered_coordinates_that_do_not_fit_are_told_and_refused() -> None:
     _, records = scene()
     records["z"] = np.random.default_rng(0).normal(0, 30, len(records["z"]))
     read = open_records(records)
-    assert read.info.nadir_rad is None
+    assert read.info.down_rad is None
     (told,) = [one for one in read.info.assumptions if one.key == "input.nadir"]
     assert told.value == "not found"
     with pytest.raises(InputError, match="no vertical direction known: z is there beside range and scan angle, but"):

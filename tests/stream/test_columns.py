@@ -9,15 +9,12 @@ import pytest
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64
-from prc_cli.stream.column_angles import (
-    AngleGrid,
-    column_angles,
-    columns_by_angle,
-    find_angle_grid,
-)
+from prc_cli.stream.angles import column_angles, find_angle_grid
 from prc_cli.stream.columns import (
     NO_COLUMN,
+    AngleGrid,
     StampState,
+    columns_by_angle,
     columns_by_dimension,
     columns_by_order,
     columns_by_time,

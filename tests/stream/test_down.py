@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64, I64
+from prc_cli.stream.directions import fit_beams, turn_evenly
 from prc_cli.stream.down import (
     LevelLinesError,
     NoddingError,
     NoDirectionError,
-    fit_beams,
     fit_heights,
-    turn_evenly,
     wrap,
 )
 from tests.stream.beam_lines import (
@@ -182,8 +181,8 @@ def shots(seed: int, nadir_deg: float, *, n_lines: int = 20, tilt_deg: float = 3
     angle = np.tile(np.deg2rad(np.linspace(-60.0, 119.0, 180)), n_lines) + np.deg2rad(nadir_deg)
     range_m = rng.uniform(2, 50, len(line))
     hill = 300 + np.cumsum(rng.normal(0, 0.4, n_lines))
-    fall = np.cos(np.deg2rad(tilt_deg))
-    z = hill[line] - range_m * np.cos(angle - np.deg2rad(nadir_deg)) * fall
+    cos_tilt = np.cos(np.deg2rad(tilt_deg))
+    z = hill[line] - range_m * np.cos(angle - np.deg2rad(nadir_deg)) * cos_tilt
     return angle, range_m + rng.normal(0, 0.005, len(line)), np.round(z, 2), line
 
 
@@ -191,14 +190,14 @@ def shots(seed: int, nadir_deg: float, *, n_lines: int = 20, tilt_deg: float = 3
 def test_down_is_found_in_registered_heights(nadir_deg: float) -> None:
     angle, range_m, z, line = shots(3, nadir_deg)
     fit = fit_heights(angle, range_m, z, line)
-    assert abs(np.rad2deg(wrap(np.array([fit.nadir_rad - np.deg2rad(nadir_deg)]))[0])) < 0.02
+    assert abs(np.rad2deg(wrap(np.array([fit.down_rad - np.deg2rad(nadir_deg)]))[0])) < 0.02
     assert fit.off_m < 0.02
     # a tenth of the shots wrong, some not finite
     rng = np.random.default_rng(2)
     z[rng.random(len(z)) < 0.1] += 7.0
     range_m[::31], z[::37], angle[::41] = np.nan, np.nan, np.nan
     fit = fit_heights(angle, range_m, z, line)
-    assert abs(np.rad2deg(wrap(np.array([fit.nadir_rad - np.deg2rad(nadir_deg)]))[0])) < 0.05
+    assert abs(np.rad2deg(wrap(np.array([fit.down_rad - np.deg2rad(nadir_deg)]))[0])) < 0.05
 
 
 @pytest.mark.parametrize("lean_deg", [0.0, 20.0, 45.0, 70.0])
@@ -206,10 +205,10 @@ def test_the_lean_of_the_scan_plane_is_found(lean_deg: float) -> None:
     rng = np.random.default_rng(3)
     angle, line = np.tile(np.linspace(-1.2, 1.2, 200), 10), np.repeat(np.arange(10), 200)
     ranges = rng.uniform(2, 30, 2000)
-    fall = np.cos(np.deg2rad(lean_deg))
-    fit = fit_heights(angle, ranges, 100 - ranges * np.cos(angle) * fall + rng.normal(0, 0.01, 2000), line)
-    assert fit.fall == pytest.approx(fall, abs=0.001)
-    assert fit.fall <= 1
+    cos_tilt = np.cos(np.deg2rad(lean_deg))
+    fit = fit_heights(angle, ranges, 100 - ranges * np.cos(angle) * cos_tilt + rng.normal(0, 0.01, 2000), line)
+    assert fit.cos_tilt == pytest.approx(cos_tilt, abs=0.001)
+    assert fit.cos_tilt <= 1
 
 
 def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
@@ -243,4 +242,4 @@ def test_any_heights_are_fitted_or_refused() -> None:
             fit = fit_heights(angle, range_m, z, rng.integers(0, 9, n))
         except NoDirectionError:
             continue
-        assert -np.pi <= fit.nadir_rad <= np.pi
+        assert -np.pi <= fit.down_rad <= np.pi

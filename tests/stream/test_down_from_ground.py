@@ -16,7 +16,7 @@ from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import open_stream
 from prc_cli.stream.beams import with_beams
-from prc_cli.stream.down_from_ground import nadir_of_ground
+from prc_cli.stream.down import down_of_ground
 from tests.classifiers.fused.street_lines import BEAM, street_lines
 
 
@@ -25,7 +25,7 @@ from tests.classifiers.fused.street_lines import BEAM, street_lines
 def test_a_street_tells_where_down_is(turned_deg: float, way: int) -> None:
     ranges, _ = street_lines(20)
     angle = way * BEAM + np.deg2rad(turned_deg)
-    found = nadir_of_ground(angle, ranges)
+    found = down_of_ground(angle, ranges)
     assert found is not None
     assert abs(np.rad2deg(np.angle(np.exp(1j * (found - np.deg2rad(turned_deg)))))) < 1.5
 
@@ -33,7 +33,7 @@ def test_a_street_tells_where_down_is(turned_deg: float, way: int) -> None:
 def test_one_side_of_a_street_is_enough() -> None:
     ranges, _ = street_lines(20)
     side = np.rad2deg(BEAM) > 10
-    found = nadir_of_ground(BEAM[side], ranges[:, side])
+    found = down_of_ground(BEAM[side], ranges[:, side])
     assert found is not None
     assert abs(np.rad2deg(found)) < 2
 
@@ -41,9 +41,9 @@ def test_one_side_of_a_street_is_enough() -> None:
 def test_what_tells_nothing_gives_nothing() -> None:
     rng = np.random.default_rng(1)
     ranges, _ = street_lines(20)
-    assert nadir_of_ground(BEAM, ranges[:2]) is None
-    assert nadir_of_ground(BEAM, np.full_like(ranges, np.nan)) is None
-    assert nadir_of_ground(BEAM, rng.uniform(1, 60, (1, len(BEAM))).repeat(20, axis=0).astype(np.float32)) is None
+    assert down_of_ground(BEAM, ranges[:2]) is None
+    assert down_of_ground(BEAM, np.full_like(ranges, np.nan)) is None
+    assert down_of_ground(BEAM, rng.uniform(1, 60, (1, len(BEAM))).repeat(20, axis=0).astype(np.float32)) is None
 
 
 def level_ground(width_deg: float, n_lines: int = 20) -> F32:
@@ -55,14 +55,14 @@ def level_ground(width_deg: float, n_lines: int = 20) -> F32:
 
 @pytest.mark.parametrize(("width_deg", "is_enough"), [(13, False), (24, False), (26, True), (60, True)])
 def test_less_than_25_degrees_of_ground_are_too_few(width_deg: float, is_enough: bool) -> None:
-    assert (nadir_of_ground(BEAM, level_ground(width_deg)) is not None) == is_enough
+    assert (down_of_ground(BEAM, level_ground(width_deg)) is not None) == is_enough
 
 
 @pytest.mark.parametrize(("n_seen", "is_enough"), [(5, False), (10, False), (11, True)])
 def test_a_column_counts_where_most_lines_have_a_return(n_seen: int, is_enough: bool) -> None:
     ranges = level_ground(60.0)
     ranges[n_seen:] = np.nan
-    assert (nadir_of_ground(BEAM, ranges) is not None) == is_enough
+    assert (down_of_ground(BEAM, ranges) is not None) == is_enough
 
 
 class Lines:

@@ -54,7 +54,7 @@ def test_the_elevation_is_the_scan_angle_and_down_is_known(tmp_path: Path) -> No
     )
     block = join(list(stream.blocks()))
     assert block.records().tolist() == [[0, 1, -1, 2], [3, -1, 4, 5]]
-    assert stream.info.nadir_rad == pytest.approx(-np.pi / 2)
+    assert stream.info.down_rad == pytest.approx(-np.pi / 2)
     np.testing.assert_allclose(np.rad2deg(stream.info.angle_rad), [-30, -29, -28, -27])  # type: ignore[arg-type]
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OrderError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordChunk
@@ -23,13 +24,13 @@ from prc_cli.stream import (
     limits as grid_limits,
 )
 from prc_cli.stream import (
+    probe as grid_probe,
+)
+from prc_cli.stream import (
     reading as grid_read,
 )
 from prc_cli.stream import (
     rules as grid_rules,
-)
-from prc_cli.stream import (
-    setup as grid_setup,
 )
 from prc_cli.stream import (
     whole_lines as grid_lines,
@@ -159,10 +160,13 @@ def test_what_goes_along_stands_in_the_right_cells() -> None:
         np.testing.assert_allclose(block.angle_rad, 2 * np.pi * np.arange(M) / M, atol=1e-9)
 
 
-class _SparingSource(MemorySource):
+class _SkippingSource(MemorySource):
     """Intensities of shots with one return are made up once they may be."""
 
-    def spare_intensity(self) -> None:
+    def __post_init__(self) -> None:
+        self.facts = SourceFacts(skip_intensity=self._skip_intensity)
+
+    def _skip_intensity(self) -> None:
         single = self.values["number_of_returns"] <= 1
         self.values = {**self.values, "intensity": np.where(single, -7.0, self.values["intensity"])}
 
@@ -181,7 +185,7 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
     options: dict[str, Any] = {"return": rule, "columns": "dimension:column"}
     config = InputConfig.model_validate(options)
     whole = read(open_grid(MemorySource(twice, chunk_records), config))
-    found = read(open_grid(_SparingSource(twice, chunk_records), config, only_ranges=True))
+    found = read(open_grid(_SkippingSource(twice, chunk_records), config, only_ranges=True))
     assert np.array_equal(found.range_m, whole.range_m, equal_nan=True)
     assert np.array_equal(found.record, whole.record)
     assert found.extras == whole.extras
@@ -190,12 +194,12 @@ def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
     assert all(block.time_s is None and block.intensity is None for block in found.blocks)
 
 
-def test_intensities_that_are_ranges_or_lines_are_never_spared() -> None:
+def test_intensities_that_are_ranges_or_lines_are_never_skipped() -> None:
     _, records = scene()
     records["number_of_returns"] = np.ones(len(records["range"]))
     records["intensity"] = records["range"]
     config = InputConfig(range="dimension:intensity")
-    whole = read(open_grid(_SparingSource(records), config, only_ranges=True))
+    whole = read(open_grid(_SkippingSource(records), config, only_ranges=True))
     assert np.array_equal(whole.range_m, read(open_grid(MemorySource(records), config)).range_m, equal_nan=True)
 
 
@@ -419,10 +423,10 @@ def test_the_first_defect_is_the_reason_however_the_input_is_chunked() -> None:
 def test_a_recorded_m_is_believed_within_reason() -> None:
     for options in ({}, {"scanner": "user_data"}):
         source = MemorySource({**dict.fromkeys(("range", "scan_line", "column", "user_data"), np.ones(4))})
-        source.points_per_line_hint = 1_004_001  # type: ignore[attr-defined]
+        source.facts = SourceFacts(points_per_line=1_004_001)
         with pytest.raises(InputError, match="lines of 1004001 columns for 4 records, expected at most 1004000; .*-M"):
             open_grid(source, InputConfig(**options))
-        source.points_per_line_hint = 1_004_000  # type: ignore[attr-defined]
+        source.facts = SourceFacts(points_per_line=1_004_000)
         assert open_grid(source, InputConfig(**options)).info.points_per_line == 1_004_000
 
 
@@ -481,7 +485,7 @@ def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_rec
 
 
 def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grid_setup, "PROBE_RECORDS", 50)
+    monkeypatch.setattr(grid_probe, "PROBE_RECORDS", 50)
     up = np.tile(np.arange(10) / 10, 20)
     angle = np.concatenate([up, -up])
     records = {"range": np.ones(400), "angle": angle, "point_source_id": np.repeat([1, 2], 200)}
@@ -596,7 +600,7 @@ def test_a_partial_line_is_refused_before_anything_is_read() -> None:
 
 def test_m_recorded_in_the_file_is_taken() -> None:
     source = MemorySource({"range": np.ones(4), "scan_line": np.arange(4) // 2, "column": np.arange(4) % 2})
-    source.points_per_line_hint = 6  # type: ignore[attr-defined]
+    source.facts = SourceFacts(points_per_line=6)
     stream = open_grid(source, InputConfig())
     assert stream.info.points_per_line == 6
     assert source.reads == []
@@ -668,7 +672,7 @@ def test_the_first_records_do_not_depend_on_chunks(split: bool) -> None:
     for chunk_records in (1, 7, 50, 1000):
         source = MemorySource(records, chunk_records)
         rules = grid_rules.resolve_rules(source, config)
-        parts = grid_read.first_records(source, rules, ("angle", *rules.names), 40, to_end=False)
+        parts = grid_read.first_records(source, rules.scanner, ("angle", *rules.names), 40, to_end=False)
         found.append({scanner: table["angle"].tolist() for scanner, table in parts.items()})
         assert sum(len(angles) for angles in found[-1].values()) == 40
     assert all(one == found[0] for one in found)

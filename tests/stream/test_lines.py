@@ -7,12 +7,10 @@ import pytest
 
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import I64, Mask
+from prc_cli.stream.angles import Sweep, find_sweep
+from prc_cli.stream.limits import Admission, admit_lines
 from prc_cli.stream.lines import (
-    Admission,
     LineState,
-    Sweep,
-    admit_lines,
-    find_sweep,
     lines_by_dimension,
     lines_by_time,
     lines_by_wrap,

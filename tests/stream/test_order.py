@@ -10,8 +10,6 @@ from prc_cli.stream import order
 from prc_cli.stream.order import (
     OrderEvidence,
     OrderWatch,
-    RangeCorrelation,
-    range_correlation,
 )
 
 
@@ -168,23 +166,6 @@ def test_the_refusal_of_what_cannot_be_sorted_does_not_advise_to_sort() -> None:
     with pytest.raises(OrderError) as caught:
         watch.finish()
     assert caught.value.hint == "write the lines in the order they were scanned, or insist with --trust-order"
-
-
-def test_range_correlation_tells_a_walk_from_its_shuffle() -> None:
-    rng = np.random.default_rng(5)
-    walk = (20 + np.cumsum(rng.normal(scale=0.01, size=20_000))).astype(np.float32)
-    walk[rng.random(walk.size) < 0.2] = np.nan
-    assert range_correlation(walk).ratio < 0.05
-    shuffled = range_correlation(rng.permutation(walk))
-    assert 0.95 < shuffled.ratio < 1.05
-    assert "no spatial correlation" in shuffled.verdict
-    assert range_correlation(walk) == range_correlation(walk.reshape(100, 200))
-
-
-def test_range_correlation_of_too_little() -> None:
-    for flat in (np.full(500, np.nan, np.float32), np.full(500, 3.0, np.float32), np.ones(4, np.float32)):
-        assert "too few, or too alike" in range_correlation(flat).verdict
-    assert "loosely" in RangeCorrelation(0.5, 1000).verdict
 
 
 def test_records_without_a_time_are_told() -> None:

@@ -39,7 +39,7 @@ def beams_of(stream: ScanStream) -> F64:
 def test_oakland_counts_its_angles_from_nadir(real_data: Path, strip: int) -> None:
     source = real_data / "oakland" / f"oakland_{strip}.csv.gz"
     stream = opened(source, load_config())
-    assert stream.info.nadir_rad == pytest.approx(0.0, abs=np.deg2rad(0.15))
+    assert stream.info.down_rad == pytest.approx(0.0, abs=np.deg2rad(0.15))
     beam, angle = beams_of(stream), stream.info.angle_rad
     assert angle is not None
     assert np.abs(beam - angle).max() < np.deg2rad(0.15)

@@ -1,4 +1,4 @@
-"""The beat of the shots: found where it can be, unknown rather than wrong."""
+"""The timing of the shots: found where it can be, unknown rather than wrong."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 from prc_cli.stream.lines import LineState, lines_by_time
 from prc_cli.stream.shot_timing import (
     UNKNOWN,
-    Beat,
-    find_beat,
+    ShotTiming,
+    find_timing,
     time_in_line,
 )
 
@@ -23,26 +23,26 @@ SHOT_S = 1 / (HZ * M)
 @pytest.mark.parametrize("share", [0.2, 1.0])
 def test_columns_tell_their_step(decimals: int, share: float) -> None:
     keep = np.random.default_rng(2).random(len(TIME)) < share
-    found = find_beat(np.round(TIME[keep], decimals), COLUMN[keep], HZ, None)
+    found = find_timing(np.round(TIME[keep], decimals), COLUMN[keep], HZ, None)
     assert found.shot_s == 0
     assert found.column_s == pytest.approx(SHOT_S, rel=0.02)
 
 
 def test_columns_that_fall_or_do_not_change_tell_nothing() -> None:
-    assert find_beat(TIME, M - 1 - COLUMN, HZ, None) == UNKNOWN
-    assert find_beat(TIME, np.zeros(len(TIME), np.int64), HZ, None) == UNKNOWN
-    assert find_beat(TIME, np.full(len(TIME), -1), HZ, M) == Beat(SHOT_S, SHOT_S)
+    assert find_timing(TIME, M - 1 - COLUMN, HZ, None) == UNKNOWN
+    assert find_timing(TIME, np.zeros(len(TIME), np.int64), HZ, None) == UNKNOWN
+    assert find_timing(TIME, np.full(len(TIME), -1), HZ, M) == ShotTiming(SHOT_S, SHOT_S)
 
 
 def test_shots_tell_their_step() -> None:
-    assert find_beat(np.round(TIME, 6), None, HZ, None).shot_s == pytest.approx(SHOT_S, rel=0.01)
+    assert find_timing(np.round(TIME, 6), None, HZ, None).shot_s == pytest.approx(SHOT_S, rel=0.01)
     # stamps of six shots and of three returns: the mean
-    assert find_beat(np.round(TIME, 3), None, HZ, None).shot_s == pytest.approx(SHOT_S, rel=0.1)
+    assert find_timing(np.round(TIME, 3), None, HZ, None).shot_s == pytest.approx(SHOT_S, rel=0.1)
     thin = np.random.default_rng(2).random(len(TIME)) < 0.6
-    assert find_beat(TIME[thin], None, HZ, None).shot_s == pytest.approx(SHOT_S)
-    assert find_beat(TIME, None, HZ, 60).shot_s == 1 / (HZ * 60)
+    assert find_timing(TIME[thin], None, HZ, None).shot_s == pytest.approx(SHOT_S)
+    assert find_timing(TIME, None, HZ, 60).shot_s == 1 / (HZ * 60)
     for nothing in (np.empty(0), np.full(3, np.nan), np.full(3, 7.0), np.array([0.0, 1.0])):
-        assert find_beat(nothing, None, HZ, None) == UNKNOWN
+        assert find_timing(nothing, None, HZ, None) == UNKNOWN
 
 
 def test_time_in_line() -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.formats.records import RecordChunk
 from prc_cli.stream.sorting import sorted_by_time
 
@@ -24,6 +25,7 @@ class ArraySource:
     chunk: int = 7
     path: str = "drive.las"
     format: str = "array"
+    facts: SourceFacts = field(default_factory=SourceFacts)
     asked: list[tuple[str, ...]] = field(default_factory=list)
 
     @property

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
 from prc_cli.formats.arrays.rows import ArrayFile, NpyHeader, Rows
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
-from prc_cli.stream.order import OrderWatch
 
 CHUNK_SHOTS = 1 << 19
 """Shots read at a time."""
@@ -50,7 +50,7 @@ class ArrayStream:
         File.
     config : InputConfig
         ``points_per_line``, ``partial_line``, the bounds of ranges, ``angle_start`` with ``angle_step``,
-        ``range = "dimension:NAME"`` for ranges of another name, and ``order``, which ``time_s`` is held to.
+        and ``range = "dimension:NAME"`` for ranges of another name.
     chunk_shots : int
         Shots read at a time; changes memory and speed, never a value.
     lines_at_once : int
@@ -93,8 +93,9 @@ class ArrayStream:
             n_lines=self._n_lines,
             angle_rad=angle_rad,
             line_hz=self._find_line_hz(),
-            nadir_rad=math.pi if self._angles == ZENITH else None,
+            down_rad=math.pi if self._angles == ZENITH else None,
             assumptions=tuple(assumed),
+            facts=SourceFacts(time_name=TIME, has_line_times=self._has_line_times),
         )
 
     @property
@@ -105,6 +106,10 @@ class ArrayStream:
     @property
     def _is_padded(self) -> bool:
         return self._n_lines * self._m != self._n_records
+
+    @property
+    def _has_line_times(self) -> bool:
+        return TIME in self._names and len(self._file.headers[TIME].shape) == 1
 
     def _find_beside(self) -> tuple[str, ...]:
         """Return the names of the arrays beside the ranges, their shapes and types checked."""
@@ -172,21 +177,16 @@ class ArrayStream:
         ------
         InputError
             When the file is damaged or has changed since it was opened.
-        OrderError
-            When ``time_s`` goes back and the order is not trusted.
         """
-        watch = OrderWatch(self._info.path, self._config.order, TIME, can_sort=False)
         names = tuple(dict.fromkeys((self._range, *self._names)))
         with self._file.open(*names) as rows:
             opened = dict(zip(names, rows, strict=True))
             for first in range(0, self._n_lines, self._chunk_lines):
-                yield self._block(opened, watch, first, min(self._chunk_lines, self._n_lines - first))
+                yield self._block(opened, first, min(self._chunk_lines, self._n_lines - first))
             for each in rows:
                 each.finish()
-        if TIME in self._names:
-            watch.finish()
 
-    def _block(self, rows: dict[str, Rows], watch: OrderWatch, first: int, n: int) -> ScanBlock:
+    def _block(self, rows: dict[str, Rows], first: int, n: int) -> ScanBlock:
         stored_xyz = _to_float32(rows[XYZ].read(n)) if XYZ in rows else None
         if self._range == XYZ and stored_xyz is not None:
             ranges, tally = self._lengths(stored_xyz)
@@ -199,12 +199,8 @@ class ArrayStream:
             block = replace(block, record=record.reshape(n, self._m))
         if TIME in rows:
             times = rows[TIME].read(n).astype(np.float64)
-            record = np.arange(first, first + n, dtype=np.int64) * self._m
-            before = watch.n_back
-            watch.see(times.ravel(), record if times.ndim == 1 else None)
-            every = np.repeat(times[:, None], self._m, axis=1) if times.ndim == 1 else times
-            tally = tally + ReadTally(n_time_steps_back=watch.n_back - before)
-            block = replace(block, time_s=every, tally=tally)
+            every = np.repeat(times[:, None], self._m, axis=1) if self._has_line_times else times
+            block = replace(block, time_s=every)
         if stored_xyz is not None:
             stored_xyz[np.isnan(ranges)] = np.nan
             block = replace(block, xyz_m=stored_xyz)

@@ -186,7 +186,7 @@ class E57Stream(StagedStreamWriter):
             angle = 2.0 * np.pi * np.arange(block.points_per_line) / block.points_per_line
         else:
             self._notice("coordinates lie in the scan plane, x = 0: the stream has ranges and angles alone")
-        turned = angle - (self.shape.nadir_rad or 0.0)
+        turned = angle - (self.shape.down_rad or 0.0)
         fan = np.stack([np.zeros(len(turned)), np.sin(turned), -np.cos(turned)], axis=1)
         return np.tile(fan, (rows.stop - rows.start, 1))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import read_ahead
 from prc_cli.formats.las.contexts import LazContexts, contexts_of
 from prc_cli.formats.las.header import (
@@ -141,7 +142,26 @@ class LasSource:
         notes.extend(self._layout.notes)
         return tuple(notes)
 
-    def spare_intensity(self) -> None:
+    @cached_property
+    def facts(self) -> SourceFacts:
+        """What the file says of itself beside its records.
+
+        Raises
+        ------
+        InputError
+            As :attr:`dimensions` does.
+        """
+        return SourceFacts(
+            points_per_line=self.points_per_line_hint,
+            crs_wkt=self.crs_wkt,
+            time_name="gps_time",
+            notes=self.notes,
+            laz_contexts=self.laz_contexts,
+            describe=self.describe,
+            skip_intensity=self.skip_intensity,
+        )
+
+    def skip_intensity(self) -> None:
         """Decode ``intensity`` only where it may decide between returns of a shot; elsewhere it may be anything.
 
         Noisy as it is, its layer takes a fifth of the whole decompression.

@@ -16,6 +16,7 @@ import numpy as np
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.facts import ClassContexts
 from prc_cli.core.types import U8
 from prc_cli.formats.las.codec import (
     LASZIP_KEY,
@@ -32,7 +33,6 @@ from prc_cli.formats.las.codec import (
     read_points,
     tail_bounds,
 )
-from prc_cli.formats.las.contexts import LazContexts
 from prc_cli.formats.las.file import (
     POINT_SIZES,
     STANDARD_HEADER,
@@ -101,7 +101,7 @@ class LasRewriter(ScatterWriter):
         codes: ClassCodes,
         options: OutputConfig,
         source: Path,
-        laz_contexts: LazContexts | None = None,
+        laz_contexts: ClassContexts | None = None,
     ) -> None:
         self._source_path = source
         self._laz_contexts = laz_contexts

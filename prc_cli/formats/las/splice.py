@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import lazrs
 import numpy as np
 
+from prc_cli.core.facts import ClassContexts
 from prc_cli.core.types import U8
 from prc_cli.formats.las.codec import (
     CHUNK_SIZE_AT,
@@ -32,7 +33,7 @@ from prc_cli.formats.las.codec import (
     large_chunks,
     new_laszip_payload,
 )
-from prc_cli.formats.las.contexts import LazContexts, contexts_of, records_of
+from prc_cli.formats.las.contexts import contexts_of, records_of
 from prc_cli.formats.las.file import (
     POINT_SIZES,
     LasFile,
@@ -109,7 +110,7 @@ def _heads_fit(source: Source, las: LasFile, chunks: Chunks) -> bool:
 
 
 def splice_classes(
-    source: Source, target: Target, las: LasFile, chunks: Chunks, codes: Iterator[U8], kept: LazContexts | None = None
+    source: Source, target: Target, las: LasFile, chunks: Chunks, codes: Iterator[U8], kept: ClassContexts | None = None
 ) -> None:
     """Write all chunks with other classes, and their table; the target stands behind it then.
 
@@ -125,7 +126,7 @@ def splice_classes(
         From :func:`find_chunks`.
     codes : iterator of (n,) uint8
         Class codes of consecutive records, :func:`splice_records` at a time.
-    kept : LazContexts, optional
+    kept : ClassContexts, optional
         From reading the input before; whatever it does not hold whole is decoded again.
 
     Raises
@@ -168,7 +169,7 @@ def splice_records(las: LasFile, chunks: Chunks) -> int:
     return max(1, n // chunks.chunk_points) * chunks.chunk_points
 
 
-def _contexts(las: LasFile, payload: bytes, n: int, kept: LazContexts | None) -> Generator[U8]:
+def _contexts(las: LasFile, payload: bytes, n: int, kept: ClassContexts | None) -> Generator[U8]:
     """Yield the contexts of the classes of ``n`` records at a time, kept or decoded."""
     if kept is not None and kept.n_seen == las.n_points:
         yield from kept.take(n)

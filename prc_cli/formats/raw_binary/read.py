@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.formats.layout import decode, record_dtype
 from prc_cli.formats.options import Layout
@@ -47,6 +48,11 @@ class LayoutRecords:
         """Names that can be decoded, standard names first."""
         standard = [name for name in STANDARD_NAMES if name in self._fields]
         return tuple(standard + [name for name in self._fields if name not in standard])
+
+    @property
+    def facts(self) -> SourceFacts:
+        """Nothing is known of the records beside the layout."""
+        return SourceFacts()
 
     def _check_names(self, names: tuple[str, ...]) -> None:
         unknown = [name for name in names if name not in self._fields]
@@ -112,6 +118,11 @@ class RawBinarySource(LayoutRecords):
         Chunks that end where blocks of lines end need not be joined; no value depends on it.
         """
         self._chunk_records = max(1, self._chunk_records // n_records) * min(n_records, self._chunk_records)
+
+    @property
+    def facts(self) -> SourceFacts:
+        """What is known of the file beside its records."""
+        return SourceFacts(describe=self.describe, align_chunks=self.align_chunks)
 
     @property
     def n_records(self) -> int:

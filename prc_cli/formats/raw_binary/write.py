@@ -85,8 +85,8 @@ class RawStream(StagedStreamWriter):
         lines += ["", "[input]", 'lines = "fixed"', 'columns = "order"', 'range = "dimension:range"']
         if self._even is not None:
             lines += [f"angle_start = {self._even[0]!r}", f"angle_step = {self._even[1]!r}"]
-        if self.shape.nadir_rad is not None and not self.shape.registered:
-            lines += [f"nadir = {float(np.rad2deg(self.shape.nadir_rad))!r}"]
+        if self.shape.down_rad is not None and not self.shape.registered:
+            lines += [f"nadir = {float(np.rad2deg(self.shape.down_rad))!r}"]
         lines += ["", "[layout]", 'endian = "little"', f"points_per_line = {self._m}", "fields = ["]
         for name in self._dtype.names or ():
             unit = ', unit = "rad"' if name == "angle" else ""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import READERS
 from prc_cli.formats.arrays.rows import ArrayFile
@@ -59,6 +60,8 @@ class ArrayTable:
 
     format = "array"
     """Reader name."""
+    facts = SourceFacts()
+    """The columns are all there is."""
 
     def __init__(self, path: Path) -> None:
         self._file = ArrayFile(path)
@@ -139,6 +142,8 @@ class ParquetTable:
 
     format = "Parquet"
     """Reader name."""
+    facts = SourceFacts()
+    """The columns are all there is."""
 
     def __init__(self, path: Path) -> None:
         import pyarrow as pa

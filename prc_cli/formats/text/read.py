@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F64
 from prc_cli.formats.layout import check_fields, decode
@@ -92,6 +93,11 @@ class TextSource:
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver, standard names first; columns without a name have a number."""
         return tuple(self._columns)
+
+    @property
+    def facts(self) -> SourceFacts:
+        """What is known of the file beside its records."""
+        return SourceFacts(notes=self.notes, describe=self.describe)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -59,7 +59,7 @@ class StreamShape:
     """Coordinates of the input beside ranges that it has itself."""
     intensity: bool
     codes: bool
-    nadir_rad: float | None = None
+    down_rad: float | None = None
     """Scan angle that points straight down [rad], None = unknown."""
 
     @classmethod
@@ -76,7 +76,7 @@ class StreamShape:
             registered=item.registered_m is not None,
             intensity=block.intensity is not None,
             codes=item.codes is not None,
-            nadir_rad=info.nadir_rad,
+            down_rad=info.down_rad,
         )
 
 

@@ -21,10 +21,9 @@ from typing import TypeAlias, TypeVar
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import suffix_of
 from prc_cli.formats import (
-    ARRAY_SUFFIXES,
+    IMAGE_READERS,
     LAS_SUFFIXES,
     READERS,
-    SCAN_READERS,
 )
 from prc_cli.formats.label_files import SUFFIXES
 from prc_cli.jobs.batch.settings import BatchSettings
@@ -38,7 +37,7 @@ LABELS = ".labels"
 """Stands between the name of an input and the suffix of a file of labels alone."""
 PATIENCE_S = 60.0
 """A file system that lists nothing for so long hangs [s]."""
-_READABLE = frozenset((*READERS, *ARRAY_SUFFIXES, *SCAN_READERS))
+_READABLE = frozenset((*READERS, *IMAGE_READERS))
 _UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 
 

@@ -80,7 +80,7 @@ def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> I
 def count_lines(stream: ScanStream, station: int | None, loaded: LoadedConfig) -> int:
     """Return the lines of one scanner; reads the stream where nothing else tells."""
     info = stream.info
-    alone = loaded.config.input.scanner == "none" and info.format not in ("PTX", "E57") and station is None
+    alone = loaded.config.input.scanner == "none" and not info.facts.has_scans and station is None
     if info.n_lines is not None and alone:
         return info.n_lines
     return sum(block.n_lines for block in of_station(stream.blocks(), station, info.path))

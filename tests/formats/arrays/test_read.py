@@ -15,6 +15,7 @@ from prc_cli.core.errors import ConfigError, InputError, OrderError, PrcError
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
 from prc_cli.formats.arrays.read import ArrayStream
 from prc_cli.formats.options import InputConfig
+from prc_cli.stream.order import WatchedStream
 
 AUTO = InputConfig()
 
@@ -52,7 +53,7 @@ def save_npz(folder: Path, *, compressed: bool = True, **arrays: Any) -> Path:
 def refused(path: Path, given: InputConfig = AUTO) -> str:
     """The error of opening and reading, always one line, without the folder."""
     with pytest.raises(PrcError) as caught:
-        whole(ArrayStream(path, given))
+        whole(WatchedStream(ArrayStream(path, given), given.order))
     message = str(caught.value)
     assert "\n" not in message
     return message.replace(f"{path.parent}/", "")
@@ -171,8 +172,8 @@ def test_angles_from_the_configuration(tmp_path: Path) -> None:
 def test_times_that_go_back(tmp_path: Path) -> None:
     path = save_npz(tmp_path, range_m=image(), time_s=np.array([0, 1, 2, 1.5, 3, 2.9, 4]))
     with pytest.raises(OrderError, match="time_s"):
-        whole(ArrayStream(path, AUTO))
-    trusted = whole(ArrayStream(path, config(order="trust"), 10))
+        whole(WatchedStream(ArrayStream(path, AUTO), "require"))
+    trusted = whole(WatchedStream(ArrayStream(path, config(order="trust"), 10), "trust"))
     assert trusted.tally == ReadTally(n_time_steps_back=2)
 
 

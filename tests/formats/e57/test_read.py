@@ -139,7 +139,7 @@ def test_bounds_of_the_header_add_missing_cells_if_they_fit(tmp_path: Path) -> N
         stream = E57Stream(write_e57(tmp_path / "b.e57", [Scan(e57_fields(points, 2, 1), bounds=wrong)]), AUTO)
         (block,) = scans_of(stream)
         assert equal(block.range_m, ranges)
-        assert "index bounds do not fit" in stream.info.notes[0]
+        assert "index bounds do not fit" in stream.info.facts.notes[0]
 
 
 def test_points_marked_invalid_at_the_origin_or_not_finite_are_missing(tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def test_scans_without_points_are_left_out_and_told(tmp_path: Path) -> None:
     stream = E57Stream(write_e57(tmp_path / "a.e57", [empty, Scan(e57_fields(grid_points(3, 3)))]), AUTO)
     (block,) = scans_of(stream)
     assert block.scanner == 1
-    assert "left out: 0" in stream.info.notes[0]
+    assert "left out: 0" in stream.info.facts.notes[0]
     assert "1 scan without points" in refused(write_e57(tmp_path / "b.e57", [empty]))
     assert "found no scans" in refused(write_e57(tmp_path / "c.e57", []))
 

@@ -46,7 +46,7 @@ def block(first: int, seed: int, *, scanner: int = 0, further: bool = False) -> 
 
 def write(path: Path, blocks: list[ScanBlock], *, returns: bool = False) -> tuple[str, ...]:
     items = [StreamItem(each) for each in blocks]
-    info = StreamInfo("made up", "test", M, None, None, nadir_rad=0.0)
+    info = StreamInfo("made up", "test", M, None, None, down_rad=0.0)
     with open_stream_writer(path, StreamShape.of(items[0], info, scanners=False, returns=returns)) as writer:
         for item in items:
             writer.add_item(item)

@@ -129,7 +129,7 @@ def test_spared_intensity_is_there_wherever_it_may_decide(tmp_path: Path, first_
         number[first_pair + 700 :: 31] = 15
     las = make(tmp_path / "drive.laz", 6, n=n, return_number=np.minimum(number, 1), number_of_returns=number)
     source, plain = LasSource(tmp_path / "drive.laz", 33_333), LasSource(tmp_path / "drive.laz", 33_333)
-    source.spare_intensity()
+    source.skip_intensity()
     names = ("time", "number_of_returns", "intensity")
     chunks = list(source.chunks(names))
     found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}

@@ -7,7 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prc_cli.stream.periodicity import WEAK, estimate_line_frequency, estimate_points_per_line
+from prc_cli.stream.evidence import (
+    WEAK,
+    RangeCorrelation,
+    estimate_line_frequency,
+    estimate_points_per_line,
+    range_correlation,
+)
 
 
 def street(m: int, n_lines: int, seed: int = 0) -> np.ndarray:
@@ -142,3 +148,20 @@ def test_jakarto_is_too_short(real_data: Path) -> None:
     estimate = estimate_points_per_line(image)
     assert estimate.points_per_line is None
     assert "too few lines" in estimate.reason
+
+
+def test_range_correlation_tells_a_walk_from_its_shuffle() -> None:
+    rng = np.random.default_rng(5)
+    walk = (20 + np.cumsum(rng.normal(scale=0.01, size=20_000))).astype(np.float32)
+    walk[rng.random(walk.size) < 0.2] = np.nan
+    assert range_correlation(walk).ratio < 0.05
+    shuffled = range_correlation(rng.permutation(walk))
+    assert 0.95 < shuffled.ratio < 1.05
+    assert "no spatial correlation" in shuffled.verdict
+    assert range_correlation(walk) == range_correlation(walk.reshape(100, 200))
+
+
+def test_range_correlation_of_too_little() -> None:
+    for flat in (np.full(500, np.nan, np.float32), np.full(500, 3.0, np.float32), np.ones(4, np.float32)):
+        assert "too few, or too alike" in range_correlation(flat).verdict
+    assert "loosely" in RangeCorrelation(0.5, 1000).verdict

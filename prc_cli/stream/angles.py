@@ -1,4 +1,4 @@
-"""Columns by scan angle: the grid of angles, estimated where nobody says it."""
+"""What scan angles tell: how the sweep runs, and the grid of the columns, estimated where nobody says it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.stream.columns import NO_COLUMN, begins_line
+from prc_cli.stream.columns import AngleGrid, begins_line, columns_by_angle
 
 FULL_TURN = 0.9
 """Share of a turn that the lines must span to be taken for whole turns."""
@@ -19,46 +19,60 @@ MAX_EQUAL = 0.5
 """Share of neighbouring shots that may have equal angles: more are rounded too coarsely to tell columns."""
 MAX_ROUNDED = 0.005
 """Share of neighbouring shots with equal angles from which on angles count as rounded coarsely."""
+MIN_AGREEMENT = 0.75
+"""Share of steps of the scan angle that must go the same way."""
 _TURN = 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
-class AngleGrid:
-    """Columns as steps of the scan angle."""
+class Sweep:
+    """How the scan angle runs within a line."""
 
-    start_rad: float
-    """Angle of column 0 [rad]."""
-    step_rad: float
-    """From column to column, signed [rad]."""
-    n_columns: int
-    """Columns of the sector that the lines span, or of a whole turn."""
-    whole_turn: bool
-
-    def angles(self, points_per_line: int) -> F64:
-        """Return the scan angle of every column, (M,) [rad]."""
-        return self.start_rad + self.step_rad * np.arange(points_per_line, dtype=np.float64)
+    direction: int
+    """+1 = the angle grows from shot to shot, -1 = it falls."""
+    span_rad: float
+    """Angle between the ends of the longest lines [rad]."""
+    noise_rad: float
+    """Angles may go back by this much within a line [rad]."""
 
 
-def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
-    """Round to the nearest step; angles are equal modulo a turn.
+def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
+    """Find direction and span of the sweep from the first shots.
+
+    Parameters
+    ----------
+    angle : (n,) float
+        Scan angles in the order of the input [rad]; NaN is left out.
+    where : str
+        File, for messages.
+
+    Raises
+    ------
+    InputError
+        When angles do not vary, or run back and forth (an oscillating mirror has no wrap).
 
     Examples
     --------
-    >>> columns_by_angle(np.deg2rad([0.0, 90.4, -90.0, 359.9]), AngleGrid(0.0, np.deg2rad(90.0), 4, True))
-    array([0, 1, 3, 0])
+    >>> find_sweep(np.tile(np.linspace(1.0, -1.0, 50), 20), "strip.laz")  # doctest: +ELLIPSIS
+    Sweep(direction=-1, span_rad=2.0, noise_rad=0.081...)
     """
     value = np.asarray(angle, np.float64)
-    known = np.isfinite(value)
-    sign = math.copysign(1.0, grid.step_rad)
-    away = np.remainder(sign * (np.where(known, value, 0.0) - grid.start_rad), _TURN)
-    column = np.rint(away / abs(grid.step_rad)).astype(np.int64)
-    n_turn = round(_TURN / abs(grid.step_rad))
-    if grid.whole_turn:
-        column %= max(n_turn, 1)
-    else:
-        # the rest of the turn is shared by the two ends: noise before column 0 is -1, not almost a turn
-        column = np.where(column > (grid.n_columns + n_turn) / 2, column - n_turn, column)
-    return np.where(known, column, NO_COLUMN)
+    value = value[np.isfinite(value)]
+    hint = "find lines another way: --lines dimension:NAME, fixed or time:HZ"
+    low, high = np.percentile(value, (0.1, 99.9)) if len(value) else (0.0, 0.0)
+    span = float(high - low)
+    if not span > 0:
+        raise InputError(where, f"the scan angle does not vary in {len(value)} shots, expected sweeps", hint)
+    step = np.diff(value)
+    step = step[np.abs(step) <= 0.5 * span]
+    n_up, n_down = int(np.count_nonzero(step > 0)), int(np.count_nonzero(step < 0))
+    share = max(n_up, n_down) / max(n_up + n_down, 1)
+    if share < MIN_AGREEMENT:
+        problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
+        raise InputError(where, problem, hint)
+    # angles are rounded: a few steps back and forth are no wrap
+    noise = max(2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span)
+    return Sweep(1 if n_up >= n_down else -1, span, noise)
 
 
 def find_angle_grid(
@@ -141,7 +155,8 @@ def _grid(value: F64, line: I64, forward: F64, step: float, start_rad: float | N
         step = sign * _TURN / round(_TURN / size)
         size = abs(step)
     if start_rad is None:
-        # the earliest first shot of a line (the input may begin in the middle of its first), then onto the beat
+        # the earliest first shot of a line (the input may begin in the middle of its first), then a whole number of
+        # steps from the others
         early = value[first[1:] if len(first) > 2 else first]
         middle = _circular_mean(early)
         away = sign * (early - middle)

@@ -1,4 +1,4 @@
-"""How many shots make a scan line, when nobody says: the period of the ranges.
+"""What the ranges themselves tell: whether they are in the order fired, and how many shots make a scan line.
 
 Consecutive scan lines of a mobile scanner see almost the same profile, so the ranges repeat after M shots
 (Lehtola et al. 2019, section II: shot i, i + M and i - M are neighbours). The estimate needs missing shots to be
@@ -19,6 +19,8 @@ MIN_LINES = 16
 """Lines that must be there for a period to be believed."""
 WEAK = 0.35
 """Strengths below this are no evidence: random ranges, random walks and streams of too few lines stay below."""
+RANDOM_PAIRS = 1_000_000
+"""Most pairs compared by :func:`range_correlation`."""
 _MULTIPLES = 6
 """Multiples of the period at which the correlation must be seen to rise again."""
 _MULTIPLES_SEEN = 16
@@ -167,7 +169,7 @@ def estimate_line_frequency(time_s: F64) -> float | None:
     Returns
     -------
     float or None
-        Frequency [Hz]; None with fewer than 3 times, or where they do not follow a beat.
+        Frequency [Hz]; None with fewer than 3 times, or where they are not evenly spaced.
 
     Examples
     --------
@@ -178,9 +180,71 @@ def estimate_line_frequency(time_s: F64) -> float | None:
     steps = steps[steps > 0]
     if len(steps) < 2:
         return None
-    beat = float(np.median(steps))
-    n_lines = np.rint(steps / beat)
-    on_beat = (n_lines >= 1) & (np.abs(steps / beat - n_lines) < 0.1 * np.maximum(n_lines, 1))
-    if np.count_nonzero(on_beat) < 0.8 * len(steps):
+    period_s = float(np.median(steps))
+    n_lines = np.rint(steps / period_s)
+    is_even = (n_lines >= 1) & (np.abs(steps / period_s - n_lines) < 0.1 * np.maximum(n_lines, 1))
+    if np.count_nonzero(is_even) < 0.8 * len(steps):
         return None
-    return round(float(n_lines[on_beat].sum() / steps[on_beat].sum()), 9)
+    return round(float(n_lines[is_even].sum() / steps[is_even].sum()), 9)
+
+
+@dataclass(frozen=True, slots=True)
+class RangeCorrelation:
+    """Whether consecutive shots see the same surface."""
+
+    ratio: float
+    """Median range step between neighbours over that between random pairs; NaN if there is too little to tell."""
+    n_pairs: int
+    """Neighbouring pairs where both ranges are valid."""
+
+    @property
+    def verdict(self) -> str:
+        """Say it in plain words.
+
+        >>> RangeCorrelation(0.02, 9000).verdict
+        'neighbouring shots have near ranges (ratio 0.02): as expected of shots in the order they were fired'
+        """
+        if not np.isfinite(self.ratio):
+            return f"{self.n_pairs} neighbouring ranges are too few, or too alike, to tell"
+        if self.ratio < 0.3:
+            said = "neighbouring shots have near ranges", "as expected of shots in the order they were fired"
+        elif self.ratio < 0.7:
+            said = "neighbouring ranges are only loosely alike", "the order may be disturbed, or the scene very rough"
+        else:
+            said = "neighbouring ranges are as unlike as random pairs", "the order carries no spatial correlation"
+        return f"{said[0]} (ratio {self.ratio:.2g}): {said[1]}"
+
+
+def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
+    """Compare the range steps between neighbours with those between random pairs.
+
+    Parameters
+    ----------
+    range_m : (n,) float32
+        Ranges [m] in the order of the input, NaN = missing.
+    seed : int
+        Of the random pairing.
+
+    Returns
+    -------
+    RangeCorrelation
+        Ratio about 1: the order carries no spatial correlation; near 0: as in the order fired. A file sorted by
+        coordinate has a low ratio too, so a low ratio alone is no proof.
+
+    Examples
+    --------
+    >>> walk = np.cumsum(np.random.default_rng(1).normal(size=5000)).astype(np.float32)
+    >>> range_correlation(walk).ratio < 0.1, range_correlation(np.random.default_rng(2).permutation(walk)).ratio > 0.9
+    (True, True)
+    """
+    flat = np.ravel(range_m)
+    valid = np.isfinite(flat)
+    step = np.abs(np.diff(flat))[valid[1:] & valid[:-1]]
+    values = flat[valid]
+    if len(step) < 100:
+        return RangeCorrelation(float("nan"), len(step))
+    n_random = min(len(values), RANDOM_PAIRS)
+    pairs = np.random.default_rng(seed).integers(0, len(values), size=(2, n_random))
+    random_step = float(np.median(np.abs(values[pairs[0]] - values[pairs[1]])))
+    ratio = float(np.median(step)) / random_step if random_step > 0 else float("nan")
+    return RangeCorrelation(ratio, len(step))
