@@ -6,13 +6,17 @@ Regions are sets of points here, and grow by whole lines.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
+from prc_cli.core.classes import Surface
 from prc_cli.core.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
-MISSING, VERTICAL = 0, 3
+MISSING, VERTICAL = int(Surface.MISSING), int(Surface.VERTICAL)
 
 
 def possible_curbs(
@@ -95,32 +99,25 @@ class Growing:
             x, y, z = one - other
             return bool(x * x + y * y + z * z < self.thresholds.grouping_m**2)
 
-        group_of: dict[int, set[int]] = {}
-        touched: dict[int, list[Region]] = {}
-        for k in beams:
-            group = group_of[k - 1] if k - 1 in group_of and near(here[k], here[k - 1]) else set()
-            group.add(k)
-            group_of[k] = group
-            touched[k] = [
+        above_of = {
+            k: [
                 self.of[side, line - 1, j]
                 for j in (k - 1, k, k + 1)
                 if (side, line - 1, j) in self.of and near(here[k], above[j])
             ]
-            touched[k] = [region for region in touched[k] if region.fate in ("open", "high")]
-        while True:  # join stretches that touch the same region, until nothing changes
-            pairs = [
-                (group_of[k], group_of[m])
-                for k in beams
-                for m in beams
-                if group_of[k] is not group_of[m] and any(region in touched[m] for region in touched[k])
-            ]
-            if not pairs:
-                break
-            one, other = pairs[0]
-            one |= other
-            for k in other:
-                group_of[k] = one
-        for group in {id(group): group for group in group_of.values()}.values():
+            for k in beams
+        }
+        touched = {k: [region for region in above_of[k] if region.fate in ("open", "high")] for k in beams}
+        # neighbours in the row belong together, and what touches the same region above
+        pairs = [(i, i + 1) for i, (j, k) in enumerate(pairwise(beams)) if j + 1 == k and near(here[k], here[j])]
+        first_at: dict[int, int] = {}
+        for i, k in enumerate(beams):
+            pairs += [(first_at.setdefault(id(region), i), i) for region in touched[k]]
+        one, other = np.array(pairs, int).reshape(-1, 2).T
+        graph = coo_array((np.ones(len(pairs)), (one, other)), shape=(len(beams), len(beams)))
+        n_groups, group_of = connected_components(graph, directed=False) if beams else (0, [])
+        for number in range(n_groups):
+            group = {k for k, own in zip(beams, group_of, strict=True) if own == number}
             joined = Region(side, {(line, k) for k in group}, possible=possible in group)
             z = [float(here[k, 2]) for k in group]
             joined.low, joined.high = min(z), max(z)

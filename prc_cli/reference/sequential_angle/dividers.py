@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import groupby, pairwise
+from itertools import pairwise
 
 import numpy as np
+from scipy import ndimage
 
+from prc_cli.core.classes import Surface
 from prc_cli.core.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
-H, V = 2, 3
+H, V = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
 """Surface codes."""
 
 
@@ -67,8 +69,8 @@ def flat_stretch(
 
 def runs(codes: list[int], wanted: int) -> list[tuple[int, int]]:
     """Return first and last position of the runs of a code."""
-    grouped = [(code, [i for i, _ in run]) for code, run in groupby(enumerate(codes), key=lambda item: item[1])]
-    return [(positions[0], positions[-1]) for code, positions in grouped if code == wanted]
+    numbered, _ = ndimage.label(np.equal(codes, wanted))
+    return [(place.start, place.stop - 1) for (place,) in ndimage.find_objects(numbered)]
 
 
 def car_intervals(

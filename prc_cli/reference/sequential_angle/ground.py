@@ -10,11 +10,15 @@ from itertools import groupby
 
 import numpy as np
 
+from prc_cli.core.classes import Surface
 from prc_cli.core.sequential_angle import GroundState, GroundThresholds, PotentialGround
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 
 EIGHTHS = 8
-HORIZONTAL, MISSING = 2, 0
+"""Bins in a bandwidth."""
+LOWEST_M, PER_METRE, N_HEIGHTS = -310, 500, 185_000
+"""Height where the histogram of heights begins, its bins in a metre, and how many they are."""
+HORIZONTAL, MISSING = int(Surface.HORIZONTAL), int(Surface.MISSING)
 
 
 def weight(bins_away: int) -> int:
@@ -67,40 +71,6 @@ def find_modes(values: F64, bandwidth: float) -> tuple[F64, I64]:
         np.array([(place + 0.5) * width for place, _ in modes], dtype=np.float64),
         np.array([count for _, count in modes], dtype=np.int64),
     )
-
-
-def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
-    """Find the main mode of heights; see :func:`prc_cli.kernels.sequential_angle.ground.main_height`."""
-    bins = [to_bin(height) for height in heights]
-    return *main_bin(bins, share), np.array(bins, dtype=np.int32), histogram_of(bins)
-
-
-def histogram_of(bins: list[int]) -> I32:
-    """Count bins."""
-    return np.bincount(np.array(bins, dtype=np.int64), minlength=185_000).astype(np.int32)
-
-
-def main_bin(heights: list[int], share: float) -> tuple[int, float]:
-    """Return the number of binned heights in their main mode, and its place [m]."""
-    if not heights:
-        return 0, math.nan
-    median = sorted(heights)[(len(heights) - 1) // 2]
-    width = max(1, math.ceil(share * abs(median + 0.5 - 155_000) / EIGHTHS))
-    place, count = main_mode(grid_modes([height // width for height in heights]))
-    centre = math.floor((place + 0.5) * width)
-    for _ in range(20):
-        moment = mass = 0
-        for height in heights:
-            bins, rest = divmod(abs(height - centre), width)
-            between = (weight(bins) * (width - rest) + weight(bins + 1) * rest) // width
-            moment += between * (height - centre)
-            mass += between
-        shift = moment / mass if mass else 0.0
-        step = math.floor(shift + 0.5)
-        if step == 0:
-            return count, (centre + 0.5 + shift) / 500 - 310
-        centre += step
-    return count, (centre + 0.5) / 500 - 310
 
 
 class Row:
@@ -244,11 +214,6 @@ class Row:
         return self.surface
 
 
-def is_near(z: float, z_g: float, thresholds: GroundThresholds) -> bool:
-    """Tell whether a height agrees with that of the ground."""
-    return abs(z - z_g) < thresholds.height_tolerance * abs(z_g) or abs(z - z_g) < thresholds.height_tolerance_m
-
-
 def potential_heights(
     surface: U8, xyz: F32, horizontal: F32, phihat: F32, ahead: I32, n_beams: I32, thresholds: GroundThresholds
 ) -> PotentialGround:
@@ -262,6 +227,50 @@ def potential_heights(
             first[i], last[i] = beams[0], beams[-1]
             bandwidth[i], height[i] = b, row.height(beams)
     return PotentialGround(first, last, bandwidth, height)
+
+
+def to_bin(z: float) -> int:
+    """Return the bin of 2 mm that a height counts in."""
+    return int(np.clip(np.floor((z - LOWEST_M) * PER_METRE), 0, N_HEIGHTS - 1))
+
+
+def main_height(heights: F64, share: float) -> tuple[int, float, I32, I32]:
+    """Find the main mode of heights; see :func:`prc_cli.kernels.sequential_angle.ground.main_height`."""
+    bins = [to_bin(height) for height in heights]
+    return *main_bin(bins, share), np.array(bins, dtype=np.int32), histogram_of(bins)
+
+
+def histogram_of(bins: list[int]) -> I32:
+    """Count bins."""
+    return np.bincount(np.array(bins, dtype=np.int64), minlength=N_HEIGHTS).astype(np.int32)
+
+
+def main_bin(heights: list[int], share: float) -> tuple[int, float]:
+    """Return the number of binned heights in their main mode, and its place [m]."""
+    if not heights:
+        return 0, math.nan
+    median = sorted(heights)[(len(heights) - 1) // 2]
+    width = max(1, math.ceil(share * abs(median + 0.5 + LOWEST_M * PER_METRE) / EIGHTHS))
+    place, count = main_mode(grid_modes([height // width for height in heights]))
+    centre = math.floor((place + 0.5) * width)
+    for _ in range(20):
+        moment = mass = 0
+        for height in heights:
+            bins, rest = divmod(abs(height - centre), width)
+            between = (weight(bins) * (width - rest) + weight(bins + 1) * rest) // width
+            moment += between * (height - centre)
+            mass += between
+        shift = moment / mass if mass else 0.0
+        step = math.floor(shift + 0.5)
+        if step == 0:
+            return count, (centre + 0.5 + shift) / PER_METRE + LOWEST_M
+        centre += step
+    return count, (centre + 0.5) / PER_METRE + LOWEST_M
+
+
+def is_near(z: float, z_g: float, thresholds: GroundThresholds) -> bool:
+    """Tell whether a height agrees with that of the ground."""
+    return abs(z - z_g) < thresholds.height_tolerance * abs(z_g) or abs(z - z_g) < thresholds.height_tolerance_m
 
 
 def ground_rows(
@@ -327,8 +336,3 @@ def grown_row(row: Row, beams: list[int], b: float) -> list[int]:
             start = points[-1] + 1
         more, b = row.potential(start)
     return points
-
-
-def to_bin(z: float) -> int:
-    """Return the bin of 2 mm that a height counts in."""
-    return int(np.clip(np.floor((z + 310.0) * 500.0), 0, 184_999))

@@ -1,4 +1,4 @@
-"""Slow twins of :mod:`prc_cli.kernels.sequential_angle.labels`, from whole arrays."""
+"""Classes of the points when all algorithms have had their say (Stamos et al. 2012, sec. 7 and 8)."""
 
 from __future__ import annotations
 

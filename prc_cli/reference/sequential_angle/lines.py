@@ -1,4 +1,4 @@
-"""Slow twins of :mod:`prc_cli.kernels.sequential_angle.lines`, from NumPy alone."""
+"""Scan lines as half-lines from straight down upwards (Stamos et al. 2012, sec. 3)."""
 
 from __future__ import annotations
 

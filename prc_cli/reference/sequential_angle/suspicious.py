@@ -1,4 +1,4 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.sequential_angle.suspicious`, from NumPy alone."""
+"""Lines that may hold a car: CUSUM of the chain of H, V and M (Stamos et al. 2012, sec. 7.2)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from prc_cli.core.classes import Surface
 from prc_cli.core.types import F64, I32, U8, Mask
 
-STATE = {2: "H", 3: "V", 0: "M"}
+STATE = {Surface.HORIZONTAL: "H", Surface.VERTICAL: "V", Surface.MISSING: "M"}
 """State of the chain by surface code; all other codes end it."""
 
 
@@ -24,7 +25,7 @@ def first_triggers(
             continue
         first = int(returns[0])
         last = int(returns[-1]) if closed_gaps_only else int(n) - 1
-        states = "".join(STATE.get(int(code), "x") for code in codes[first : last + 1]).partition("x")[0]
+        states = "".join(STATE.get(Surface(code), "x") for code in codes[first : last + 1]).partition("x")[0]
         steps = [float(increments["HVM".index(a), "HVM".index(b)]) for a, b in pairwise(states)]
         total = 0.0
         for position, step in enumerate(steps, start=1):

@@ -1,11 +1,10 @@
-"""Slow and obvious twin of :mod:`prc_cli.kernels.sequential_angle.verticals`, from NumPy alone."""
+"""High vertical surfaces, which no car lies behind (Stamos et al. 2012, sec. 7.4)."""
 
 from __future__ import annotations
 
-from itertools import groupby
-
 import numpy as np
 
+from prc_cli.core.classes import Surface
 from prc_cli.core.types import F32, I32, U8, Mask
 
 
@@ -13,9 +12,9 @@ def first_high_verticals(surface: U8, xyz_m: F32, n_beams: I32, ground_m: F32, h
     """Find the first high vertical run; see :func:`prc_cli.kernels.sequential_angle.verticals.first_high_verticals`."""
     beam = np.full(len(n_beams), -1, np.int32)
     for row, n in enumerate(n_beams):
-        runs = [(code, list(run)) for code, run in groupby(range(n), key=lambda k: int(surface[row, k]))]
-        for code, run in runs:
-            above = float(xyz_m[row, run[-1], 2]) > float(ground_m[row]) + height_m
-            if code == 3 and above and beam[row] < 0:
-                beam[row] = run[-1]
+        vertical = surface[row, :n] == Surface.VERTICAL
+        ends = np.flatnonzero(vertical & ~np.append(vertical[1:], False))
+        high = ends[xyz_m[row, ends, 2].astype(np.float64) > float(ground_m[row]) + height_m]
+        if len(high):
+            beam[row] = high[0]
     return beam >= 0, beam
