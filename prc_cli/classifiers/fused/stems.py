@@ -121,6 +121,7 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) 
     --------
     A stem 4 m to the side and ground, four times the same line:
 
+    >>> import numpy as np
     >>> beam = np.deg2rad(np.linspace(45, 100, 551))
     >>> down = np.maximum(np.cos(beam), 1e-9)
     >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (4, 1)).astype(np.float32)
