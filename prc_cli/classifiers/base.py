@@ -98,7 +98,7 @@ class Needs:
     lines_per_block: int | None = None
     """k, scan lines of a block, fewer only at the end of the stream; None = any number of whole lines."""
     look_ahead: int | None = None
-    """Lines that are shown after a block; None = those of :func:`prc_cli.core.blocks.look_ahead_lines`."""
+    """Lines that are shown after a block, at least 1; None = those of :func:`prc_cli.core.blocks.look_ahead_lines`."""
     beams: bool = True
     """Whether blocks must say where their beams point (``beam_rad``)."""
     nadir_from_ground: bool = False

@@ -36,7 +36,7 @@ class Parity(Classifier[int, Seen]):
     @property
     def needs(self) -> Needs:
         """Blocks of k lines."""
-        return Needs(frozenset(), self.k, look_ahead=0, beams=False)
+        return Needs(frozenset(), self.k, look_ahead=1, beams=False)
 
     def scanner(self, first: ScanBlock) -> int:
         """Return M."""
