@@ -35,7 +35,7 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.matching.join import JoinTally, join
-from prc_cli.matching.keys import (
+from prc_cli.matching.keyed_source import (
     CODE,
     KEY,
     MAX_SAME,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.records import RecordChunk
-from prc_cli.matching.keys import CODE, KEY, SAME
+from prc_cli.matching.keyed_source import CODE, KEY, SAME
 
 HELD_RECORDS = 1 << 22
 """Most records of a side that are held; more share a key, or lie within the tolerance, than can be told apart."""
@@ -132,7 +132,7 @@ def join(
     Parameters
     ----------
     labels, points : iterator of RecordChunk
-        From :func:`prc_cli.matching.keys.in_key_order`; ``labels`` with the dimensions ``carried``.
+        From :func:`prc_cli.matching.keyed_source.in_key_order`; ``labels`` with the dimensions ``carried``.
     tally : JoinTally
         Filled on the way; complete when the iterator has ended.
     tolerance : float

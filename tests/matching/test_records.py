@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import InputError
-from prc_cli.matching import records as matching
-from prc_cli.matching.records import (
+from prc_cli.matching import places as matching
+from prc_cli.matching.places import (
     KEY,
     Columns,
     JoinTally,

@@ -28,9 +28,9 @@ from prc_cli.evaluation.splits import (
 )
 from prc_cli.formats.las.crs import same_crs, short_crs
 from prc_cli.formats.las.read import LasSource
-from prc_cli.matching import records as matching
+from prc_cli.matching import places as matching
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
-from prc_cli.matching.records import Columns, JoinTally, Pairs
+from prc_cli.matching.places import Columns, JoinTally, Pairs
 from prc_cli.matching.sides import (
     AXES,
     CODE,
