@@ -34,18 +34,16 @@ from prc_cli.formats.writing.record import (
     fingerprint,
     record_path,
 )
-from prc_cli.matching.join import JoinTally, join
+from prc_cli.matching.join import CODE, KEY, SAME, JoinTally, merge_join
 from prc_cli.matching.keyed_source import (
-    CODE,
-    KEY,
     MAX_SAME,
-    SAME,
     KeyedSource,
     KeyRule,
     Survey,
-    in_key_order,
     survey,
 )
+from prc_cli.matching.keys import SPARE_LABELS, NearestLabel
+from prc_cli.matching.streams import RECORD, columns_of
 from prc_cli.stream.gps_weeks import WEEK_S, WeekSource
 
 CHANCE = 0.25
@@ -231,23 +229,27 @@ def transfer(
     before = [_state(path) for path in inputs]
     sides = _open(labels, registered, points, layout, options)
     tally = JoinTally()
+    n_changed = 0
+    names = (KEY, SAME, CODE)
     with LasRecoder(output, registered, options.carry) as writer:
-        left = in_key_order(sides.labels, sides.found[0], (KEY, SAME, CODE, *options.carry))
-        right = in_key_order(sides.points, sides.found[1], (KEY, SAME, CODE))
-        paths = (sides.labels.path, sides.points.path)
-        matches = join(left, right, tally, tolerance=sides.tolerance, carried=options.carry, paths=paths)
-        for item in matches:
-            writer.put(item.record, item.codes)
+        target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
+        origin = columns_of(sides.labels, (*names, *options.carry), sort=not sides.found[0].in_order)
+        match, paths = NearestLabel(sides.tolerance), (sides.points.path, sides.labels.path)
+        for item in merge_join(target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS):
+            record, codes = item.left[RECORD], item.left[CODE].copy()
+            codes[item.at] = item.right[CODE][item.to]
+            n_changed += int(np.count_nonzero(codes != item.left[CODE]))
+            writer.put(record, codes)
             if options.carry:
-                writer.put_values(item.record[item.matched], item.values)
+                writer.put_values(record[item.at], {name: item.right[name][item.to] for name in options.carry})
             if progress is not None:
-                progress(len(item.record))
-        counts = _counts(tally, sides)
+                progress(len(record))
+        counts = _counts(tally, n_changed, sides)
         _refuse_poor_match(counts, tally, sides, options)
         for path, state in zip(inputs, before, strict=True):
             if _state(path) != state:
                 raise InputError(str(path), "changed while it was read", "run again when the copy is complete")
-        record = TransferRecord(
+        stored = TransferRecord(
             config={"transfer": asdict(options)},
             input=fingerprint(registered),
             format=sides.points.format,
@@ -259,7 +261,7 @@ def transfer(
             points=None if points is None else fingerprint(points),
             counts=counts,
         )
-        return TransferSummary(output, writer.finish(record), counts)
+        return TransferSummary(output, writer.finish(stored), counts)
 
 
 def _check(labels: Path, registered: Path, output: Path, points: Path | None) -> None:
@@ -488,18 +490,18 @@ def _scale_offset(labels: Survey, points: Survey) -> tuple[float, str] | None:
     return None
 
 
-def _counts(tally: JoinTally, sides: _Sides) -> TransferCounts:
+def _counts(tally: JoinTally, n_changed: int, sides: _Sides) -> TransferCounts:
     return TransferCounts(
         n_labels=sides.found[0].n_records,
-        n_labels_matched=tally.n_labels_matched,
-        n_points=tally.n_points,
-        n_matched=tally.n_matched,
-        n_changed=tally.n_changed,
+        n_labels_matched=tally.n_right,
+        n_points=tally.n_left,
+        n_matched=tally.n_pairs,
+        n_changed=n_changed,
         n_repeated=tally.n_repeated,
         n_shared=tally.n_shared,
         n_in_order=tally.n_in_order,
         n_by_majority=tally.n_by_majority,
-        n_other_return=tally.n_other_return,
+        n_other_return=tally.n_other_same,
         largest_difference=tally.largest,
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,18 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.types import F64, I64, U8, Mask
+from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.labels.read import NO_CODE, CodeSource
 from prc_cli.formats.records import DerivedSource, RecordChunk
-from prc_cli.stream.sorting import sorted_by_time
+from prc_cli.matching.join import CODE, KEY, SAME
+from prc_cli.matching.streams import RECORD, columns_of, in_step
 
-KEY, SAME, CODE = "time", "same", "code"
-"""What chunks of :class:`KeyedSource` hold: the key (called time, for :func:`sorted_by_time` sorts by it), what must
-be equal beside it, and the class code."""
 MISSING = 0
 """Code of a shot without return in label files."""
 MAX_SAME = 3
 """Numbers of 16 bits that are packed into the one that must be equal."""
+_FOUND = "found code"
 _LIMIT_16 = 1 << 16
 _EXACT = float(1 << 53)
 """Whole numbers up to here are exact in float64."""
@@ -76,31 +75,32 @@ class KeyedSource(DerivedSource):
         carried = tuple(name for name in names if name not in (KEY, SAME, CODE))
         own = () if self.codes is not None else (self.code_dimension,)
         wanted = tuple(dict.fromkeys((*self.rule.names, *own, *carried)))
-        codes = None if self.codes is None else _CodeReader(self.codes, self.source.path)
-        n_kept = n_read = 0
-        for chunk in self.source.chunks(wanted):
-            first = chunk.first_record
-            record = np.arange(first, first + chunk.n, dtype=np.int64) if chunk.record is None else chunk.record
-            if codes is not None:
-                found = codes.take(chunk.n)
-                keep = (found != MISSING) & (found != NO_CODE)
-            else:
-                found = np.asarray(chunk.values[self.code_dimension])
-                keep = np.ones(chunk.n, np.bool_)
-            whole = bool(keep.all())
-            chosen: Mask | slice = slice(None) if whole else keep
-            record, found = record[chosen], found[chosen]
-            values = {name: np.asarray(chunk.values[name])[chosen] for name in wanted}
-            found_codes = self._to_codes(found, record)
-            out: dict[str, NDArray[Any]] = {name: values[name] for name in carried}
+        streams = [columns_of(self.source, wanted, sort=False)]
+        if self.codes is not None:
+            streams.append({_FOUND: codes} for codes in self.codes.chunks())
+        n_kept = 0
+        for values, *beside in in_step(streams, self._check_lengths):
+            found = beside[0][_FOUND] if beside else np.asarray(values[self.code_dimension])
+            if beside and not (keep := (found != MISSING) & (found != NO_CODE)).all():
+                found, values = found[keep], {name: column[keep] for name, column in values.items()}
+            record = values[RECORD]
+            out = {name: values[name] for name in carried}
+            out[CODE] = self._to_codes(found, record)
             out[KEY] = self._keys(values, record, n_kept)
             out[SAME] = self._same(values, record)
-            out[CODE] = found_codes
             yield RecordChunk(n_kept, {name: out[name] for name in names}, len(record), record)
             n_kept += len(record)
-            n_read += chunk.n
-        if codes is not None:
-            codes.finish(n_read)
+
+    def _check_lengths(self, n: Sequence[int]) -> None:
+        """Refuse codes that are not as many as the records."""
+        if self.codes is None or n[0] == n[1]:
+            return
+        problem = f"found {n[1]} class codes, expected "
+        if n[1] < n[0]:
+            problem += f"one for every record of {self.source.path}, which has more"
+        else:
+            problem += f"{n[0]} as {self.source.path} has records"
+        raise InputError(self.codes.path, problem, "name the input that was classified")
 
     def _to_codes(self, codes: NDArray[Any], record: I64) -> U8:
         with np.errstate(invalid="ignore"):
@@ -148,39 +148,6 @@ class KeyedSource(DerivedSource):
         return packed
 
 
-class _CodeReader:
-    """Codes of a label file in steps of the records they belong to."""
-
-    def __init__(self, codes: CodeSource, records: str) -> None:
-        self._path = codes.path
-        self._records = records
-        self._chunks = codes.chunks()
-        self._rest: I64 = np.empty(0, np.int64)
-        self._n = 0
-
-    def take(self, n: int) -> I64:
-        """Return the next ``n`` codes."""
-        parts, held = [self._rest], len(self._rest)
-        while held < n:
-            chunk = next(self._chunks, None)
-            if chunk is None:
-                problem = f"found {self._n + held} class codes, expected one for every record of {self._records}"
-                raise InputError(self._path, f"{problem}, which has more", "name the input that was classified")
-            parts.append(chunk)
-            held += len(chunk)
-        codes = np.concatenate(parts) if len(parts) > 1 else parts[0]
-        self._rest = codes[n:]
-        self._n += n
-        return codes[:n]
-
-    def finish(self, n_records: int) -> None:
-        """Refuse codes that are left over."""
-        n_left = len(self._rest) + sum(len(chunk) for chunk in self._chunks)
-        if n_left:
-            problem = f"found {self._n + n_left} class codes, expected {n_records} as {self._records} has records"
-            raise InputError(self._path, problem, "name the input that was classified")
-
-
 @dataclass(frozen=True, slots=True)
 class Survey:
     """What one reading of the keys tells."""
@@ -222,8 +189,3 @@ def survey(source: KeyedSource) -> Survey:
         last = float(key[-1])
         low, high = min(low, float(key.min())), max(high, float(key.max()))
     return Survey(n, n_read, low if n else np.nan, high if n else np.nan, in_order)
-
-
-def in_key_order(source: KeyedSource, found: Survey, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-    """Yield the records by ascending key, of equal keys in record order; sorts on disk only what is not in order."""
-    return (source if found.in_order else sorted_by_time(source)).chunks(names)

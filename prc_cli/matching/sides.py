@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +16,22 @@ from prc_cli.formats.labels.read import CodeSource, open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.tables.read import open_table
+from prc_cli.matching.join import CODE, KEY, SAME, Columns
+from prc_cli.matching.places import AXES
+from prc_cli.matching.streams import in_step
 
-Columns: TypeAlias = dict[str, NDArray[Any]]
-
-KEY = "time"
-"""What the records are matched by, whatever it is; the name that :func:`prc_cli.stream.sorting.sorted_by_time`
-sorts by."""
-CODE, FILE, ROW = "code", "file", "row"
-"""Class code, index of the file, index of the record in it: int64, every side has them."""
-RETURN, RANGE, LINE, SCANNER = "return", "range", "line", "scanner"
-"""What a side may have: return number, range [m], scan line, scanner id; -1 (NaN for ranges) = not known."""
-AXES = ("x", "y", "z")
+FILE, ROW = "file", "row"
+"""Index of the file, index of the record in it: int64, every side has them and :data:`CODE`."""
+RANGE, LINE, SCANNER = "range", "line", "scanner"
+"""What a side may have: range [m], scan line, scanner id; -1 (NaN for ranges) = not known. :data:`SAME` is the return
+number, 0 to 255; 0 = not known."""
+MAX_RETURN = 255
 RECORD = "record"
 """Name of the record index, which files without such a column have too, but for LAS."""
 UNKNOWN = -1
 SCANNER_NAMES = ("scanner", "point_source_id", "scanner_channel")
 """Dimensions that tell scanners apart; the first one present is taken."""
-_NAMES = {RETURN: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES}
+_NAMES = {SAME: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES}
 _WHOLE = float(1 << 53)
 _INDEX = ""
 _MAX_ID = 1 << 31
@@ -154,7 +153,7 @@ class Side:
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver."""
-        names = [name for name in (RETURN, RANGE, LINE, SCANNER) if all(self._place(file, name) for file in self.files)]
+        names = [name for name in (SAME, RANGE, LINE, SCANNER) if all(self._place(file, name) for file in self.files)]
         key = [] if self.key == "order" else [KEY]
         axes = AXES if all(file.find((axis,)) for file in self.files for axis in AXES) else ()
         return (*key, CODE, FILE, ROW, *names, *axes)
@@ -241,7 +240,7 @@ class Side:
                 asked.setdefault(file.sources.index(place[0]), []).append(place[1])
         streams, codes_stand_in = _streams(file, asked)
         row = 0
-        for parts in _in_step(streams, file):
+        for parts in in_step(streams, lambda n: _check_lengths(file, n[0], n[-1], equal=len(set(n)) == 1)):
             n = len(next(iter(parts[0].values())))
             if codes_stand_in is None:
                 codes = parts[0][CODE]
@@ -267,7 +266,7 @@ class Side:
             return np.asarray(found, np.float64)
         if name == KEY:
             return self._ids(file, found, first)
-        return _whole(found)
+        return np.clip(_whole(found), 0, MAX_RETURN) if name == SAME else _whole(found)
 
     def _ids(self, file: SideFile, found: NDArray[Any], first: int) -> F64:
         """Return ids as float64, in which they must be exact."""
@@ -309,30 +308,8 @@ def _streams(file: SideFile, asked: dict[int, list[str]]) -> tuple[list[Iterator
     return streams, stand_in
 
 
-def _in_step(streams: list[Iterator[Columns]], file: SideFile) -> Iterator[list[Columns]]:
-    """Walk streams of the same records in equal steps; refuse different lengths."""
-    rest: list[Columns] = [{} for _ in streams]
-    seen = [0] * len(streams)
-    while True:
-        for k, stream in enumerate(streams):
-            while not _length(rest[k]):
-                chunk = next(stream, None)
-                if chunk is None:
-                    break
-                rest[k] = chunk
-                seen[k] += _length(chunk)
-        n = min(_length(columns) for columns in rest)
-        if not n:
-            break
-        yield [{name: values[:n] for name, values in columns.items()} for columns in rest]
-        rest = [{name: values[n:] for name, values in columns.items()} for columns in rest]
-    for k, stream in enumerate(streams):
-        seen[k] += sum(_length(chunk) for chunk in stream)
-    if len(set(seen)) > 1:
+def _check_lengths(file: SideFile, n_codes: int, n_records: int, *, equal: bool) -> None:
+    if not equal:
         points = file.points.path if file.points is not None else "its own columns"
-        problem = f"{seen[0]} class codes, but {points} holds {seen[-1]} records; expected a code for every record"
+        problem = f"{n_codes} class codes, but {points} holds {n_records} records; expected a code for every record"
         raise InputError(file.codes.path, problem, "name the input that was classified")
-
-
-def _length(columns: Columns) -> int:
-    return len(next(iter(columns.values()))) if columns else 0

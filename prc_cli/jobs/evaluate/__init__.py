@@ -28,23 +28,28 @@ from prc_cli.evaluation.splits import (
 )
 from prc_cli.formats.las.crs import same_crs, short_crs
 from prc_cli.formats.las.read import LasSource
-from prc_cli.matching import places as matching
-from prc_cli.matching.pairs import files_of, pair_files, stem_of
-from prc_cli.matching.places import Columns, JoinTally, Pairs
-from prc_cli.matching.sides import (
-    AXES,
+from prc_cli.matching.join import (
     CODE,
-    FILE,
     KEY,
+    SAME,
+    Columns,
+    JoinTally,
+    UnsortedError,
+    merge_join,
+)
+from prc_cli.matching.keys import MutualKeys
+from prc_cli.matching.pairs import files_of, pair_files, stem_of
+from prc_cli.matching.places import AXES, NearestPlaces
+from prc_cli.matching.sides import (
+    FILE,
     LINE,
     RANGE,
-    RETURN,
     ROW,
     SCANNER,
     Side,
     SideFile,
 )
-from prc_cli.stream.sorting import sorted_by_time
+from prc_cli.matching.streams import columns_of, in_step
 
 TIME_TOLERANCE_S = 6e-7
 """Half a microsecond, as times in text are rounded, and the step of float64 at a thousand million seconds. Shots of a
@@ -53,8 +58,6 @@ NEAREST_TOLERANCE_M = 0.05
 """A few times the rounding of registered clouds. Pairs are nearest to each other, so that it may exceed the spacing."""
 RECORDS_PER_LINE = 1000
 """Records that stand for a scan line in blocks of an input whose lines are not known."""
-SORT_RECORDS = 1 << 18
-"""Records of a side sorted in memory at a time; twice as many are held while merging."""
 SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner"}
 
 
@@ -225,36 +228,6 @@ def evaluate(
     return evaluate_all([Path(predicted)], [Path(reference)], mapping, options=options).matrix
 
 
-def pair_by_order(left: Iterator[Columns], right: Iterator[Columns], names: tuple[str, str]) -> Iterator[Pairs]:
-    """Walk two streams of records in equal steps.
-
-    Raises
-    ------
-    InputError
-        At the end, when their lengths differ; both are named.
-    """
-    rest: list[Columns] = [{CODE: np.empty(0, np.int64)}, {CODE: np.empty(0, np.int64)}]
-    seen = [0, 0]
-    streams = (left, right)
-    while True:
-        for side in (0, 1):
-            while not len(rest[side][CODE]):
-                chunk = next(streams[side], None)
-                if chunk is None:
-                    break
-                rest[side] = chunk
-                seen[side] += len(chunk[CODE])
-        n = min(len(rest[0][CODE]), len(rest[1][CODE]))
-        if not n:
-            break
-        one, other = ({name: values[:n] for name, values in columns.items()} for columns in rest)
-        yield one, other
-        rest = [{name: values[n:] for name, values in columns.items()} for columns in rest]
-    for side in (0, 1):
-        seen[side] += sum(len(chunk[CODE]) for chunk in streams[side])
-    refuse_poor_match(seen[0], seen[1], *names)
-
-
 def _check(options: EvaluateOptions) -> None:
     """Refuse options that make no sense."""
     kind, _, name = options.match.partition(":")
@@ -403,7 +376,7 @@ def _compare(
                 if FILE in beside:
                     beside[FILE] = beside[FILE] + first_file
                 _count(found, beside, cells_of(mapping, one[CODE], other[CODE]), options, by_lines=by_lines)
-        except matching.UnsortedError as error:
+        except UnsortedError as error:
             # most streams are in order and need no disk: that one is not shows on the way, and all is done again
             on_disk[error.side] = True
             continue
@@ -438,43 +411,30 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
     keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
     if options.match == "nearest":
         keys = (KEY, *AXES)
-    elif options.match == "time" and RETURN in has and RETURN in other_has:
-        keys = (KEY, RETURN)
+    elif options.match == "time" and SAME in has and SAME in other_has:
+        keys = (KEY, SAME)
     return _Plan(tuple(ours), tuple(theirs), keys)
 
 
 def _pairs(
     left: Side, right: Side, plan: _Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions
-) -> Iterator[Pairs]:
+) -> Iterator[tuple[Columns, Columns]]:
     """Start the match."""
     columns = (CODE, *plan.keys, *plan.ours), (CODE, *plan.keys, *plan.theirs)
-    streams = [
-        _stream(side, names, on_disk=disk) for side, names, disk in zip((left, right), columns, on_disk, strict=True)
-    ]
+    one, other = (
+        columns_of(side, names, sort=sort) for side, names, sort in zip((left, right), columns, on_disk, strict=True)
+    )
     names = left.path, right.path
-    tolerance = _tolerance(options) or 0.0
     if options.match == "order":
-        return _counted(pair_by_order(streams[0], streams[1], names), tally)
-    if options.match == "nearest":
-        return matching.join_by_place(streams[0], streams[1], tolerance, tally, names, one_to_one=options.one_to_one)
-    return matching.join_by_key(streams[0], streams[1], tolerance, tally, names)
-
-
-def _counted(pairs: Iterator[Pairs], tally: JoinTally) -> Iterator[Pairs]:
-    for one, other in pairs:
-        tally.n_pairs += len(one[CODE])
-        tally.n_right += len(one[CODE])
-        yield one, other
-
-
-def _stream(side: Side, names: tuple[str, ...], *, on_disk: bool) -> Iterator[Columns]:
-    """Read a side, in the order of its keys where that was asked for."""
-    source = sorted_by_time(side, run_records=SORT_RECORDS, merge_records=2 * SORT_RECORDS) if on_disk else side
-    for chunk in source.chunks(names):
-        values = dict(chunk.values)
-        if KEY in values:
-            values[matching.KEY] = values.pop(KEY)
-        yield values
+        for pair in in_step((one, other), lambda n: refuse_poor_match(n[0], n[1], *names)):
+            tally.n_pairs += len(pair[0][CODE])
+            tally.n_right += len(pair[0][CODE])
+            yield pair[0], pair[1]
+        return
+    tolerance = _tolerance(options) or 0.0
+    match = NearestPlaces(tolerance, options.one_to_one) if options.match == "nearest" else MutualKeys(tolerance)
+    for joined in merge_join(one, other, match, tolerance, tally, names):
+        yield joined.pairs()
 
 
 def _count(
@@ -514,7 +474,7 @@ def _report(left: Side, right: Side, tally: JoinTally, counts: _Counts, options:
         tally.n_ambiguous,
     )
     counts.note(f"{{n}} pairs share their {shared} with other pairs: paired in their order", tally.n_in_order)
-    if options.match == "time" and not (RETURN in left.dimensions and RETURN in right.dimensions):
+    if options.match == "time" and not (SAME in left.dimensions and SAME in right.dimensions):
         counts.note("return numbers are not on both sides: not compared")
     _refuse_poor(left, right, tally, options)
 
