@@ -35,10 +35,10 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.matching.join import CODE, KEY, SAME, JoinTally, merge_join
+from prc_cli.matching.key_rule import KeyRule
 from prc_cli.matching.keyed_source import (
     MAX_SAME,
     KeyedSource,
-    KeyRule,
     Survey,
     survey,
 )

@@ -14,6 +14,7 @@ from prc_cli.core.types import F64, I64, U8
 from prc_cli.formats.labels.read import NO_CODE, CodeSource
 from prc_cli.formats.records import DerivedSource, RecordChunk
 from prc_cli.matching.join import CODE, KEY, SAME
+from prc_cli.matching.key_rule import KeyRule, exact_keys
 from prc_cli.matching.streams import RECORD, columns_of, in_step
 
 MISSING = 0
@@ -22,27 +23,6 @@ MAX_SAME = 3
 """Numbers of 16 bits that are packed into the one that must be equal."""
 _FOUND = "found code"
 _LIMIT_16 = 1 << 16
-_EXACT = float(1 << 53)
-"""Whole numbers up to here are exact in float64."""
-
-
-@dataclass(frozen=True, slots=True)
-class KeyRule:
-    """What a record is found by."""
-
-    kind: str
-    """``time``, ``dimension``, ``record`` (index in the input) or ``rank`` (index among the records with a class)."""
-    dimension: str = "time"
-    """Dimension that holds the key, for the first two kinds."""
-    same: tuple[str, ...] = ()
-    """Integer dimensions (0 to 65535) that must be equal beside the key, such as ``return_number``; at most three."""
-    offset: float = 0.0
-    """Added to the key [s for times]."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Dimensions that the rule reads."""
-        return (*((self.dimension,) if self.kind in ("time", "dimension") else ()), *self.same)
 
 
 @dataclass(frozen=True)
@@ -119,16 +99,12 @@ class KeyedSource(DerivedSource):
         if rule.kind == "rank":
             return np.arange(n_before, n_before + len(record), dtype=np.float64)
         stored = values[rule.dimension]
-        key = stored.astype(np.float64)
+        key, right = exact_keys(stored)
+        expected = "a whole number below 2^53"
         if rule.kind == "time":
-            wrong = ~np.isfinite(key)
-            expected = "a finite time"
-        else:
-            with np.errstate(invalid="ignore"):
-                wrong = ~((np.abs(key) < _EXACT) & (np.floor(key) == key))
-            expected = "a whole number below 2^53"
-        if wrong.any():
-            at = int(np.argmax(wrong))
+            right, expected = np.isfinite(key), "a finite time"
+        if not right.all():
+            at = int(np.argmin(right))
             problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
             raise InputError(self.path, problem, "leave such points out, or match by something else with --by")
         return key + rule.offset if rule.offset else key

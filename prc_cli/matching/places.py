@@ -9,10 +9,10 @@ import numpy as np
 
 from prc_cli.core.types import F64, I64
 from prc_cli.matching.join import CODE, Columns, Match
+from prc_cli.matching.key_rule import AXES
 from prc_cli.matching.keys import both
 from prc_cli.matching.ties import pair_in_order
 
-AXES = ("x", "y", "z")
 _TREE = {"balanced_tree": False, "compact_nodes": False}
 """Medians are slow where many points share a coordinate, as on a grid."""
 

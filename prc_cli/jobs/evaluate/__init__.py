@@ -37,9 +37,10 @@ from prc_cli.matching.join import (
     UnsortedError,
     merge_join,
 )
+from prc_cli.matching.key_rule import AXES, KeyRule
 from prc_cli.matching.keys import MutualKeys
 from prc_cli.matching.pairs import files_of, pair_files, stem_of
-from prc_cli.matching.places import AXES, NearestPlaces
+from prc_cli.matching.places import NearestPlaces
 from prc_cli.matching.sides import (
     FILE,
     LINE,
@@ -328,13 +329,13 @@ def _note_missing(paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, 
             counts.note(f"{len(missing)} {who} {have} no partner, left out: {shown}")
 
 
-def _keys(options: EvaluateOptions) -> tuple[str, str]:
+def _keys(options: EvaluateOptions) -> tuple[KeyRule | None, KeyRule | None]:
     """Return what either side is read by; for ``nearest`` the axis is chosen later."""
-    if not options.match.startswith("dimension:"):
-        key = "x" if options.match == "nearest" else options.match
-        return key, key
-    left, _, right = options.match.removeprefix("dimension:").partition("=")
-    return f"dimension:{left}", f"dimension:{right or left}"
+    if options.match.startswith("dimension:"):
+        left, _, right = options.match.removeprefix("dimension:").partition("=")
+        return KeyRule("dimension", left), KeyRule("dimension", right or left)
+    key = {"order": None, "time": KeyRule("time"), "nearest": KeyRule("place", AXES[0])}[options.match]
+    return key, key
 
 
 def _open(files: list[Path], dimension: str | None, points: Path | None) -> list[SideFile]:
@@ -364,8 +365,8 @@ def _compare(
         counts.note(f"{SPLITS[name]}: taken from the reference")
     if options.match == "nearest":
         _check_crs(left, right, counts)
-        axis = _longest_axis(right)
-        left, right = replace(left, key=axis), replace(right, key=axis)
+        key = KeyRule("place", _longest_axis(right))
+        left, right = replace(left, key=key), replace(right, key=key)
     on_disk = [options.match == "nearest"] * 2
     while True:
         found = {name: GroupedCounts(mapping, name) for name in counts.parts}
@@ -487,7 +488,7 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
     smaller = left.path if ours <= theirs else right.path
     share = f"{found} of its {of} records found a partner in {right.path if ours <= theirs else left.path}"
     if not found:
-        name = left.key.removeprefix("dimension:")
+        name = "key" if left.key is None else left.key.dimension
         spans = [f"{name} {side.tally.low:.9g} to {side.tally.high:.9g}" for side in (left, right)]
         share = f"{share}: {left.path} has {spans[0]}, {right.path} has {spans[1]}"
     else:
@@ -508,7 +509,7 @@ def _longest_axis(side: Side) -> str:
             header = place[0].header
             low, high = np.minimum(low, header.mins), np.maximum(high, header.maxs)
             continue
-        for chunk in Side([file], "x").chunks(AXES):
+        for chunk in Side([file], KeyRule("place", AXES[0])).chunks(AXES):
             if chunk.n:
                 xyz = np.stack([chunk.values[axis] for axis in AXES])
                 low, high = np.minimum(low, xyz.min(axis=1)), np.maximum(high, xyz.max(axis=1))
