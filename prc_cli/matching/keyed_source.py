@@ -124,6 +124,32 @@ class KeyedSource(DerivedSource):
         return packed
 
 
+@dataclass(frozen=True)
+class CodesAlone:
+    """Labels without records as a source: their number and order is all that is known."""
+
+    codes: CodeSource
+    format: str = "labels"
+    dimensions: tuple[str, ...] = ()
+
+    @property
+    def path(self) -> str:
+        """File name, for messages."""
+        return self.codes.path
+
+    @property
+    def n_records(self) -> int | None:
+        """Number of records; None if only reading can tell."""
+        return self.codes.n
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Count the codes."""
+        first = 0
+        for codes in self.codes.chunks():
+            yield RecordChunk(first, {}, len(codes))
+            first += len(codes)
+
+
 @dataclass(frozen=True, slots=True)
 class Survey:
     """What one reading of the keys tells."""
