@@ -1,4 +1,4 @@
-"""Pages of HTML from templates, in which text is escaped unless a template says otherwise."""
+"""HTML pages from templates; text is escaped unless a template marks it safe."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def render_page(
     filters, tests : mapping, optional
         Functions that the template calls.
     """
-    # only who writes a page pays for the import
+    # imported here, so that only writing a page costs the import
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -44,7 +44,7 @@ def render_page(
 
 
 def _printable(value: object) -> object:
-    # what a filter or a macro has made safe is another type than str
+    # text marked safe is a subclass of str, and stays as it is
     if type(value) is str and not value.isprintable():
         return "".join(character if character.isprintable() else " " for character in value)
     return value

@@ -1,4 +1,4 @@
-"""An evaluation as one HTML page that needs nothing else: no network, no script, light and dark, fit for print."""
+"""An evaluation as one self-contained HTML page: no network, no scripts, light and dark, printable."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def as_html(
 
 
 def check_picture(name: str, content: bytes) -> None:
-    """Refuse what is no picture that the page can show.
+    """Refuse pictures that are not PNG.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def _largest(shown: ConfusionMatrix) -> list[tuple[int, str, str]]:
 
 
 def _of_evaluation(found: Evaluation, shown: ConfusionMatrix) -> dict[str, Any]:
-    """Return what a matrix alone does not have."""
+    """Return the values that only an evaluation has, not a matrix alone."""
     match = found.match
     n_reference_matched = match.n_matched if match.n_reference_matched is None else match.n_reference_matched
     return {

@@ -1,9 +1,9 @@
 """The merge join: one sweep over two streams that are sorted by the same key.
 
-The key is a time, an id or a coordinate. A window moves along it and holds, of either side, all records that can have
-a say about those that are decided next. A matcher pairs the records of a window in memory
-(:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.places`). The pairs therefore depend neither on how the streams
-are chunked nor on what was paired before, and memory does not grow with the streams.
+The key is a time, an id or a coordinate. A window moves along it. It holds, of both sides, every record that can
+influence the pairs of the records that are decided next. A matcher pairs the records of a window in memory
+(:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.places`). The pairs therefore do not depend on how the streams are
+chunked, and memory does not grow with the streams.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 """(n,) arrays of the same records by name."""
 
 KEY = "time"
-"""Column that the streams are sorted by, float64, finite, whatever it is: the name that
-:func:`prc_cli.stream.sorting.sorted_by_time` sorts by."""
+"""Column that the streams are sorted by, float64, finite. It is called ``time`` also where it holds an id or a
+coordinate, because :func:`prc_cli.stream.sorting.sorted_by_time` sorts by that name."""
 SAME = "same"
 """Column that must be equal in a pair beside the key, int64, 0 or more: return number, scanner."""
 CODE = "code"
@@ -54,7 +54,7 @@ class UnsortedError(Exception):
 
 @dataclass(slots=True)
 class JoinTally:
-    """What a join met; records are those of the left side unless a text says otherwise."""
+    """Counts of a join; of left records unless stated otherwise."""
 
     n_left: int = 0
     n_pairs: int = 0
@@ -73,7 +73,7 @@ class JoinTally:
     n_other_same: int = 0
     """Records without partner whose key has a right record with another :data:`SAME` (another return)."""
     largest: float = 0.0
-    """Largest distance of a pair, where the matcher tells distances."""
+    """Largest distance of a pair; 0 where the matcher gives no distances."""
     distances: I64 = field(default_factory=lambda: np.zeros(len(DECADES) + 1, np.int64))
     """(17,) int64, records without partner by the distance to the nearest right one: to 10^-9, 10^-8, ..., beyond."""
 
@@ -129,7 +129,7 @@ class Joined:
     """(pairs,) index in ``right``."""
 
     def pairs(self) -> tuple[Columns, Columns]:
-        """Return the columns of either side, the k-th record of one and of the other a pair."""
+        """Return the columns of both sides in pairs: row k of the left belongs to row k of the right."""
         return {n: v[self.at] for n, v in self.left.items()}, {n: v[self.to] for n, v in self.right.items()}
 
 
@@ -158,7 +158,7 @@ def merge_join(
     names : (str, str)
         Files, for messages.
     spare : int
-        Right records beyond the tolerance that the matcher sees at either end of a window, to tell distances.
+        Right records beyond the tolerance that the matcher sees at both ends of a window, to measure distances.
 
     Yields
     ------
@@ -182,7 +182,7 @@ def merge_join(
             behind.read()
         limit = min((side.last for side in sides if side.is_open), default=math.inf)
         high = limit if math.isinf(limit) else float(np.nextafter(limit - reach, -math.inf)) if reach else limit
-        if high <= low or not (math.isinf(limit) or _is_worth(sides, low, high)):
+        if high <= low or not (math.isinf(limit) or _is_worthwhile(sides, low, high)):
             continue
         window = sides[0].between(low - reach, limit), sides[1].between(low - reach, limit, spare)
         yield from _decide(*window, (low, high), match, tally)
@@ -233,10 +233,10 @@ def _in_steps(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
             yield {name: values[first : first + STEP_RECORDS] for name, values in chunk.items()}
 
 
-def _is_worth(sides: tuple[_Window, _Window], low: float, high: float) -> bool:
-    """Whether a window decides at least half as many records as it has to look at.
+def _is_worthwhile(sides: tuple[_Window, _Window], low: float, high: float) -> bool:
+    """Return whether a window decides at least half of the records it holds.
 
-    Where records are dense against the tolerance, small steps would look at the same ones again and again.
+    Many records within the tolerance would otherwise be matched again and again in small steps.
     """
     decided = sum(side.count(low, high) for side in sides)
     return 2 * decided >= sum(side.n_held for side in sides)
@@ -283,7 +283,7 @@ class _Window:
         return {name: values[max(first - spare, 0) : stop + spare] for name, values in self._held.items()}
 
     def drop(self, low: float, spare: int = 0) -> None:
-        """Forget the records with ``key < low``, but for the last ``spare`` of them."""
+        """Drop the records with ``key < low`` except the last ``spare`` of them."""
         first = int(np.searchsorted(self._held[KEY], low)) - spare
         if first > 0:
             self._held = {name: values[first:] for name, values in self._held.items()}

@@ -1,4 +1,4 @@
-"""What records are found by: a time, a record index, a dimension of whole numbers, or a place."""
+"""Keys by which records are matched: a time, a record index, a dimension of whole numbers, or a place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _EXACT = float(1 << 53)
 
 @dataclass(frozen=True, slots=True)
 class KeyRule:
-    """What a record is found by."""
+    """The key by which a record is matched."""
 
     kind: str
     """``time``, ``dimension``, ``record`` (index in the input), ``rank`` (index among the records with a class) or
@@ -31,7 +31,7 @@ class KeyRule:
 
     @property
     def key_names(self) -> tuple[str, ...]:
-        """Dimensions that tell the key."""
+        """Dimensions that hold the key."""
         return AXES if self.kind == "place" else (self.dimension,) if self.kind in ("time", "dimension") else ()
 
     @property

@@ -139,7 +139,7 @@ class CodesAlone:
 
     @property
     def n_records(self) -> int | None:
-        """Number of records; None if only reading can tell."""
+        """Number of records; None if it is not known before reading."""
         return self.codes.n
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
@@ -152,7 +152,7 @@ class CodesAlone:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What one reading of the keys tells."""
+    """Number, bounds and order of the keys of a source."""
 
     n_records: int
     """Records with a class."""
@@ -176,7 +176,7 @@ def survey(source: KeyedSource) -> Survey:
     Raises
     ------
     InputError
-        As :meth:`KeyedSource.chunks` does: what is wrong with a side is known before any work is done.
+        As :meth:`KeyedSource.chunks` does, so that a damaged side is refused before any work is done.
     """
     n = n_read = 0
     low, high, last, in_order = np.inf, -np.inf, -np.inf, True

@@ -1,4 +1,4 @@
-"""One side of an evaluation: class codes of one or several files, with what they are matched and split by."""
+"""One side of an evaluation: class codes of one or several files, with the columns to match and split by."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ RANGE, LINE, SCANNER = "range", "line", "scanner"
 number, 0 to 255; 0 = not known."""
 MAX_RETURN = 255
 RECORD = "record"
-"""Name of the record index, which files without such a column have too, but for LAS."""
+"""Name of the record index. Files without such a column have it too, except LAS files."""
 UNKNOWN = -1
 SCANNER_NAMES = ("scanner", "point_source_id", "scanner_channel")
-"""Dimensions that tell scanners apart; the first one present is taken."""
+"""Dimensions that identify the scanner; the first one present is taken."""
 _NAMES = {SAME: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES}
 _INDEX = ""
 _CODES = "class codes"
@@ -77,7 +77,7 @@ class SideFile:
         return tuple(source for source in (self.table, self.points) if source is not None)
 
     def find(self, names: tuple[str, ...]) -> tuple[RecordSource, str] | None:
-        """Return where the first of some dimensions stands, and its name there."""
+        """Return the source that holds the first of some dimensions, and its name there."""
         for source in self.sources:
             for name in names:
                 if name in source.dimensions:
@@ -86,7 +86,7 @@ class SideFile:
 
     @property
     def is_las(self) -> bool:
-        """Whether any of the files is LAS, whose records have been through other hands."""
+        """Whether the file is LAS: its records may have been filtered or reordered since the run."""
         return isinstance(self.table, LasSource)
 
     @property
@@ -98,7 +98,7 @@ class SideFile:
 
 @dataclass(slots=True)
 class SideTally:
-    """What one reading of a side met."""
+    """Counts of one reading of a side."""
 
     n_records: int = 0
     n_not_finite: int = 0
@@ -148,7 +148,7 @@ class Side:
 
     @property
     def n_records(self) -> int | None:
-        """Only reading can tell."""
+        """Not known before reading."""
         return None
 
     @property
@@ -219,7 +219,7 @@ class Side:
         return () if self.key is None else self.key.key_names
 
     def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
-        """Return where a column of a side stands in a file; None as the source = it is counted."""
+        """Return the source of a column and its name there; a source of None = the column is counted."""
         if name == LINE and self.points_per_line is not None:
             return file.find(_NAMES[LINE]) or (None, _INDEX)
         found = file.find(_NAMES.get(name, (name,)))
@@ -228,7 +228,7 @@ class Side:
         return found
 
     def _read(self, file: SideFile, names: tuple[str, ...]) -> Iterator[tuple[Columns, I64]]:
-        """Yield the columns of one file but for :data:`FILE` and :data:`ROW`, and the latter."""
+        """Yield the columns of one file, without :data:`FILE` and :data:`ROW`, and the index of every record."""
         wanted = {name: name for name in names if name not in (CODE, FILE, ROW)}
         if KEY in wanted and self.key is not None:
             wanted[KEY] = self.key.dimension
@@ -239,7 +239,7 @@ class Side:
         for place in places.values():
             if place is not None and place[0] is not None:
                 asked.setdefault(file.sources.index(place[0]), []).append(place[1])
-        # codes that stand beside columns of the same file are read with these, once
+        # codes in the same file as other columns are read together with them, once
         beside = file.table is not None and 0 in asked and file.codes.name in file.table.dimensions
         if beside:
             asked[0].append(file.codes.name)
@@ -281,7 +281,7 @@ class Side:
 
 
 def _whole(found: NDArray[Any]) -> I64:
-    """Return whole numbers as int64, -1 where a value is none or beyond what an id or a line can be."""
+    """Return whole numbers as int64, -1 for NaN, negative numbers and numbers of 2^31 or more."""
     with np.errstate(invalid="ignore"):
         wide = found.astype(np.float64)
         known = (wide >= 0) & (wide < _MAX_ID)

@@ -1,4 +1,4 @@
-"""Records that share a key or a place: which of one side belongs to which of the other."""
+"""Pairs among records that share a key or a place."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def pair_in_order(
 ) -> Match:
     """Pair the members of groups that are partners, the k-th of one with the k-th of the other.
 
-    If one side has more members, nobody knows which of them is missing on the other: they are left out, unless those
-    of the side that has more are all of one class, so that it makes no difference.
+    If one side has more members, it is unknown which of them the other side lacks. They are left out, unless all
+    members of the larger side have one class: then the choice makes no difference.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def pair_in_order(
         right_alike = _alike(classes[1][right_at], right_first, right_count)
         clear = np.where(left_count > right_count, left_alike, right_alike)
         n_pairs = np.where(equal | clear, np.minimum(left_count, right_count), 0)
-    # the members of a group stand together on either side
+    # the members of a group are adjacent on both sides
     member = np.arange(n_pairs.sum()) - np.repeat(np.cumsum(n_pairs) - n_pairs, n_pairs)
     left_pair = left_at[np.repeat(left_first, n_pairs) + member]
     right_pair = right_at[np.repeat(right_first, n_pairs) + member]

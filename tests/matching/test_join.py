@@ -15,7 +15,7 @@ from prc_cli.matching.keys import NearestLabel
 from tests.matching.samples import join_by_key, pairs_of
 
 
-def test_what_goes_back_is_told_by_its_side() -> None:
+def test_an_unsorted_side_is_named() -> None:
     rising, falling = {KEY: np.array([1.0, 2.0])}, {KEY: np.array([2.0, 1.0])}
     for side, streams in ((0, (falling, rising)), (1, (rising, falling))):
         with pytest.raises(UnsortedError) as caught:
@@ -23,14 +23,14 @@ def test_what_goes_back_is_told_by_its_side() -> None:
         assert caught.value.side == side
 
 
-def test_one_key_for_everything_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_records_of_one_key_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(join_module, "MAX_HELD", 1000)
     same = [{KEY: np.ones(100), "id": np.arange(100)}] * 20
     with pytest.raises(InputError, match="left: more than 1000 records within the tolerance of key 1"):
         list(join_by_key(iter(same), iter(same), 0.0, JoinTally()))
 
 
-def test_little_is_held(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_windows_stay_small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(join_module, "MAX_HELD", 300)
     chunks = ({KEY: np.arange(k, k + 100) * 1.0, "id": np.arange(k, k + 100)} for k in range(0, 100_000, 100))
     rare = ({KEY: np.array([float(k)]), "id": np.array([k])} for k in range(0, 100_000, 1000))

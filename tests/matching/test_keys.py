@@ -146,7 +146,7 @@ def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
         assert tally.n_pairs == np.count_nonzero(np.array(expected) >= 0)
 
 
-def test_distances_tell_which_tolerance_would_help() -> None:
+def test_distances_show_which_tolerance_would_help() -> None:
     one = np.ones(10, np.int64)
     tally = JoinTally()
     found = list(join(chunked(np.arange(10.0), one, one, 4), chunked(np.arange(10.0) + 0.004, one, one, 3), tally))

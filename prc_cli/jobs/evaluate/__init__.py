@@ -1,4 +1,4 @@
-"""Joins label files into one confusion matrix: who is compared with whom, how, and in which parts."""
+"""Comparison of label files: match their records, count the pairs in one confusion matrix and in parts."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def evaluate_all(
     ----------
     predicted, reference : sequence of path
         As many on either side: the k-th of one is compared with the k-th of the other. Two folders: the files of one
-        name (but for the suffix). A file against a folder, folders whose names differ, different numbers, or
+        name (except the suffix). A file against a folder, folders whose names differ, different numbers, or
         ``pool``, where the match is not by order: all files of a side are one, for example the tiles of a reference.
     mapping : ClassMapping, name or path
         Which codes mean which class on either side: a preset name, a TOML file or a mapping.
@@ -92,7 +92,7 @@ def evaluate_all(
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
     pools = open_pools(*paths, options)
     counts = Counts(found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))})
-    # blocks of all pools are made alike: of lines where every pool knows its lines
+    # blocks are counted in lines only if every pool knows its lines
     by_lines = all(LINE in (*left.dimensions, *right.dimensions) for left, right in pools)
     names: list[str] = []
     for left, right in pools:
@@ -165,7 +165,7 @@ def _compare(
     """Match one pool of files and count its pairs."""
     plan = _plan(left, right, options, by_lines=by_lines)
     mapping = counts.mapping
-    for name in plan.theirs:
+    for name in plan.reference:
         counts.note(f"{SPLITS[name]}: taken from the reference")
     if options.match == "nearest":
         _check_crs(left, right, counts)
@@ -177,12 +177,12 @@ def _compare(
         tally = JoinTally()
         try:
             for one, other in _pairs(left, right, plan, tally, on_disk, options):
-                beside = {name: other[name] for name in plan.theirs} | {name: one[name] for name in plan.ours}
+                beside = {name: other[name] for name in plan.reference} | {name: one[name] for name in plan.predicted}
                 if FILE in beside:
                     beside[FILE] = beside[FILE] + first_file
                 count_pairs(found, beside, cells_of(mapping, one[CODE], other[CODE]), options, by_lines=by_lines)
         except UnsortedError as error:
-            # most streams are in order and need no disk: that one is not shows on the way, and all is done again
+            # most streams are sorted already; one that is not is sorted on disk, and the match starts again
             on_disk[error.side] = True
             continue
         break
@@ -193,12 +193,12 @@ def _compare(
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """Columns beside the codes, by the side they are taken from."""
+    """Columns beside the codes, by the side they are read from."""
 
-    ours: tuple[str, ...]
-    theirs: tuple[str, ...]
+    predicted: tuple[str, ...]
+    reference: tuple[str, ...]
     keys: tuple[str, ...]
-    """Columns that the match itself needs, of both sides."""
+    """Columns of both sides that the match itself needs."""
 
 
 def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> _Plan:
@@ -209,23 +209,23 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
             hint = "give -M, or --predicted-points with the points of the labels"
             raise ConfigError(f"split by {SPLITS[name]}", problem, hint)
-    ours = [name for name in wanted if name in has]
-    theirs = [name for name in wanted if name not in has and name in other_has]
+    predicted = [name for name in wanted if name in has]
+    reference = [name for name in wanted if name not in has and name in other_has]
     if "blocks" in asked or LINE in asked:
-        ours += [FILE, ROW]
+        predicted += [FILE, ROW]
     keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
     if options.match == "nearest":
         keys = (KEY, *AXES)
     elif options.match == "time" and SAME in has and SAME in other_has:
         keys = (KEY, SAME)
-    return _Plan(tuple(ours), tuple(theirs), keys)
+    return _Plan(tuple(predicted), tuple(reference), keys)
 
 
 def _pairs(
     left: Side, right: Side, plan: _Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions
 ) -> Iterator[tuple[Columns, Columns]]:
-    """Start the match."""
-    columns = (CODE, *plan.keys, *plan.ours), (CODE, *plan.keys, *plan.theirs)
+    """Yield pairs of records as options ask."""
+    columns = (CODE, *plan.keys, *plan.predicted), (CODE, *plan.keys, *plan.reference)
     one, other = (
         columns_of(side, names, sort=sort) for side, names, sort in zip((left, right), columns, on_disk, strict=True)
     )
@@ -268,12 +268,13 @@ def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: 
 
 
 def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions) -> None:
-    ours, theirs = left.tally.n_usable, right.tally.n_usable
-    found, of = (tally.n_pairs, ours) if ours <= theirs else (tally.n_right, theirs)
+    n_left, n_right = left.tally.n_usable, right.tally.n_usable
+    smaller, other, found, of = (left, right, tally.n_pairs, n_left)
+    if n_right < n_left:
+        smaller, other, found, of = (right, left, tally.n_right, n_right)
     if found and found >= options.min_matched * of:
         return
-    smaller = left.path if ours <= theirs else right.path
-    share = f"{found} of its {of} records found a partner in {right.path if ours <= theirs else left.path}"
+    share = f"{found} of its {of} records found a partner in {other.path}"
     if not found:
         name = "key" if left.key is None else left.key.dimension
         spans = [f"{name} {side.tally.low:.9g} to {side.tally.high:.9g}" for side in (left, right)]
@@ -284,7 +285,7 @@ def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOpt
         "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
         "nearest": "check that both clouds are registered in one coordinate system, or give a larger tolerance",
     }
-    raise InputError(smaller, share, hints.get(options.match, "check that the ids come from one run"))
+    raise InputError(smaller.path, share, hints.get(options.match, "check that the ids come from one run"))
 
 
 def _longest_axis(side: Side) -> str:

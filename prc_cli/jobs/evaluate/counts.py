@@ -1,4 +1,4 @@
-"""What an evaluation counts: the whole, the parts of its splits, the blocks of its intervals."""
+"""Counts of an evaluation: all pairs, the parts of its splits, the blocks of its intervals."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from prc_cli.matching.sides import (
 )
 
 RECORDS_PER_LINE = 1000
-"""Records that stand for a scan line in blocks of an input whose lines are not known."""
+"""Records taken as one scan line in the blocks of an input without known lines."""
 SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner"}
 
 
@@ -61,7 +61,7 @@ class Counts:
 
 
 def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
-    """Return what is counted beside the whole."""
+    """Return the splits, and ``blocks`` of intervals, that the options ask for."""
     asked = {
         RANGE: bool(options.split_range_m),
         LINE: options.split_lines is not None,

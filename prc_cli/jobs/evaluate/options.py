@@ -1,4 +1,4 @@
-"""How two sides of an evaluation are compared."""
+"""Options of ``prc evaluate``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prc_cli.evaluation.splits import (
 
 TIME_TOLERANCE_S = 6e-7
 """Half a microsecond, as times in text are rounded, and the step of float64 at a thousand million seconds. Shots of a
-scanner of up to 1 MHz lie further apart, so that none slips to its neighbour."""
+scanner of up to 1 MHz lie further apart, so none is paired with its neighbour."""
 NEAREST_TOLERANCE_M = 0.05
 """A few times the rounding of registered clouds. Pairs are nearest to each other, so that it may exceed the spacing."""
 
@@ -44,7 +44,7 @@ class EvaluateOptions:
     split_lines: int | None = None
     """Scan lines of a part; None = not split."""
     split_scanner: bool = False
-    """Whether scanners are told apart."""
+    """Whether every scanner is a part."""
     points_per_line: int | None = None
     """M, where records are shots of a dense stream: the line of record i is i // M."""
     intervals: str | None = None
@@ -58,7 +58,7 @@ class EvaluateOptions:
     allow_missing: bool = False
     """Whether files of a folder that have no partner in the other one are left out instead of refused."""
     pool: bool = False
-    """Whether all files of a side are one, whatever their names: tiles of one name that are cut differently."""
+    """Whether all files of a side are compared as one: for tiles of the same names with different bounds."""
 
 
 def check_options(options: EvaluateOptions) -> None:

@@ -1,4 +1,4 @@
-"""Which files of either side are compared with which."""
+"""Files of both sides, opened and grouped into what is compared with each other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from prc_cli.matching.sides import (
 
 
 def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOptions) -> list[tuple[Side, Side]]:
-    """Return which files of either side are compared with which."""
+    """Return the sides that are compared with each other."""
     if not predicted or not reference:
         raise ConfigError("files", "found none on one side, expected predicted and reference files")
     for path in (*predicted, *reference):
@@ -49,7 +49,7 @@ def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOp
 
 
 def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[Path], list[Path]]]:
-    """Return the pairs of two files or folders, or all against all where names do not tell and keys do."""
+    """Return the pairs of two files or folders, or one pool of all files if names do not pair and keys can."""
     try:
         return [([a], [b]) for a, b in pair_files(one, other, allow_missing=options.allow_missing)]
     except InputError:

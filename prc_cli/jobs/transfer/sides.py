@@ -39,7 +39,7 @@ _ROUNDING_STEPS = 2.0
 
 @dataclass(slots=True)
 class TransferSides:
-    """What the two inputs are, and what was taken for granted."""
+    """The two inputs, and what was assumed about them."""
 
     labels: KeyedSource
     points: KeyedSource
@@ -52,7 +52,7 @@ class TransferSides:
 
 
 def check_paths(labels: Path, registered: Path, output: Path, points: Path | None) -> None:
-    """Refuse files that cannot be what they are named for."""
+    """Refuse files whose suffix does not fit their role."""
     if output.suffix.lower() not in LAS_SUFFIXES:
         raise ConfigError(str(output), f"found suffix {output.suffix!r}, expected .las or .laz", "name OUT so")
     suffix = suffix_of(registered)
@@ -129,7 +129,7 @@ def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, opt
 
 
 def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: TransferOptions) -> KeyedSource:
-    # seconds of week begin again within a drive; what they are matched with does not
+    # seconds of week may start again within a drive, while the times of the points do not
     source = WeekSource(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
     if suffix_of(labels) in LAS_SUFFIXES:
         name = options.dimension or "classification"
@@ -211,7 +211,7 @@ def _equal_order(
 
 
 def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse keys that have nothing in common, with the offset between usual time scales that would help."""
+    """Refuse keys that do not overlap, naming the offset between usual time scales that would help."""
     labels, points = sides.found
     slack = sides.tolerance
     if labels.low <= points.high + slack and points.low <= labels.high + slack:

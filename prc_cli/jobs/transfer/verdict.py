@@ -12,7 +12,7 @@ from prc_cli.jobs.transfer.sides import TransferSides
 from prc_cli.matching.join import JoinTally
 
 CHANCE = 0.25
-"""Half of the times that have nothing to do with the labels' lie within this share of the step between these."""
+"""Half of all random times lie within this share of the step between the labels from a label."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def counts_of(tally: JoinTally, n_changed: int, sides: TransferSides) -> Transfe
 
 
 def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse a match of too few records, saying what may help; or one whose keys do not tell the labels apart.
+    """Refuse a match of too few records, saying what may help; or one with too many ambiguous keys.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferS
 
 
 def _refuse_guesses(counts: TransferCounts, sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse matches whose key does not tell the labels apart."""
+    """Refuse matches in which too many points have several labels of different classes."""
     ordered = all(found.in_order for found in sides.found)
     # records that were moved around do not pair by their order
     n_guessed = counts.n_by_majority + (0 if ordered else counts.n_in_order)
