@@ -20,8 +20,9 @@ from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
 from prc_cli.evaluation.result import Evaluation
 from prc_cli.evaluation.scores import scores
-from prc_cli.jobs.class_pictures import class_pictures
-from prc_cli.jobs.evaluate import EvaluateOptions, evaluate_all
+from prc_cli.jobs.evaluate import evaluate_all
+from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.matching.pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}

@@ -18,8 +18,9 @@ from prc_cli.config import load_config
 from prc_cli.core.config import read_toml
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.options import Layout
-from prc_cli.jobs.transfer import TransferOptions, TransferSummary
+from prc_cli.jobs.transfer import TransferSummary
 from prc_cli.jobs.transfer import transfer as transfer_files
+from prc_cli.jobs.transfer.options import TransferOptions
 
 
 @click.command()

@@ -36,7 +36,7 @@ class ConfusionMatrix:
 
     @property
     def scored_names(self) -> tuple[str, ...]:
-        """Classes that stand on both sides, in the order of the rows."""
+        """Classes of both sides, in the order of the rows."""
         return scored_names(self.reference_names, self.predicted_names)
 
     @property
@@ -80,7 +80,7 @@ class ConfusionMatrix:
         return shares(self.counts, self.counts.sum(axis=0, keepdims=True))
 
     def trimmed(self) -> ConfusionMatrix:
-        """Leave out the classes that no scored record has on either side; for display.
+        """Leave out the classes without scored records on both sides; for display.
 
         Examples
         --------
@@ -121,7 +121,7 @@ def accumulate(
     Raises
     ------
     InputError
-        When the lengths differ, or a code stands in no list of the mapping.
+        When the lengths differ, or the mapping does not list a code.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Figures that an evaluation must reach, ``recall.ground=0.95``: for scripts that run at night."""
+"""Scores that an evaluation must reach, ``recall.ground=0.95``, for unattended runs."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Gate:
 
 @dataclass(frozen=True, slots=True)
 class GateResult:
-    """What became of a demand."""
+    """A demand and the score that was found."""
 
     name: str
     limit: float
     value: float
-    """NaN where the score is undefined, which has not reached any figure."""
+    """NaN where the score is undefined, which reaches no limit."""
 
     @property
     def passed(self) -> bool:

@@ -83,7 +83,7 @@ def _jackknife(
     found = {}
     for name, value in centre.items():
         left_out = np.concatenate([part[name] for part in parts])
-        # a score that hangs on a single block is not defined without it: then there is no telling
+        # a score that depends on a single block is undefined without it, and so is its interval
         n = len(left_out)
         error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
         half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error

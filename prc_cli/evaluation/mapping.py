@@ -35,7 +35,7 @@ _TABLE_SIZE = 2**16
 class ClassMapping(Params):
     """Which codes mean which class.
 
-    Classes that stand on both sides under one name are scored. A class of one side only is kept as a row or a
+    Classes with the same name on both sides are scored. A class of one side only is kept as a row or a
     column and never agrees with anything, like the row "Other" of Lehtola et al. (2019), Table I.
 
     Examples
@@ -91,7 +91,7 @@ class ClassMapping(Params):
 
     @property
     def scored_names(self) -> tuple[str, ...]:
-        """Names that stand on both sides, in the order of the reference; never ``other``."""
+        """Names of both sides, in the order of the reference; never ``other``."""
         return scored_names(self.names("reference"), self.names("predicted"))
 
     def class_indices(self, codes: NDArray[np.integer], side: Side) -> I64:
@@ -100,7 +100,7 @@ class ClassMapping(Params):
         Parameters
         ----------
         codes : (n,) integer
-            Class codes as they stand in a file; :data:`NO_CODE` = the record has none, never scored.
+            Class codes as stored in a file; :data:`NO_CODE` = the record has none, never scored.
         side : {"predicted", "reference"}
             Whose lists to use.
 
@@ -112,7 +112,7 @@ class ClassMapping(Params):
         Raises
         ------
         InputError
-            When the codes are no integers, or hold one that stands in no list and ``unlisted = "error"``.
+            When the codes are no integers, or one is not listed and ``unlisted = "error"``.
         """
         codes = np.asarray(codes)
         if not np.issubdtype(codes.dtype, np.integer):

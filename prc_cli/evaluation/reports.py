@@ -27,7 +27,7 @@ NOT_SPLIT = "unknown"
 NO_INTERVALS: Mapping[str, Interval] = {}
 
 _CHANCE = 0.05
-"""Kappa below which both sides may have nothing to do with each other."""
+"""Kappa below which the two sides may be unrelated."""
 _ENOUGH = 1000
 _TOTALS = ("n_reference", "n_predicted", "n_agreed")
 _SPECIAL = re.compile(r"([\\`*_\[\]<>|#~])")
@@ -134,7 +134,7 @@ def as_markdown(found: Found, gates: Iterable[GateResult] = ()) -> str:
 
 
 def matrix_of(found: Found) -> ConfusionMatrix:
-    """Return the confusion matrix of either."""
+    """Return the confusion matrix."""
     return found.matrix if isinstance(found, Evaluation) else found
 
 
@@ -152,7 +152,7 @@ def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
 
 
 def match_line(match: MatchReport) -> str:
-    """Return how the records were matched, and how many of either side found a partner, as a sentence.
+    """Return how the records were matched, and how many of each side found a partner, as a sentence.
 
     >>> match_line(MatchReport("time", 1000, 900, 880, tolerance=1e-6))
     'Matched by time within 1e-06 s: 880 pairs of 1,000 predicted and 900 reference records.'
@@ -187,7 +187,7 @@ def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[lis
     parts : sequence of SplitPart
         The parts of one split.
     shown : ConfusionMatrix
-        The whole matrix without the classes that nobody has; those on both sides get columns.
+        The whole matrix without the classes that have no records; those on both sides get columns.
     """
     names = shown.scored_names
     header = [

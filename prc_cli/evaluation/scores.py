@@ -1,4 +1,4 @@
-"""Scores of a confusion matrix, per class and overall; what is undefined is NaN, never 0."""
+"""Scores of a confusion matrix, per class and overall; undefined scores are NaN, never 0."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OVERALL_SCORES: tuple[str, ...] = ("accuracy", "balanced_accuracy", "kappa")
 
 @dataclass(frozen=True, slots=True)
 class ClassScores:
-    """Scores of one class; all NaN for a class that stands on one side only."""
+    """Scores of one class; all NaN for a class of one side only."""
 
     name: str
     n_reference: int
@@ -51,7 +51,7 @@ class Scores:
     accuracy: float
     """Share of all scored records that agree; records of classes without counterpart are in the denominator."""
     balanced_accuracy: float
-    """Mean recall of the classes that stand on both sides and have reference records."""
+    """Mean recall of the classes of both sides that have reference records."""
     kappa: float
     """Cohen's kappa: agreement beyond that of independent labels with the same totals."""
 

@@ -14,7 +14,7 @@ from prc_cli.evaluation.confusion import ConfusionMatrix, refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping
 
 UNKNOWN = -1
-"""Group of the pairs of which nothing is known to group by."""
+"""Group of the pairs whose range, line or scanner is not known."""
 MAX_BYTES = 64 << 20
 """Counts of all groups together."""
 _MAX_FILES, _MAX_INDEX = 1 << 20, 1 << 40
@@ -55,7 +55,7 @@ class GroupedCounts:
         Raises
         ------
         ConfigError
-            When there are more groups than can be told apart in bounded memory.
+            When there are more groups than bounded memory allows.
         """
         if not len(groups):
             return
@@ -122,7 +122,7 @@ def cells_of(mapping: ClassMapping, predicted: NDArray[np.integer], reference: N
     Raises
     ------
     InputError
-        When the lengths differ, or a code stands in no list of the mapping.
+        When the lengths differ, or the mapping does not list a code.
 
     Examples
     --------

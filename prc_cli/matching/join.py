@@ -1,276 +1,289 @@
-"""A merge join: which record of one side belongs to which of the other, both sorted by their keys.
+"""The merge join: one sweep over two streams that are sorted by the same key.
 
-Every *point* gets the *label* record with the nearest key within a tolerance that is equal in ``same`` (return number,
-scanner). Both sides are streams; what is held are their current chunks and what the tolerance spans.
+The key is a time, an id or a coordinate. A window moves along it. It holds, of both sides, every record that can
+influence the pairs of the records that are decided next. A matcher pairs the records of a window in memory
+(:mod:`prc_cli.matching.keys`, :mod:`prc_cli.matching.places`). The pairs therefore do not depend on how the streams are
+chunked, and memory does not grow with the streams.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F64, I64, Mask
-from prc_cli.formats.records import RecordChunk
-from prc_cli.matching.keys import CODE, KEY, SAME
 
-HELD_RECORDS = 1 << 22
-"""Most records of a side that are held; more share a key, or lie within the tolerance, than can be told apart."""
+Columns: TypeAlias = dict[str, NDArray[Any]]
+"""(n,) arrays of the same records by name."""
+
+KEY = "time"
+"""Column that the streams are sorted by, float64, finite. It is called ``time`` also where it holds an id or a
+coordinate, because :func:`prc_cli.stream.sorting.sorted_by_time` sorts by that name."""
+SAME = "same"
+"""Column that must be equal in a pair beside the key, int64, 0 or more: return number, scanner."""
+CODE = "code"
+"""Class code, an integer."""
+MAX_HELD = 1 << 23
+"""Most records of one side within a window."""
+STEP_RECORDS = 1 << 17
+"""Records taken from a stream at a time: search trees of more do not fit the processor's caches."""
 DECADES = np.arange(-9, 7)
-"""Exponents of ten by which the distances of points without partner are counted."""
+"""Exponents of ten by which the distances of records without partner are counted."""
+_USED = "used"
+
+
+class UnsortedError(Exception):
+    """A stream is not sorted by its key; the caller sorts it and starts again.
+
+    Parameters
+    ----------
+    side : int
+        0 = left, 1 = right.
+    """
+
+    def __init__(self, side: int) -> None:
+        super().__init__(side)
+        self.side = side
 
 
 @dataclass(slots=True)
 class JoinTally:
-    """What a join met; counts are of points (the registered side) unless they say labels."""
+    """Counts of a join; of left records unless stated otherwise."""
 
-    n_points: int = 0
-    n_matched: int = 0
-    n_labels_matched: int = 0
-    """Label records with at least one partner."""
-    n_repeated: int = 0
-    """Matched points whose key another point has too (tiles that overlap)."""
-    n_shared: int = 0
-    """Matched points whose key several label records have (coarse time stamps)."""
+    n_left: int = 0
+    n_pairs: int = 0
+    n_right: int = 0
+    """Right records with a partner."""
+    n_ambiguous: int = 0
+    """Records left out: they share their key or place with a different number of left and right records."""
     n_in_order: int = 0
-    """Of these, points that were paired in record order, being as many as the labels, where the labels differ."""
+    """Pairs of records that share their key or place, paired in record order (labels: where their classes differ)."""
     n_by_majority: int = 0
-    """Of these, points that got the most frequent label, where the labels differ."""
-    n_other_return: int = 0
-    """Points without partner whose key has a label of another return or scanner."""
-    n_changed: int = 0
-    """Points whose class became another one."""
+    """Records that got the most frequent of several differing labels."""
+    n_repeated: int = 0
+    """Records in pairs whose key another record of their side has (tiles that overlap)."""
+    n_shared: int = 0
+    """Records in pairs whose key several right records have (coarse time stamps)."""
+    n_other_same: int = 0
+    """Records without partner whose key has a right record with another :data:`SAME` (another return)."""
     largest: float = 0.0
-    """Largest distance of a matched point to its label."""
+    """Largest distance of a pair; 0 where the matcher gives no distances."""
     distances: I64 = field(default_factory=lambda: np.zeros(len(DECADES) + 1, np.int64))
-    """(17,) int64, points without partner by the distance to the nearest label: up to 10^-9, 10^-8, ... and beyond."""
+    """(17,) int64, records without partner by the distance to the nearest right one: to 10^-9, 10^-8, ..., beyond."""
 
     def near(self, share: float = 0.5) -> float | None:
-        """Return the power of ten within which ``share`` of the points without partner have a label; None if none."""
+        """Return the power of ten within which ``share`` of the records without partner have one; None if none."""
         total = int(self.distances.sum())
         reached = np.flatnonzero(np.cumsum(self.distances[:-1]) >= share * total)
         return float(10.0 ** DECADES[reached[0]]) if total and len(reached) else None
 
+    def add_distances(self, distance: F64, paired: Mask) -> None:
+        """Count distances (n,) of records to their nearest right one, infinite where there is none."""
+        self.largest = max(self.largest, float(distance[paired].max(initial=0.0)))
+        alone = distance[~paired]
+        # beyond the last decade, and infinite, fall into the last place
+        decade = np.searchsorted(10.0**DECADES, alone, side="left")
+        self.distances += np.bincount(decade, minlength=len(self.distances))
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Pairs of a window, as indices into its two sides."""
+
+    left: I64
+    """(pairs,) index of the left record."""
+    right: I64
+    """(pairs,) index of the right record."""
+    counts: dict[str, I64] = field(default_factory=dict)
+    """Indices of left records by the field of :class:`JoinTally` that counts them."""
+    used: I64 | None = None
+    """Right records that count as partners of the decided records; None = those of the pairs."""
+    distance: F64 | None = None
+    """(n_decided,) distance of the decided left records to the nearest right one; None = not known."""
+
+
+Matcher: TypeAlias = Callable[[Columns, Columns, slice], Match]
+"""Pairs the records of a window: left and right columns, sorted by key, and which left records are decided now.
+
+Pairs of other left records are ignored: their partners may not all be in the window.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """Points and what they get."""
+    """Left records that were just decided, with their partners."""
 
-    record: I64
-    """(n,) record index of the points."""
-    matched: Mask
-    """(n,) whether the point has a partner."""
-    codes: NDArray[np.uint8]
-    """(n,) class of the partner, or the point's own."""
-    values: dict[str, NDArray[Any]]
-    """(k,) arrays of the carried dimensions, of the points with a partner."""
+    left: Columns
+    """Every left record comes once, by ascending key."""
+    right: Columns
+    """Right records of the window."""
+    at: I64
+    """(pairs,) index in ``left``."""
+    to: I64
+    """(pairs,) index in ``right``."""
+
+    def pairs(self) -> tuple[Columns, Columns]:
+        """Return the columns of both sides in pairs: row k of the left belongs to row k of the right."""
+        return {n: v[self.at] for n, v in self.left.items()}, {n: v[self.to] for n, v in self.right.items()}
+
+
+def merge_join(
+    left: Iterator[Columns],
+    right: Iterator[Columns],
+    match: Matcher,
+    tolerance: float,
+    tally: JoinTally,
+    names: tuple[str, str] = ("left", "right"),
+    *,
+    spare: int = 0,
+) -> Iterator[Joined]:
+    """Match two sorted streams.
+
+    Parameters
+    ----------
+    left, right : iterator of Columns
+        With :data:`KEY`, ascending, and what the matcher reads.
+    match : Matcher
+        Pairs the records of a window.
+    tolerance : float
+        Largest difference of the keys of a pair, in their unit.
+    tally : JoinTally
+        Added to; complete when the iterator has ended.
+    names : (str, str)
+        Files, for messages.
+    spare : int
+        Right records beyond the tolerance that the matcher sees at both ends of a window, to measure distances.
+
+    Yields
+    ------
+    Joined
+        Every left record once, by ascending key.
+
+    Raises
+    ------
+    UnsortedError
+        When keys go back.
+    InputError
+        When more records lie within the tolerance of a key than memory is meant for.
+    """
+    # a record is decided by candidates within the tolerance, and a candidate by the records within the tolerance of it
+    reach = 2.0 * tolerance * (1 + 1e-9)
+    sides = _Window(_in_steps(left, 0), names[0]), _Window(_in_steps(right, 1), names[1])
+    low = -math.inf
+    while True:
+        behind = min((side for side in sides if side.is_open), key=lambda side: side.last, default=None)
+        if behind is not None:
+            behind.read()
+        limit = min((side.last for side in sides if side.is_open), default=math.inf)
+        high = limit if math.isinf(limit) else float(np.nextafter(limit - reach, -math.inf)) if reach else limit
+        if high <= low or not (math.isinf(limit) or _is_worthwhile(sides, low, high)):
+            continue
+        window = sides[0].between(low - reach, limit), sides[1].between(low - reach, limit, spare)
+        yield from _decide(*window, (low, high), match, tally)
+        if math.isinf(limit):
+            return
+        sides[0].drop(high - reach)
+        sides[1].drop(high - reach, spare)
+        low = high
+
+
+def _decide(
+    one: Columns, other: Columns, decided: tuple[float, float], match: Matcher, tally: JoinTally
+) -> Iterator[Joined]:
+    """Match the records of a window, and hand on the left ones whose key lies in ``decided``."""
+    first, stop = np.searchsorted(one[KEY], decided).tolist()
+    if first == stop:
+        return
+    found = match(one, other, slice(first, stop))
+    chosen = (found.left >= first) & (found.left < stop)
+    at, to = found.left[chosen], found.right[chosen]
+    for name, left in found.counts.items():
+        setattr(tally, name, getattr(tally, name) + int(np.count_nonzero((left >= first) & (left < stop))))
+    if found.distance is not None:
+        paired = np.zeros(stop - first, np.bool_)
+        paired[at - first] = True
+        tally.add_distances(found.distance, paired)
+    tally.n_left += stop - first
+    tally.n_pairs += len(at)
+    used = other.pop(_USED)
+    n_before = int(np.count_nonzero(used))
+    used[to if found.used is None else found.used] = True  # a view of what the window holds
+    tally.n_right += int(np.count_nonzero(used)) - n_before
+    del one[_USED]
+    yield Joined({name: values[first:stop] for name, values in one.items()}, other, at - first, to)
+
+
+def _in_steps(chunks: Iterator[Columns], side: int) -> Iterator[Columns]:
+    """Hand on a stream in small steps, and raise :class:`UnsortedError` where its keys go back."""
+    last = -math.inf
+    for chunk in chunks:
+        key = chunk[KEY]
+        if not len(key):
+            continue
+        if key[0] < last or (key[1:] < key[:-1]).any():
+            raise UnsortedError(side)
+        last = float(key[-1])
+        for first in range(0, len(key), STEP_RECORDS):
+            yield {name: values[first : first + STEP_RECORDS] for name, values in chunk.items()}
+
+
+def _is_worthwhile(sides: tuple[_Window, _Window], low: float, high: float) -> bool:
+    """Return whether a window decides at least half of the records it holds.
+
+    Many records within the tolerance would otherwise be matched again and again in small steps.
+    """
+    decided = sum(side.count(low, high) for side in sides)
+    return 2 * decided >= sum(side.n_held for side in sides)
 
 
 class _Window:
     """The part of a sorted stream that is held."""
 
-    def __init__(self, chunks: Iterator[RecordChunk], names: tuple[str, ...], path: str) -> None:
+    def __init__(self, chunks: Iterator[Columns], name: str) -> None:
         self._chunks = chunks
-        self._path = path
-        self.ended = False
-        self.values: dict[str, NDArray[Any]] = {name: np.empty(0) for name in names}
-        self.record: I64 = np.empty(0, np.int64)
-        self.used: Mask = np.empty(0, np.bool_)
+        self._name = name
+        self._held: Columns = {KEY: np.empty(0), _USED: np.empty(0, np.bool_)}
+        self.is_open = True
+        self.last = -math.inf
 
-    def __len__(self) -> int:
-        return len(self.record)
+    def read(self) -> None:
+        """Take one more chunk."""
+        chunk = next(self._chunks, None)
+        if chunk is None:
+            self.is_open = False
+            return
+        self.last = float(chunk[KEY][-1])
+        chunk = {**chunk, _USED: np.zeros(len(chunk[KEY]), np.bool_)}
+        if len(self._held[KEY]):
+            chunk = {name: np.concatenate([self._held[name], values]) for name, values in chunk.items()}
+        self._held = chunk
+        if len(chunk[KEY]) > MAX_HELD:
+            problem = f"more than {MAX_HELD} records within the tolerance of key {chunk[KEY][0]:.9g}"
+            raise InputError(self._name, problem, "give a smaller tolerance, or match by something else")
 
     @property
-    def key(self) -> F64:
-        return self.values[KEY]
+    def n_held(self) -> int:
+        """Number of records held."""
+        return len(self._held[KEY])
 
-    def fetch(self) -> None:
-        """Add a chunk, or learn that there is none."""
-        if len(self) > HELD_RECORDS:
-            problem = f"more than {HELD_RECORDS:,} records from {self.key[0]} to {self.key[-1]} cannot be told apart"
-            raise InputError(self._path, problem, "give a smaller --tolerance, or match by something else with --by")
-        chunk = next((item for item in self._chunks if item.n), None)
-        if chunk is None:
-            self.ended = True
-            return
-        assert chunk.record is not None
-        if len(self):
-            self.values = {name: np.concatenate([held, chunk.values[name]]) for name, held in self.values.items()}
-            self.record = np.concatenate([self.record, chunk.record])
-            self.used = np.concatenate([self.used, np.zeros(chunk.n, np.bool_)])
-        else:
-            self.values = {name: chunk.values[name] for name in self.values}
-            self.record, self.used = chunk.record, np.zeros(chunk.n, np.bool_)
+    def count(self, low: float, high: float) -> int:
+        """Return the number of records with ``low <= key < high``."""
+        first, stop = np.searchsorted(self._held[KEY], [low, high])
+        return int(stop - first)
 
-    def drop(self, n: int) -> int:
-        """Forget the first ``n`` records; return how many of them were used."""
-        used = int(np.count_nonzero(self.used[:n]))
-        self.values = {name: held[n:] for name, held in self.values.items()}
-        self.record, self.used = self.record[n:], self.used[n:]
-        return used
+    def between(self, low: float, high: float, spare: int = 0) -> Columns:
+        """Return views of the records with ``low <= key < high``, and of ``spare`` more at either end."""
+        first, stop = np.searchsorted(self._held[KEY], [low, high])
+        return {name: values[max(first - spare, 0) : stop + spare] for name, values in self._held.items()}
 
-
-def join(
-    labels: Iterator[RecordChunk],
-    points: Iterator[RecordChunk],
-    tally: JoinTally,
-    *,
-    tolerance: float = 0.0,
-    carried: tuple[str, ...] = (),
-    paths: tuple[str, str] = ("labels", "points"),
-) -> Iterator[Joined]:
-    """Match two streams that are sorted by key.
-
-    Of labels at the same distance the one with the smaller key is taken. Where several labels share the key: points of
-    that key pair with them in record order if they are as many, else they all get the most frequent code of them (of
-    equally frequent ones the first in record order). The result does not depend on how the streams are chunked.
-
-    Parameters
-    ----------
-    labels, points : iterator of RecordChunk
-        From :func:`prc_cli.matching.keys.in_key_order`; ``labels`` with the dimensions ``carried``.
-    tally : JoinTally
-        Filled on the way; complete when the iterator has ended.
-    tolerance : float
-        Largest difference of keys, in their unit.
-    paths : (str, str)
-        File names, for messages.
-
-    Yields
-    ------
-    Joined
-        Every point once, by ascending key.
-
-    Raises
-    ------
-    InputError
-        When so many records share a key, or lie within the tolerance, that they would not fit into memory.
-    """
-    left = _Window(labels, (KEY, SAME, CODE, *carried), paths[0])
-    right = _Window(points, (KEY, SAME, CODE), paths[1])
-    while True:
-        if not len(right):
-            right.fetch()
-            if right.ended:
-                break
-        if not len(left) and not left.ended:
-            left.fetch()
-        # a point is decided when all labels within reach are here, and all points of its key
-        known = np.inf if left.ended else float(left.key[-1]) - 2 * tolerance
-        whole = np.inf if right.ended else float(right.key[-1])
-        n = int(np.searchsorted(right.key, min(known, whole), side="left"))
-        if n:
-            yield _match(left, right, n, tolerance, tally, carried)
-            right.drop(n)
-        if len(right):
-            # one label before stays: it may be the nearest
-            reach = int(np.searchsorted(left.key, right.key[0] - 2 * tolerance, side="left"))
-            tally.n_labels_matched += left.drop(max(reach - 1, 0))
-            if n == 0:
-                (left if known <= whole else right).fetch()
-    tally.n_labels_matched += left.drop(len(left))
-
-
-def _match(
-    left: _Window, right: _Window, n: int, tolerance: float, tally: JoinTally, carried: tuple[str, ...]
-) -> Joined:
-    """Decide the first ``n`` points."""
-    key, same, codes = right.key[:n], right.values[SAME][:n], right.values[CODE][:n].copy()
-    partner = np.full(n, -1, np.int64)
-    distance = np.full(n, np.inf)
-    # mostly everything is a first return
-    sames = np.unique(same) if len(same) and same.min() != same.max() else same[:1]
-    for value in sames.tolist():
-        mine = np.flatnonzero(same == value)
-        theirs = np.flatnonzero(left.values[SAME] == value)
-        if len(theirs):
-            partner[mine], distance[mine] = _nearest(left, theirs, key[mine], tolerance, tally)
-    matched = partner >= 0
-    chosen = partner[matched]
-    codes[matched] = left.values[CODE][chosen]
-    tally.n_points += n
-    tally.n_matched += len(chosen)
-    if len(chosen):
-        tally.largest = max(tally.largest, float(distance[matched].max()))
-    tally.n_changed += int(np.count_nonzero(codes != right.values[CODE][:n]))
-    if len(chosen) < n:
-        _count_unmatched(left, key[~matched], distance[~matched], tolerance, tally)
-    values = {name: left.values[name][chosen] for name in carried}
-    return Joined(right.record[:n], matched, codes, values)
-
-
-def _nearest(left: _Window, theirs: I64, key: F64, tolerance: float, tally: JoinTally) -> tuple[I64, F64]:
-    """Return the label (index in the window, -1 = none) and the distance of points of one ``same``, sorted by key."""
-    there = left.key[theirs]
-    above = np.searchsorted(there, key, side="left")
-    after, before = np.minimum(above, len(there) - 1), np.maximum(above - 1, 0)
-    to_after, to_before = np.abs(there[after] - key), np.abs(there[before] - key)
-    near = np.where(to_before <= to_after, before, after)
-    distance = np.minimum(to_before, to_after)
-    found = np.flatnonzero(distance <= tolerance)
-    partner = np.full(len(key), -1, np.int64)
-    if not len(found):
-        return partner, distance
-    first, last = (bound[near[found]] for bound in _runs(there))
-    marks = np.bincount(first, minlength=len(there) + 1) - np.bincount(last, minlength=len(there) + 1)
-    left.used[theirs[np.cumsum(marks[:-1]) > 0]] = True
-    start, stop = (bound[found] for bound in _runs(key))
-    size, ordinal = stop - start, found - start
-    tally.n_repeated += int(np.count_nonzero(size > 1))
-    choice = first.copy()
-    shared = last - first > 1
-    if shared.any():
-        tally.n_shared += int(np.count_nonzero(shared))
-        at = np.flatnonzero(shared)
-        winner, differ = _majority(left.values[CODE][theirs], first[at], last[at])
-        pairs = (last - first == size)[at]
-        choice[at] = np.where(pairs, first[at] + ordinal[at], winner)
-        tally.n_in_order += int(np.count_nonzero(pairs & differ))
-        tally.n_by_majority += int(np.count_nonzero(~pairs & differ))
-    partner[found] = theirs[choice]
-    return partner, distance
-
-
-def _runs(key: F64) -> tuple[I64, I64]:
-    """Return, for every element of sorted keys, where the run of its equals begins and where it ends."""
-    start = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
-    stop = np.append(start[1:], len(key))
-    sizes = stop - start
-    return np.repeat(start, sizes), np.repeat(stop, sizes)
-
-
-def _majority(codes: NDArray[np.uint8], first: I64, last: I64) -> tuple[I64, Mask]:
-    """Return, for runs of labels, the first one with the most frequent code, and whether codes differ."""
-    starts, group = np.unique(first, return_inverse=True)
-    lengths = np.zeros(len(starts), np.int64)
-    lengths[group] = last - first
-    run = np.repeat(np.arange(len(starts)), lengths)
-    position = np.repeat(starts - np.concatenate(([0], np.cumsum(lengths)[:-1])), lengths) + np.arange(len(run))
-    # one row a run and code: its first position and how often it is there
-    order = np.lexsort((position, codes[position], run))
-    run, position = run[order], position[order]
-    code = codes[position]
-    new = np.flatnonzero(np.concatenate(([True], (run[1:] != run[:-1]) | (code[1:] != code[:-1]))))
-    count = np.diff(new, append=len(run))
-    run, position = run[new], position[new]
-    best = np.lexsort((position, -count, run))
-    top = best[np.concatenate(([True], run[best][1:] != run[best][:-1]))]
-    return position[top][group], (np.bincount(run, minlength=len(starts)) > 1)[group]
-
-
-def _count_unmatched(left: _Window, key: F64, distance: F64, tolerance: float, tally: JoinTally) -> None:
-    """Count what points without partner would have needed."""
-    finite = distance[np.isfinite(distance)]
-    with np.errstate(divide="ignore"):
-        decade = np.searchsorted(10.0**DECADES, finite, side="left")
-    tally.distances += np.bincount(decade, minlength=len(tally.distances))
-    tally.distances[-1] += len(distance) - len(finite)
-    if len(left):
-        above = np.searchsorted(left.key, key, side="left")
-        after, before = np.minimum(above, len(left) - 1), np.maximum(above - 1, 0)
-        nearest = np.minimum(np.abs(left.key[after] - key), np.abs(left.key[before] - key))
-        tally.n_other_return += int(np.count_nonzero(nearest <= tolerance))
+    def drop(self, low: float, spare: int = 0) -> None:
+        """Drop the records with ``key < low`` except the last ``spare`` of them."""
+        first = int(np.searchsorted(self._held[KEY], low)) - spare
+        if first > 0:
+            self._held = {name: values[first:] for name, values in self._held.items()}

@@ -1,229 +1,128 @@
-"""Records of an input by a key (time, record index, any integer dimension), with their class: one side of a match."""
+"""Matchers by key: which records of a window have the nearest key.
+
+:class:`MutualKeys` pairs records one to one, as an evaluation needs it: two records are a pair if each is the nearest
+of the other. A record whose own partner was filtered away stays alone and does not take its neighbour's.
+:class:`NearestLabel` gives every point the nearest label, as a transfer of labels needs it: points may share a label.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError
-from prc_cli.core.types import F64, I64, U8, Mask
-from prc_cli.formats.labels.read import NO_CODE, CodeSource
-from prc_cli.formats.records import DerivedSource, RecordChunk
-from prc_cli.stream.sorting import sorted_by_time
+from prc_cli.core.types import F64, I64
+from prc_cli.matching.join import CODE, KEY, SAME, Columns, Match
+from prc_cli.matching.ties import Both, most_frequent, pair_in_order, runs
 
-KEY, SAME, CODE = "time", "same", "code"
-"""What chunks of :class:`KeyedSource` hold: the key (called time, for :func:`sorted_by_time` sorts by it), what must
-be equal beside it, and the class code."""
-MISSING = 0
-"""Code of a shot without return in label files."""
-MAX_SAME = 3
-"""Numbers of 16 bits that are packed into the one that must be equal."""
-_LIMIT_16 = 1 << 16
-_EXACT = float(1 << 53)
-"""Whole numbers up to here are exact in float64."""
+SPARE_LABELS = 64
+"""``spare`` of the join for :class:`NearestLabel`: how far it sees the next label with the same :data:`SAME`."""
+
+
+def both(left: Columns, right: Columns, name: str) -> Both | None:
+    """Return a column of both sides, None where one lacks it."""
+    return (left[name], right[name]) if name in left and name in right else None
 
 
 @dataclass(frozen=True, slots=True)
-class KeyRule:
-    """What a record is found by."""
+class MutualKeys:
+    """Pairs of records that are nearest to each other.
 
-    kind: str
-    """``time``, ``dimension``, ``record`` (index in the input) or ``rank`` (index among the records with a class)."""
-    dimension: str = "time"
-    """Dimension that holds the key, for the first two kinds."""
-    same: tuple[str, ...] = ()
-    """Integer dimensions (0 to 65535) that must be equal beside the key, such as ``return_number``; at most three."""
-    offset: float = 0.0
-    """Added to the key [s for times]."""
+    The nearest is found by the key alone; of two as near, the lower. Records of one key are paired as
+    :func:`prc_cli.matching.ties.pair_in_order` says, those with equal :data:`SAME` where both sides have it.
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Dimensions that the rule reads."""
-        return (*((self.dimension,) if self.kind in ("time", "dimension") else ()), *self.same)
-
-
-@dataclass(frozen=True)
-class KeyedSource(DerivedSource):
-    """The records of a source that have a class, each with key, ``same`` and code.
-
-    Chunks hold any of :data:`KEY` (float64), :data:`SAME` (int64), :data:`CODE` (uint8) and the dimensions of the
-    source. Records without a class (an empty cell; code 0 in label files, a shot without return) are left out.
+    Examples
+    --------
+    >>> left, right = {KEY: np.array([1.0, 2.0, 3.0])}, {KEY: np.array([0.9, 2.8])}
+    >>> found = MutualKeys(0.5)(left, right, slice(0, 3))
+    >>> found.left, found.right
+    (array([0, 2]), array([0, 1]))
     """
 
-    rule: KeyRule
-    codes: CodeSource | None = None
-    """Class codes from a file of their own, in record order; None = a dimension of the source."""
-    code_dimension: str = "classification"
+    tolerance: float
+    """Largest difference of the keys, in their unit."""
 
-    @property
-    def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver."""
-        return (KEY, SAME, CODE, *self.source.dimensions)
-
-    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode; every chunk carries ``record``.
-
-        Raises
-        ------
-        InputError
-            As the source does; when labels and records differ in number, a key is not finite (a time) or no whole
-            number (a dimension), or a code does not fit a LAS class.
-        """
-        carried = tuple(name for name in names if name not in (KEY, SAME, CODE))
-        own = () if self.codes is not None else (self.code_dimension,)
-        wanted = tuple(dict.fromkeys((*self.rule.names, *own, *carried)))
-        codes = None if self.codes is None else _CodeReader(self.codes, self.source.path)
-        n_kept = n_read = 0
-        for chunk in self.source.chunks(wanted):
-            first = chunk.first_record
-            record = np.arange(first, first + chunk.n, dtype=np.int64) if chunk.record is None else chunk.record
-            if codes is not None:
-                found = codes.take(chunk.n)
-                keep = (found != MISSING) & (found != NO_CODE)
-            else:
-                found = np.asarray(chunk.values[self.code_dimension])
-                keep = np.ones(chunk.n, np.bool_)
-            whole = bool(keep.all())
-            chosen: Mask | slice = slice(None) if whole else keep
-            record, found = record[chosen], found[chosen]
-            values = {name: np.asarray(chunk.values[name])[chosen] for name in wanted}
-            found_codes = self._to_codes(found, record)
-            out: dict[str, NDArray[Any]] = {name: values[name] for name in carried}
-            out[KEY] = self._keys(values, record, n_kept)
-            out[SAME] = self._same(values, record)
-            out[CODE] = found_codes
-            yield RecordChunk(n_kept, {name: out[name] for name in names}, len(record), record)
-            n_kept += len(record)
-            n_read += chunk.n
-        if codes is not None:
-            codes.finish(n_read)
-
-    def _to_codes(self, codes: NDArray[Any], record: I64) -> U8:
-        with np.errstate(invalid="ignore"):
-            wrong = ~((codes >= 0) & (codes <= 255) & (np.floor(codes) == codes))
-        if wrong.any():
-            at = int(np.argmax(wrong))
-            where = self.path if self.codes is None else self.codes.path
-            problem = f"record {record[at]}: found the class code {codes[at]}, expected 0 to 255 as LAS holds them"
-            raise InputError(where, problem, "name the dimension with LAS class codes: --dimension NAME")
-        return codes.astype(np.uint8)
-
-    def _keys(self, values: dict[str, NDArray[Any]], record: I64, n_before: int) -> F64:
-        rule = self.rule
-        if rule.kind == "record":
-            return record.astype(np.float64)
-        if rule.kind == "rank":
-            return np.arange(n_before, n_before + len(record), dtype=np.float64)
-        stored = values[rule.dimension]
-        key = stored.astype(np.float64)
-        if rule.kind == "time":
-            wrong = ~np.isfinite(key)
-            expected = "a finite time"
-        else:
-            with np.errstate(invalid="ignore"):
-                wrong = ~((np.abs(key) < _EXACT) & (np.floor(key) == key))
-            expected = "a whole number below 2^53"
-        if wrong.any():
-            at = int(np.argmax(wrong))
-            problem = f"record {record[at]}: found {rule.dimension} {stored[at]}, expected {expected} for every point"
-            raise InputError(self.path, problem, "leave such points out, or match by something else with --by")
-        return key + rule.offset if rule.offset else key
-
-    def _same(self, values: dict[str, NDArray[Any]], record: I64) -> I64:
-        packed = np.zeros(len(record), np.int64)
-        for name in self.rule.same:
-            stored = values[name]
-            with np.errstate(invalid="ignore"):
-                wrong = ~((stored >= 0) & (stored < _LIMIT_16) & (np.floor(stored) == stored))
-            if wrong.any():
-                at = int(np.argmax(wrong))
-                problem = f"record {record[at]}: found {name} {stored[at]}, expected a whole number from 0 to 65535"
-                hint = "--ignore-return" if name == "return_number" else f"leave out --same {name}"
-                raise InputError(self.path, problem, hint)
-            packed = (packed << 16) | stored.astype(np.int64)
-        return packed
-
-
-class _CodeReader:
-    """Codes of a label file in steps of the records they belong to."""
-
-    def __init__(self, codes: CodeSource, records: str) -> None:
-        self._path = codes.path
-        self._records = records
-        self._chunks = codes.chunks()
-        self._rest: I64 = np.empty(0, np.int64)
-        self._n = 0
-
-    def take(self, n: int) -> I64:
-        """Return the next ``n`` codes."""
-        parts, held = [self._rest], len(self._rest)
-        while held < n:
-            chunk = next(self._chunks, None)
-            if chunk is None:
-                problem = f"found {self._n + held} class codes, expected one for every record of {self._records}"
-                raise InputError(self._path, f"{problem}, which has more", "name the input that was classified")
-            parts.append(chunk)
-            held += len(chunk)
-        codes = np.concatenate(parts) if len(parts) > 1 else parts[0]
-        self._rest = codes[n:]
-        self._n += n
-        return codes[:n]
-
-    def finish(self, n_records: int) -> None:
-        """Refuse codes that are left over."""
-        n_left = len(self._rest) + sum(len(chunk) for chunk in self._chunks)
-        if n_left:
-            problem = f"found {self._n + n_left} class codes, expected {n_records} as {self._records} has records"
-            raise InputError(self._path, problem, "name the input that was classified")
+    def __call__(self, left: Columns, right: Columns, decided: slice) -> Match:
+        """Pair the records of a window."""
+        (left_first, left_group), (right_first, right_group) = runs(left[KEY]), runs(right[KEY])
+        left_value, right_value = left[KEY][left_first], right[KEY][right_first]
+        partner = np.full(len(left_value), -1, np.int64)
+        if len(left_value) and len(right_value):
+            to_right, to_left = _nearest(left_value, right_value), _nearest(right_value, left_value)
+            near = np.abs(right_value[to_right] - left_value) <= self.tolerance
+            partner = np.where(near & (to_left[to_right] == np.arange(len(left_value))), to_right, -1)
+        return pair_in_order(left_group, right_group, partner, both(left, right, SAME), both(left, right, CODE))
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
-    """What one reading of the keys tells."""
+class NearestLabel:
+    """The label (right) of every point (left): the one with the nearest key of those with equal :data:`SAME`.
 
-    n_records: int
-    """Records with a class."""
-    n_read: int
-    """Records of the input, up to the last one with a class."""
-    low: float
-    high: float
-    """Bounds of the key; NaN without records."""
-    in_order: bool
-    """Whether the keys never go back."""
-
-    @property
-    def all_equal(self) -> bool:
-        """Whether there is one key for several records."""
-        return self.n_records > 1 and self.low == self.high
-
-
-def survey(source: KeyedSource) -> Survey:
-    """Read all keys and codes once.
-
-    Raises
-    ------
-    InputError
-        As :meth:`KeyedSource.chunks` does: what is wrong with a side is known before any work is done.
+    Of labels as near, the one with the smaller key is taken. If several labels share the key, the points of that key
+    pair with them in record order where they are as many; else they all get the label with the most frequent code, of
+    equally frequent ones the first in record order.
     """
-    n = n_read = 0
-    low, high, last, in_order = np.inf, -np.inf, -np.inf, True
-    for chunk in source.chunks((KEY, SAME, CODE)):
-        key = chunk.values[KEY]
-        if not len(key):
-            continue
-        assert chunk.record is not None
-        n += len(key)
-        n_read = max(n_read, int(chunk.record[-1]) + 1)
-        in_order = in_order and bool(key[0] >= last) and bool(np.all(key[1:] >= key[:-1]))
-        last = float(key[-1])
-        low, high = min(low, float(key.min())), max(high, float(key.max()))
-    return Survey(n, n_read, low if n else np.nan, high if n else np.nan, in_order)
+
+    tolerance: float
+    """Largest difference of the keys, in their unit."""
+
+    def __call__(self, left: Columns, right: Columns, decided: slice) -> Match:
+        """Choose the labels of the decided points."""
+        key, same = left[KEY][decided], left[SAME][decided]
+        partner, distance = np.full(len(key), -1, np.int64), np.full(len(key), np.inf)
+        counts: dict[str, list[I64]] = {}
+        used: list[I64] = []
+        # mostly all records are first returns
+        sames = np.unique(same) if same.min() != same.max() else same[:1]
+        for value in sames.tolist():
+            points, labels = np.flatnonzero(same == value), np.flatnonzero(right[SAME] == value)
+            if not len(labels):
+                continue
+            distance[points], found = self._choose(key[points], right[KEY][labels], right[CODE][labels])
+            partner[points[found.left]] = labels[found.right]
+            for name, members in found.counts.items():
+                counts.setdefault(name, []).append(points[members])
+            if found.used is not None:
+                used.append(labels[found.used])
+        alone = np.flatnonzero(partner < 0)
+        if len(alone) and len(right[KEY]):
+            apart = np.abs(right[KEY][_nearest(key[alone], right[KEY])] - key[alone])
+            counts["n_other_same"] = [alone[apart <= self.tolerance]]
+        at = np.flatnonzero(partner >= 0)
+        shifted = {name: np.concatenate(members) + decided.start for name, members in counts.items()}
+        partners = np.concatenate(used) if used else np.empty(0, np.int64)
+        return Match(at + decided.start, partner[at], shifted, partners, distance)
+
+    def _choose(self, key: F64, there: F64, codes: I64) -> tuple[F64, Match]:
+        """Return the distance to the nearest label, and the match, of points and labels with one ``SAME``."""
+        near = _nearest(key, there)
+        distance = np.abs(there[near] - key)
+        found = np.flatnonzero(distance <= self.tolerance)
+        start, stop = (bound[found] for bound in _bounds(key))
+        first, last = (bound[near[found]] for bound in _bounds(there))
+        size, ordinal = stop - start, found - start
+        choice = first.copy()
+        shared = np.flatnonzero(last - first > 1)
+        counts = {"n_repeated": found[size > 1], "n_shared": found[shared]}
+        if len(shared):
+            winner, differ = most_frequent(codes, first[shared], last[shared])
+            pairs = (last - first == size)[shared]
+            choice[shared] = np.where(pairs, first[shared] + ordinal[shared], winner)
+            counts["n_in_order"] = found[shared[pairs & differ]]
+            counts["n_by_majority"] = found[shared[~pairs & differ]]
+        # every label of a key that a point found counts as used
+        marks = np.bincount(first, minlength=len(there) + 1) - np.bincount(last, minlength=len(there) + 1)
+        return distance, Match(found, choice, counts, np.flatnonzero(np.cumsum(marks[:-1]) > 0))
 
 
-def in_key_order(source: KeyedSource, found: Survey, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-    """Yield the records by ascending key, of equal keys in record order; sorts on disk only what is not in order."""
-    return (source if found.in_order else sorted_by_time(source)).chunks(names)
+def _bounds(key: F64) -> tuple[I64, I64]:
+    """Return, for every one of sorted keys, where the run of its equals begins and where it ends."""
+    first, group = runs(key)
+    return first[group], np.append(first[1:], len(key))[group]
+
+
+def _nearest(values: F64, among: F64) -> I64:
+    """Return the index of the nearest of sorted numbers, at least one; of two as near, the lower."""
+    above = np.clip(np.searchsorted(among, values), 0, len(among) - 1)
+    below = np.maximum(above - 1, 0)
+    return np.where(np.abs(values - among[below]) <= np.abs(among[above] - values), below, above).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Which predicted file belongs to which reference file, where whole folders are compared."""
+"""Pairs of predicted and reference files when folders are compared."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _SHOWN = 4
 
 
 def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False) -> tuple[tuple[Path, Path], ...]:
-    """Pair two files, or the files of two folders that have the same name but for the suffix.
+    """Pair two files, or the files of two folders with the same name except the suffix.
 
     Files of a folder that cannot hold class codes, by their suffix, are left alone; folders inside it too.
 
@@ -44,13 +44,13 @@ def pair_files(predicted: Path, reference: Path, *, allow_missing: bool = False)
     left, right = _by_name(predicted), _by_name(reference)
     if allow_missing and left.keys() & right.keys():
         return tuple((left[name], right[name]) for name in sorted(left.keys() & right.keys()))
-    for folder, other, lonely in (
+    for folder, other, unpaired in (
         (predicted, reference, left.keys() - right.keys()),
         (reference, predicted, right.keys() - left.keys()),
     ):
-        if lonely:
-            have = "file has" if len(lonely) == 1 else "files have"
-            problem = f"{len(lonely)} {have} no partner in {other}: {_listed(lonely)}"
+        if unpaired:
+            have = "file has" if len(unpaired) == 1 else "files have"
+            problem = f"{len(unpaired)} {have} no partner in {other}: {_listed(unpaired)}"
             raise InputError(str(folder), problem, "give partners the same name but for the suffix, or use --pair")
     return tuple((left[name], right[name]) for name in sorted(left))
 

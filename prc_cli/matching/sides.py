@@ -1,41 +1,41 @@
-"""One side of an evaluation: class codes of one or several files, with what they are matched and split by."""
+"""One side of an evaluation: class codes of one or several files, with the columns to match and split by."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
-from prc_cli.core.types import F64, I64
+from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.labels.read import CodeSource, open_codes
 from prc_cli.formats.las.read import LasSource
 from prc_cli.formats.records import RecordChunk, RecordSource
 from prc_cli.formats.tables.read import open_table
+from prc_cli.matching.join import CODE, KEY, SAME, Columns
+from prc_cli.matching.key_rule import AXES, KeyRule, exact_keys
+from prc_cli.matching.streams import in_step
 
-Columns: TypeAlias = dict[str, NDArray[Any]]
-
-KEY = "time"
-"""What the records are matched by, whatever it is; the name that :func:`prc_cli.stream.sorting.sorted_by_time`
-sorts by."""
-CODE, FILE, ROW = "code", "file", "row"
-"""Class code, index of the file, index of the record in it: int64, every side has them."""
-RETURN, RANGE, LINE, SCANNER = "return", "range", "line", "scanner"
-"""What a side may have: return number, range [m], scan line, scanner id; -1 (NaN for ranges) = not known."""
-AXES = ("x", "y", "z")
+FILE, ROW = "file", "row"
+"""Index of the file, index of the record in it: int64, every side has them and :data:`CODE`."""
+RANGE, LINE, SCANNER = "range", "line", "scanner"
+"""What a side may have: range [m], scan line, scanner id; -1 (NaN for ranges) = not known. :data:`SAME` is the return
+number, 0 to 255; 0 = not known."""
+MAX_RETURN = 255
 RECORD = "record"
-"""Name of the record index, which files without such a column have too, but for LAS."""
+"""Name of the record index. Files without such a column have it too, except LAS files."""
 UNKNOWN = -1
 SCANNER_NAMES = ("scanner", "point_source_id", "scanner_channel")
-"""Dimensions that tell scanners apart; the first one present is taken."""
-_NAMES = {RETURN: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES}
-_WHOLE = float(1 << 53)
+"""Dimensions that identify the scanner; the first one present is taken."""
+_NAMES = {SAME: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES}
 _INDEX = ""
+_CODES = "class codes"
+"""Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
 _MAX_ID = 1 << 31
 
 
@@ -78,7 +78,7 @@ class SideFile:
         return tuple(source for source in (self.table, self.points) if source is not None)
 
     def find(self, names: tuple[str, ...]) -> tuple[RecordSource, str] | None:
-        """Return where the first of some dimensions stands, and its name there."""
+        """Return the source that holds the first of some dimensions, and its name there."""
         for source in self.sources:
             for name in names:
                 if name in source.dimensions:
@@ -87,7 +87,7 @@ class SideFile:
 
     @property
     def is_las(self) -> bool:
-        """Whether any of the files is LAS, whose records have been through other hands."""
+        """Whether the file is LAS: its records may have been filtered or reordered since the run."""
         return isinstance(self.table, LasSource)
 
     @property
@@ -99,7 +99,7 @@ class SideFile:
 
 @dataclass(slots=True)
 class SideTally:
-    """What one reading of a side met."""
+    """Counts of one reading of a side."""
 
     n_records: int = 0
     n_not_finite: int = 0
@@ -125,14 +125,14 @@ class Side:
     ----------
     files : sequence of SideFile
         One after the other.
-    key : str
-        ``order`` (no key), ``time``, ``dimension:NAME``, or ``x``, ``y``, ``z``: then records need all three.
+    key : KeyRule, optional
+        A time, a dimension, or a place: then records need all three coordinates. None = no key.
     points_per_line : int, optional
         M, for lines of dense streams: record // M.
     """
 
     files: Sequence[SideFile]
-    key: str = "order"
+    key: KeyRule | None = None
     points_per_line: int | None = None
     tally: SideTally = field(default_factory=SideTally)
 
@@ -154,14 +154,14 @@ class Side:
 
     @property
     def n_records(self) -> int | None:
-        """Only reading can tell."""
+        """Not known before reading."""
         return None
 
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver."""
-        names = [name for name in (RETURN, RANGE, LINE, SCANNER) if all(self._place(file, name) for file in self.files)]
-        key = [] if self.key == "order" else [KEY]
+        names = [name for name in (SAME, RANGE, LINE, SCANNER) if all(self._place(file, name) for file in self.files)]
+        key = [] if self.key is None else [KEY]
         axes = AXES if all(file.find((axis,)) for file in self.files for axis in AXES) else ()
         return (*key, CODE, FILE, ROW, *names, *axes)
 
@@ -174,7 +174,7 @@ class Side:
             Naming the file and what it has.
         """
         for file in self.files:
-            for name in self._key_names():
+            for name in self._key_names:
                 if self._place(file, name) is None:
                     has = ", ".join(dict.fromkeys(name for source in file.sources for name in source.dimensions[:30]))
                     problem = f"no {name!r} to match by in the file, which has: {has or 'class codes alone'}"
@@ -212,55 +212,55 @@ class Side:
             if first == n_before:
                 raise InputError(file.codes.path, "no records, expected class codes", "check the file")
 
-    def _finite(self, values: Columns, n: int) -> NDArray[np.bool_]:
+    def _finite(self, values: Columns, n: int) -> Mask:
         finite = np.ones(n, np.bool_)
-        checked = () if self.key == "order" else (KEY, *AXES) if self.key in AXES else (KEY,)
+        checked = () if self.key is None else (KEY, *AXES) if self.key.kind == "place" else (KEY,)
         for name in checked:
             if name in values:
                 finite &= np.isfinite(values[name])
         return finite
 
+    @property
     def _key_names(self) -> tuple[str, ...]:
-        if self.key in AXES:
-            return AXES
-        return () if self.key == "order" else (self.key.removeprefix("dimension:"),)
+        return () if self.key is None else self.key.key_names
 
     def _place(self, file: SideFile, name: str) -> tuple[RecordSource | None, str] | None:
-        """Return where a column of a side stands in a file; None as the source = it is counted."""
+        """Return the source of a column and its name there; a source of None = the column is counted."""
         if name == LINE and self.points_per_line is not None:
             return file.find(_NAMES[LINE]) or (None, _INDEX)
         found = file.find(_NAMES.get(name, (name,)))
-        if found is None and name == RECORD and self.key == f"dimension:{RECORD}" and not file.is_las:
+        if found is None and name == RECORD and self.key == KeyRule("dimension", RECORD) and not file.is_las:
             return None, _INDEX
         return found
 
     def _read(self, file: SideFile, names: tuple[str, ...]) -> Iterator[tuple[Columns, I64]]:
-        """Yield the columns of one file but for :data:`FILE` and :data:`ROW`, and the latter."""
-        key = self._key_names()[-1] if self.key not in ("order", *AXES) else self.key
-        wanted = {name: key if name == KEY else name for name in names if name not in (CODE, FILE, ROW)}
-        if self.key in AXES:
+        """Yield the columns of one file, without :data:`FILE` and :data:`ROW`, and the index of every record."""
+        wanted = {name: name for name in names if name not in (CODE, FILE, ROW)}
+        if KEY in wanted and self.key is not None:
+            wanted[KEY] = self.key.dimension
+        if self.key is not None and self.key.kind == "place":
             wanted |= {axis: axis for axis in AXES}
         places = {name: self._place(file, source_name) for name, source_name in wanted.items()}
         asked: dict[int, list[str]] = {}
         for place in places.values():
             if place is not None and place[0] is not None:
                 asked.setdefault(file.sources.index(place[0]), []).append(place[1])
-        streams, codes_stand_in = _streams(file, asked)
+        # codes in the same file as other columns are read together with them, once
+        beside = file.table is not None and 0 in asked and file.codes.name in file.table.dimensions
+        if beside:
+            asked[0].append(file.codes.name)
+        streams = [_columns(file.sources[k], tuple(dict.fromkeys(read))) for k, read in asked.items()]
+        if not beside:
+            streams.insert(0, ({_CODES: codes} for codes in file.codes.chunks()))
         row = 0
-        for parts in _in_step(streams, file):
-            n = len(next(iter(parts[0].values())))
-            if codes_stand_in is None:
-                codes = parts[0][CODE]
-            else:
-                codes = file.codes.to_codes(parts[codes_stand_in][file.codes.name], row)
+        for parts in in_step(streams, lambda n: _check_lengths(file, n[0], n[-1], equal=len(set(n)) == 1)):
+            # a name is always read from the first source that has it
+            read = {name: column for part in parts for name, column in part.items()}
+            n = len(next(iter(read.values())))
             index = np.arange(row, row + n, dtype=np.int64)
-            values: Columns = {CODE: codes}
+            values: Columns = {CODE: file.codes.to_codes(read[file.codes.name], row) if beside else read[_CODES]}
             for name, place in places.items():
-                if place is None or place[0] is None:
-                    found: NDArray[Any] = self._counted(name, index)
-                else:
-                    k = list(asked).index(file.sources.index(place[0])) + (codes_stand_in is None)
-                    found = parts[k][place[1]]
+                found = self._counted(name, index) if place is None or place[0] is None else read[place[1]]
                 values[name] = self._typed(file, name, found, row)
             yield values, index
             row += n
@@ -269,76 +269,37 @@ class Side:
         return index // self.points_per_line if name == LINE and self.points_per_line else index
 
     def _typed(self, file: SideFile, name: str, found: NDArray[Any], first: int) -> NDArray[Any]:
-        if name in AXES or name == RANGE or (name == KEY and not self.key.startswith("dimension:")):
+        if name == KEY and self.key is not None and self.key.kind == "dimension":
+            return self._ids(file, self.key.dimension, found, first)
+        if name in (KEY, RANGE, *AXES):
             return np.asarray(found, np.float64)
-        if name == KEY:
-            return self._ids(file, found, first)
-        return _whole(found)
+        return np.clip(_whole(found), 0, MAX_RETURN) if name == SAME else _whole(found)
 
-    def _ids(self, file: SideFile, found: NDArray[Any], first: int) -> F64:
-        """Return ids as float64, in which they must be exact."""
-        with np.errstate(invalid="ignore"):
-            wide = found.astype(np.float64)
-            wrong = (np.abs(wide) >= _WHOLE) | (np.isfinite(wide) & (np.floor(wide) != wide))
+    def _ids(self, file: SideFile, name: str, found: NDArray[Any], first: int) -> F64:
+        """Return ids as float64, in which they must be exact; NaN = none."""
+        ids, exact = exact_keys(found)
+        wrong = ~(exact | np.isnan(ids))
         if wrong.any():
             at = int(np.argmax(wrong))
-            problem = f"record {first + at}: found {self.key} {found[at]}, expected a whole number below 2^53"
+            problem = f"record {first + at}: found dimension:{name} {found[at]}, expected a whole number below 2^53"
             raise InputError(file.codes.path, problem, "match by a dimension of whole numbers")
-        return wide
+        return ids
 
 
 def _whole(found: NDArray[Any]) -> I64:
-    """Return whole numbers as int64, -1 where a value is none or beyond what an id or a line can be."""
+    """Return whole numbers as int64, -1 for NaN, negative numbers and numbers of 2^31 or more."""
     with np.errstate(invalid="ignore"):
         wide = found.astype(np.float64)
         known = (wide >= 0) & (wide < _MAX_ID)
     return np.where(known, wide, UNKNOWN).astype(np.int64)
 
 
-def _streams(file: SideFile, asked: dict[int, list[str]]) -> tuple[list[Iterator[Columns]], int | None]:
-    """Return what has to be read side by side, and which of it holds the stored codes.
-
-    Codes that stand beside columns of the same file are read with these, once; otherwise they come first, checked
-    and converted.
-    """
-    streams: list[Iterator[Columns]] = []
-    stand_in: int | None = None
-    for k, (source, names) in enumerate(asked.items()):
-        table = file.sources[source]
-        own = table is file.table and file.codes.name in table.dimensions
-        read = tuple(dict.fromkeys([*names, file.codes.name] if own else names))
-        if own:
-            stand_in = k
-        streams.append(chunk.values for chunk in table.chunks(read))
-    if stand_in is None:
-        streams.insert(0, ({CODE: codes} for codes in file.codes.chunks()))
-    return streams, stand_in
+def _columns(source: RecordSource, names: tuple[str, ...]) -> Iterator[Columns]:
+    return (chunk.values for chunk in source.chunks(names))
 
 
-def _in_step(streams: list[Iterator[Columns]], file: SideFile) -> Iterator[list[Columns]]:
-    """Walk streams of the same records in equal steps; refuse different lengths."""
-    rest: list[Columns] = [{} for _ in streams]
-    seen = [0] * len(streams)
-    while True:
-        for k, stream in enumerate(streams):
-            while not _length(rest[k]):
-                chunk = next(stream, None)
-                if chunk is None:
-                    break
-                rest[k] = chunk
-                seen[k] += _length(chunk)
-        n = min(_length(columns) for columns in rest)
-        if not n:
-            break
-        yield [{name: values[:n] for name, values in columns.items()} for columns in rest]
-        rest = [{name: values[n:] for name, values in columns.items()} for columns in rest]
-    for k, stream in enumerate(streams):
-        seen[k] += sum(_length(chunk) for chunk in stream)
-    if len(set(seen)) > 1:
+def _check_lengths(file: SideFile, n_codes: int, n_records: int, *, equal: bool) -> None:
+    if not equal:
         points = file.points.path if file.points is not None else "its own columns"
-        problem = f"{seen[0]} class codes, but {points} holds {seen[-1]} records; expected a code for every record"
+        problem = f"{n_codes} class codes, but {points} holds {n_records} records; expected a code for every record"
         raise InputError(file.codes.path, problem, "name the input that was classified")
-
-
-def _length(columns: Columns) -> int:
-    return len(next(iter(columns.values()))) if columns else 0

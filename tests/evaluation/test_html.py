@@ -123,7 +123,7 @@ def test_page_holds_the_json() -> None:
     assert json.loads(Page(text).data) == as_dict(found, gates)
 
 
-def test_gates_are_told() -> None:
+def test_gates_are_shown() -> None:
     found = samples.evaluation()
     both = check_gates(scores(found.matrix), [Gate("recall.ground", 0.99), Gate("recall.stem", 0.1)])
     assert "1 of 2 gates failed" in Page(as_html(found, both)).text
@@ -149,7 +149,7 @@ def test_page_of_a_matrix_alone_and_of_nothing() -> None:
     assert "nan" not in page.text
 
 
-def test_what_is_no_picture_is_refused() -> None:
+def test_pictures_that_are_not_png_are_refused() -> None:
     with pytest.raises(InputError, match="over: is no PNG picture"):
         as_html(samples.MATRIX, pictures=[("over", b"GIF89a")])
 

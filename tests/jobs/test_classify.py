@@ -16,8 +16,7 @@ from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import InputError, OutputExistsError
 from prc_cli.jobs.classify import classify, classify_ranges, open_stream
-from prc_cli.jobs.evaluate import evaluate, pair_by_order
-from prc_cli.matching.sides import CODE
+from prc_cli.jobs.evaluate import evaluate
 from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_npz, write_raw
 
 WITH_M = {"input": {"points_per_line": POINTS_PER_LINE}}
@@ -173,15 +172,6 @@ def test_evaluate_matches_by_order_and_refuses_unequal_counts(tmp_path: Path) ->
     np.save(tmp_path / "c.npy", np.array([2], np.uint8))
     with pytest.raises(InputError, match="5 records, but .*c.npy holds 1"):
         evaluate(tmp_path / "a.npy", tmp_path / "c.npy")
-
-
-def test_pairing_by_order_does_not_depend_on_how_the_sides_are_cut() -> None:
-    values = np.arange(100, dtype=np.int64)
-    left = ({CODE: part} for part in np.split(values, [1, 1, 30, 31, 90]))
-    right = ({CODE: part} for part in np.split(values, [7, 50, 50]))
-    pairs = list(pair_by_order(left, right, ("a", "b")))
-    for side in (0, 1):
-        assert np.array_equal(np.concatenate([pair[side][CODE] for pair in pairs]), values)
 
 
 def test_the_public_functions_are_those_of_the_pipeline(tmp_path: Path) -> None:

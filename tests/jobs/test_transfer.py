@@ -15,7 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
-from prc_cli.jobs.transfer import TransferOptions, TransferSummary, transfer
+from prc_cli.jobs.transfer import TransferSummary, transfer
+from prc_cli.jobs.transfer.options import TransferOptions
 from tests.formats.las.lasbytes import parse
 
 N = 5000

@@ -22,7 +22,8 @@ from prc_cli.evaluation.reports import as_dict as scores_as_dict
 from prc_cli.evaluation.scores import scores
 from prc_cli.formats.labels.read import code_suffix_of
 from prc_cli.jobs.batch.types import Problem
-from prc_cli.jobs.evaluate import EvaluateOptions, evaluate_all
+from prc_cli.jobs.evaluate import evaluate_all
+from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.pairs import stem_of
 
 NO_REFERENCE = "NoReference"

@@ -10,7 +10,7 @@ from PIL import Image
 from prc_cli.core.errors import InputError
 from prc_cli.evaluation.charts import class_colour
 from prc_cli.evaluation.mapping import ClassMapping
-from prc_cli.jobs.class_pictures import MAX_LINES, class_pictures
+from prc_cli.jobs.evaluate.pictures import MAX_LINES, class_pictures
 
 MAPPING = ClassMapping(ignore=(0,), predicted={"ground": (2,), "noise": (7,)}, reference={"car": (65,), "ground": (2,)})
 GREY, WHITE = (222, 222, 222), (255, 255, 255)

@@ -41,13 +41,13 @@ def class_pictures(
 ) -> tuple[tuple[str, bytes], ...]:
     """Draw the first scan lines of a dense stream as predicted, as in the reference, and where they differ.
 
-    Time runs to the right. Lines stand as in ``prc render``: the sky at the top where either file, or its points, tell
-    where down is; else columns run down. Of long lines every so many shots are drawn.
+    Time runs to the right. As in ``prc render``, the sky is at the top if one of the files, or its points,
+    holds the direction down; else column 0 is. Of long lines every so many shots are drawn.
 
     Parameters
     ----------
     predicted, reference : Path
-        Label files with one code a shot, missing shots included, in the same order.
+        Label files with one code per shot, missing shots included, in the same order.
     mapping : ClassMapping
         Whose classes are drawn, in the colours of the whole program.
     points_per_line : int, optional
@@ -79,7 +79,7 @@ def class_pictures(
     found = []
     for (side, path), dimension in zip(sides, dimensions, strict=True):
         codes = _first_codes(path, dimension, wanted)
-        # place 0 is what is not scored
+        # place 0: not scored
         place = np.array([0, *(names.index(name) + 1 for name in mapping.names(side))])
         found.append(place[mapping.class_indices(codes, side) + 1].astype(np.uint8))
     n_lines = min(len(places) for places in found) // points_per_line
@@ -112,7 +112,7 @@ def _rows(paths: Iterable[Path], points_per_line: int, every: int) -> NDArray[np
     for path in paths:
         if path.suffix.lower() in _LABELS_ALONE:
             continue
-        # what cannot be read as a stream does not tell, and lies as its columns do
+        # a file that cannot be read as a stream holds no direction down
         with suppress(PrcError):
             block = next(iter(open_for_pictures(config, path).blocks()), None)
             if block is None or block.beam_rad is None or block.points_per_line != points_per_line:

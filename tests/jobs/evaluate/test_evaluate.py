@@ -20,7 +20,8 @@ from prc_cli.evaluation.confusion import ConfusionMatrix, accumulate
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.result import Evaluation
 from prc_cli.jobs.classify import classify
-from prc_cli.jobs.evaluate import EvaluateOptions, evaluate_all
+from prc_cli.jobs.evaluate import evaluate_all
+from prc_cli.jobs.evaluate.options import EvaluateOptions
 
 MAPPING = ClassMapping(
     ignore=[0],

@@ -1,0 +1,316 @@
+"""Comparison of label files: match their records, count the pairs in one confusion matrix and in parts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.evaluation.confusion import ConfusionMatrix, refuse_poor_match
+from prc_cli.evaluation.mapping import ClassMapping, load_mapping
+from prc_cli.evaluation.result import Evaluation, MatchReport
+from prc_cli.evaluation.splits import (
+    GroupedCounts,
+    cells_of,
+)
+from prc_cli.formats.las.crs import same_crs, short_crs
+from prc_cli.formats.las.read import LasSource
+from prc_cli.jobs.evaluate.counts import SPLITS, Counts, asked_parts, count_pairs, intervals_of, scored_parts
+from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options, tolerance_of
+from prc_cli.jobs.evaluate.pools import open_pools
+from prc_cli.matching.join import (
+    CODE,
+    KEY,
+    SAME,
+    Columns,
+    JoinTally,
+    UnsortedError,
+    merge_join,
+)
+from prc_cli.matching.key_rule import AXES, KeyRule
+from prc_cli.matching.keys import MutualKeys
+from prc_cli.matching.pairs import files_of
+from prc_cli.matching.places import NearestPlaces
+from prc_cli.matching.sides import (
+    FILE,
+    LINE,
+    ROW,
+    Side,
+)
+from prc_cli.matching.streams import columns_of, in_step
+
+
+def evaluate_all(
+    predicted: Sequence[Path],
+    reference: Sequence[Path],
+    mapping: ClassMapping | str | Path = "prc",
+    *,
+    options: EvaluateOptions | None = None,
+) -> Evaluation:
+    """Compare files and pool them into one matrix, in bounded memory.
+
+    Parameters
+    ----------
+    predicted, reference : sequence of path
+        As many on either side: the k-th of one is compared with the k-th of the other. Two folders: the files of one
+        name (except the suffix). A file against a folder, folders whose names differ, different numbers, or
+        ``pool``, where the match is not by order: all files of a side are one, for example the tiles of a reference.
+    mapping : ClassMapping, name or path
+        Which codes mean which class on either side: a preset name, a TOML file or a mapping.
+    options : EvaluateOptions, optional
+        How records find their partner, what is split, and how intervals are found.
+
+    Returns
+    -------
+    Evaluation
+        The matrix of all pairs, how many records of either side found a partner, parts and intervals.
+
+    Raises
+    ------
+    ConfigError
+        Options that make no sense, or ask for what no file has.
+    InputError
+        A damaged file; different counts (``order``), too few records with a partner, or different coordinate systems
+        (``nearest``).
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> np.save(folder / "labels.npy", np.array([2, 2, 6], np.uint8))
+    >>> np.save(folder / "truth.npy", np.array([2, 6, 6], np.uint8))
+    >>> evaluate_all([folder / "labels.npy"], [folder / "truth.npy"]).match.n_matched
+    3
+    """
+    options = options or EvaluateOptions()
+    check_options(options)
+    found = mapping if isinstance(mapping, ClassMapping) else load_mapping(mapping)
+    paths = [Path(path) for path in predicted], [Path(path) for path in reference]
+    pools = open_pools(*paths, options)
+    counts = Counts(found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))})
+    # blocks are counted in lines only if every pool knows its lines
+    by_lines = all(LINE in (*left.dimensions, *right.dimensions) for left, right in pools)
+    names: list[str] = []
+    for left, right in pools:
+        _compare(left, right, len(names), counts, options, by_lines=by_lines)
+        names += [file.codes.path for file in left.files]
+    if options.allow_missing:
+        _note_missing(paths, pools, counts)
+    matrix = counts.parts["all"].matrix(0)
+    intervals, method = intervals_of(counts, matrix, options, by_lines=by_lines)
+    files = dict.fromkeys(names), dict.fromkeys(file.codes.path for _, pool in pools for file in pool.files)
+    splits = {
+        SPLITS[name]: scored_parts(counts, name, names, options) for name in asked_parts(options) if name in SPLITS
+    }
+    match = MatchReport(
+        options.match,
+        counts.n_predicted,
+        counts.n_reference,
+        counts.n_matched,
+        tolerance_of(options),
+        tuple(sentence.replace("{n}", str(n)) for sentence, n in counts.notes.items()),
+        counts.n_reference_matched,
+    )
+    label = "" if isinstance(mapping, ClassMapping) else str(mapping)
+    return Evaluation(tuple(files[0]), tuple(files[1]), label, match, matrix, splits, intervals, method)
+
+
+def evaluate(
+    predicted: Path | str,
+    reference: Path | str,
+    mapping: ClassMapping | str | Path = "prc",
+    *,
+    predicted_dimension: str | None = None,
+    reference_dimension: str | None = None,
+) -> ConfusionMatrix:
+    """Compare two label files record by record.
+
+    Parameters
+    ----------
+    predicted, reference : path
+        Label files (``.npy``, ``.csv``, ``.parquet``), or any record file that carries codes.
+    mapping : ClassMapping, name or path
+        Which codes mean which class on either side: a preset name, a TOML file or a mapping.
+    predicted_dimension, reference_dimension : str, optional
+        Column or dimension that holds the codes; default ``class``, ``label`` or ``classification``.
+
+    Raises
+    ------
+    InputError
+        When the files hold different numbers of records: matched by order needs equal counts.
+    """
+    options = EvaluateOptions(predicted_dimension=predicted_dimension, reference_dimension=reference_dimension)
+    return evaluate_all([Path(predicted)], [Path(reference)], mapping, options=options).matrix
+
+
+def _note_missing(paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, Side]], counts: Counts) -> None:
+    """Name the files that were left out because they have no partner."""
+    for k, side in enumerate(paths):
+        used = {file.codes.path for pool in pools for file in pool[k].files}
+        missing = [path.name for path in files_of(side) if str(path) not in used]
+        if missing:
+            shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
+            who = ("predicted", "reference")[k]
+            have = "file has" if len(missing) == 1 else "files have"
+            counts.note(f"{len(missing)} {who} {have} no partner, left out: {shown}")
+
+
+def _compare(
+    left: Side, right: Side, first_file: int, counts: Counts, options: EvaluateOptions, *, by_lines: bool
+) -> None:
+    """Match one pool of files and count its pairs."""
+    plan = _plan(left, right, options, by_lines=by_lines)
+    mapping = counts.mapping
+    for name in plan.reference:
+        counts.note(f"{SPLITS[name]}: taken from the reference")
+    if options.match == "nearest":
+        _check_crs(left, right, counts)
+        key = KeyRule("place", _longest_axis(right))
+        left, right = replace(left, key=key), replace(right, key=key)
+    on_disk = [options.match == "nearest"] * 2
+    while True:
+        found = {name: GroupedCounts(mapping, name) for name in counts.parts}
+        tally = JoinTally()
+        try:
+            for one, other in _pairs(left, right, plan, tally, on_disk, options):
+                beside = {name: other[name] for name in plan.reference} | {name: one[name] for name in plan.predicted}
+                if FILE in beside:
+                    beside[FILE] = beside[FILE] + first_file
+                count_pairs(found, beside, cells_of(mapping, one[CODE], other[CODE]), options, by_lines=by_lines)
+        except UnsortedError as error:
+            # most streams are sorted already; one that is not is sorted on disk, and the match starts again
+            on_disk[error.side] = True
+            continue
+        break
+    for name, part in found.items():
+        counts.parts[name].merge(part)
+    _report(left, right, tally, counts, options)
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """Columns beside the codes, by the side they are read from."""
+
+    predicted: tuple[str, ...]
+    reference: tuple[str, ...]
+    keys: tuple[str, ...]
+    """Columns of both sides that the match itself needs."""
+
+
+def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> _Plan:
+    has, other_has, asked = left.dimensions, right.dimensions, asked_parts(options)
+    wanted = dict.fromkeys(LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines)
+    for name in wanted:
+        if name not in (*has, *other_has) and name in asked:
+            problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
+            hint = "give -M, or --predicted-points with the points of the labels"
+            raise ConfigError(f"split by {SPLITS[name]}", problem, hint)
+    predicted = [name for name in wanted if name in has]
+    reference = [name for name in wanted if name not in has and name in other_has]
+    if "blocks" in asked or LINE in asked:
+        predicted += [FILE, ROW]
+    keys: tuple[str, ...] = () if options.match == "order" else (KEY,)
+    if options.match == "nearest":
+        keys = (KEY, *AXES)
+    elif options.match == "time" and SAME in has and SAME in other_has:
+        keys = (KEY, SAME)
+    return _Plan(tuple(predicted), tuple(reference), keys)
+
+
+def _pairs(
+    left: Side, right: Side, plan: _Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions
+) -> Iterator[tuple[Columns, Columns]]:
+    """Yield pairs of records as options ask."""
+    columns = (CODE, *plan.keys, *plan.predicted), (CODE, *plan.keys, *plan.reference)
+    one, other = (
+        columns_of(side, names, sort=sort) for side, names, sort in zip((left, right), columns, on_disk, strict=True)
+    )
+    names = left.path, right.path
+    if options.match == "order":
+        for pair in in_step((one, other), lambda n: refuse_poor_match(n[0], n[1], *names)):
+            tally.n_pairs += len(pair[0][CODE])
+            tally.n_right += len(pair[0][CODE])
+            yield pair[0], pair[1]
+        return
+    tolerance = tolerance_of(options) or 0.0
+    match = NearestPlaces(tolerance, options.one_to_one) if options.match == "nearest" else MutualKeys(tolerance)
+    for joined in merge_join(one, other, match, tolerance, tally, names):
+        yield joined.pairs()
+
+
+def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: EvaluateOptions) -> None:
+    """Add up who found a partner, say what was left out, and refuse a poor match."""
+    counts.n_predicted += left.tally.n_records
+    counts.n_reference += right.tally.n_records
+    counts.n_matched += tally.n_pairs
+    counts.n_reference_matched += tally.n_right
+    if options.match == "order":
+        return
+    what = "coordinates" if options.match == "nearest" else options.match
+    for side, who in ((left, "predicted"), (right, "reference")):
+        counts.note(f"{{n}} {who} records have no finite {what}: left out", side.tally.n_not_finite)
+        if not side.tally.n_usable:
+            raise InputError(side.path, f"no record has finite {what}, expected them to match by", "check the file")
+    shared = "places" if options.match == "nearest" else f"{options.match}s" if options.match == "time" else "ids"
+    counts.note(
+        f"{{n}} predicted records share their {shared} with another number of reference records: which is which "
+        "cannot be told, left out",
+        tally.n_ambiguous,
+    )
+    counts.note(f"{{n}} pairs share their {shared} with other pairs: paired in their order", tally.n_in_order)
+    if options.match == "time" and not (SAME in left.dimensions and SAME in right.dimensions):
+        counts.note("return numbers are not on both sides: not compared")
+    _refuse_poor(left, right, tally, options)
+
+
+def _refuse_poor(left: Side, right: Side, tally: JoinTally, options: EvaluateOptions) -> None:
+    n_left, n_right = left.tally.n_usable, right.tally.n_usable
+    smaller, other, found, of = (left, right, tally.n_pairs, n_left)
+    if n_right < n_left:
+        smaller, other, found, of = (right, left, tally.n_right, n_right)
+    if found and found >= options.min_matched * of:
+        return
+    share = f"{found} of its {of} records found a partner in {other.path}"
+    if not found:
+        name = "key" if left.key is None else left.key.dimension
+        spans = [f"{name} {side.tally.low:.9g} to {side.tally.high:.9g}" for side in (left, right)]
+        share = f"{share}: {left.path} has {spans[0]}, {right.path} has {spans[1]}"
+    else:
+        share = f"{share} ({100 * found / of:.1f} %), expected at least {100 * options.min_matched:g} %"
+    hints = {
+        "time": "check that both clocks count alike (week seconds or standard time), or give a larger tolerance",
+        "nearest": "check that both clouds are registered in one coordinate system, or give a larger tolerance",
+    }
+    raise InputError(smaller.path, share, hints.get(options.match, "check that the ids come from one run"))
+
+
+def _longest_axis(side: Side) -> str:
+    """Return the axis along which a side is longest: a slab across it holds the fewest points."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for file in side.files:
+        place = file.find(("x",))
+        if place is not None and isinstance(place[0], LasSource):
+            header = place[0].header
+            low, high = np.minimum(low, header.mins), np.maximum(high, header.maxs)
+            continue
+        for chunk in Side([file], KeyRule("place", AXES[0])).chunks(AXES):
+            if chunk.n:
+                xyz = np.stack([chunk.values[axis] for axis in AXES])
+                low, high = np.minimum(low, xyz.min(axis=1)), np.maximum(high, xyz.max(axis=1))
+    extent = high - low
+    return AXES[int(np.argmax(np.where(np.isfinite(extent), extent, -1.0)))]
+
+
+def _check_crs(left: Side, right: Side, counts: Counts) -> None:
+    """Refuse coordinates of different systems."""
+    named = [(file.codes.path, crs) for side in (left, right) for file in side.files if (crs := file.crs)]
+    for (path, crs), (other_path, other) in pairwise(named):
+        if not same_crs(crs, other):
+            problem = f"coordinates in {short_crs(crs)}, but {other_path} has {short_crs(other)}"
+            raise InputError(path, problem, "reproject one of them, or match by time or by a dimension")
+    if len(named) < len(left.files) + len(right.files):
+        counts.note("not every file names its coordinate system: taken to be the same")

@@ -1,0 +1,143 @@
+"""Counts of an evaluation: all pairs, the parts of its splits, the blocks of its intervals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.types import I64
+from prc_cli.evaluation.confusion import ConfusionMatrix
+from prc_cli.evaluation.intervals import FEW_BLOCKS, LEVEL, block_intervals
+from prc_cli.evaluation.mapping import ClassMapping
+from prc_cli.evaluation.result import Interval, SplitPart
+from prc_cli.evaluation.splits import (
+    UNKNOWN,
+    GroupedCounts,
+    block_groups,
+    check_edges,
+    file_and_block,
+    range_bounds,
+    range_groups,
+)
+from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.matching.join import (
+    Columns,
+)
+from prc_cli.matching.sides import (
+    FILE,
+    LINE,
+    RANGE,
+    ROW,
+    SCANNER,
+)
+
+RECORDS_PER_LINE = 1000
+"""Records taken as one scan line in the blocks of an input without known lines."""
+SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner"}
+
+
+@dataclass(slots=True)
+class Counts:
+    """Everything that is counted over all pairs of files."""
+
+    mapping: ClassMapping
+    parts: dict[str, GroupedCounts]
+    """By split; ``all`` holds the one group of all pairs, ``blocks`` those of the intervals."""
+    n_predicted: int = 0
+    n_reference: int = 0
+    n_matched: int = 0
+    n_reference_matched: int = 0
+    notes: dict[str, int] = field(default_factory=dict)
+    """Sentences with ``{n}``, and how many records each is about; 0 for those without a number."""
+
+    def note(self, sentence: str, n: int = 0) -> None:
+        """Keep a sentence; the numbers of the same one add up."""
+        if n or "{n}" not in sentence:
+            self.notes[sentence] = self.notes.get(sentence, 0) + n
+
+
+def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
+    """Return the splits, and ``blocks`` of intervals, that the options ask for."""
+    asked = {
+        RANGE: bool(options.split_range_m),
+        LINE: options.split_lines is not None,
+        SCANNER: options.split_scanner,
+        "blocks": options.intervals is not None,
+    }
+    return tuple(name for name, wanted in asked.items() if wanted)
+
+
+def count_pairs(
+    found: dict[str, GroupedCounts], beside: Columns, cells: I64, options: EvaluateOptions, *, by_lines: bool
+) -> None:
+    """Add pairs to the whole and to every part."""
+    found["all"].add(np.zeros(len(cells), np.int64), cells)
+    if RANGE in found:
+        found[RANGE].add(range_groups(beside[RANGE], check_edges(options.split_range_m)), cells)
+    if LINE in found and options.split_lines is not None:
+        found[LINE].add(block_groups(beside[FILE], beside[LINE], options.split_lines), cells)
+    if SCANNER in found:
+        found[SCANNER].add(beside[SCANNER], cells)
+    if "blocks" in found:
+        index = beside[LINE if by_lines else ROW]
+        per_block = options.interval_lines * (1 if by_lines else RECORDS_PER_LINE)
+        found["blocks"].add(block_groups(beside[FILE], index, per_block), cells)
+
+
+def scored_parts(counts: Counts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:
+    """Return the parts of a split that have scored records, and note how many records the others ignore."""
+    parts = _parts(counts.parts[name], name, files, options)
+    empty = [part for part in parts if not part.matrix.n_scored]
+    if empty:
+        n_ignored = sum(part.matrix.n_ignored for part in empty)
+        many = (
+            "1 part without scored records is" if len(empty) == 1 else f"{len(empty)} parts without scored records are"
+        )
+        counts.note(f"by {SPLITS[name]}: {many} left out, with {n_ignored} ignored records")
+    return tuple(part for part in parts if part.matrix.n_scored)
+
+
+def _parts(counts: GroupedCounts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:
+    """Return the parts of a split in order, those of unknown place last."""
+    parts = []
+    edges = check_edges(options.split_range_m)
+    groups = [group for group in counts.groups if group != UNKNOWN]
+    if name == RANGE:
+        below = [] if edges[0] == 0 else [0]
+        groups = [*below, *range(1, len(edges) + 1)]
+    for group in groups:
+        if name == RANGE:
+            shown, low, high = range_bounds(group, edges)
+        elif name == LINE and options.split_lines is not None:
+            file, block = file_and_block(group)
+            first = block * options.split_lines
+            low, high = float(first), float(first + options.split_lines)
+            prefix = f"{Path(files[file]).name} " if len(files) > 1 else ""
+            shown = f"{prefix}lines {first}-{first + options.split_lines - 1}"
+        else:
+            shown, low, high = f"scanner {group}", float(group), float(group + 1)
+        parts.append(SplitPart(shown, low, high, counts.matrix(group)))
+    if UNKNOWN in counts.groups:
+        parts.append(SplitPart("unknown", math.nan, math.nan, counts.matrix(UNKNOWN)))
+    return tuple(parts)
+
+
+def intervals_of(
+    counts: Counts, matrix: ConfusionMatrix, options: EvaluateOptions, *, by_lines: bool
+) -> tuple[dict[str, Interval], str]:
+    """Return intervals of all scores and how they were found."""
+    if options.intervals is None:
+        return {}, ""
+    blocks = counts.parts["blocks"].scored()
+    names = matrix.reference_names, matrix.predicted_names
+    found = block_intervals(blocks, names, options.intervals, options.seed)
+    unit = "scan lines" if by_lines else "records"
+    size = options.interval_lines * (1 if by_lines else RECORDS_PER_LINE)
+    seeded = f", seed {options.seed}" if options.intervals == "bootstrap" else ""
+    few = "; few blocks, take them as rough" if len(blocks) < FEW_BLOCKS else ""
+    method = f"block {options.intervals}, {len(blocks)} blocks of {size} {unit}{seeded}, {100 * LEVEL:g} %{few}"
+    return found, method

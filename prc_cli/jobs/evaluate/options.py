@@ -1,0 +1,95 @@
+"""Options of ``prc evaluate``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.evaluation.intervals import METHODS
+from prc_cli.evaluation.splits import (
+    check_edges,
+)
+
+TIME_TOLERANCE_S = 6e-7
+"""Half a microsecond, as times in text are rounded, and the step of float64 at a thousand million seconds. Shots of a
+scanner of up to 1 MHz lie further apart, so none is paired with its neighbour."""
+NEAREST_TOLERANCE_M = 0.05
+"""A few times the rounding of registered clouds. Pairs are nearest to each other, so that it may exceed the spacing."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluateOptions:
+    """How two sides are compared."""
+
+    match: str = "order"
+    """``order``; ``time``; ``dimension:NAME``, or ``dimension:PREDICTED=REFERENCE`` where the names differ; or
+    ``nearest``. The dimension ``record`` is the record's index where a file has no such column (not in LAS)."""
+    tolerance: float | None = None
+    """Largest difference of a pair: seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`,
+    :data:`NEAREST_TOLERANCE_M`."""
+    min_matched: float = 0.5
+    """Least share of the smaller side that must find a partner."""
+    predicted_dimension: str | None = None
+    """Column or dimension with the predicted codes; None = found by name."""
+    reference_dimension: str | None = None
+    """Column or dimension with the reference codes; None = found by name."""
+    predicted_points: Path | None = None
+    """The points that predicted labels alone belong to, record by record: the input of the run; or their folder."""
+    reference_points: Path | None = None
+    """The points that reference labels alone belong to, or their folder."""
+    split_range_m: tuple[float, ...] = ()
+    """Edges of range bins [m]; empty = not split."""
+    split_lines: int | None = None
+    """Scan lines of a part; None = not split."""
+    split_scanner: bool = False
+    """Whether every scanner is a part."""
+    points_per_line: int | None = None
+    """M, where records are shots of a dense stream: the line of record i is i // M."""
+    intervals: str | None = None
+    """``jackknife`` or ``bootstrap``; None = no intervals."""
+    interval_lines: int = 99
+    """Scan lines of a block that is left out or drawn as a whole."""
+    seed: int = 1
+    """Of the bootstrap."""
+    one_to_one: bool = True
+    """``nearest``: only pairs that are nearest to each other; else a reference record may serve several."""
+    allow_missing: bool = False
+    """Whether files of a folder that have no partner in the other one are left out instead of refused."""
+    pool: bool = False
+    """Whether all files of a side are compared as one: for tiles of the same names with different bounds."""
+
+
+def check_options(options: EvaluateOptions) -> None:
+    """Refuse options that make no sense."""
+    kind, _, name = options.match.partition(":")
+    if options.match not in ("order", "time", "nearest") and not (kind == "dimension" and name):
+        problem = f"found {options.match!r}, expected one of: order, time, dimension:NAME, nearest"
+        raise ConfigError("match", problem)
+    tolerance = options.tolerance
+    if tolerance is not None:
+        if options.match not in ("time", "nearest"):
+            raise ConfigError("tolerance", f"records matched by {options.match} have none", "leave it out")
+        if not math.isfinite(tolerance) or tolerance < 0 or (tolerance == 0 and options.match == "nearest"):
+            raise ConfigError("tolerance", f"found {tolerance:g}, expected a finite number above 0")
+    if not options.one_to_one and options.match != "nearest":
+        problem = f"records matched by {options.match} have one partner, --several asks for more"
+        raise ConfigError("--several", problem, "leave it out, or give --match nearest")
+    if options.pool and options.match == "order":
+        raise ConfigError("pool", "records of pooled files have no order", "match by time, dimension or nearest")
+    if not 0 <= options.min_matched <= 1:
+        raise ConfigError("min_matched", f"found {options.min_matched:g}, expected a share from 0 to 1")
+    if options.intervals is not None and options.intervals not in METHODS:
+        raise ConfigError("intervals", f"found {options.intervals!r}, expected one of: {', '.join(METHODS)}")
+    for key in ("split_lines", "points_per_line", "interval_lines"):
+        value = getattr(options, key)
+        if value is not None and value < 1:
+            raise ConfigError(key, f"found {value}, expected at least 1")
+    check_edges(options.split_range_m)
+
+
+def tolerance_of(options: EvaluateOptions) -> float | None:
+    """Return the largest difference of a pair, None where records are not matched by a tolerance."""
+    default = {"time": TIME_TOLERANCE_S, "nearest": NEAREST_TOLERANCE_M}.get(options.match)
+    return default if options.tolerance is None else options.tolerance

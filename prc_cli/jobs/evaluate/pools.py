@@ -1,0 +1,84 @@
+"""Files of both sides, opened and grouped into what is compared with each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.jobs.evaluate.options import EvaluateOptions
+from prc_cli.matching.key_rule import AXES, KeyRule
+from prc_cli.matching.pairs import files_of, pair_files, stem_of
+from prc_cli.matching.sides import (
+    Side,
+    SideFile,
+)
+
+
+def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOptions) -> list[tuple[Side, Side]]:
+    """Return the sides that are compared with each other."""
+    if not predicted or not reference:
+        raise ConfigError("files", "found none on one side, expected predicted and reference files")
+    for path in (*predicted, *reference):
+        if not path.exists():
+            raise InputError(str(path), "no such file or folder, expected class codes", "check the name")
+    pooled: list[tuple[list[Path], list[Path]]] = []
+    if options.pool:
+        pooled.append((files_of(predicted), files_of(reference)))
+    elif len(predicted) != len(reference):
+        if options.match == "order":
+            problem = f"found {len(predicted)} predicted and {len(reference)} reference files, expected as many"
+            raise ConfigError("files", problem, "give pairs, or match by time, dimension or nearest")
+        pooled.append((files_of(predicted), files_of(reference)))
+    else:
+        for one, other in zip(predicted, reference, strict=True):
+            pooled += _pair(one, other, options)
+    keys = _keys(options)
+    pools = []
+    for left, right in pooled:
+        points = options.predicted_points, options.reference_points
+        sides = [
+            Side(_open(files, dimension, beside), key, options.points_per_line)
+            for files, dimension, beside, key in zip(
+                (left, right), (options.predicted_dimension, options.reference_dimension), points, keys, strict=True
+            )
+        ]
+        for side in sides:
+            side.check()
+        pools.append((sides[0], sides[1]))
+    return pools
+
+
+def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[Path], list[Path]]]:
+    """Return the pairs of two files or folders, or one pool of all files if names do not pair and keys can."""
+    try:
+        return [([a], [b]) for a, b in pair_files(one, other, allow_missing=options.allow_missing)]
+    except InputError:
+        if options.match == "order":
+            raise
+    return [(files_of([one]), files_of([other]))]
+
+
+def _keys(options: EvaluateOptions) -> tuple[KeyRule | None, KeyRule | None]:
+    """Return what either side is read by; for ``nearest`` the axis is chosen later."""
+    if options.match.startswith("dimension:"):
+        left, _, right = options.match.removeprefix("dimension:").partition("=")
+        return KeyRule("dimension", left), KeyRule("dimension", right or left)
+    key = {"order": None, "time": KeyRule("time"), "nearest": KeyRule("place", AXES[0])}[options.match]
+    return key, key
+
+
+def _open(files: list[Path], dimension: str | None, points: Path | None) -> list[SideFile]:
+    """Open the files of one side with the points that their labels belong to."""
+    if points is None:
+        return [SideFile.open(path, dimension, None) for path in files]
+    if not points.is_dir():
+        if len(files) > 1:
+            problem = f"one file of points for {len(files)} files of labels, expected a folder"
+            raise ConfigError(str(points), problem, "give the folder with the points of every file, of the same name")
+        return [SideFile.open(files[0], dimension, points)]
+    named = {stem_of(path): path for path in files_of([points])}
+    missing = [path.name for path in files if stem_of(path) not in named]
+    if missing:
+        problem = f"no points for {', '.join(missing[:4])}, expected a file of the same name but for the suffix"
+        raise InputError(str(points), problem, "name the folder of the run's inputs")
+    return [SideFile.open(path, dimension, named[stem_of(path)]) for path in files]

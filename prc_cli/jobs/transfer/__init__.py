@@ -1,0 +1,158 @@
+"""Carries the classes of a raw run onto the registered points of the same drive.
+
+Both sides are surveyed (a damaged side is refused before any work), brought into the order of their keys (sorted on
+disk where they are not), merge-joined, and the classes go back to the registered file's record order through a spool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.files import check_output, remove_stale
+from prc_cli.formats.las.transfer import LasRecoder
+from prc_cli.formats.options import Layout
+from prc_cli.formats.writing.record import (
+    Fingerprint,
+    RunRecord,
+    fingerprint,
+    record_path,
+)
+from prc_cli.jobs.transfer.options import TransferOptions
+from prc_cli.jobs.transfer.sides import check_paths, open_sides
+from prc_cli.jobs.transfer.verdict import TransferCounts, counts_of, notices_of, refuse_poor_match
+from prc_cli.matching.join import CODE, KEY, SAME, JoinTally, merge_join
+from prc_cli.matching.keys import SPARE_LABELS, NearestLabel
+from prc_cli.matching.streams import RECORD, columns_of
+
+
+@dataclass(frozen=True)
+class TransferRecord(RunRecord):
+    """A :class:`RunRecord` whose ``input`` is the registered file."""
+
+    labels: Fingerprint | None = None
+    """The file with the classes."""
+    points: Fingerprint | None = None
+    """The input that the labels belong to, where they have no keys of their own."""
+    counts: TransferCounts | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the record as nested plain values."""
+        own = {key: None if value is None else asdict(value) for key, value in
+               (("labels", self.labels), ("points", self.points), ("counts", self.counts))}  # fmt: skip
+        return {**RunRecord.as_dict(self), "transfer": own}
+
+
+@dataclass(frozen=True, slots=True)
+class TransferSummary:
+    """What a transfer did."""
+
+    output: Path
+    record: RunRecord
+    """Provenance and what was written, as stored in the output; ``.notices`` is what the user should know."""
+    counts: TransferCounts
+
+
+def transfer(
+    labels: Path | str,
+    registered: Path | str,
+    output: Path | str,
+    options: TransferOptions | None = None,
+    *,
+    points: Path | str | None = None,
+    layout: Layout | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int], object] | None = None,
+) -> TransferSummary:
+    """Write the registered file again with the classes of a raw run; the output exists whole or not at all.
+
+    Parameters
+    ----------
+    labels : path
+        LAS or LAZ with classes, text with classes and times, or labels alone (``.npy``, ``.csv``, ``.parquet``, ...) in
+        the order of ``points``. Label files' code 0 (a shot without return) is left out.
+    registered : path
+        LAS or LAZ. Points without partner keep their class; all else stays as it is.
+    output : path
+        ``.las`` or ``.laz``.
+    options : TransferOptions, optional
+        How records find each other; default by gps_time and return number.
+    points : path, optional
+        Record input (text, raw dump, LAS) that the labels belong to; must be given with labels alone.
+    layout : Layout, optional
+        Record layout of ``points``.
+    overwrite : bool
+        Replace an existing output.
+    progress : callable, optional
+        Called with the number of registered points that were just matched.
+
+    Returns
+    -------
+    TransferSummary
+        Counts and notices; the same record is stored in the output and beside it.
+
+    Raises
+    ------
+    InputError
+        When a side is damaged or lacks the key, labels and points differ in number, or fewer than
+        ``options.min_match`` of the smaller side find a partner, or more than the rest of those several that differ.
+    OutputError, ConfigError
+        See :mod:`prc_cli.core.errors`; nothing is left behind.
+    """
+    options = options or TransferOptions()
+    labels, registered, output = Path(labels), Path(registered), Path(output)
+    points = None if points is None else Path(points)
+    inputs = tuple(path for path in (labels, points, registered) if path is not None)
+    check_paths(labels, registered, output, points)
+    for path in (output, record_path(output)):
+        check_output(path, overwrite=overwrite, inputs=inputs)
+        remove_stale(path)
+    before = [_state(path) for path in inputs]
+    sides = open_sides(labels, registered, points, layout, options)
+    tally = JoinTally()
+    n_changed = 0
+    names = (KEY, SAME, CODE)
+    with LasRecoder(output, registered, options.carry) as writer:
+        target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
+        origin = columns_of(sides.labels, (*names, *options.carry), sort=not sides.found[0].in_order)
+        match, paths = NearestLabel(sides.tolerance), (sides.points.path, sides.labels.path)
+        for item in merge_join(target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS):
+            record, codes = item.left[RECORD], item.left[CODE].copy()
+            codes[item.at] = item.right[CODE][item.to]
+            n_changed += int(np.count_nonzero(codes != item.left[CODE]))
+            writer.put(record, codes)
+            if options.carry:
+                writer.put_values(record[item.at], {name: item.right[name][item.to] for name in options.carry})
+            if progress is not None:
+                progress(len(record))
+        counts = counts_of(tally, n_changed, sides)
+        refuse_poor_match(counts, tally, sides, options)
+        for path, state in zip(inputs, before, strict=True):
+            if _state(path) != state:
+                raise InputError(str(path), "changed while it was read", "run again when the copy is complete")
+        stored = TransferRecord(
+            config={"transfer": asdict(options)},
+            input=fingerprint(registered),
+            format=sides.points.format,
+            points_per_line=0,
+            n_records=sides.found[1].n_records,
+            assumptions=tuple(sides.assumptions),
+            notices=(*sides.notices, *notices_of(counts)),
+            labels=fingerprint(labels),
+            points=None if points is None else fingerprint(points),
+            counts=counts,
+        )
+        return TransferSummary(output, writer.finish(stored), counts)
+
+
+def _state(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read ({error.strerror or error})", "check the name") from error
+    return found.st_size, found.st_mtime_ns

@@ -1,0 +1,55 @@
+"""How the records of the two sides of a transfer find each other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.formats.las.transfer import CARRIED
+from prc_cli.matching.keyed_source import (
+    MAX_SAME,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TransferOptions:
+    """How records of the two sides find each other."""
+
+    by: str = "time"
+    """``time``; ``record`` (equal order), ``record:NAME`` (a dimension of the registered file that holds the index of
+    the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides)."""
+    tolerance_s: float = 0.0
+    """Largest difference of times [s]; what float64 rounds at these times is always allowed."""
+    time_offset_s: float = 0.0
+    """Added to the times of the labels [s]."""
+    ignore_return: bool = False
+    """Match by the key alone, though both sides have return numbers."""
+    same: tuple[str, ...] = ()
+    """Further integer dimensions that must be equal, such as ``scanner_channel``; at most two."""
+    dimension: str | None = None
+    """Column or dimension with the class codes; default as :func:`~prc_cli.formats.labels.read.open_codes`."""
+    carry: tuple[str, ...] = ()
+    """Dimensions of classified LAS labels that go along: ``segment_id``, ``range``, ``surface``, ``dense_vegetation``,
+    ``ground_height``."""
+    min_match: float = 0.5
+    """Share of the smaller side that must find a partner, and of the points that do that must find a certain one."""
+
+    def __post_init__(self) -> None:
+        kind, _, name = self.by.partition(":")
+        if self.by not in ("time", "record") and not (kind in ("record", "dimension") and name):
+            raise ConfigError("--by", f"found {self.by!r}, expected time, record, record:NAME or dimension:NAME")
+        if not (math.isfinite(self.tolerance_s) and self.tolerance_s >= 0):
+            raise ConfigError("--tolerance", f"found {self.tolerance_s}, expected seconds, 0 or more")
+        if not math.isfinite(self.time_offset_s):
+            raise ConfigError("--time-offset", f"found {self.time_offset_s}, expected seconds")
+        if self.by != "time" and (self.tolerance_s or self.time_offset_s):
+            problem = f"--tolerance and --time-offset are for times, found --by {self.by}"
+            raise ConfigError("--by", problem, "leave them out")
+        if not 0 <= self.min_match <= 1:
+            raise ConfigError("--min-match", f"found {self.min_match}, expected a share from 0 to 1")
+        if len(self.same) >= MAX_SAME:
+            raise ConfigError("--same", f"found {len(self.same)} dimensions, expected at most {MAX_SAME - 1}")
+        for name in self.carry:
+            if name not in CARRIED:
+                raise ConfigError("--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}")

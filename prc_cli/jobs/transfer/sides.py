@@ -1,0 +1,259 @@
+"""The two inputs of a transfer: opened, surveyed, and refused where they cannot be matched."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.files import suffix_of
+from prc_cli.core.stream import Assumption
+from prc_cli.formats import (
+    LAS_SUFFIXES,
+    READERS,
+    check_input,
+    open_source,
+)
+from prc_cli.formats.labels.read import OPENERS, open_codes
+from prc_cli.formats.las.read import LasSource
+from prc_cli.formats.options import Layout
+from prc_cli.formats.records import RecordSource
+from prc_cli.jobs.transfer.options import TransferOptions
+from prc_cli.matching.key_rule import KeyRule
+from prc_cli.matching.keyed_source import (
+    CodesAlone,
+    KeyedSource,
+    Survey,
+    survey,
+)
+from prc_cli.stream.gps_weeks import WEEK_S, WeekSource
+
+GPS_EPOCH_SHIFT_S = 1e9
+"""Adjusted standard GPS time is GPS time less this [s] (LAS 1.4, global encoding bit 0)."""
+_ROUNDING_STEPS = 2.0
+"""Steps of float64 by which equal times may differ."""
+
+
+@dataclass(slots=True)
+class TransferSides:
+    """The two inputs, and what was assumed about them."""
+
+    labels: KeyedSource
+    points: KeyedSource
+    found: tuple[Survey, Survey]
+    tolerance: float
+    step_s: float = math.inf
+    """Mean step between the times of the labels [s]; infinite for other keys."""
+    assumptions: list[Assumption] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+
+
+def check_paths(labels: Path, registered: Path, output: Path, points: Path | None) -> None:
+    """Refuse files whose suffix does not fit their role."""
+    if output.suffix.lower() not in LAS_SUFFIXES:
+        raise ConfigError(str(output), f"found suffix {output.suffix!r}, expected .las or .laz", "name OUT so")
+    suffix = suffix_of(registered)
+    if suffix not in LAS_SUFFIXES and registered.exists():
+        problem = f"found suffix {suffix!r}, expected the registered points as .las or .laz"
+        raise InputError(str(registered), problem, "give LABELS first, then REGISTERED, then OUT")
+    check_input(registered)
+    suffix = suffix_of(labels)
+    if suffix in LAS_SUFFIXES:
+        check_input(labels)
+        if points is not None:
+            problem = "has keys of its own, expected no --points with it"
+            raise ConfigError(str(labels), problem, "leave out --points, or give the labels as .npy, .csv or .parquet")
+        return
+    if suffix not in OPENERS:
+        others = " ".join(known for known in OPENERS if known not in LAS_SUFFIXES)
+        problem = f"found suffix {suffix!r}, expected classes: .las .laz {others}"
+        raise InputError(str(labels), problem, "classify the raw input first: prc classify RAW LABELS")
+
+
+def open_sides(
+    labels: Path, registered: Path, points: Path | None, layout: Layout | None, options: TransferOptions
+) -> TransferSides:
+    """Open and survey both sides."""
+    target = LasSource(registered)
+    origin = _open_labelled(labels, points, layout, options)
+    assumptions: list[Assumption] = []
+    rules = _rules(options, _same(origin, target, options, assumptions))
+    for source, rule in zip((origin, target), rules, strict=True):
+        _demand(source, rule)
+    left, right = _keyed_labels(labels, origin, rules[0], options), KeyedSource(target, rules[1])
+    found = survey(left), survey(right)
+    if options.by == "record":
+        left, found = _equal_order(left, right, found, assumptions)
+    sides = TransferSides(left, right, found, 0.0, assumptions=assumptions)
+    for side, what in zip((left, right), found, strict=True):
+        _refuse_useless(side, what, options)
+    if options.by == "time":
+        largest = max(abs(bound) for item in found for bound in (item.low, item.high))
+        rounding = _ROUNDING_STEPS * float(np.spacing(max(largest, abs(options.time_offset_s))))
+        sides.tolerance = max(options.tolerance_s, rounding)
+        why = "given" if options.tolerance_s >= rounding else "what float64 rounds at these times"
+        assumptions.append(Assumption("transfer.tolerance_s", f"{sides.tolerance:.3g}", why))
+        sides.step_s = (found[0].high - found[0].low) / max(found[0].n_records - 1, 1)
+        if sides.tolerance > sides.step_s / 2:
+            text = f"the tolerance of {sides.tolerance:g} s exceeds half the mean step between the labels "
+            text += f"({sides.step_s:.2g} s): a point whose own label is missing gets its neighbour's"
+            sides.notices.append(text)
+    _refuse_apart(sides, options)
+    if isinstance(origin, LasSource) and (notice := _crs_notice(origin, target)):
+        sides.notices.append(notice)
+    return sides
+
+
+def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, options: TransferOptions) -> RecordSource:
+    """Open the records that the labels belong to."""
+    if suffix_of(labels) in LAS_SUFFIXES:
+        return LasSource(labels)
+    if points is not None:
+        source = open_source(points, layout)
+        if source is None:
+            problem = f"found a range image or an organised scan ({suffix_of(points)}), expected a list of records"
+            raise InputError(str(points), problem, "classify it to .las, and transfer that")
+        return source
+    if options.by == "record" or options.by.startswith("record:"):
+        # the order is the key, and the labels have that themselves
+        return CodesAlone(open_codes(labels, options.dimension))
+    if suffix_of(labels) in READERS:
+        table = open_source(labels, layout)
+        if table is not None and set(_rules(options, ())[0].names) <= set(table.dimensions):
+            return table
+    problem = f"holds classes alone, expected something to match by {options.by}"
+    raise InputError(str(labels), problem, "name the input they belong to: --points RAW")
+
+
+def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: TransferOptions) -> KeyedSource:
+    # seconds of week may start again within a drive, while the times of the points do not
+    source = WeekSource(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
+    if suffix_of(labels) in LAS_SUFFIXES:
+        name = options.dimension or "classification"
+        _demand_dimensions(origin, (name, *options.carry))
+        return KeyedSource(source, rule, code_dimension=name)
+    if options.carry:
+        raise ConfigError("--carry", f"{labels} holds classes alone, expected classified LAS or LAZ")
+    return KeyedSource(source, rule, open_codes(labels, options.dimension))
+
+
+def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) -> None:
+    if not found.n_records:
+        raise InputError(side.path, "no record has a class, expected classes to transfer", "check --dimension")
+    if found.all_equal:
+        key = "gps_time" if options.by == "time" else side.rule.dimension
+        problem = f"all {found.n_records:,} values of {key} are {found.low:g}, expected one a shot"
+        raise InputError(side.path, problem, "match by something else with --by")
+
+
+def _same(
+    origin: RecordSource, target: LasSource, options: TransferOptions, assumptions: list[Assumption]
+) -> tuple[str, ...]:
+    """Return what must be equal beside the key."""
+    for source in (origin, target):
+        _demand_dimensions(source, options.same)
+    if options.by != "time" or options.ignore_return:
+        return options.same
+    if "return_number" not in origin.dimensions:
+        why = "the labels have no return numbers: every return of a shot gets its class"
+        assumptions.append(Assumption("transfer.ignore_return", "true", why))
+        return options.same
+    return ("return_number", *options.same)
+
+
+def _rules(options: TransferOptions, same: tuple[str, ...]) -> tuple[KeyRule, KeyRule]:
+    kind, _, name = options.by.partition(":")
+    if kind == "time":
+        return KeyRule("time", "time", same, options.time_offset_s), KeyRule("time", "time", same)
+    if kind == "dimension":
+        return KeyRule("dimension", name, same), KeyRule("dimension", name, same)
+    return KeyRule("record", same=same), KeyRule("dimension", name, same) if name else KeyRule("record", same=same)
+
+
+def _demand(source: RecordSource, rule: KeyRule) -> None:
+    """Refuse a side that lacks the key."""
+    if rule.kind == "time" and "time" not in source.dimensions:
+        shown = ", ".join(source.dimensions[:20]) or "nothing"
+        problem = f"no time to match by, found: {shown}"
+        hint = "match by --by record, record:NAME or dimension:NAME"
+        raise InputError(source.path, problem, hint)
+    if rule.kind == "dimension":
+        _demand_dimensions(source, (rule.dimension,))
+
+
+def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
+    for name in names:
+        if name not in source.dimensions:
+            shown = ", ".join(source.dimensions[:40]) or "nothing"
+            raise ConfigError(source.path, f"no dimension {name!r} in the file", f"it has: {shown}")
+
+
+def _equal_order(
+    left: KeyedSource, right: KeyedSource, found: tuple[Survey, Survey], assumptions: list[Assumption]
+) -> tuple[KeyedSource, tuple[Survey, Survey]]:
+    """Match by order: of all records, or of those with a return where the registered file has only these."""
+    labels, points = found
+    n_all = left.source.n_records or labels.n_read
+    if n_all == points.n_records or labels.n_read == points.n_records:
+        assumptions.append(Assumption("transfer.by", "record", "record i of the labels is point i"))
+        return left, found
+    if labels.n_records == points.n_records:
+        why = "the labels without shots that have no return are as many as the points: the i-th of them is point i"
+        assumptions.append(Assumption("transfer.by", "record", why))
+        ranked = replace(left, rule=KeyRule("rank", same=left.rule.same))
+        return ranked, (survey(ranked), points)
+    problem = f"found {n_all:,} records ({labels.n_records:,} with a class), expected {points.n_records:,} as "
+    problem += f"{right.path} has, to match by equal order"
+    raise InputError(left.path, problem, "match by --by time, record:NAME or dimension:NAME")
+
+
+def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
+    """Refuse keys that do not overlap, naming the offset between usual time scales that would help."""
+    labels, points = sides.found
+    slack = sides.tolerance
+    if labels.low <= points.high + slack and points.low <= labels.high + slack:
+        return
+    what = "times" if options.by == "time" else "keys"
+    problem = f"{what} run from {points.low:.10g} to {points.high:.10g}, those of {sides.labels.path} from "
+    problem += f"{labels.low:.10g} to {labels.high:.10g}: nothing overlaps"
+    hint = "are these the same drive?"
+    if options.by == "time" and (offset := _scale_offset(labels, points)) is not None:
+        hint = f"{offset[1]}: --time-offset {offset[0] + options.time_offset_s:.0f}"
+    raise InputError(sides.points.path, problem, hint)
+
+
+def _scale_offset(labels: Survey, points: Survey) -> tuple[float, str] | None:
+    """Return the offset between two usual time scales that brings the labels to the points, and what it means."""
+    weeks = "the labels look like seconds of the GPS week"
+    to_weeks = "the points look like seconds of the GPS week"
+    other = "one side looks like GPS time, the other like adjusted standard GPS time"
+    tries = [
+        (WEEK_S * math.floor((points.low + GPS_EPOCH_SHIFT_S) / WEEK_S) - GPS_EPOCH_SHIFT_S, weeks),
+        (-(WEEK_S * math.floor((labels.low + GPS_EPOCH_SHIFT_S) / WEEK_S) - GPS_EPOCH_SHIFT_S), to_weeks),
+        (GPS_EPOCH_SHIFT_S, other),
+        (-GPS_EPOCH_SHIFT_S, other),
+        (WEEK_S * math.floor(points.low / WEEK_S), weeks),
+        (-(WEEK_S * math.floor(labels.low / WEEK_S)), to_weeks),
+    ]
+    for offset, what in tries:
+        if labels.low + offset <= points.high and points.low <= labels.high + offset:
+            return offset, what
+    return None
+
+
+def _crs_notice(origin: LasSource, target: LasSource) -> str | None:
+    """Say that the coordinate systems differ; the match does not use coordinates."""
+    left, right = origin.crs_wkt, target.crs_wkt
+    if left is None or right is None or left == right:
+        return None
+    try:
+        import pyproj
+
+        if pyproj.CRS.from_user_input(left) == pyproj.CRS.from_user_input(right):
+            return None
+    except (ImportError, ValueError, RuntimeError):  # CRSError is a RuntimeError
+        pass
+    return "the coordinate systems of labels and points differ; the match does not use coordinates"

@@ -1,0 +1,155 @@
+"""Matchers by key, against pairs found one by one, however the streams are cut."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from prc_cli.matching.join import CODE, KEY, SAME, Columns, JoinTally, merge_join
+from prc_cli.matching.keys import NearestLabel
+from tests.matching.samples import cut, join_by_key, pairs_of
+
+RNG = np.random.default_rng
+
+
+def keyed(key: list[float], returns: list[int] | None = None) -> Columns:
+    found = np.array(key, np.float64)
+    order = np.argsort(found, kind="stable")
+    columns: Columns = {KEY: found[order], "id": order}
+    if returns is not None:
+        columns[SAME] = np.array(returns)[order]
+    return columns
+
+
+def nearest_of(value: float, among: list[float]) -> float:
+    return min(among, key=lambda other: (abs(other - value), other))
+
+
+def by_hand(left: Columns, right: Columns, tolerance: float) -> set[tuple[int, int]]:
+    """Mutual nearest keys within the tolerance, members of a key in their order, one after the other."""
+    ours, theirs = (sorted(set(side[KEY].tolist())) for side in (left, right))
+    found = set()
+    for key in ours:
+        if not theirs:
+            break
+        other = nearest_of(key, theirs)
+        if abs(other - key) > tolerance or nearest_of(other, ours) != key:
+            continue
+        numbers = {int(r) for r in left[SAME][left[KEY] == key]} if SAME in left else {None}
+        for number in numbers:
+            members, ats = [], []
+            for side, value in ((left, key), (right, other)):
+                here = side[KEY] == value
+                ats.append(np.flatnonzero(here if number is None else here & (side[SAME] == number)))
+                members.append(side["id"][ats[-1]])
+            larger = max((0, 1), key=lambda side: len(members[side]))
+            clear = CODE in left and len({int((left, right)[larger][CODE][at]) for at in ats[larger]}) == 1
+            if len(members[0]) == len(members[1]) or clear:
+                found |= set(zip(members[0].tolist(), members[1].tolist(), strict=False))
+    return found
+
+
+KEYS = st.lists(st.integers(0, 40).map(lambda k: k / 4), max_size=40)
+
+
+@given(left=KEYS, right=KEYS, tolerance=st.sampled_from([0.0, 0.25, 0.3, 1.0, 5.0]), seed=st.integers(0, 99))
+def test_keys(left: list[float], right: list[float], tolerance: float, seed: int) -> None:
+    one, other = keyed(left), keyed(right)
+    tally = JoinTally()
+    found = pairs_of(join_by_key(cut(one, seed), cut(other, seed + 1), tolerance, tally))
+    assert found == by_hand(one, other, tolerance)
+    assert tally.n_pairs == tally.n_right == len(found)
+
+
+@given(data=st.data(), n=st.integers(0, 30), m=st.integers(0, 30), seed=st.integers(0, 99))
+def test_keys_return_numbers_and_classes(data: st.DataObject, n: int, m: int, seed: int) -> None:
+    sides = []
+    for k in (n, m):
+        key = data.draw(st.lists(st.integers(0, 8).map(float), min_size=k, max_size=k))
+        sides.append(keyed(key, data.draw(st.lists(st.integers(1, 3), min_size=k, max_size=k))))
+        sides[-1][CODE] = np.array(data.draw(st.lists(st.sampled_from([2, 2, 2, 6]), min_size=k, max_size=k)), int)
+    pairs = join_by_key(cut(sides[0], seed), cut(sides[1], seed + 1), 0.1, JoinTally())
+    assert pairs_of(pairs) == by_hand(sides[0], sides[1], 0.1)
+
+
+def test_a_removed_record_does_not_take_its_neighbours_partner() -> None:
+    key = np.arange(1000) * 1e-6
+    kept = np.arange(1000) % 5 > 0
+    left, right = {KEY: key, "id": np.arange(1000)}, {KEY: key[kept] + 2e-7, "id": np.flatnonzero(kept)}
+    found = pairs_of(join_by_key(cut(left, 0, 90), cut(right, 1, 90), 6e-7, JoinTally()))
+    assert found == {(int(k), int(k)) for k in np.flatnonzero(kept)}
+
+
+def chunked(key: Any, same: Any, codes: Any, step: int) -> Any:
+    values = {KEY: np.asarray(key, float), SAME: np.asarray(same), CODE: np.asarray(codes, np.uint8)}
+    order = np.argsort(values[KEY], kind="stable")
+    values["record"] = np.arange(len(order))
+    for first in range(0, len(order), step):
+        part = order[first : first + step]
+        yield {name: column[part] for name, column in values.items()}
+
+
+def join(labels: Iterator[Columns], points: Iterator[Columns], tally: JoinTally, tolerance: float = 0.0) -> Any:
+    return merge_join(points, labels, NearestLabel(tolerance), tolerance, tally, ("points", "labels"), spare=1)
+
+
+def plain_join(left: Any, right: Any, tolerance: float) -> tuple[list[int], int]:
+    """Every point by itself: the code it gets, -1 = none; and how many labels are used."""
+    found, used = [], set()
+    order = sorted(range(len(right[0])), key=lambda i: right[0][i])
+    for i in range(len(right[0])):
+        near = [
+            j for j in range(len(left[0])) if left[1][j] == right[1][i] and abs(left[0][j] - right[0][i]) <= tolerance
+        ]
+        if not near:
+            found.append(-1)
+            continue
+        best = min(near, key=lambda j: (abs(left[0][j] - right[0][i]), left[0][j]))
+        group = [j for j in near if left[0][j] == left[0][best]]
+        used.update(group)
+        mine = [k for k in order if right[0][k] == right[0][i] and right[1][k] == right[1][i]]
+        if len(mine) == len(group):
+            found.append(int(left[2][group[mine.index(i)]]))
+            continue
+        codes = [int(left[2][j]) for j in group]
+        found.append(max(codes, key=lambda code: (codes.count(code), -codes.index(code))))
+    return found, len(used)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_join_like_a_plain_one_however_it_is_chunked(seed: int) -> None:
+    rng = RNG(seed)
+    tolerance = [0.0, 0.25, 1.0, 3.0][seed % 4]
+    n = rng.integers(1, 60, 2)
+    left, right = (
+        (rng.integers(0, 40, size) / 2.0 + (seed % 3 == 0) * rng.choice([0, 0.125], size), rng.integers(1, 3, size),
+         rng.integers(1, 5, size))
+        for size in n
+    )  # fmt: skip
+    expected, used = plain_join(left, right, tolerance)
+    for steps in ((1, 1), (3, 7), (100, 100), (100, 1), (1, 100)):
+        tally = JoinTally()
+        found = np.full(n[1], -2)
+        for item in join(chunked(*left, steps[0]), chunked(right[0], right[1], np.zeros(n[1]), steps[1]), tally,
+                         tolerance=tolerance):  # fmt: skip
+            record = item.left["record"]
+            assert np.all(found[record] == -2)
+            found[record] = -1
+            found[record[item.at]] = item.right[CODE][item.to]
+        assert found.tolist() == expected
+        assert (tally.n_left, tally.n_right) == (n[1], used)
+        assert tally.n_pairs == np.count_nonzero(np.array(expected) >= 0)
+
+
+def test_distances_show_which_tolerance_would_help() -> None:
+    one = np.ones(10, np.int64)
+    tally = JoinTally()
+    found = list(join(chunked(np.arange(10.0), one, one, 4), chunked(np.arange(10.0) + 0.004, one, one, 3), tally))
+    assert not any(len(item.at) for item in found)
+    assert tally.near() == pytest.approx(0.01)
+    assert JoinTally().near() is None
