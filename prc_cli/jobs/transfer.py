@@ -25,7 +25,7 @@ from prc_cli.formats import (
 )
 from prc_cli.formats.labels.read import open_codes
 from prc_cli.formats.las.read import LasSource
-from prc_cli.formats.las.transfer import CARRIED, LasRecoder
+from prc_cli.formats.las.rewrite import CARRIED, LasRecoder
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordSource
 from prc_cli.formats.writing.record import (

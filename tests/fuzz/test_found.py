@@ -18,7 +18,7 @@ from prc_cli.core.config import MAX_TOML_BYTES, read_toml
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.formats.arrays.rows import ArrayFile
-from prc_cli.formats.las.chunks import find_run
+from prc_cli.formats.las.laz import find_run
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ptx import PtxStream
 from prc_cli.formats.text import lines as text_lines
@@ -163,9 +163,9 @@ def test_laz_that_is_copied_is_checked_first(
     struct.pack_into("<H", no_items, laszip + 54 + 32, 999)
     struct.pack_into("<I", no_records, laszip + 54 + 12, 0)
     for damaged, message in (
-        (many, "a table of 168430090 chunks, expected at most"),
+        (many, "table of 168430090 chunks, expected 1 to"),
         (run_of_ff, "bytes of 0xFF in a row"),
-        (no_items, "999 items of a record"),
+        (no_items, "bytes for 999 items, expected at least"),
         (no_records, "chunks of 0 records"),
     ):
         source = put(tmp_path / "a.laz", bytes(damaged))

@@ -18,27 +18,18 @@ from dataclasses import dataclass
 import lazrs
 import numpy as np
 
+from prc_cli.core.errors import InputError
 from prc_cli.core.types import U8
-from prc_cli.formats.las.codec import (
-    CHUNK_SIZE_AT,
-    ITEMS_AT,
-    LASZIP_KEY,
+from prc_cli.formats.las.contexts import LazContexts, contexts_of, records_of
+from prc_cli.formats.las.header import DAMAGED, LASZIP_KEY, LasHeader, Source, open_source, standard_bytes
+from prc_cli.formats.las.laz import CHUNK_SIZE_AT, ITEMS_AT, LazRecords, decoding
+from prc_cli.formats.las.sinks import (
     Target,
     batch_records,
     codec_errors,
-    decoding,
-    find_table,
     has_variable_chunks,
     large_chunks,
     new_laszip_payload,
-)
-from prc_cli.formats.las.contexts import LazContexts, contexts_of, records_of
-from prc_cli.formats.las.file import (
-    POINT_SIZES,
-    LasFile,
-    Source,
-    damaged,
-    open_source,
 )
 
 _LAYERS = {6: 9, 7: 10, 8: 11}
@@ -59,57 +50,55 @@ class Chunks:
     """Position of every chunk, then the end of the last."""
 
 
-def find_chunks(source: Source, las: LasFile) -> Chunks | None:
+def find_chunks(source: Source, las: LasHeader) -> Chunks | None:
     """Return the chunks of a file if classes can be put into them, else None.
 
     They cannot where the file is not LAZ of point format 6-8, chunks differ in length or are large, the laszip VLR
     is not the usual one, or chunk table and heads of chunks do not fit each other and the header.
     """
-    laszip = las.vlr(*LASZIP_KEY)
-    if laszip is None or not las.compressed or las.point_format not in _LAYERS or not las.n_points:
+    if not las.compressed or las.point_format not in _LAYERS or not las.n_records:
         return None
-    payload = laszip.payload
+    payload = _laszip(las)
     usual = new_laszip_payload(las.path, las.point_format, las.n_extra_bytes)
     # the compressor (layered chunks) and the items with their versions
     if has_variable_chunks(payload) or payload[:2] != usual[:2] or payload[ITEMS_AT:] != usual[ITEMS_AT:]:
         return None
-    with decoding(source, 0):
-        vlr = lazrs.LazVlr(payload)
-        if large_chunks(vlr):
-            return None
-        find_table(source, las)
-        source.seek(las.point_offset)
-        table = lazrs.read_chunk_table(source, vlr)
-    chunk_points = vlr.chunk_size()
-    start = las.point_offset + 8
-    ends = np.cumsum([start, *(n_bytes for _, n_bytes in table)], dtype=np.int64)
-    if len(table) != -(-las.n_points // chunk_points) or int(ends[-1]) > las.size:
+    records = LazRecords(source, las)
+    chunk_points, first_byte = records.vlr.chunk_size(), records.table.first_byte
+    if large_chunks(records.vlr) or records.table.n_unread or len(first_byte) - 1 != -(-las.n_records // chunk_points):
         return None
     n_layers = _LAYERS[las.point_format] + las.n_extra_bytes
-    chunks = Chunks(chunk_points, n_layers, tuple(ends.tolist()))
+    chunks = Chunks(chunk_points, n_layers, tuple(first_byte.tolist()))
     return chunks if _heads_fit(source, las, chunks) else None
 
 
-def _heads_fit(source: Source, las: LasFile, chunks: Chunks) -> bool:
+def _laszip(las: LasHeader) -> bytes:
+    """Return the content of the laszip VLR."""
+    laszip = las.vlr(LASZIP_KEY)
+    assert laszip is not None
+    return laszip.data or b""
+
+
+def _heads_fit(source: Source, las: LasHeader, chunks: Chunks) -> bool:
     """Whether the records and the sizes of layers that every chunk declares are those it has."""
     head = struct.Struct(f"<{1 + chunks.n_layers}I")
-    left = las.n_points
+    left = las.n_records
     for first, stop in zip(chunks.first_byte[:-1], chunks.first_byte[1:], strict=True):
-        source.seek(first + las.record_length)
+        source.seek(first + las.record_bytes)
         data = source.read(head.size)
         if len(data) < head.size:
             return False
         held, *layers = head.unpack(data)
         if held != min(chunks.chunk_points, left):
             return False
-        if las.record_length + head.size + sum(layers) != stop - first:
+        if las.record_bytes + head.size + sum(layers) != stop - first:
             return False
         left -= held
     return True
 
 
 def splice_classes(
-    source: Source, target: Target, las: LasFile, chunks: Chunks, codes: Iterator[U8], kept: LazContexts | None = None
+    source: Source, target: Target, las: LasHeader, chunks: Chunks, codes: Iterator[U8], kept: LazContexts | None = None
 ) -> None:
     """Write all chunks with other classes, and their table; the target stands behind it then.
 
@@ -119,7 +108,7 @@ def splice_classes(
         Input.
     target : Target
         Stands where the points of the output begin.
-    las : LasFile
+    las : LasHeader
         Of the input.
     chunks : Chunks
         From :func:`find_chunks`.
@@ -135,15 +124,14 @@ def splice_classes(
     OutputError
         When the compression library fails.
     """
-    laszip = las.vlr(*LASZIP_KEY)
-    assert laszip is not None
+    payload = _laszip(las)
     start = target.tell()
     target.write(struct.pack("<q", 0))
     n = splice_records(las, chunks)
     table: list[tuple[int, int]] = []
-    with contextlib.closing(_contexts(las, laszip.payload, n, kept)) as contexts:
+    with contextlib.closing(_contexts(las, payload, n, kept)) as contexts:
         for batch, (context, new) in enumerate(zip(contexts, codes, strict=True)):
-            records = records_of(context, POINT_SIZES[6])
+            records = records_of(context, standard_bytes(6))
             records[:, _CLASS_AT] = new
             first = batch * (n // chunks.chunk_points)
             for chunk, layer in enumerate(_class_layers(target, chunks.chunk_points, records), start=first):
@@ -155,33 +143,33 @@ def splice_classes(
                 table.append((chunks.chunk_points, written))
     table_at = target.tell()
     with codec_errors(target):
-        lazrs.write_chunk_table(target, table, lazrs.LazVlr(laszip.payload))
+        lazrs.write_chunk_table(target, table, lazrs.LazVlr(payload))
     end = target.tell()
     target.seek(start)
     target.write(struct.pack("<q", table_at))
     target.seek(end)
 
 
-def splice_records(las: LasFile, chunks: Chunks) -> int:
+def splice_records(las: LasHeader, chunks: Chunks) -> int:
     """Return how many records :func:`splice_classes` takes at a time: whole chunks, for every core some."""
-    n = batch_records(las.record_length, compressed=True)
+    n = batch_records(las, compressed=True)
     return max(1, n // chunks.chunk_points) * chunks.chunk_points
 
 
-def _contexts(las: LasFile, payload: bytes, n: int, kept: LazContexts | None) -> Generator[U8]:
+def _contexts(las: LasHeader, payload: bytes, n: int, kept: LazContexts | None) -> Generator[U8]:
     """Yield the contexts of the classes of ``n`` records at a time, kept or decoded."""
-    if kept is not None and kept.n_seen == las.n_points:
+    if kept is not None and kept.n_seen == las.n_records:
         yield from kept.take(n)
         return
     with open_source(las.path) as source:
-        source.seek(las.point_offset)
-        with decoding(source, 0):
+        source.seek(las.data_offset)
+        with decoding(source, "the compressed records cannot be opened"):
             selection = lazrs.DecompressionSelection(lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
             decompressor = lazrs.ParLasZipDecompressor(source, payload, selection)
-        whole = np.empty((min(n, las.n_points), las.record_length), np.uint8)
-        for first in range(0, las.n_points, n):
-            records = whole[: las.n_points - first]
-            with decoding(source, first):
+        whole = np.empty((min(n, las.n_records), las.record_bytes), np.uint8)
+        for first in range(0, las.n_records, n):
+            records = whole[: las.n_records - first]
+            with decoding(source, f"record {first} and what follows cannot be decompressed"):
                 decompressor.decompress_many(records.reshape(-1))
             yield contexts_of(records)
 
@@ -202,7 +190,7 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
     head = struct.Struct(f"<{_LAYERS[6]}I")
     at = 8
     for _, n_bytes in table:
-        sizes_at = at + POINT_SIZES[6] + 4
+        sizes_at = at + standard_bytes(6) + 4
         sizes = head.unpack_from(view, sizes_at)
         first = sizes_at + head.size + sum(sizes[:_CLASS_LAYER])
         yield view[first : first + sizes[_CLASS_LAYER]]
@@ -210,16 +198,16 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
 
 
 def _with_layer(
-    las: LasFile, chunks: Chunks, old: bytes, layer: memoryview, code: int
+    las: LasHeader, chunks: Chunks, old: bytes, layer: memoryview, code: int
 ) -> tuple[bytearray, memoryview, memoryview, memoryview]:
     """Return the parts of a chunk with another layer of classes and another class of its first record."""
-    head_bytes = las.record_length + 4 + 4 * chunks.n_layers
+    head_bytes = las.record_bytes + 4 + 4 * chunks.n_layers
     head = bytearray(old[:head_bytes])
-    sizes_at = las.record_length + 4
+    sizes_at = las.record_bytes + 4
     sizes = struct.unpack_from(f"<{chunks.n_layers}I", head, sizes_at)
     if head_bytes + sum(sizes) != len(old):
         problem = f"found a chunk of {head_bytes + sum(sizes)} bytes, expected {len(old)} as at the start of the run"
-        raise damaged(las.path, "LAZ chunks", problem)
+        raise InputError(f"{las.path}: LAZ chunks", problem, DAMAGED)
     head[_CLASS_AT] = code
     struct.pack_into("<I", head, sizes_at + 4 * _CLASS_LAYER, len(layer))
     first = head_bytes + sum(sizes[:_CLASS_LAYER])

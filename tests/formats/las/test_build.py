@@ -11,7 +11,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock
-from prc_cli.formats.las import codec as codec_module
+from prc_cli.formats.las import sinks as codec_module
 from prc_cli.formats.writing.options import OutputConfig
 from tests.formats.common import (
     FOREST,

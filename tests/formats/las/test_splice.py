@@ -17,7 +17,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.formats.las import rewrite as las_rewrite
 from prc_cli.formats.las import splice as las_splice
 from prc_cli.formats.las.contexts import LazContexts, contexts_of
-from prc_cli.formats.las.file import open_source, read_structure
+from prc_cli.formats.las.header import open_source, read_header
 from prc_cli.formats.las.splice import Chunks, find_chunks
 from tests.formats.common import (
     random_labels,
@@ -71,7 +71,7 @@ def make_laz(path: Path, form: int, n: int, chunk_points: int, seed: int = 0) ->
 
 def chunks_of(path: Path) -> Chunks | None:
     with open_source(path) as source:
-        return find_chunks(source, read_structure(source))
+        return find_chunks(source, read_header(source.path))
 
 
 def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
