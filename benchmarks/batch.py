@@ -36,7 +36,7 @@ PRC = [sys.executable, "-P", "-m", "prc_cli"]
 LOOP = """
 import sys
 from pathlib import Path
-from prc_cli.pipeline import classify
+from prc_cli.jobs.classify import classify
 for name in sorted(Path(sys.argv[1]).iterdir()):
     if name.suffix == ".laz":
         classify(name, Path(sys.argv[2]) / name.name, threads=1)

@@ -1,6 +1,6 @@
 """The contest: both papers, the fused method and filters of registered clouds on the same points, side by side.
 
-    python -m benchmarks.contest > docs/contest.md            # everything; only what changed is run again
+    python -m benchmarks.contest > docs/contest_figures.md    # everything; only what changed is run again
     python -m benchmarks.contest --quick                      # papers and fused on three scans, no filters, no pictures
     python -m benchmarks.contest tables peers                 # some of the parts
 
@@ -102,9 +102,9 @@ def summary(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     groups = contest.groups()
     print("## In short\n")
     say(f"""Macro F1: the mean F1 of noise, ground, building and vegetation (in forests noise, ground, stem and
-    vegetation), as far as they exist in the scan, that is with at least {LEAST_SHARE:.1%} of its judged returns;
-    mean over the scans of a group that a method is meant for, the worst scan in brackets. The Oakland set has no
-    noise in its reference: what is called so there counts against the class that it is, and noise is judged on
+    vegetation). A class counts in a scan if it has at least {LEAST_SHARE:.1%} of the scored returns. Cells:
+    mean over the scans of the group that the method is meant for; worst scan in brackets. The Oakland
+    reference has no noise: points predicted as noise count as errors of their true class. Noise is scored on
     the same strips with background added.""")
     print("| | " + " | ".join(groups) + " |\n|---|" + "---:|" * len(groups))
     for name, own in runs.items():
@@ -151,8 +151,8 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """What was aimed at, and what the best method of the stream reaches."""
     groups = contest.groups()
     print("## Against the goals\n")
-    say("""Of the method in the row: the mean over the scans of the lowest class, and of ground; stems with the
-    reference of what was hit and with that of the paper.""")
+    say("""Per method: the mean over the scans of the lowest class, and of ground; stems against the surface that was
+    hit and against the paper's cylinders.""")
     print("| method | goal | reached | |\n|---|---|---|---|")
     for name, own in runs.items():
         for title, items in (("streets", _streets(groups)), (OAKLAND, groups.get(OAKLAND, []))):
@@ -238,7 +238,7 @@ def tables(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
         print()
     print("## Every class\n")
     say("""All returns of a group together. In brackets the 95 % interval of the block jackknife over 20 blocks of lines
-    a scan, as <code>prc evaluate --intervals jackknife</code> has it.""")
+    per scan, as in <code>prc evaluate --intervals jackknife</code>.""")
     for group, items in contest.groups().items():
         print(f"### {group}\n")
         print("| | class | precision | recall | F1 | IoU |\n|---|---|---:|---:|---:|---:|")
@@ -302,12 +302,12 @@ def print_confusion(title: str, verdict: Verdict) -> None:
 def against_peers(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Filters of registered clouds on the same points."""
     print("## Filters of registered clouds\n")
-    say("""They are given what methods of the stream are not: every return with its true coordinates in the world
-    (simulated scans: the pose that was simulated; Oakland: the set's own x, y, z; KITTI: the frame itself).
-    Parameters as their authors recommend, and, but for SMRF, as chosen on streets for tuning (seeds 9001, 9004 and
-    9006) by <code>python -m benchmarks.contest_tune</code>. Ground filters are run alone and behind the best noise
-    filter. Ground and noise F1: mean over the scans, the worst in brackets. Seconds of all cores together a million
-    returns, and the most memory of the process, Python and the points included.""")
+    say("""These filters get every return with its true world coordinates (simulated scans: the simulated pose; Oakland:
+    the set's own x, y, z; KITTI: the frame itself). Parameters: as their authors recommend and, except for
+    SMRF, as tuned on streets of seeds 9001, 9004 and 9006 by <code>python -m benchmarks.contest_tune</code>.
+    Ground filters run alone and after the best noise filter. F1 of ground and noise: mean over the scans,
+    worst in brackets. Seconds of processor time per million returns; peak memory of the process, Python and
+    points included.""")
     missing = sorted({peers.PACKAGES[f] for chain in CHAINS.values() for f in (s["filter"] for s in chain)
                       if peers.installed(f) is None})  # fmt: skip
     if missing:
@@ -385,8 +385,8 @@ def ablation(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     if not switched or not all(method.name in runs for method in fused()):
         return
     print("## What each step is worth\n")
-    say("""Macro F1 without the step, mean over the scans of a group, and the difference to all steps: below zero where
-    the step helps.""")
+    say("""Macro F1 without the step (mean over the scans of a group) and the difference to all steps; negative: the
+    step helps.""")
     found = contest.all_runs(switched)
     groups = contest.groups()
     for base in fused():
@@ -410,9 +410,8 @@ def ablation(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 def speed(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Million shots a second, on all cores."""
     print("## Speed\n")
-    say(f"""The scan repeated to about {SPEED_SHOTS // 1_000_000} million shots, in memory, labels made and thrown away,
-    threads for all cores; the shortest of {SPEED_RUNS} runs by the clock, and by the time of all cores together,
-    which other load disturbs less.""")
+    say(f"""The scan is repeated to about {SPEED_SHOTS // 1_000_000} million shots, in memory, threads on all cores; the
+    shortest of {SPEED_RUNS} runs by wall time and by processor time, which other load disturbs less.""")
     print("| | scan | million shots a second | a second of one core |\n|---|---|---:|---:|")
     chosen = {item.group: item for item in reversed(contest.items)}
     for group in (PHOTON, STREET_GROUPS[2], FOREST):
@@ -495,11 +494,11 @@ def worst_confusions(verdict: Verdict) -> str:
 def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     """Data, methods, and when what was run."""
     print("## Scans\n")
-    say("""Simulated scans are drives of 30 to 160 m and walks of 15 m. Noise: the preset's own (phase scanners), or
-    background light in the share that stands beside the scan; 0 % means that only mixed ranges at edges are left.
-    Phase scanners: the simulator's own shares of background, scaled; pulsed ones know no background in the
-    simulator, and get it at random shots, a quarter of it within 30 cm of the surface. Not one of these seeds was
-    used to choose a parameter.""")
+    say("""Simulated scans are drives of 30 to 160 m and walks of 15 m. Noise: the preset's own (phase scanners), or the
+    given share of background light; 0 % leaves only mixed ranges at edges. Phase scanners: the simulator's
+    own shares of background, scaled. Pulsed scanners have no background in the simulator; it is added at
+    random shots, a quarter of it within 30 cm of the surface. None of these seeds was used to choose a
+    parameter.""")
     print("| scan | shots | returns | share of the judged classes |\n|---|---:|---:|---|")
     for item in contest.items:
         own = next((runs[name][item.how] for name in runs if item.how in runs[name]), None)
@@ -517,10 +516,9 @@ def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             between = whens[0] if whens[0] == whens[-1] else f"{whens[0]} to {whens[-1]}"
             print(f"| {method.name} | `{method.command()}` | {between} |")
     print()
-    say("""Beside its preset the sequential-angle classifier is told the ranging noise of the scanner (10 mm for
-    push-brooms, 20 mm for KITTI, else the preset's 5 mm), and, as all are, the angle of every shot from down
-    within the scan plane. Its vertical surfaces are judged as buildings, horizontal ones as ground; it has no
-    class for noise.""")
+    say("""The sequential-angle classifier also gets the ranging noise of the scanner (10 mm for push-brooms, 20 mm for
+    KITTI, else the preset's 5 mm). All methods get the angle of every shot from down within the scan plane.
+    Vertical surfaces count as building, horizontal ones as ground; the method has no noise class.""")
 
 
 Part = Callable[[Contest, dict[str, dict[str, Run]]], None]
@@ -560,12 +558,12 @@ def main() -> None:
     contest = Contest(Store(arguments.cache, told), items, (*PAPERS, *fused(), *TO_THE_TOP), arguments.quick)
     contest.store.only_kept = arguments.kept
     runs = contest.all_runs(contest.methods)
-    print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest\n")
-    say("""Both papers' methods, the fused one and filters of registered clouds on the same points. Parameters are those
-    of the presets, the same for all scans, but where a row says otherwise; what was tuned was tuned on other
-    streets (seeds 9001 to 9199) and on the first Oakland strip, which is shown but not counted. Judged are noise,
-    ground, building and vegetation, in forests stems; cars, poles, signs, wires and people are not, but what they
-    become is told.""")
+    print("<!-- written by python -m benchmarks.contest; do not edit -->\n\n# The contest: figures\n")
+    say("""Generated tables behind [the contest](contest.md). Parameters are those of the presets and the same for all
+    scans, except where a row says otherwise. Tuning used other streets (seeds 9001 to 9199) and the first
+    Oakland strip, which is shown but not counted. Scored classes: noise, ground, building, vegetation; in
+    forests also stems. Cars, poles, signs, wires and people are not scored; the confusion tables show what
+    they are predicted as.""")
     for part in arguments.parts or (QUICK_PARTS if arguments.quick else PARTS):
         PARTS[part](contest, runs)
     told(f"{contest.store.n_new} new runs, {time.perf_counter() - start:.0f} s")

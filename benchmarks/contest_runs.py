@@ -23,11 +23,10 @@ from benchmarks import contest_peers as peers
 from benchmarks.contest_data import ROOT, Scan, Simulated
 from benchmarks.contest_judge import FOLDER, MAPPINGS, Verdict, judge
 from benchmarks.contest_methods import Method, label_scan
-from prc_cli.jobs.classify import KERNELS_OF
 
 Progress = Callable[[str], None]
 POINTS = "points.npz"
-_MAKERS = ("simulation", "kernels/casting.py", "kernels/sensor.py", "kernels/shots.py")
+_MAKERS = ("simulation", "kernels/simulation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,9 +235,8 @@ def _run(path: Path) -> Run:
 
 def sources_of(method: str) -> tuple[str, ...]:
     """Return what a method's labels depend on, as far as it can be told by file."""
-    kernels = frozenset[str]().union(*(KERNELS_OF[name] for name in KERNELS_OF if name.startswith(method)))
-    own = sorted(f"kernels/{name}.py" for name in kernels)
-    return (f"classifiers/{method.replace('-', '_')}", "classifiers/returns.py", *own)
+    name = method.replace("-", "_")
+    return (f"classifiers/{name}", "classifiers/returns.py", f"kernels/{name}")
 
 
 @lru_cache(maxsize=8)

@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from prc_cli.cli import cli
-from prc_cli.config import PRESET_SOURCES, PRESETS, RunConfig, load_config, to_toml
+from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
 from prc_cli.simulation.scanners import SCANNERS, Scanner
@@ -55,15 +55,17 @@ def configuration_page() -> str:
         A configuration is a TOML file. Layers, each over the one before: the defaults below, a preset
         (`--preset urban`, or `preset = "urban"` as the first line of the file), the file (`--config FILE`), options.
         Unknown keys and values out of bounds are errors. `prc config show` prints the effective configuration with the
-        source of every value, `prc config check FILE` checks a file, `prc config schema` prints the JSON schema.
+        source of every value, `prc config presets` lists the presets, `prc config check FILE` checks a file,
+        `prc config schema` prints the JSON schema.
         """
     parts = [GENERATED, textwrap.dedent(intro), *_tables(RunConfig, "")]
     parts.append("## Presets\n")
-    for name in PRESETS:
-        text = to_toml(load_config(preset=name), comments=False)
-        parts.append(
-            f"### {name}\n\n{PRESET_SOURCES[name][0].upper()}{PRESET_SOURCES[name][1:]}.\n\n```toml\n{text}```\n"
-        )
+    parts.append(
+        "Each is a file of `sample_configs/`; what it does not set is a default. `prc config presets` lists them.\n"
+    )
+    parts.extend(
+        f"### {preset.name}\n\n```toml\n{preset.file.read_text(encoding='utf-8')}```\n" for preset in preset_summaries()
+    )
     return "\n".join(parts)
 
 
@@ -172,16 +174,6 @@ def _plain(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def sample_config(name: str) -> str:
-    """Return the commented configuration file of a preset."""
-    head = (
-        f"# The preset {name!r}: {PRESET_SOURCES[name]}.\n"
-        f"# Written by docs/generate.py; `prc classify IN OUT --preset {name}` is the same as using this file.\n\n"
-    )
-    loaded = load_config(preset=name)
-    return head + to_toml(loaded)
-
-
 def pages() -> dict[Path, str]:
     """Return every generated file and its content."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
@@ -191,7 +183,6 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/classes.md": classes_page(),
         ROOT / "docs/reference/simulation.md": simulation_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
-        **{ROOT / f"sample_configs/{name.replace('-', '_')}.toml": sample_config(name) for name in PRESETS},
     }
 
 

@@ -20,6 +20,7 @@ from prc_cli.classifiers.sequential_angle.pipeline import SequentialAngleParams
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.samples import samples_folder
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.writing.options import OutputConfig
 
@@ -77,88 +78,8 @@ class RunConfig(Params):
         return table
 
 
-_THIRDS = [1 / 3, 1 / 3, 1 / 3]
-
-PRESETS: dict[str, dict[str, Any]] = {
-    "urban": {
-        "prc": {
-            "environment": "urban",
-            "lines_per_block": 99,
-            "support": {"zeta_s": 1.0, "zeta_p": 1.0},
-            "surfaces": {"area": 30.0, "gamma": 2},
-        }
-    },
-    "forest": {
-        "prc": {
-            "environment": "forest",
-            "lines_per_block": 255,
-            "support": {"zeta_s": 0.01, "zeta_p": 0.01},
-            "surfaces": {"area": "auto", "gamma": 2},
-        }
-    },
-    "fused": {"method": "fused"},
-    "fused-forest": {"method": "fused", "fused": {"environment": "forest"}},
-    "street-scan": {"method": "sequential-angle"},
-    "street-scan-published": {
-        "method": "sequential-angle",
-        "sequential_angle": {
-            "angles": {"min_chord_sigmas": 0.0, "chord_depth_sigmas": 0.0},
-            "coarse": {
-                "vegetation": {
-                    "sigmas_deg": [2.0, 2.0, 12.0],
-                    "h0": [[1.0, 0.0, 0.0], [0.0, 0.9, 0.1], [0.0, 0.1, 0.9]],
-                    "initial_h0": _THIRDS,
-                    "end": "sprt",
-                    "backdate": False,
-                },
-                "surfaces": {
-                    "threshold_vertical_deg": 20.0,
-                    "drift_horizontal_deg": 30.0,
-                    "threshold_horizontal_deg": 15.0,
-                    "fold": False,
-                    "backdate": False,
-                    "start": "horizontal",
-                },
-            },
-            "dense_vegetation": {"initial_h0": _THIRDS, "end": "sprt", "backdate": False},
-            "ground": {
-                "height_points": 0,
-                "renew": "accepted",
-                "memory_heights": 0,
-                "resume": False,
-                "bridge": 0,
-                "jump_m": 1000.0,
-                "least_heights": 1,
-                "height_tolerance_m": 0.0,
-            },
-            "curb": {"grouping_m": 2.0, "under_sigmas": 0.0},
-            "car": {
-                "ground_layer_m": 0.0,
-                "dividers": {
-                    "change_chord_m": 0.0,
-                    "change_chord_sigmas": 0.0,
-                    "under_sigmas": 0.0,
-                    "vertical_break_m": 10_000.0,
-                },
-                "fourier": {"window": 0, "min_points": 1},
-            },
-        },
-    },
-}
-"""Sets of parameters by name; what each holds, and where it comes from, stands in :data:`PRESET_SOURCES`."""
-
-PRESET_SOURCES: dict[str, str] = {
-    "urban": "the published urban parameters (Lehtola et al. 2019, II-A, II-E, IV-A)",
-    "forest": "the published forest parameters (Lehtola et al. 2019, IV-C); the area is not printed there",
-    "fused": "streets in the scan plane: ground, building, vegetation, noise; metres that follow the sensor, chosen on "
-    "simulated streets and one real strip",
-    "fused-forest": "forests in the scan plane: ground, stems, other vegetation; chosen on simulated forests",
-    "street-scan": "static street scans (Stamos et al. 2012): printed values, and chosen ones where none is printed",
-    "street-scan-published": "static street scans (Stamos et al. 2012) to the letter: signed angles between successive "
-    "shots, and the constants of the group's public script where the paper has none; for comparison, its labels are "
-    "much worse",
-}
-"""What a preset holds, in a sentence."""
+PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-scan-published")
+"""Sets of parameters by name; each is a file of the sample configurations (:func:`preset_file`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,11 +183,50 @@ def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     return merge(table, {"input": {"range": f"trajectory:{name}"}})
 
 
+def preset_file(name: str) -> Path:
+    """Return the file that a preset is."""
+    return samples_folder() / f"{name.replace('-', '_')}.toml"
+
+
 def preset_table(name: Any) -> dict[str, Any]:
     """Return the table of a preset, or raise :class:`ConfigError` naming those there are."""
     if not isinstance(name, str) or name not in PRESETS:
         raise ConfigError("preset", f"found {name!r}, expected one of: {', '.join(PRESETS)}")
-    return PRESETS[name]
+    return read_toml(preset_file(name))
+
+
+@dataclass(frozen=True, slots=True)
+class PresetSummary:
+    """What ``prc config presets`` tells of a preset."""
+
+    name: str
+    purpose: str
+    """First line of the file: environment, method, source."""
+    method: str
+    n_changed: int
+    """Number of values that differ from the defaults."""
+    values: dict[str, Any]
+    """Every value that the file sets, by dotted key; the published urban ones are the defaults, too."""
+    file: Path
+
+
+def preset_summaries() -> list[PresetSummary]:
+    """Read every preset.
+
+    >>> [(each.name, each.n_changed) for each in preset_summaries()][:3]
+    [('urban', 0), ('forest', 5), ('fused', 1)]
+    """
+    defaults = dict(flatten(RunConfig().to_table()))
+    summaries = []
+    for name in PRESETS:
+        file = preset_file(name)
+        with file.open(encoding="utf-8") as lines:
+            purpose = lines.readline().removeprefix("#").strip()
+        values = dict(flatten(preset_table(name)))
+        effective = load_config(preset=name).config
+        changed = [key for key, value in flatten(effective.to_table()) if value != defaults.get(key)]
+        summaries.append(PresetSummary(name, purpose, effective.method, len(changed), values, file))
+    return summaries
 
 
 def parse_assignment(text: str) -> dict[str, Any]:

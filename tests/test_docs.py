@@ -67,3 +67,11 @@ def test_every_parameter_and_class_is_in_the_reference() -> None:
     algorithm = (ROOT / "docs/algorithm.md").read_text(encoding="utf-8")
     for table in ("support", "background", "components", "surfaces", "urban", "forest"):
         assert f"`[prc.{table}]`" in algorithm
+
+
+def test_tables_of_the_contest_are_those_of_its_figures() -> None:
+    rows, figures = (
+        {line for line in (ROOT / "docs" / name).read_text(encoding="utf-8").splitlines() if line.startswith("|")}
+        for name in ("contest.md", "contest_figures.md")
+    )
+    assert rows <= figures

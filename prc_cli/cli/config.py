@@ -10,7 +10,7 @@ import click
 
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.safe import printable, printable_lines
-from prc_cli.config import json_schema, load_config, to_toml
+from prc_cli.config import json_schema, load_config, preset_summaries, to_toml
 from prc_cli.core.config import read_toml
 
 
@@ -60,6 +60,37 @@ def check(file: Path) -> None:
         loaded = BatchConfig(ConfigLayers(file)).base
         more = f" and {len(overrides)} override{'s' * (len(overrides) != 1)}"
     click.echo(printable(f"{file}: valid, {len(loaded.sources)} keys set{more}"))
+
+
+@config.command()
+@click.option("--json", "as_json", is_flag=True, help="As JSON, with every value and the file of each preset.")
+def presets(as_json: bool) -> None:
+    """List the presets and what each is for.
+
+    Also shown is how many values a preset changes, compared with the defaults.
+
+    \b
+    Example: prc config presets
+    """
+    summaries = preset_summaries()
+    if as_json:
+        rows = [
+            {
+                "name": each.name,
+                "purpose": each.purpose,
+                "method": each.method,
+                "changed": each.n_changed,
+                "values": each.values,
+                "file": str(each.file),
+            }
+            for each in summaries
+        ]
+        click.echo(json.dumps({"presets": rows}, indent=2))
+        return
+    width = max(len(each.name) for each in summaries)
+    click.echo(f"{'preset':{width}}  changed  what for")
+    for each in summaries:
+        click.echo(f"{each.name:{width}}  {each.n_changed:7}  {each.purpose}")
 
 
 @config.command()

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from functools import cached_property
-from importlib import resources
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
@@ -16,6 +14,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 
 from prc_cli.core.config import Params, build, read_toml
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.samples import samples_folder
 from prc_cli.core.types import I64
 
 Side: TypeAlias = Literal["predicted", "reference"]
@@ -186,8 +185,7 @@ def preset_names() -> tuple[str, ...]:
     >>> "oakland" in preset_names()
     True
     """
-    folder = resources.files("prc_cli.evaluation") / "presets"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
+    return tuple(sorted(path.stem for path in (samples_folder() / "classes").glob("*.toml")))
 
 
 def load_mapping(source: str | Path) -> ClassMapping:
@@ -213,8 +211,7 @@ def load_mapping(source: str | Path) -> ClassMapping:
     name = str(source)
     known = preset_names()
     if name in known:
-        text = (resources.files("prc_cli.evaluation") / "presets" / f"{name}.toml").read_text(encoding="utf-8")
-        return build(ClassMapping, tomllib.loads(text), f"class mapping {name}")
+        return build(ClassMapping, read_toml(samples_folder() / "classes" / f"{name}.toml"), f"class mapping {name}")
     if Path(name).suffix != ".toml":
         problem = f"found {name!r}, expected a .toml file or one of: {', '.join(known)}"
         where = "class mapping"

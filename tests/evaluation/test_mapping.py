@@ -9,10 +9,8 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.evaluation import mapping as module
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping, preset_names
 
-PACKAGED = Path(module.__file__).parent / "presets"
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "classes"
 STREET_SCAN = ("street_scan", "street_scan_kitti", "street_scan_oakland")
 PRESETS = (
@@ -38,15 +36,6 @@ def test_presets_are_those_promised() -> None:
 @pytest.mark.parametrize("name", PRESETS)
 def test_preset_loads_by_name_and_from_its_sample_file(name: str) -> None:
     assert load_mapping(name) == load_mapping(SAMPLES / f"{name}.toml")
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_sample_file_is_the_packaged_one(name: str) -> None:
-    assert (SAMPLES / f"{name}.toml").read_bytes() == (PACKAGED / f"{name}.toml").read_bytes()
-
-
-def test_no_sample_without_a_packaged_twin() -> None:
-    assert {path.stem for path in SAMPLES.glob("*.toml")} == set(PRESETS)
 
 
 @pytest.mark.parametrize("name", PRESETS)

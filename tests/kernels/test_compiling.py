@@ -110,5 +110,5 @@ def test_child_process_compiles_its_share(tmp_path: Path, monkeypatch: pytest.Mo
     child = compiling._start(tmp_path, ["prc_cli.kernels.sequential_angle.verticals"])
     assert child is not None
     assert child.wait() == 0
-    assert len(list(tmp_path.glob("prc-verticals-*.compiled"))) == 1
+    assert len(list(tmp_path.glob("prc-sequential_angle.verticals-*.compiled"))) == 1
     assert compiling._mark("prc_cli.kernels.sequential_angle.verticals", tmp_path).exists()

@@ -28,10 +28,13 @@ VALUES = dict(values("", SequentialAngleParams()))
 
 
 def documented() -> dict[str, str]:
-    """Keys and defaults of the table of constants."""
-    table = PAGE[PAGE.index("## Constants") :]
-    rows = re.findall(r"^\|[^|\n]*\| `([a-z0-9_.]+)` \|([^|\n]*)\|", table, re.MULTILINE)
-    return {key: default.strip().replace("−", "-") for key, default in rows}
+    """Keys and defaults of the table of constants: a row a table, cells of "`key` default (note)"."""
+    section = PAGE[PAGE.index("## Constants") : PAGE.index("## Checks")]
+    found = {}
+    for table, cells in re.findall(r"^\| (?:`([a-z_.]+)`)? ?\|(.*)\|$", section, re.MULTILINE):
+        for key, default in re.findall(r"`([a-z0-9_]+)` ([^;|(]*)", cells):
+            found[f"{table}.{key}".lstrip(".")] = default.strip().replace("−", "-")
+    return found
 
 
 def test_every_table_has_its_section() -> None:

@@ -347,7 +347,7 @@ import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
 from prc_cli.core.errors import PrcError
-from prc_cli.readers import open_input
+from prc_cli.stream.open import open_input
 from prc_cli.formats.options import InputConfig
 for name in sys.stdin.read().split():
     try:

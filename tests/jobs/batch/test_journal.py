@@ -319,7 +319,7 @@ def test_without_shared_memory_a_rollback_journal_is_kept_and_said_so(
 AS_NOBODY = """
 import os, sys
 from pathlib import Path
-from prc_cli.batch.journal import Journal, read_entries
+from prc_cli.jobs.batch.journal import Journal, read_entries
 from prc_cli.core.errors import PrcError
 folder = Path(sys.argv[1])
 if os.getuid() == 0:

@@ -209,8 +209,8 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = """
 import sys
 from pathlib import Path
-from prc_cli.batch.local import LocalEngine
-from prc_cli.batch.types import EngineSettings, Progress, Task
+from prc_cli.jobs.batch.local import LocalEngine
+from prc_cli.jobs.batch.types import EngineSettings, Progress, Task
 from prc_cli.config import LoadedConfig, RunConfig
 source = Path(sys.argv[1])
 tasks = [Task("a", source, source.parent / "out" / "a.npy", LoadedConfig(RunConfig()), "")]
@@ -322,7 +322,7 @@ def test_a_dropped_interrupt_is_raised_again(tmp_path: Path) -> None:
     """Python drops an exception in a destructor; the worker must end all the same."""
     script = """
 import threading, time
-from prc_cli.batch import worker
+from prc_cli.jobs.batch import worker
 interrupts = worker._Interrupts()
 class Deleted:
     def __del__(self):

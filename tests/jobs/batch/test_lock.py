@@ -32,7 +32,7 @@ RIVALS = Path(__file__).with_name("rivals.py")
 HOLD = """
 import sys, time
 from pathlib import Path
-from prc_cli.batch.lock import Lock
+from prc_cli.jobs.batch.lock import Lock
 with Lock(Path(sys.argv[1]), beat_s=0.1):
     print("held", flush=True)
     time.sleep(3600)

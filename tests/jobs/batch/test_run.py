@@ -460,9 +460,9 @@ def test_ctrl_c_stops_a_real_run_within_seconds(tmp_path: Path) -> None:
     script = """
 import sys
 from pathlib import Path
-from prc_cli.batch.run import run_batch
-from prc_cli.batch.settings import BatchSettings
-from prc_cli.batch.types import Progress
+from prc_cli.jobs.batch.run import run_batch
+from prc_cli.jobs.batch.settings import BatchSettings
+from prc_cli.jobs.batch.types import Progress
 from prc_cli.cli import _leave_on_signals
 _leave_on_signals()
 folder = Path(sys.argv[1])

@@ -1,0 +1,280 @@
+"""``python -m tests.golden make|check``: run the cases in a few processes and compare with ``golden.json``."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import hashlib
+import json
+import multiprocessing
+import os
+import re
+import shlex
+import shutil
+import sqlite3
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Collection
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.conftest import data_folder
+from tests.golden.cases import EXIT_CODE_ONLY, ONE_LINE_A_FILE, all_cases
+from tests.golden.inputs import ROOT, make
+
+GOLDEN = Path(__file__).with_name("golden.json")
+SHORT = 400
+"""Printed text of so many characters is kept as it is, longer text as its hash."""
+Result = dict[str, Any]
+
+# What a run may say differently: when, where, how fast, on which machine. Files that hold labels hold none of it.
+_NUMBER = r"(?<![\w.])[\d,]+(?:\.\d+)?(?:e[-+]?\d+)?"
+_VARYING = [
+    (re.compile(pattern), text)
+    for pattern, text in [
+        (r"\d{8}T\d{6}Z-[0-9a-f]{8}", "<run>"),
+        (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(\+00:00|Z)?( UTC)?", "<when>"),
+        (r"process \d+( of \S+ on \S+)?", "<process>"),
+        (
+            r'("(?:seconds|\w+_seconds|seconds_\w+|peak_mib|mtime_ns|\w+_per_s|real_time\w*|longest_latency_s|free\w*'
+            r'|owner|process)": ?)[^,\n}]+',
+            r"\1<varies>",
+        ),
+        (_NUMBER + r"(?= (?:million|M/s|x real time)(?:\W|$))", "<rate>"),
+        (r"\b(in|about|most) " + _NUMBER + r" (?:s|ms|min|h|µs)(?=[\s,;.)]|$)", r"\1 <time>"),
+        (_NUMBER + r" (?:MiB|GiB|GB|MB)(?= (?:are|is|free|of memory))", "<size>"),
+    ]
+]
+
+
+def plain(text: str, folder: Path) -> str:
+    """Return what is printed or written without what differs between two runs of the same program."""
+    places = ((folder.resolve(), "<root>"), (folder, "<root>"), (data_folder(), "<data>"), (ROOT, "<repo>"))
+    for place, name in places:
+        text = text.replace(str(place), name)
+    for pattern, replacement in _VARYING:
+        text = pattern.sub(replacement, text)
+    return text
+
+
+def digest(data: bytes | str) -> str:
+    return hashlib.sha256(data.encode(errors="surrogateescape") if isinstance(data, str) else data).hexdigest()
+
+
+def text_or_digest(text: str) -> str:
+    return text if len(text) <= SHORT else f"sha256 {digest(text)}, {text.count(chr(10))} lines"
+
+
+def digest_of_file(path: Path, folder: Path) -> str:
+    """Return the hash of a file: of its bytes, but for the few that name times and machines."""
+    if path.suffix == ".sqlite":
+        with sqlite3.connect(path) as journal:
+            rows = journal.execute(
+                "SELECT name, state, config_sha256, version, attempts, owns_output, outcome, input_size, input_sha256, "
+                "n_lines, n_shots, n_records, labels, notices, problem_kind, problem_where, problem, problem_hint, "
+                "output_size FROM files ORDER BY name"
+            ).fetchall()
+        return digest(plain(repr(rows), folder))
+    data = path.read_bytes()
+    if path.suffix in (".json", ".jsonl") and not path.name.endswith(".prc.json"):
+        return digest(plain(data.decode(errors="surrogateescape"), folder))
+    return digest(data)
+
+
+def _copy(source: str, target: str) -> None:
+    Path(target).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(source, target)
+
+
+def _poke(path: str, offset: str, data: str) -> None:
+    with Path(path).open("r+b") as handle:
+        handle.seek(int(offset))
+        handle.write(bytes.fromhex(data))
+
+
+def _write(path: str, text: str) -> None:
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    Path(path).write_bytes(text.encode().decode("unicode_escape").encode())
+
+
+STEPS: dict[str, Callable[..., object]] = {
+    "@make": lambda: make(Path.cwd()),
+    "@cp": _copy,
+    "@cut": lambda path, n: os.truncate(path, int(n)),
+    "@half": lambda path: os.truncate(path, Path(path).stat().st_size // 2),
+    "@poke": _poke,
+    "@write": _write,
+    "@rm": lambda path: Path(path).unlink(),
+    "@py": lambda code: exec(code, {"np": np, "prc_cli": __import__("prc_cli"), "Path": Path}),
+}
+"""Steps of a case beside the commands: files are prepared, damaged, or the Python interface is called."""
+
+
+def run_step(words: list[str], folder: Path) -> tuple[int, str, str]:
+    """Run one command of a case in this process, with real files as its standard streams."""
+    from prc_cli.cli import main
+
+    stdin = os.devnull
+    if "<" in words:
+        stdin = words[words.index("<") + 1]
+        words = words[: words.index("<")]
+    code: object = 0
+    streams = sys.stdin, sys.stdout, sys.stderr
+    with tempfile.TemporaryDirectory() as scratch:
+        names = [Path(scratch, name) for name in ("out", "err")]
+        with (
+            open(stdin, "rb") as taken,  # noqa: PTH123
+            names[0].open("wb") as out,
+            names[1].open("wb") as err,
+        ):
+            for number, handle in enumerate((taken, out, err)):
+                os.dup2(handle.fileno(), number)
+        sys.stdin = open(0, closefd=False)  # noqa: SIM115
+        sys.stdout, sys.stderr = (open(fd, "w", encoding="utf-8", closefd=False) for fd in (1, 2))  # noqa: SIM115
+        try:
+            if words[0] in STEPS:
+                STEPS[words[0]](*words[1:])
+            else:
+                main(words)
+        except SystemExit as stop:
+            code = stop.code
+        except Exception as error:
+            code = f"{type(error).__name__}: {error}"
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        with open(os.devnull, "r+b") as null:  # noqa: PTH123
+            for number in range(3):
+                os.dup2(null.fileno(), number)
+        sys.stdin, sys.stdout, sys.stderr = streams
+        found = [name.read_bytes() for name in names]
+    out_text = f"<{len(found[0])} bytes {digest(found[0])}>" if words[0] == "stream" else found[0].decode()
+    shown = code if isinstance(code, (int, str)) else int(code is not None)
+    return shown, plain(out_text, folder), plain(found[1].decode(), folder)  # type: ignore[return-value]
+
+
+def run_case(name: str, commands: str, folder: str) -> tuple[str, Result, float]:
+    """Run the commands of a case in its own folder."""
+    from prc_cli.cli import report
+
+    report.COMPILING_S = 1e6  # whether loading takes long depends on the machine
+    begun, place = time.monotonic(), Path(folder, name)
+    place.mkdir(parents=True)
+    os.chdir(place)
+    codes, out, err = [], "", ""
+    for command in commands.split(" ; "):
+        step = shlex.split(command.replace("$DATA", "../data").replace("$REPO", "../repo"))
+        code, more_out, more_err = run_step(step, Path(folder))
+        out, err = out + more_out, err + more_err
+        if step[0] not in STEPS or code:
+            codes.append(code)
+    result: Result = {"exit": ", ".join(map(str, codes))}
+    if not name.startswith(EXIT_CODE_ONLY):
+        for suffix, text in (("out", out), ("err", err)):  # to look at, with --folder
+            Path(folder, f"{name}.{suffix}").write_text(text, encoding="utf-8")
+        result |= {"stdout": text_or_digest(out), "stderr": text_or_digest(err)}
+        files = sorted(path for path in place.rglob("*") if path.is_file() and not path.name.endswith(("-wal", "-shm")))
+        found = {path.relative_to(place).as_posix(): digest_of_file(path, Path(folder)) for path in files}
+        result["files"] = found if len(found) <= ONE_LINE_A_FILE else {f"{len(found)} files": digest(repr(found))}
+    return name, result, time.monotonic() - begun
+
+
+def needed(cases: dict[str, str], chosen: Collection[str]) -> dict[str, int]:
+    """Return the chosen cases and those whose files they read, with how many cases lie before them."""
+    depth: dict[str, int] = {}
+
+    def visit(name: str) -> int:
+        if name not in depth:
+            others = {other for other in re.findall(r"\.\./([\w.-]+)/", cases[name]) if other != name}
+            depth[name] = 1 + max(map(visit, others), default=-1)
+        return depth[name]
+
+    for name in chosen:
+        visit(name)
+    return depth
+
+
+def run(
+    only: Collection[str] = ("",), jobs: int = 2, folder: Path | None = None
+) -> tuple[dict[str, Result], list[str]]:
+    """Run the cases whose names hold one of ``only``; return their results, and the names of those without data."""
+    cases = all_cases()
+    chosen = [name for name in cases if any(part in name for part in only)]
+    skipped = [name for name in chosen if "$DATA" in cases[name] and not data_folder().is_dir()]
+    depth = needed(cases, [name for name in chosen if name not in skipped])
+    place = folder or Path(tempfile.mkdtemp(prefix="prc-golden-"))
+    os.environ |= {"COLUMNS": "120", "TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
+    found: dict[str, Result] = {}
+    slow = []
+    # the same short names wherever the checkout lies: tables are as wide as the names in them
+    place.mkdir(exist_ok=True)
+    for name, target in (("data", data_folder()), ("repo", ROOT)):
+        (place / name).symlink_to(target.resolve(), target_is_directory=True)
+    try:
+        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+            for level in range(max(depth.values(), default=-1) + 1):
+                names = [name for name in depth if depth[name] == level]
+                futures = [pool.submit(run_case, name, cases[name], str(place)) for name in names]
+                for future in futures:
+                    name, result, seconds = future.result()
+                    found[name] = result
+                    slow.append((seconds, name))
+    finally:
+        if folder is None:
+            shutil.rmtree(place, ignore_errors=True)
+    slow.sort(reverse=True)
+    print("slowest: " + ", ".join(f"{name} {seconds:.1f} s" for seconds, name in slow[:8]))
+    return {name: found[name] for name in chosen if name in found}, skipped
+
+
+def differences(kept: dict[str, Result], found: dict[str, Result]) -> list[str]:
+    """Return a line for everything that is not as it was kept."""
+    lines = []
+    for name in sorted(found):
+        if name not in kept:
+            lines.append(f"{name}: not kept")
+            continue
+        old, new = (
+            {**item, **{f"file {k}": v for k, v in item.get("files", {}).items()}} for item in (kept[name], found[name])
+        )
+        for key in sorted((old.keys() | new.keys()) - {"files"}):
+            if old.get(key) != new.get(key):
+                lines.append(f"{name}: {key}")
+                before, after = (str(item.get(key, "nothing")).splitlines() for item in (old, new))
+                lines += [f"    {row}" for row in difflib.unified_diff(before, after, lineterm="", n=0)][2:]
+    return lines
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
+    parser.add_argument("what", choices=["make", "check", "list"])
+    parser.add_argument("--only", action="append", help="cases whose name holds this; may be given several times")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 2)
+    parser.add_argument("--folder", type=Path, help="new folder, which is kept")
+    options = parser.parse_args()
+    if options.what == "list":
+        print("\n".join(f"{name}\t{commands}" for name, commands in all_cases().items()))
+        return 0
+    if options.folder:
+        options.folder.mkdir(parents=True)
+        options.folder = options.folder.absolute()
+    begun = time.monotonic()
+    found, skipped = run(options.only or ("",), options.jobs, options.folder)
+    kept = json.loads(GOLDEN.read_text(encoding="utf-8")) if GOLDEN.exists() else {}
+    lines = differences(kept, found)
+    if not options.only:
+        lines += [f"{name}: kept, but no case any more" for name in sorted(kept.keys() - found.keys() - set(skipped))]
+    print("\n".join(lines))
+    if skipped:
+        print(f"skipped: {len(skipped)} cases on real scans, no folder {data_folder()}")
+    n_other = len({line.split(":")[0] for line in lines if line[0] != " "})
+    print(f"{len(found)} cases in {time.monotonic() - begun:.0f} s, {n_other} differ")
+    if options.what == "make":
+        kept = {name: kept[name] for name in all_cases() if name in kept} | found
+        text = json.dumps(kept, indent=1, sort_keys=True, ensure_ascii=False)
+        GOLDEN.write_text(text + "\n", encoding="utf-8")
+        return 0
+    return int(bool(lines))

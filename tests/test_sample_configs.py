@@ -1,0 +1,131 @@
+"""Sample configurations hold what differs from the defaults, with reasons; ``prc config presets`` lists them."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from prc_cli.cli import cli
+from prc_cli.config import PRESETS, RunConfig, load_config, preset_file, preset_table
+from prc_cli.core.config import flatten, merge
+from prc_cli.core.samples import samples_folder
+from prc_cli.jobs.batch.plan import BatchConfig
+from prc_cli.jobs.batch.settings import ConfigLayers
+
+ROOT = Path(__file__).resolve().parent.parent
+SAMPLES = ROOT / "sample_configs"
+FILES = sorted(SAMPLES.glob("*.toml"))
+REPEATED = {
+    "urban.toml": {
+        "prc.environment",
+        "prc.lines_per_block",
+        "prc.support.zeta_s",
+        "prc.support.zeta_p",
+        "prc.surfaces.area",
+        "prc.surfaces.gamma",
+    },
+    "forest.toml": {"prc.surfaces.gamma"},
+}
+"""Defaults that a preset repeats: published values, which a change of the defaults must not change."""
+
+
+def base(preset: str | None) -> dict[str, Any]:
+    return dict(flatten(load_config(preset=preset).config.to_table()))
+
+
+def tables(path: Path) -> list[tuple[str | None, dict[str, Any]]]:
+    """Preset below, and keys, of a file and of each of its overrides."""
+    whole = tomllib.loads(path.read_text(encoding="utf-8"))
+    overrides = whole.pop("override", [])
+    named = whole.pop("preset", None)
+    found = [(named, whole)]
+    for override in overrides:
+        override.pop("match")
+        found.append((override.pop("preset", named), merge(whole, override)))
+    return found
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_a_sample_holds_only_what_differs_from_what_it_starts_from(path: Path) -> None:
+    same = set()
+    for preset, table in tables(path):
+        below = base(preset)
+        same |= {key for key, value in flatten(table) if below.get(key) == value}
+    assert same == REPEATED.get(path.name, set())
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_every_value_of_a_sample_has_its_reason(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith("# ")
+    for before, line in zip(["", *lines], lines, strict=False):
+        if re.match(r"[A-Za-z_.]+ = ", line):
+            assert re.search(r"  # \w", line) or re.match(r"# \w", before), line
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_every_sample_is_valid(path: Path) -> None:
+    BatchConfig(ConfigLayers(path))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_is_its_file(name: str) -> None:
+    path = SAMPLES / f"{name.replace('-', '_')}.toml"
+    assert preset_file(name) == path
+    assert "preset" not in preset_table(name)
+    loaded = load_config(preset=name)
+    assert load_config(path).config == loaded.config
+    assert loaded.sources == dict.fromkeys(dict(flatten(preset_table(name))), f"preset {name}")
+
+
+def test_the_literal_preset_holds_no_reading_of_ours() -> None:
+    config = load_config(preset="street-scan-published").config.sequential_angle
+    assert (config.angles.min_chord_sigmas, config.angles.chord_depth_sigmas) == (0.0, 0.0)
+    assert config.coarse.vegetation.initial_h0 == (1 / 3, 1 / 3, 1 / 3) == config.dense_vegetation.initial_h0
+    assert (config.coarse.vegetation.end, config.dense_vegetation.end) == ("sprt", "sprt")
+    assert (config.ground.jump_m, config.ground.bridge, config.ground.resume) == (1000.0, 0, False)
+
+
+def test_the_folder_inside_the_package_comes_first(tmp_path: Path) -> None:
+    package = tmp_path / "prc_cli"
+    package.mkdir()
+    assert samples_folder(package) == tmp_path / "sample_configs"
+    (package / "sample_configs").mkdir()
+    assert samples_folder(package) == package / "sample_configs"
+
+
+def test_the_wheel_and_the_source_archive_take_the_samples_in() -> None:
+    targets = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["hatch"]["build"]["targets"]
+    assert "sample_configs" in targets["wheel"]["only-include"]
+    assert targets["wheel"]["sources"] == {"sample_configs": "prc_cli/sample_configs"}
+    for name in targets["sdist"]["include"]:
+        assert (ROOT / name).exists(), name
+    assert "sample_configs" in targets["sdist"]["include"]
+
+
+def test_presets_are_listed_one_a_line() -> None:
+    result = CliRunner().invoke(cli, ["config", "presets"])
+    assert result.exit_code == 0
+    head, *rows = result.output.splitlines()
+    assert head.split() == ["preset", "changed", "what", "for"]
+    assert [row.split()[0] for row in rows] == list(PRESETS)
+    assert [int(row.split()[1]) for row in rows] == [0, 5, 1, 2, 1, 34]
+    assert all(len(row) <= 150 and row.endswith(".") for row in rows)
+
+
+def test_presets_as_json_hold_every_value() -> None:
+    result = CliRunner().invoke(cli, ["config", "presets", "--json"])
+    presets = json.loads(result.output)["presets"]
+    assert [row["name"] for row in presets] == list(PRESETS)
+    defaults = dict(flatten(RunConfig().to_table()))
+    for row in presets:
+        assert row["values"] == dict(flatten(preset_table(row["name"])))
+        assert row["changed"] == sum(defaults.get(key) != value for key, value in row["values"].items())
+        assert row["method"] == load_config(preset=row["name"]).config.method
+        assert Path(row["file"]).read_text(encoding="utf-8").startswith(f"# {row['purpose']}\n")
