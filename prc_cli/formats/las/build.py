@@ -36,6 +36,7 @@ SCALE_M = 0.001
 OFFSET_STEP_M = 1000.0
 """Registered coordinates are kept relative to a whole multiple of this [m]."""
 _POINT_FORMAT = 6
+_CREATION_DATE = slice(90, 94)
 
 
 class LasBuilder(StagedWriter):
@@ -84,6 +85,8 @@ class LasBuilder(StagedWriter):
         """Write header and VLRs where the target stands."""
         written = io.BytesIO()
         self._header.write_to(written)
+        # laspy writes today's: without one the same run gives the same bytes
+        written.getbuffer()[_CREATION_DATE] = bytes(4)
         self._target.write(written.getvalue())
 
     def _add(self, block: LabelledBlock) -> None:
@@ -239,8 +242,6 @@ def _new_header(dimensions: list[ExtraDimension]) -> Any:
     import laspy
 
     header = laspy.LasHeader(version="1.4", point_format=_POINT_FORMAT)
-    # no creation date: the same run gives the same bytes
-    header.creation_date = None
     header.global_encoding.wkt = True
     header.system_identifier = "prc-cli"
     header.generating_software = f"prc-cli {__version__}"[:32]

@@ -87,8 +87,8 @@ class LazRecords:
             raise InputError(self._where, problem, DAMAGED)
         self._vlr_data = found.data
         self._items = self._read_items()
-        self.vlr = lazrs.LazVlr(self._vlr_data)
-        """The laszip VLR, as the library has it."""
+        with decoding(source, "the laszip VLR cannot be read"):
+            self.vlr = lazrs.LazVlr(self._vlr_data)
         self.table = self._read_table()
 
     def _read_items(self) -> list[tuple[int, int]]:
