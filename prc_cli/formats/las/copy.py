@@ -191,8 +191,8 @@ def copy_las(
     notices += [notice] if notice else []
     seen = _Seen(las, masks is not None)
 
-    def points(source: Source, _: Target, open_sink: Callable[[], PointSink]) -> int:
-        return _copy_points(plan, source, open_sink(), masks, seen)
+    def points(source: Source, _: Target, open_sink: Callable[[], PointSink]) -> None:
+        _copy_points(plan, source, open_sink(), masks, seen)
 
     write_again(las, plan, vlrs, temporary, points, seen.set_counts, drop=tuple(drop))
     if plan.is_checked:

@@ -172,9 +172,9 @@ def read_layout(header: LasHeader) -> RecordLayout:
         found.append(replace(extra, name=name, place=header.record_bytes - left))
         left -= extra.n_bytes
         if extra.data_type and one:  # neither raw bytes nor vectors are one number a record
-            scale = (1.0 if extra.scale is None else extra.scale) if extra.is_scaled else None
+            factor = (1.0 if extra.scale is None else extra.scale) if extra.is_scaled else None
             as_float = name in _AS_FLOAT
-            fields[name] = Field(column, None, scale, extra.offset or 0.0, extra.no_data, as_float=as_float)
+            fields[name] = Field(column, None, factor, extra.offset or 0.0, extra.no_data, as_float=as_float)
     if left:
         columns.append(("undescribed bytes", f"V{left}"))
         notes.append(f"{left} bytes of every record are described nowhere and not read")
