@@ -80,20 +80,22 @@ class LazRecords:
     def __init__(self, source: Source, header: LasHeader) -> None:
         self._where = str(header.path)
         self._source = source
-        self._header = header
+        self.header = header
+        """Of the file."""
         found = header.vlr(LASZIP_KEY)
         if found is None or found.data is None:
             problem = "the records are compressed but the laszip VLR is missing"
             raise InputError(self._where, problem, DAMAGED)
-        self._vlr_data = found.data
+        self.vlr_data = found.data
+        """Content of the laszip VLR."""
         self._items = self._read_items()
         with decoding(source, "the laszip VLR cannot be read"):
-            self.vlr = lazrs.LazVlr(self._vlr_data)
+            self.vlr = lazrs.LazVlr(self.vlr_data)
         self.table = self._read_table()
 
     def _read_items(self) -> list[tuple[int, int]]:
         """Return (type, bytes) of the items of a record, after checking the VLR."""
-        data, where = self._vlr_data, f"{self._where}: laszip VLR"
+        data, where = self.vlr_data, f"{self._where}: laszip VLR"
         n_items = struct.unpack_from("<H", data, ITEMS_AT)[0] if len(data) >= ITEMS_AT + 2 else 0
         least = ITEMS_AT + 2 + 6 * max(n_items, 1)
         if n_items == 0 or len(data) < least:
@@ -101,15 +103,15 @@ class LazRecords:
             raise InputError(where, problem, DAMAGED)
         items = [struct.unpack_from("<HH", data, ITEMS_AT + 2 + 6 * i) for i in range(n_items)]
         n_bytes = sum(size for _, size in items)
-        if n_bytes != self._header.record_bytes:
-            problem = f"records of {n_bytes} bytes, expected the {self._header.record_bytes} of the header"
+        if n_bytes != self.header.record_bytes:
+            problem = f"records of {n_bytes} bytes, expected the {self.header.record_bytes} of the header"
             raise InputError(where, problem, DAMAGED)
         if struct.unpack_from("<I", data, CHUNK_SIZE_AT)[0] == 0:
             raise InputError(where, "chunks of 0 records, expected at least 1", DAMAGED)
         return [(int(kind), int(size)) for kind, size in items]
 
     def _read_table(self) -> ChunkTable:
-        header, path = self._header, self._header.path
+        header, path = self.header, self.header.path
         start = header.data_offset + 8
         position, stop = self._table_bounds()
         self._source.seek(position)
@@ -148,7 +150,7 @@ class LazRecords:
 
     def _table_bounds(self) -> tuple[int, int]:
         """Return the byte where the chunk table begins, and the end of what may follow it."""
-        header = self._header
+        header = self.header
         stop = header.file_bytes
         self._source.seek(header.data_offset)
         raw = self._source.read(8)
@@ -194,9 +196,9 @@ class LazRecords:
         InputError
             Naming the records that cannot be decoded.
         """
-        if not self._header.n_records:
+        if not self.header.n_records:
             return
-        size = self._header.record_bytes
+        size = self.header.record_bytes
         largest = int(np.diff(self.table.first_record).max())
         # the parallel decoder sizes its buffers by the declared chunk, full or not
         declared = self.vlr.chunk_size()
@@ -204,9 +206,9 @@ class LazRecords:
             declared * size <= _SERIAL_BYTES or self.vlr.uses_variable_size_chunks()
         )
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
-        if several is not None and not (whole and self._header.point_format >= LAYERED_FORMATS):
+        if several is not None and not (whole and self.header.point_format >= LAYERED_FORMATS):
             selection, several = several, None
-        decoder = self._open(kind, selection)
+        decoder = self.open(self._source, kind, selection)
         n_chunks = len(self.table.first_record) - 1
         # every core decodes a chunk of its own
         n_together = max(n_max, min(default_threads() * largest, _TOGETHER_BYTES // size))
@@ -216,7 +218,7 @@ class LazRecords:
             first = int(self.table.first_record[chunk])
             end = max(int(np.searchsorted(self.table.first_record, first + n_together, side="right")) - 1, chunk + 1)
             # opened anew: the decoder must find the other one where it left it
-            with open_source(self._header.path) as source:
+            with open_source(self.header.path) as source:
                 self._check_layers(source, chunk, end)
                 self._check_runs(source, chunk, end)
             stop = int(self.table.first_record[end])
@@ -227,7 +229,7 @@ class LazRecords:
                 if not self._decode(decoder, raw):
                     raise self._damage(chunk, end, begin, kind)
                 if several is not None and _has_several(raw, size):
-                    decoder = self._open(kind, several)
+                    decoder = self.open(self._source, kind, several)
                     with decoding(self._source, "the compressed records cannot be opened"):
                         decoder.seek(begin)
                     several = None
@@ -237,10 +239,11 @@ class LazRecords:
                     yield begin + start // size, raw[start : start + n_max * size]
             chunk = end
 
-    def _open(self, kind: Any, selection: int) -> Any:
-        self._source.seek(self._header.data_offset)
-        with decoding(self._source, "the compressed records cannot be opened"):
-            return kind(self._source, self._vlr_data, lazrs.DecompressionSelection(selection))
+    def open(self, source: Source, kind: Any, selection: int) -> Any:
+        """Return a decoder of some layers, which stands at the first record of a source."""
+        source.seek(self.header.data_offset)
+        with decoding(source, "the compressed records cannot be opened"):
+            return kind(source, self.vlr_data, lazrs.DecompressionSelection(selection))
 
     def _decode(self, decoder: Any, raw: memoryview) -> bool:
         try:
@@ -257,11 +260,11 @@ class LazRecords:
         bounds = self.table.first_record
         if kind is lazrs.ParLasZipDecompressor:
             with contextlib.suppress(InputError), decoding(self._source, ""):
-                decoder = self._open(kind, lazrs.SELECTIVE_DECOMPRESS_ALL)
+                decoder = self.open(self._source, kind, lazrs.SELECTIVE_DECOMPRESS_ALL)
                 decoder.seek(begin)
                 while chunk < end - 1:
                     decoder.decompress_many(
-                        bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self._header.record_bytes)
+                        bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self.header.record_bytes)
                     )
                     chunk += 1
             begin = int(bounds[chunk])
@@ -272,24 +275,32 @@ class LazRecords:
         )
         return InputError(self._where, problem, DAMAGED)
 
+    @property
+    def n_layers(self) -> int:
+        """Compressed layers of a chunk of point formats 6-10."""
+        return chunk_head(self._items).size // 4 - 1
+
+    def heads(self, source: Source, first: int, end: int) -> Iterator[tuple[int, int]]:
+        """Yield how many records every chunk of point formats 6-10 says that it holds, and how many bytes it claims."""
+        layout = chunk_head(self._items)
+        for begin in self.table.first_byte[first:end].tolist():
+            source.seek(begin + self.header.record_bytes)
+            head = source.read(layout.size)
+            held, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
+            yield held, self.header.record_bytes + layout.size + sum(layers)
+
     def _check_layers(self, source: Source, first: int, end: int) -> None:
         """Compare the sizes that chunks of point formats 6-10 declare of themselves with the chunk table."""
         if self._items[0][0] < 10:
             return
-        path, layout = self._header.path, chunk_head(self._items)
-        size = self._header.record_bytes
-        first_byte = self.table.first_byte[first : end + 1].tolist()
-        first_record = self.table.first_record[first : end + 1].tolist()
-        for k, chunk in enumerate(range(first, end)):
-            begin, n_bytes = first_byte[k], first_byte[k + 1] - first_byte[k]
-            n_records = first_record[k + 1] - first_record[k]
-            source.seek(begin + size)
-            head = source.read(layout.size)
-            held, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
-            what = f"LAZ chunk {chunk} (from record {first_record[k]})"
-            if held < n_records or (held > n_records and chunk < len(self.table.first_byte) - 2):
-                raise damaged(path, begin + size, f"{what} holds {held} records, expected {n_records}")
-            claimed = size + layout.size + sum(layers)
+        path, table = self.header.path, self.table
+        for chunk, (held, claimed) in enumerate(self.heads(source, first, end), start=first):
+            begin, n_bytes = int(table.first_byte[chunk]), int(table.first_byte[chunk + 1] - table.first_byte[chunk])
+            n_records = int(table.first_record[chunk + 1] - table.first_record[chunk])
+            what = f"LAZ chunk {chunk} (from record {table.first_record[chunk]})"
+            if held < n_records or (held > n_records and chunk < len(table.first_byte) - 2):
+                where = begin + self.header.record_bytes
+                raise damaged(path, where, f"{what} holds {held} records, expected {n_records}")
             if claimed > n_bytes:
                 raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
 
@@ -304,7 +315,7 @@ class LazRecords:
             f"records {bounds[0]} to {bounds[1] - 1} cannot be decompressed: LAZ chunk {chunk} holds "
             f"{RUN_BYTES} bytes of 0xFF in a row, expected compressed records"
         )
-        raise damaged(self._header.path, byte, problem)
+        raise damaged(self.header.path, byte, problem)
 
 
 def read_batches(

@@ -89,8 +89,8 @@ class LasRewriter(ScatterWriter):
                 n = batch_records(las, compressed=las.compressed or plan.compress)
                 points.write(source, open_sink(), n, self._columns(las.n_records, n))
                 return
-            codes = (columns.codes for columns in self._columns(las.n_records, splice_records(las, chunks)))
-            splice_classes(source, target, las, chunks, codes, self._laz_contexts)
+            codes = (columns.codes for columns in self._columns(las.n_records, splice_records(chunks)))
+            splice_classes(source, target, chunks, codes, self._laz_contexts)
 
         drop = (RECORD_KEY[0], COPC_USER)
         write_again(las, plan, with_record(vlrs, record), self._temporary, write_points, points.finish, drop)
