@@ -267,15 +267,3 @@ class LasRecoder(LasRewriter):
         with output_errors(self.path):
             for column in self._optional:
                 self._spools[column.name].put(record, values[column.name].astype(column.dtype))
-
-    def finish(self, record: RunRecord) -> RunRecord:
-        """Write the output and ``<output>.prc.json``, give both their names; return the record as written.
-
-        Raises
-        ------
-        OutputError
-            When the output cannot be written whole; nothing is left then.
-        InputError
-            When the source, read again, is damaged.
-        """
-        return super().finish(record)
