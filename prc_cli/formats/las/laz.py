@@ -43,6 +43,8 @@ _AHEAD = 1
 """Batches that wait for who takes them."""
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
+_SHARED_BYTES = 32 << 20
+"""The same where several are held at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,9 +204,8 @@ class LazRecords:
         largest = int(np.diff(self.table.first_record).max())
         # the parallel decoder sizes its buffers by the declared chunk, full or not
         declared = self.vlr.chunk_size()
-        whole = largest * size <= _SERIAL_BYTES and (
-            declared * size <= _SERIAL_BYTES or self.vlr.uses_variable_size_chunks()
-        )
+        limit = _SERIAL_BYTES if n_buffers == 1 else _SHARED_BYTES
+        whole = largest * size <= limit and (declared * size <= limit or self.vlr.uses_variable_size_chunks())
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
         if several is not None and not (whole and self.header.point_format >= LAYERED_FORMATS):
             selection, several = several, None

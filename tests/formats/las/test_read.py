@@ -452,6 +452,22 @@ def test_the_chunk_table_is_checked_in_one_way(tmp_path: Path) -> None:
         refused_by_both(path)
 
 
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_large_chunks_are_copied_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point_format: int) -> None:
+    path, output, again = tmp_path / "a.laz", tmp_path / "b.las", tmp_path / "c.laz"
+    raw, _, _ = laz(path, point_format)
+    monkeypatch.setattr("prc_cli.formats.las.sinks._BATCH_RECORDS", 7_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz._SHARED_BYTES", 1_000_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz.lazrs.ParLasZipDecompressor", None)
+    copy_las(read_las(path), output, output)
+    assert (
+        laspy.read(output).points.array.tobytes()
+        == laspy.lib.read_las(path, laz_backend=laspy.LazBackend.Lazrs).points.array.tobytes()
+    )
+    copy_las(read_las(path), again, again)
+    assert again.read_bytes() == raw
+
+
 @pytest.mark.parametrize("suffix", ["las", "laz"])
 def test_coordinates_that_cannot_be_read_are_copied(tmp_path: Path, suffix: str) -> None:
     path, output = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
