@@ -86,7 +86,7 @@ def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False
     """
     from prc_cli.formats.arrays.write import NpyStream, NpzStream
     from prc_cli.formats.e57.write import E57Stream
-    from prc_cli.formats.las.write import LasStream
+    from prc_cli.formats.las.build import LasStream
     from prc_cli.formats.raw_binary.write import RawStream
     from prc_cli.formats.tables.write import CsvStream, ParquetStream
 

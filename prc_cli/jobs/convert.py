@@ -186,12 +186,12 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
             input=fingerprint(source),
             format="LAZ" if las.compressed else "LAS",
             points_per_line=0,
-            n_records=las.n_points,
+            n_records=las.n_records,
             notices=("records were copied as bytes; no stream was read", *notices),
         )
         with atomic_output(record_path(output)) as beside:
             beside.write_bytes(record.to_json())
-    return ConversionSummary(output, record, (), 0, las.n_points, las.n_points)
+    return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
 
 
 @dataclass(frozen=True, slots=True)

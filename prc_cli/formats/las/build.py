@@ -6,6 +6,7 @@ Coordinates are those of the input's sensor frame, or scan-plane coordinates ``x
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -13,52 +14,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import __version__
-from prc_cli.core.classes import ClassCodes
+from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
-from prc_cli.formats.las.codec import (
-    LASZIP_KEY,
-    LasSink,
-    LazSink,
-    PointSink,
-    Target,
-    batch_records,
-    new_laszip_payload,
-)
-from prc_cli.formats.las.file import POINT_SIZES, STANDARD_HEADER, Header
-from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG
-from prc_cli.formats.las.vlrs import (
-    COLUMN,
-    RANGE,
-    SCAN_LINE,
-    WKT_BIT,
-    extra_bytes_vlr,
-    make_vlr,
-    record_evlr,
-)
+from prc_cli.formats.las.copy import RECORD_TEXT
+from prc_cli.formats.las.header import LASZIP_KEY, RECORD_KEY, Vlr, make_vlr
+from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
+from prc_cli.formats.las.sinks import LasSink, LazSink, PointSink, Target, batch_size, new_laszip_payload
 from prc_cli.formats.writing.base import StagedWriter, close_quietly
-from prc_cli.formats.writing.columns import asked_columns
+from prc_cli.formats.writing.columns import RANGE, ExtraDimension, asked_columns
 from prc_cli.formats.writing.options import OutputConfig
 from prc_cli.formats.writing.record import RunRecord
+from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 
+SCAN_LINE = ExtraDimension("scan_line", np.dtype("<u4"), "scan line in the stream")
+COLUMN = ExtraDimension("column", np.dtype("<u4"), "shot in the scan line")
 SCALE_M = 0.001
 """Coordinate step of built files [m]."""
 
-_FIELDS: list[tuple[str, str]] = [
-    ("xyz", "(3,)<i4"),
-    ("intensity", "<u2"),
-    ("returns", "u1"),
-    ("flags", "u1"),
-    ("classification", "u1"),
-    ("user_data", "u1"),
-    ("scan_angle", "<i2"),
-    ("point_source_id", "<u2"),
-    ("gps_time", "<f8"),
-    ("range", "<f4"),
-    ("scan_line", "<u4"),
-    ("column", "<u4"),
-]
+OFFSET_STEP_M = 1000.0
+"""Registered coordinates are kept relative to a whole multiple of this [m]."""
+_POINT_FORMAT = 6
+_CREATION_DATE = slice(90, 94)
 
 
 class LasBuilder(StagedWriter):
@@ -89,28 +67,34 @@ class LasBuilder(StagedWriter):
         self._stack.callback(close_quietly, self._handle)
 
     def _begin(self) -> None:
-        self._dtype = np.dtype([*_FIELDS, *((column.name, column.dtype) for column in self._optional)])
         dimensions = [RANGE, SCAN_LINE, COLUMN, *(column.dimension for column in self._optional)]
+        self._header = _new_header(dimensions)
+        self._header.are_points_compressed = self._compress
+        self._dtype = self._header.point_format.dtype()
         vlrs = [extra_bytes_vlr(dimensions)]
-        n_extra = self._dtype.itemsize - POINT_SIZES[6]
         if self._compress:
-            vlrs.append(make_vlr(LASZIP_KEY, new_laszip_payload(self.path, 6, n_extra), "laszip (lazrs)"))
-        self._header = _empty_header(self._dtype.itemsize, vlrs_size=sum(len(vlr.raw) for vlr in vlrs))
-        self._header.set("n_vlrs", len(vlrs))
-        self._header.set("point_format", 6 | (0x80 if self._compress else 0))
+            payload = new_laszip_payload(self.path, _POINT_FORMAT, self._header.point_format.num_extra_bytes)
+            vlrs.append(make_vlr(LASZIP_KEY, payload, "laszip (lazrs)"))
+        self._header.vlrs.extend(_as_laspy_has_it(vlr) for vlr in vlrs)
         self._target = Target(self._handle)
-        self._target.write(self._header.data)
-        for vlr in vlrs:
-            self._target.write(vlr.raw)
+        self._write_header()
         sink: PointSink = LasSink(self._target)
-        self._sink = LazSink(self._target, vlrs[-1].payload) if self._compress else sink
+        self._sink = LazSink(self._target, payload) if self._compress else sink
+
+    def _write_header(self) -> None:
+        """Write header and VLRs where the target stands."""
+        written = io.BytesIO()
+        self._header.write_to(written)
+        # laspy writes today's: without one the same run gives the same bytes
+        written.getbuffer()[_CREATION_DATE] = bytes(4)
+        self._target.write(written.getvalue())
 
     def _add(self, block: LabelledBlock) -> None:
         scan = block.block
         codes = self._encode(block.labels, scan.range_m)
         extra_codes = self._encode(block.extra_labels, scan.extra.range_m)
         cells = {column.name: self._cells(column, block) for column in self._optional}
-        lines = max(1, batch_records(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
+        lines = max(1, batch_size(self._dtype.itemsize, compressed=self._compress) // scan.points_per_line)
         for first in range(0, scan.n_lines, lines):
             rows = slice(first, first + lines)
             shots = self._gather(scan, rows)
@@ -133,14 +117,15 @@ class LasBuilder(StagedWriter):
     def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
         """Set everything but class and optional columns, and add to the header's counts and bounds."""
         steps = self._steps(scan, shots)
-        points["xyz"] = steps
+        for axis, name in enumerate("XYZ"):
+            points[name] = steps[:, axis]
         if len(steps):
             self._low = np.minimum(self._low, steps.min(axis=0))
             self._high = np.maximum(self._high, steps.max(axis=0))
         points["range"] = shots.range_m
         points["scan_line"] = _fits(self.path, "scan line", scan.first_line + shots.line, 1 << 32)
         points["column"] = shots.column
-        points["returns"] = shots.number | (shots.count << 4)
+        points["bit_fields"] = shots.number | (shots.count << 4)
         points["point_source_id"] = _fits(self.path, "scanner", np.array([scan.scanner]), 1 << 16)
         self._by_return += np.bincount(shots.number, minlength=16)[1:16]
         if scan.angle_rad is not None:
@@ -202,17 +187,15 @@ class LasBuilder(StagedWriter):
         self._sink.close()
         record = self._completed(record)
         header = self._header
-        header.set("evlr_start", self._target.tell())
-        header.set("n_evlrs", 1)
-        self._target.write(record_evlr(record))
-        header.set("offsets", *self._offset_m.tolist())
-        header.set("n_points", int(self._by_return.sum()))
-        header.set("by_return", *self._by_return.tolist())
+        header.start_of_first_evlr, header.number_of_evlrs = self._target.tell(), 1
+        self._target.write(_evlr(record))
+        header.offsets = self._offset_m
+        header.point_count = int(self._by_return.sum())
+        header.number_of_points_by_return = self._by_return
         if self._by_return.any():
-            low, high = self._low * SCALE_M + self._offset_m, self._high * SCALE_M + self._offset_m
-            header.set("bounds", high[0], low[0], high[1], low[1], high[2], low[2])
+            header.mins, header.maxs = (steps * SCALE_M + self._offset_m for steps in (self._low, self._high))
         self._target.seek(0)
-        self._target.write(header.data)
+        self._write_header()
         self._handle.close()
         return record
 
@@ -254,23 +237,113 @@ def gather_returns(scan: ScanBlock, rows: slice) -> Returns:
     return found
 
 
-def _empty_header(record_length: int, vlrs_size: int) -> Header:
-    data = bytearray(STANDARD_HEADER[4])
-    data[:4] = b"LASF"
-    data[24:26] = (1, 4)
-    header = Header(bytes(data))
-    # no creation date: the same run gives the same bytes
-    header.set("global_encoding", WKT_BIT)
-    header.set("system_id", b"prc-cli")
-    header.set("generating_software", f"prc-cli {__version__}".encode("ascii")[:32])
-    header.set("header_size", len(data))
-    header.set("point_offset", len(data) + vlrs_size)
-    header.set("record_length", record_length)
-    header.set("scales", SCALE_M, SCALE_M, SCALE_M)
+def _new_header(dimensions: list[ExtraDimension]) -> Any:
+    """Return the header of a file without points, as laspy has it."""
+    import laspy
+
+    header = laspy.LasHeader(version="1.4", point_format=_POINT_FORMAT)
+    header.global_encoding.wkt = True
+    header.system_identifier = "prc-cli"
+    header.generating_software = f"prc-cli {__version__}"[:32]
+    header.scales = np.full(3, SCALE_M)
+    for dimension in dimensions:
+        # past the header, which would describe it with a least and a greatest value
+        params = laspy.ExtraBytesParams(dimension.name, dimension.dtype, dimension.description)
+        header.point_format.add_extra_dimension(params)
     return header
+
+
+def _as_laspy_has_it(vlr: Vlr) -> Any:
+    import laspy
+
+    return laspy.VLR(vlr.user_id, vlr.record_id, vlr.description, vlr.data)
+
+
+def _evlr(record: RunRecord) -> bytes:
+    """Return the run record as an extended VLR: any length."""
+    import laspy
+    from laspy.vlrs.vlrlist import VLRList
+
+    written = io.BytesIO()
+    VLRList([laspy.VLR(*RECORD_KEY, RECORD_TEXT, record.to_json())]).write_to(written, as_extended=True)
+    return written.getvalue()
 
 
 def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[Any]:
     if values.size and int(values.max()) >= limit:
         raise OutputError(str(path), f"{what} {int(values.max())} does not fit, LAS holds 0 to {limit - 1} here")
     return values
+
+
+class LasStream(LasBuilder):
+    """Writer of a stream as LAS 1.4, point format 6; missing shots have no record.
+
+    The return that stands for its shot comes first, whatever its number, so that it does so again when it is read.
+    """
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        super().__init__(path, ClassCodes(), OutputConfig(), shape.points_per_line)
+        self._item: StreamItem | None = None
+        self._n_codes_lost = 0
+        self._has_offset = False
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Class codes that a byte does not hold."""
+        if not self._n_codes_lost:
+            return ()
+        unknown = f"{self._codes.unclassified} ({Label.UNCLASSIFIED.name.lower()})"
+        return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {unknown}",)
+
+    def add_item(self, item: StreamItem) -> None:
+        """Take a block (see :class:`prc_cli.formats.writing.stream_writer.StreamWriter`)."""
+        block = item.block
+        self._item = item
+        if item.registered_m is not None and not self._has_offset:
+            self._set_offset(item)
+        codes = self._codes_of(item.codes, block.range_m.shape)
+        self.add(LabelledBlock(block, codes, self._codes_of(item.extra_codes, (len(block.extra),))))
+
+    def _set_offset(self, item: StreamItem) -> None:
+        """Take the offset of the header from the first coordinates."""
+        assert item.registered_m is not None
+        known = item.registered_m[np.isfinite(item.registered_m).all(axis=2)]
+        if len(known):
+            self._offset_m = np.floor(known[0] / OFFSET_STEP_M) * OFFSET_STEP_M
+            self._has_offset = True
+
+    def _codes_of(self, codes: NDArray[np.int32] | None, shape: tuple[int, ...]) -> U8:
+        """Return class codes as they are stored; what does not fit a byte, or is not known, is unclassified."""
+        unknown = self._codes.unclassified
+        if codes is None:
+            return np.full(shape, unknown, np.uint8)
+        wrong = (codes < 0) | (codes > 255)
+        self._n_codes_lost += int(np.count_nonzero(wrong & (codes != NO_CODE)))
+        return np.where(wrong, unknown, codes).astype(np.uint8)
+
+    def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
+        return labels  # codes already
+
+    def _gather(self, scan: ScanBlock, rows: slice) -> Returns:
+        shots = gather_returns(scan, rows)
+        if not (shots.extra >= 0).any():
+            return shots
+        order = np.lexsort((shots.number, shots.extra >= 0, shots.column, shots.line))
+        moved = Returns(shots.line[order], shots.column[order], shots.range_m[order], shots.extra[order])
+        moved.number, moved.count = shots.number[order], shots.count[order]
+        return moved
+
+    def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
+        super()._fill(points, scan, shots)
+        # the stream knows the intensity of the return that stands for a shot, not of the others
+        points["intensity"][shots.extra >= 0] = 0
+
+    def _steps(self, scan: ScanBlock, shots: Returns) -> I64:
+        item = self._item
+        if item is None or item.registered_m is None:
+            return super()._steps(scan, shots)
+        xyz = item.registered_m[shots.line, shots.column]
+        other = shots.extra >= 0
+        if other.any() and item.extra_registered_m is not None:
+            xyz[other] = item.extra_registered_m[shots.extra[other]]
+        return self._whole_steps(xyz, scan, shots)

@@ -11,7 +11,7 @@ import numpy as np
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import U8
-from prc_cli.formats.las.codec import LazSink, Target, new_laszip_payload
+from prc_cli.formats.las.sinks import LazSink, Target, new_laszip_payload
 
 POINT_FORMATS = {1: 28, 6: 30, 10: 67}
 """Bytes of a record by point format: one of every way in which laszip codes records."""

@@ -1,23 +1,29 @@
-"""The frame of a LAS file: header, variable length records and their sizes, checked against the file.
+"""The frame of a LAS file: header, VLRs, points and extended VLRs, where each lies, and what the header says.
 
 Nothing here trusts a count or a length before it was compared with the size of the file, so that a damaged or
-hostile file costs neither memory nor time. What the fields mean follows the LAS specification 1.4 R15.
+hostile file costs neither memory nor time; then laspy reads the header's numbers and texts. Every record keeps its
+bytes, since a file that is written again must not lose any. What the fields mean follows the LAS specification
+1.4 R15; the highest bit of the format byte is set in LAZ files, as LASzip has it.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import os
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from prc_cli.core.errors import InputError
 
-RECORD_BYTES = {0: 20, 1: 28, 2: 26, 3: 34, 4: 57, 5: 63, 6: 30, 7: 36, 8: 38, 9: 59, 10: 67}
-"""Bytes of a record by point format, without extra bytes."""
-HEADER_BYTES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
-"""Least size of the header by minor version."""
+STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
+"""Header bytes by minor version; what a larger header holds beyond is the user's."""
+N_POINT_FORMATS = 11
 MAX_HEAD_BYTES = 64 << 20
 """Header and VLRs are held in memory; more than this before the first record is taken for damage."""
 MAX_EVLRS = 100_000
@@ -25,26 +31,141 @@ MAX_EVLRS = 100_000
 MAX_KEPT_EVLR_BYTES = 1 << 20
 """Extended VLRs may hold whole waveforms; only short ones are kept in memory."""
 DAMAGED = "copy the file again or write it anew with the program that made it"
+COMPRESSED = 0x80
+"""Bit of the format byte: the records are compressed."""
+WKT_BIT = 16
+"""Global encoding: the coordinate system is WKT."""
+
+LASZIP_KEY = ("laszip encoded", 22204)
+RECORD_KEY = ("prc-cli", 1)
+EXTRA_BYTES_KEY = ("LASF_Spec", 4)
+WKT_KEY = ("LASF_Projection", 2112)
+GEO_KEYS_KEY = ("LASF_Projection", 34735)
+
+_VLR_HEAD = struct.Struct("<H16sHH32s")
+_EVLR_HEAD = struct.Struct("<H16sHQ32s")
+
+_FIELDS = {
+    "global_encoding": (6, "<H"),
+    "version": (24, "<2B"),
+    "header_size": (94, "<H"),
+    "point_offset": (96, "<I"),
+    "n_vlrs": (100, "<I"),
+    "point_format": (104, "<B"),
+    "record_length": (105, "<H"),
+    "legacy_n_points": (107, "<I"),
+    "legacy_by_return": (111, "<5I"),
+    "bounds": (179, "<6d"),
+    "waveform_start": (227, "<Q"),
+    "evlr_start": (235, "<Q"),
+    "n_evlrs": (243, "<I"),
+    "n_points": (247, "<Q"),
+    "by_return": (255, "<15Q"),
+}
+
+
+class HeaderFields:
+    """Header bytes with named fields, to be changed; fields that the version does not have cannot be set.
+
+    Examples
+    --------
+    >>> fields = HeaderFields(bytes(227))
+    >>> fields.set("n_vlrs", 3)
+    >>> fields.get("n_vlrs"), fields.has("evlr_start")
+    (3, False)
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self.data = bytearray(data)
+
+    def has(self, name: str) -> bool:
+        """Whether the header's version holds a field."""
+        offset, form = _FIELDS[name]
+        return offset + struct.calcsize(form) <= STANDARD_HEADER.get(self.data[25], 227)
+
+    def get(self, name: str) -> int:
+        """Return a field that holds one integer; 0 where the version has no such field."""
+        offset, form = _FIELDS[name]
+        return int(struct.unpack_from(form, self.data, offset)[0]) if self.has(name) else 0
+
+    def set(self, name: str, *values: int | float) -> None:
+        """Set all values of a field."""
+        if not self.has(name):
+            message = f"LAS 1.{self.data[25]} has no header field {name}"
+            raise KeyError(message)
+        offset, form = _FIELDS[name]
+        struct.pack_into(form, self.data, offset, *values)
 
 
 @dataclass(frozen=True, slots=True)
 class Vlr:
-    """A variable length record."""
+    """A variable length record, plain or extended, as it stands in the file."""
 
-    user_id: str
-    record_id: int
-    description: str
-    n_bytes: int
-    """Length of its content."""
+    head: bytes
+    """What precedes its content: 54 bytes, 60 of an extended one."""
     data: bytes | None
     """Content; None for long extended records."""
-    extended: bool
+    start: int = 0
+    """Its first byte in the file it was read from."""
+
+    @property
+    def extended(self) -> bool:
+        """Whether it lies behind the points."""
+        return len(self.head) == _EVLR_HEAD.size
+
+    @property
+    def user_id(self) -> str:
+        """Who defined it."""
+        return text_of(self.head[2:18])
+
+    @property
+    def record_id(self) -> int:
+        """Number among the records of its user."""
+        return int.from_bytes(self.head[18:20], "little")
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """User id and record id."""
+        return self.user_id, self.record_id
+
+    @property
+    def description(self) -> str:
+        """What it says of itself."""
+        return text_of(self.head[-32:])
+
+    @property
+    def n_bytes(self) -> int:
+        """Length of its content."""
+        return int.from_bytes(self.head[20:-32], "little")
+
+    @property
+    def stop(self) -> int:
+        """First byte behind it in the file."""
+        return self.start + len(self.head) + self.n_bytes
+
+    @property
+    def raw(self) -> bytes:
+        """Head and content."""
+        return self.head + (self.data or b"")
+
+    def with_data(self, data: bytes) -> Vlr:
+        """Return a plain record with another content."""
+        return Vlr(self.head[:20] + len(data).to_bytes(2, "little") + self.head[22:], data)
+
+
+def make_vlr(key: tuple[str, int], data: bytes, description: str) -> Vlr:
+    """Return a plain VLR of at most 65535 bytes."""
+    return Vlr(_VLR_HEAD.pack(0, key[0].encode("ascii"), key[1], len(data), description.encode("ascii")), data)
 
 
 @dataclass(frozen=True, slots=True)
 class LasHeader:
     """What the header says, after it was checked."""
 
+    path: Path
+    file_bytes: int
+    raw: bytes
+    """The header itself, with what a user put at its end."""
     version: tuple[int, int]
     point_format: int
     compressed: bool
@@ -55,78 +176,162 @@ class LasHeader:
     """LAS 1.4: whether only the legacy count (byte 107) is set, and was taken."""
     data_offset: int
     """Byte where the records begin."""
-    n_unread_bytes: int
-    """LAS: bytes between the last record and the extended VLRs or the end of the file; 0 for LAZ."""
-    file_bytes: int
-    scales: tuple[float, float, float]
-    offsets: tuple[float, float, float]
-    mins: tuple[float, float, float]
-    maxs: tuple[float, float, float]
+    vlr_end: int
+    """First byte behind the VLRs; a user's bytes may follow up to the records."""
+    scales: tuple[float, ...]
+    offsets: tuple[float, ...]
+    mins: tuple[float, ...]
+    maxs: tuple[float, ...]
     system_id: str
     software: str
     vlrs: tuple[Vlr, ...]
-    """VLRs, then extended VLRs."""
+    evlrs: tuple[Vlr, ...]
+    """Extended VLRs."""
 
-    def find(self, user_id: str, record_id: int) -> list[bytes]:
-        """Return the contents of the VLRs of this id."""
-        wanted = (user_id, record_id)
-        return [vlr.data for vlr in self.vlrs if (vlr.user_id, vlr.record_id) == wanted and vlr.data is not None]
+    @property
+    def n_extra_bytes(self) -> int:
+        """Bytes of a record beyond its point format."""
+        return self.record_bytes - standard_bytes(self.point_format)
+
+    @property
+    def n_unread_bytes(self) -> int:
+        """LAS: bytes between the last record and the extended VLRs or the end of the file; 0 for LAZ."""
+        stop = self.evlrs[0].start if self.evlrs else self.file_bytes
+        return 0 if self.compressed else stop - self.data_offset - self.n_records * self.record_bytes
+
+    def fields(self) -> HeaderFields:
+        """Return a copy of the header's bytes, to be changed."""
+        return HeaderFields(self.raw)
+
+    def vlr(self, key: tuple[str, int]) -> Vlr | None:
+        """Return the first plain VLR of a user id and record id."""
+        return next((vlr for vlr in self.vlrs if vlr.key == key), None)
+
+    def find(self, key: tuple[str, int]) -> list[bytes]:
+        """Return the contents of all VLRs of a user id and record id, those of extended ones at last."""
+        return [vlr.data for vlr in (*self.vlrs, *self.evlrs) if vlr.data is not None and vlr.key == key]
+
+
+class Source:
+    """An input opened for reading, whose failures are about the input and not about the output."""
+
+    def __init__(self, path: Path, handle: BinaryIO) -> None:
+        self.path = path
+        self.error: InputError | None = None
+        self._handle = handle
+
+    def seek(self, position: int, whence: int = 0) -> int:
+        """Go to a position (also called by lazrs)."""
+        return self._handle.seek(position, whence)
+
+    def state(self) -> tuple[int, int, int]:
+        """Return size, time of the last change [ns] and number of the file."""
+        found = os.fstat(self._handle.fileno())
+        return found.st_size, found.st_mtime_ns, found.st_ino
+
+    def tell(self) -> int:
+        """Return the position."""
+        return self._handle.tell()
+
+    def read(self, n: int = -1) -> bytes:
+        """Read up to ``n`` bytes (also called by lazrs, which hides the error: it is kept)."""
+        try:
+            return self._handle.read(n)
+        except OSError as error:
+            self.error = damaged(self.path, self.tell(), f"cannot be read ({error.strerror})")
+            raise self.error from error
+
+    def into(self, view: memoryview) -> int:
+        """Fill a buffer as far as the file goes; return the bytes read."""
+        done = 0
+        while done < len(view):
+            try:
+                got = self._handle.readinto(view[done:])  # type: ignore[attr-defined]
+            except OSError as error:
+                raise damaged(self.path, self.tell(), f"cannot be read ({error.strerror})") from error
+            if not got:
+                break
+            done += got
+        return done
+
+    def exact(self, n: int, what: str) -> bytes:
+        """Read ``n`` bytes or say what is cut off."""
+        start = self.tell()
+        data = self.read(n)
+        if len(data) != n:
+            problem = f"{what} is cut off: found {len(data)} bytes, expected {n}"
+            raise damaged(self.path, start, problem)
+        return data
+
+
+@contextlib.contextmanager
+def open_source(path: Path) -> Iterator[Source]:
+    """Open an input for reading.
+
+    Raises
+    ------
+    InputError
+        When it cannot be opened.
+    """
+    try:
+        handle = path.open("rb")
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror or error})"
+        raise InputError(str(path), problem, "check name and permissions") from None
+    with handle:
+        yield Source(path, handle)
+
+
+def damaged(path: Path, byte: int, problem: str, hint: str = DAMAGED) -> InputError:
+    """Return the error for a position in the file; to be raised by the caller."""
+    return InputError(f"{path}: byte {byte}", problem, hint)
+
+
+@cache
+def standard_bytes(point_format: int) -> int:
+    """Return the bytes of a record of a point format, without extra bytes."""
+    import laspy
+
+    return int(laspy.PointFormat(point_format).size)
 
 
 def read_header(path: Path) -> LasHeader:
     """Read and check header, VLRs and extended VLRs.
 
+    A file of no records is none of its errors.
+
     Raises
     ------
     InputError
-        When the file is not LAS, is cut short, holds no records, or contradicts itself.
+        When the file is not LAS, is cut short, or contradicts itself.
     """
-    try:
-        with path.open("rb") as handle:
-            return _read(handle, str(path), path.stat().st_size)
-    except OSError as error:
-        problem = f"cannot be read ({error.strerror or error})"
-        raise InputError(str(path), problem, "check name and permissions") from None
+    with open_source(path) as source:
+        return _read(source)
 
 
-def _read(handle: BinaryIO, where: str, file_bytes: int) -> LasHeader:
-    if file_bytes == 0:
-        raise InputError(where, "empty file, expected a LAS header of at least 227 bytes", DAMAGED)
-    head = handle.read(HEADER_BYTES[4])
-    if head[:4] != b"LASF"[: len(head)]:
-        problem = f"begins with {head[:4]!r}, expected b'LASF': not a LAS or LAZ file"
-        raise InputError(where, problem, "give raw dumps a [layout] and one of the suffixes .bin .raw .dat")
-    minor = head[25] if len(head) > 25 else 0
-    if len(head) > 25 and (head[24] != 1 or minor not in HEADER_BYTES):
-        raise damaged(where, 24, f"LAS version {head[24]}.{minor}, expected 1.0 to 1.4")
-    if len(head) < HEADER_BYTES[minor]:
-        problem = f"header cut short: {len(head)} bytes, expected at least {HEADER_BYTES[minor]}"
-        raise InputError(where, problem, DAMAGED)
-    header_bytes, data_offset, n_vlrs, format_byte, record_bytes, n_records = struct.unpack_from("<HIIBHI", head, 94)
-    evlr_start, n_evlrs, is_legacy_count = 0, 0, False
-    if minor >= 4:
-        evlr_start, n_evlrs, count = struct.unpack_from("<QIQ", head, 235)
-        # some writers of 1.4 leave the new count empty; formats from 6 on must not use the old one
-        is_legacy_count = count == 0 and n_records > 0 and format_byte & 0x3F < 6
-        n_records = n_records if is_legacy_count else count
-    _check_frame(where, file_bytes, (header_bytes, HEADER_BYTES[minor]), data_offset)
-    point_format = _check_format(where, format_byte, record_bytes)
-    numbers = struct.unpack_from("<12d", head, 131)
-    _check_scales(where, numbers)
-    if n_records == 0:
-        left = file_bytes - data_offset
-        problem = f"the header says 0 records, expected at least one ({left} bytes follow the header)"
-        raise damaged(where, 247 if minor >= 4 else 107, problem, "nothing to read; check how it was made")
-    vlrs = _read_vlrs(handle, where, header_bytes, data_offset, n_vlrs)
-    compressed = bool(format_byte & 0xC0)
-    n_unread = 0
+def _read(source: Source) -> LasHeader:
+    path, file_bytes = source.path, source.state()[0]
+    fields = _read_fields(source, file_bytes)
+    minor = fields.data[25]
+    header_bytes, data_offset = fields.get("header_size"), fields.get("point_offset")
+    _check_frame(path, file_bytes, (header_bytes, STANDARD_HEADER[minor]), data_offset)
+    compressed = bool(fields.get("point_format") & COMPRESSED)
+    point_format = fields.get("point_format") & ~COMPRESSED
+    record_bytes = fields.get("record_length")
+    _check_format(path, point_format, record_bytes)
+    n_records, is_legacy_count = _count(fields, point_format)
+    if not n_records and fields.get("legacy_n_points"):
+        raise no_records(path, fields, file_bytes - data_offset)
+    vlrs, vlr_end = _read_vlrs(source, (header_bytes, data_offset), fields.get("n_vlrs"))
+    n_evlrs, evlr_start = fields.get("n_evlrs"), fields.get("evlr_start")
     if not compressed:
-        ends = file_bytes, evlr_start if n_evlrs else None
-        _check_count(where, n_records, record_bytes, data_offset, ends)
-        n_unread = (evlr_start if n_evlrs else file_bytes) - data_offset - n_records * record_bytes
-    if n_evlrs:
-        vlrs += _read_evlrs(handle, where, (evlr_start, data_offset, file_bytes), n_evlrs)
+        _check_count(path, n_records, record_bytes, data_offset, (file_bytes, evlr_start if n_evlrs else None))
+    evlrs = _read_evlrs(source, (evlr_start, data_offset, file_bytes), n_evlrs) if n_evlrs else ()
+    said = _read_by_laspy(fields, point_format)
     return LasHeader(
+        path=path,
+        file_bytes=file_bytes,
+        raw=bytes(fields.data),
         version=(1, minor),
         point_format=point_format,
         compressed=compressed,
@@ -134,57 +339,115 @@ def _read(handle: BinaryIO, where: str, file_bytes: int) -> LasHeader:
         n_records=n_records,
         is_legacy_count=is_legacy_count,
         data_offset=data_offset,
-        n_unread_bytes=n_unread,
-        file_bytes=file_bytes,
-        scales=numbers[0:3],
-        offsets=numbers[3:6],
-        mins=(numbers[7], numbers[9], numbers[11]),
-        maxs=(numbers[6], numbers[8], numbers[10]),
-        system_id=text_of(head[26:58]),
-        software=text_of(head[58:90]),
-        vlrs=tuple(vlrs),
+        vlr_end=vlr_end,
+        scales=tuple(said.scales.tolist()),
+        offsets=tuple(said.offsets.tolist()),
+        mins=tuple(said.mins.tolist()),
+        maxs=tuple(said.maxs.tolist()),
+        system_id=text_of(said.system_identifier),
+        software=text_of(said.generating_software),
+        vlrs=vlrs,
+        evlrs=evlrs,
     )
 
 
-def damaged(where: str, byte: int, problem: str, hint: str = DAMAGED) -> InputError:
-    """Return the error for a position in the file; to be raised by the caller."""
-    return InputError(f"{where}: byte {byte}", problem, hint)
+def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
+    """Read the header with the bytes that a user put at its end."""
+    where = str(source.path)
+    if file_bytes == 0:
+        raise InputError(where, "empty file, expected a LAS header of at least 227 bytes", DAMAGED)
+    head = source.read(STANDARD_HEADER[4])
+    if head[:4] != b"LASF"[: len(head)]:
+        problem = f"begins with {head[:4]!r}, expected b'LASF': not a LAS or LAZ file"
+        raise InputError(where, problem, "give raw dumps a [layout] and one of the suffixes .bin .raw .dat")
+    minor = head[25] if len(head) > 25 else 0
+    if len(head) > 25 and (head[24] != 1 or minor not in STANDARD_HEADER):
+        raise damaged(source.path, 24, f"LAS version {head[24]}.{minor}, expected 1.0 to 1.4")
+    least = STANDARD_HEADER[minor]
+    if len(head) < least:
+        problem = f"header cut short: {len(head)} bytes, expected at least {least}"
+        raise InputError(where, problem, DAMAGED)
+    n_bytes = struct.unpack_from("<H", head, 94)[0]
+    source.seek(0)
+    return HeaderFields(source.read(max(n_bytes, least)))
 
 
-def _check_frame(where: str, file_bytes: int, header_bytes: tuple[int, int], data_offset: int) -> None:
-    found, least = header_bytes
-    if found < least:
-        raise damaged(where, 94, f"header size {found}, expected at least {least}")
-    if not found <= data_offset <= file_bytes:
-        problem = f"records begin at byte {data_offset}, expected between the header's end ({found}) and the file's"
-        raise damaged(where, 96, f"{problem} ({file_bytes}): the file is cut short or damaged")
-    if data_offset > MAX_HEAD_BYTES:
-        problem = f"{data_offset} bytes before the first record, expected at most {MAX_HEAD_BYTES}"
-        raise damaged(where, 96, problem)
+def _count(fields: HeaderFields, point_format: int) -> tuple[int, bool]:
+    """Return the number of records, and whether it is the legacy one of a 1.4 file."""
+    legacy = fields.get("legacy_n_points")
+    if not fields.has("n_points"):
+        return legacy, False
+    count = fields.get("n_points")
+    # some writers of 1.4 leave the new count empty; formats from 6 on must not use the old one
+    is_legacy = count == 0 and legacy > 0 and point_format < 6
+    return (legacy if is_legacy else count), is_legacy
 
 
-def _check_format(where: str, format_byte: int, record_bytes: int) -> int:
-    point_format = format_byte & 0x3F
-    if point_format not in RECORD_BYTES:
-        raise damaged(where, 104, f"point format {point_format}, expected 0 to 10")
-    if record_bytes < RECORD_BYTES[point_format]:
-        problem = f"records of {record_bytes} bytes, expected at least {RECORD_BYTES[point_format]}"
-        raise damaged(where, 105, f"{problem} for point format {point_format}")
-    return point_format
+def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
+    """Return the error of a file whose header counts no records."""
+    problem = f"the header says 0 records, expected at least one ({left} bytes follow the header)"
+    return damaged(path, 247 if fields.has("n_points") else 107, problem, "nothing to read; check how it was made")
 
 
-def _check_scales(where: str, numbers: tuple[float, ...]) -> None:
+def check_decodable(header: LasHeader) -> None:
+    """Refuse what may be copied but not read: no records, or coordinates that are no numbers.
+
+    Raises
+    ------
+    InputError
+        With the byte of the header that says so.
+    """
     for i, axis in enumerate("xyz"):
-        scale, offset = numbers[i], numbers[3 + i]
+        scale, offset = header.scales[i], header.offsets[i]
         # a comparison with NaN is false, infinity is caught by the upper bound
         if not 0 < abs(scale) < float("inf"):
             problem = f"{axis} scale factor {scale}, expected a finite number other than 0"
-            raise damaged(where, 131 + 8 * i, problem)
+            raise damaged(header.path, 131 + 8 * i, problem)
         if not abs(offset) < float("inf"):
-            raise damaged(where, 155 + 8 * i, f"{axis} offset {offset}, expected a finite number")
+            raise damaged(header.path, 155 + 8 * i, f"{axis} offset {offset}, expected a finite number")
+    if header.n_records == 0:
+        raise no_records(header.path, header.fields(), header.file_bytes - header.data_offset)
 
 
-def _check_count(where: str, n_records: int, record_bytes: int, data_offset: int, ends: tuple[int, int | None]) -> None:
+def _read_by_laspy(fields: HeaderFields, point_format: int) -> Any:
+    """Let laspy read a copy of the header without what it would stumble on.
+
+    laspy is not given the VLRs, whose texts it wants in UTF-8 and whose extra bytes it wants to fill the record, nor
+    the format bit of compression, for which it wants lazrs.
+    """
+    import laspy
+
+    copy = HeaderFields(bytes(fields.data[: STANDARD_HEADER[fields.data[25]]]))
+    copy.set("header_size", len(copy.data))
+    copy.set("point_offset", len(copy.data))
+    copy.set("n_vlrs", 0)
+    copy.set("point_format", point_format)
+    copy.set("record_length", standard_bytes(point_format))
+    return laspy.LasHeader.read_from(io.BytesIO(copy.data))
+
+
+def _check_frame(path: Path, file_bytes: int, header_bytes: tuple[int, int], data_offset: int) -> None:
+    found, least = header_bytes
+    if found < least:
+        raise damaged(path, 94, f"header size {found}, expected at least {least}")
+    if not found <= data_offset <= file_bytes:
+        problem = f"records begin at byte {data_offset}, expected between the header's end ({found}) and the file's"
+        raise damaged(path, 96, f"{problem} ({file_bytes}): the file is cut short or damaged")
+    if data_offset > MAX_HEAD_BYTES:
+        problem = f"{data_offset} bytes before the first record, expected at most {MAX_HEAD_BYTES}"
+        raise damaged(path, 96, problem)
+
+
+def _check_format(path: Path, point_format: int, record_bytes: int) -> None:
+    if point_format >= N_POINT_FORMATS:
+        raise damaged(path, 104, f"point format {point_format}, expected 0 to {N_POINT_FORMATS - 1}")
+    least = standard_bytes(point_format)
+    if record_bytes < least:
+        problem = f"records of {record_bytes} bytes, expected at least {least} for point format {point_format}"
+        raise damaged(path, 105, problem)
+
+
+def _check_count(path: Path, n_records: int, record_bytes: int, data_offset: int, ends: tuple[int, int | None]) -> None:
     file_bytes, evlr_start = ends
     needed = data_offset + n_records * record_bytes
     if needed > file_bytes:
@@ -193,90 +456,75 @@ def _check_count(where: str, n_records: int, record_bytes: int, data_offset: int
             f"the header promises {n_records} records, {needed} bytes in all; found {file_bytes} bytes, "
             f"room for {found} records"
         )
-        raise InputError(where, problem, "the file is cut short or its header lies; " + DAMAGED)
+        raise InputError(str(path), problem, "the file is cut short or its header lies; " + DAMAGED)
     if evlr_start is not None and data_offset <= evlr_start < needed:
         problem = (
             f"the header promises {n_records} records up to byte {needed}, but extended VLRs begin at byte "
             f"{evlr_start}, expected after the records"
         )
-        raise InputError(where, problem, DAMAGED)
+        raise InputError(str(path), problem, DAMAGED)
 
 
-def _read_vlrs(handle: BinaryIO, where: str, start: int, end: int, count: int) -> list[Vlr]:
-    if count * 54 > end - start:
-        problem = f"{count} VLRs in {end - start} bytes before the records, expected at most {(end - start) // 54}"
-        raise damaged(where, 100, problem)
-    handle.seek(start)
-    data = handle.read(end - start)
+def _read_vlrs(source: Source, bounds: tuple[int, int], count: int) -> tuple[tuple[Vlr, ...], int]:
+    """Read the VLRs; return where the last one ends, too."""
+    path, (start, end) = source.path, bounds
+    if count * _VLR_HEAD.size > end - start:
+        most = (end - start) // _VLR_HEAD.size
+        problem = f"{count} VLRs in {end - start} bytes before the records, expected at most {most}"
+        raise damaged(path, 100, problem)
+    source.seek(start)
+    data = source.read(end - start)
     vlrs = []
     position = 0
     for index in range(count):
-        if position + 54 > len(data):
+        content = position + _VLR_HEAD.size
+        if content > len(data):
             problem = f"VLR {index + 1} of {count} lies beyond the start of the records (byte {end})"
-            raise damaged(where, start + position, problem)
-        user_id, record_id, length, description = struct.unpack_from("<2x16sHH32s", data, position)
-        position += 54
-        if length > len(data) - position:
-            problem = f"VLR {index + 1} of {count} claims {length} bytes, {len(data) - position} are left"
-            raise damaged(where, start + position - 54, f"{problem} before the records")
-        content = data[position : position + length]
-        vlrs.append(Vlr(text_of(user_id), record_id, text_of(description), length, content, extended=False))
-        position += length
-    return vlrs
+            raise damaged(path, start + position, problem)
+        length = int.from_bytes(data[position + 20 : position + 22], "little")
+        if length > len(data) - content:
+            problem = f"VLR {index + 1} of {count} claims {length} bytes, {len(data) - content} are left"
+            raise damaged(path, start + position, f"{problem} before the records")
+        vlrs.append(Vlr(data[position:content], data[content : content + length], start + position))
+        position = content + length
+    return tuple(vlrs), start + position
 
 
-def _read_evlrs(handle: BinaryIO, where: str, bounds: tuple[int, int, int], count: int) -> list[Vlr]:
-    position, data_offset, file_bytes = bounds
+def _read_evlrs(source: Source, bounds: tuple[int, int, int], count: int) -> tuple[Vlr, ...]:
+    path, (position, data_offset, file_bytes) = source.path, bounds
     if not data_offset <= position <= file_bytes:
         problem = (
             f"extended VLRs begin at byte {position}, expected between {data_offset} and the file's end {file_bytes}"
         )
-        raise damaged(where, 235, problem, "the file is cut short; " + DAMAGED)
-    if count * 60 > file_bytes - position or count > MAX_EVLRS:
-        most = min((file_bytes - position) // 60, MAX_EVLRS)
-        raise damaged(where, 243, f"{count} extended VLRs, expected at most {most}")
+        raise damaged(path, 235, problem, "the file is cut short; " + DAMAGED)
+    most = min((file_bytes - position) // _EVLR_HEAD.size, MAX_EVLRS)
+    if count > most:
+        raise damaged(path, 243, f"{count} extended VLRs, expected at most {most}")
     vlrs = []
     for index in range(count):
-        handle.seek(position)
-        head = handle.read(60)
-        length = struct.unpack_from("<Q", head, 20)[0] if len(head) == 60 else 0
-        left = file_bytes - position - 60
-        if length > left or left < 0:
+        source.seek(position)
+        head = source.read(_EVLR_HEAD.size)
+        left = file_bytes - position - _EVLR_HEAD.size
+        vlr = Vlr(head, None, position)
+        if len(head) < _EVLR_HEAD.size or vlr.n_bytes > left:
+            length = vlr.n_bytes if len(head) == _EVLR_HEAD.size else 0
             problem = f"extended VLR {index + 1} of {count} claims {length} bytes, {max(left, 0)} are left in the file"
-            raise damaged(where, position, problem, "the file is cut short; " + DAMAGED)
-        user_id, record_id, _, description = struct.unpack("<2x16sHQ32s", head)
-        content = handle.read(length) if length <= MAX_KEPT_EVLR_BYTES else None
-        vlrs.append(Vlr(text_of(user_id), record_id, text_of(description), length, content, extended=True))
-        position += 60 + length
-    return vlrs
+            raise damaged(path, position, problem, "the file is cut short; " + DAMAGED)
+        content = source.read(vlr.n_bytes) if vlr.n_bytes <= MAX_KEPT_EVLR_BYTES else None
+        vlrs.append(Vlr(head, content, position))
+        position = vlr.stop
+    return tuple(vlrs)
 
 
-def text_of(raw: bytes) -> str:
+def text_of(raw: bytes | str) -> str:
     """Return a zero-terminated text; bytes that are no UTF-8 are shown as such, never an error."""
-    return raw.split(b"\0")[0].decode("utf-8", "replace").strip()
-
-
-def find_crs(header: LasHeader) -> str | None:
-    """Return the coordinate system: WKT as it stands, else ``EPSG:CODE`` from GeoTIFF keys, else None."""
-    for data in header.find("LASF_Projection", 2112):
-        if text := text_of(data):
-            return text
-    for data in header.find("LASF_Projection", 34735):
-        words = struct.unpack(f"<{len(data) // 2}H", data[: len(data) // 2 * 2])
-        # entries of (key, where the value is, count, value); 0 = the value stands here; 32767 = user defined
-        keys = {words[i]: words[i + 3] for i in range(4, len(words) - 3, 4) if words[i + 1] == 0}
-        code = keys.get(3072) or keys.get(2048)
-        if code and code < 32767:
-            return f"EPSG:{code}"
-    for data in header.find("liblas", 2112):
-        if text := text_of(data):
-            return text
-    return None
+    text = raw if isinstance(raw, str) else raw.split(b"\0")[0].decode("utf-8", "replace")
+    return text.strip()
 
 
 def find_points_per_line(header: LasHeader) -> int | None:
     """Return M where this program wrote the file and said so in its provenance VLR, else None."""
-    for data in header.find("prc-cli", 1):
+    for data in header.find(RECORD_KEY):
         try:
             value = json.loads(data.rstrip(b"\0"))["stream"]["points_per_line"]
         except (ValueError, LookupError, TypeError, RecursionError):

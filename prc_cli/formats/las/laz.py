@@ -1,4 +1,4 @@
-"""Decompression of LAZ records, chunk table checked first.
+"""Raw records of LAS and LAZ files in batches; a LAZ file's chunks and their table are checked first.
 
 A LAZ file is a row of independently compressed chunks and a table of their sizes. The table is compared with the
 file and with the header's count before anything is decoded, so that a lie ends in one line and not in an
@@ -8,26 +8,43 @@ allocation; chunks are decoded in parallel (lazrs), each from its own bytes.
 from __future__ import annotations
 
 import contextlib
+import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, BinaryIO
+from itertools import cycle
+from typing import Any, Protocol
 
+import lazrs
 import numpy as np
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.threads import default_threads
-from prc_cli.core.types import I64
-from prc_cli.formats.las.chunks import RUN_BYTES, chunk_head, find_run
-from prc_cli.formats.las.header import DAMAGED, LasHeader, damaged
+from prc_cli.core.threads import default_threads, read_ahead
+from prc_cli.core.types import I64, U8
+from prc_cli.formats.las.header import DAMAGED, LASZIP_KEY, LasHeader, Source, damaged, open_source
 
+CHUNK_SIZE_AT = 12
+"""Byte of the chunk size in the laszip VLR."""
+ITEMS_AT = 32
+"""Byte where the items of a record begin: number, then type, size and version of each."""
+LAYERED_FORMATS = 6
+"""From this point format on every field of a chunk is a layer of its own."""
+RUN_BYTES = 512
+"""A run of 0xFF, or nearly so, as long as this is found wherever it begins in one of twice the length."""
+_LOOK_BYTES = 4 << 20
+
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Compressed layers by item type; extra bytes (14) have one a byte."""
 _TOGETHER_BYTES = 16 << 20
 """Most bytes of records that are decoded together because there are many cores."""
 _ONE_RETURN = 0x1F
 """Highest byte of a record that tells of at most one return: their number is in the upper half."""
+_AHEAD = 1
+"""Batches that wait for who takes them."""
 _SERIAL_BYTES = 256 << 20
 """A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
+_SHARED_BYTES = 32 << 20
+"""The same where several are held at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +57,10 @@ class ChunkTable:
     """(n + 1,) int64, position in the file of every chunk, then the end of the last."""
     n_unread: int
     """Chunks that hold nothing but records beyond the header's count; they are not read."""
+    start: int
+    """First byte of the table."""
+    stop: int
+    """End of what may follow it."""
 
 
 class LazRecords:
@@ -47,10 +68,8 @@ class LazRecords:
 
     Parameters
     ----------
-    where : str
-        File name, for messages.
-    handle : file object
-        Open for binary reading, seekable.
+    source : Source
+        The file, opened.
     header : LasHeader
         Of this file.
 
@@ -60,94 +79,101 @@ class LazRecords:
         When the laszip VLR or the chunk table contradicts the header or the file.
     """
 
-    def __init__(self, where: str, handle: BinaryIO, header: LasHeader) -> None:
-        self._where = where
-        self._handle = handle
-        self._header = header
-        found = header.find("laszip encoded", 22204)
-        if not found:
+    def __init__(self, source: Source, header: LasHeader) -> None:
+        self._where = str(header.path)
+        self._source = source
+        self.header = header
+        """Of the file."""
+        found = header.vlr(LASZIP_KEY)
+        if found is None or found.data is None:
             problem = "the records are compressed but the laszip VLR is missing"
-            raise InputError(where, problem, DAMAGED)
-        self._vlr_data = found[0]
+            raise InputError(self._where, problem, DAMAGED)
+        self.vlr_data = found.data
+        """Content of the laszip VLR."""
         self._items = self._read_items()
+        with decoding(source, "the laszip VLR cannot be read"):
+            self.vlr = lazrs.LazVlr(self.vlr_data)
         self.table = self._read_table()
 
     def _read_items(self) -> list[tuple[int, int]]:
         """Return (type, bytes) of the items of a record, after checking the VLR."""
-        data, where = self._vlr_data, f"{self._where}: laszip VLR"
-        n_items = struct.unpack_from("<H", data, 32)[0] if len(data) >= 34 else 0
-        if n_items == 0 or len(data) < 34 + 6 * n_items:
-            problem = f"{len(data)} bytes for {n_items} items, expected at least {34 + 6 * max(n_items, 1)}"
+        data, where = self.vlr_data, f"{self._where}: laszip VLR"
+        n_items = struct.unpack_from("<H", data, ITEMS_AT)[0] if len(data) >= ITEMS_AT + 2 else 0
+        least = ITEMS_AT + 2 + 6 * max(n_items, 1)
+        if n_items == 0 or len(data) < least:
+            problem = f"{len(data)} bytes for {n_items} items, expected at least {least}"
             raise InputError(where, problem, DAMAGED)
-        items = [struct.unpack_from("<HH", data, 34 + 6 * i) for i in range(n_items)]
+        items = [struct.unpack_from("<HH", data, ITEMS_AT + 2 + 6 * i) for i in range(n_items)]
         n_bytes = sum(size for _, size in items)
-        if n_bytes != self._header.record_bytes:
-            problem = f"records of {n_bytes} bytes, expected the {self._header.record_bytes} of the header"
+        if n_bytes != self.header.record_bytes:
+            problem = f"records of {n_bytes} bytes, expected the {self.header.record_bytes} of the header"
             raise InputError(where, problem, DAMAGED)
-        if struct.unpack_from("<I", data, 12)[0] == 0:
+        if struct.unpack_from("<I", data, CHUNK_SIZE_AT)[0] == 0:
             raise InputError(where, "chunks of 0 records, expected at least 1", DAMAGED)
         return [(int(kind), int(size)) for kind, size in items]
 
     def _read_table(self) -> ChunkTable:
-        header, where = self._header, self._where
+        header, path = self.header, self.header.path
         start = header.data_offset + 8
-        position = self._table_position()
-        self._handle.seek(position)
-        raw = self._handle.read(8)
+        position, stop = self._table_bounds()
+        self._source.seek(position)
+        raw = self._source.read(8)
         if len(raw) < 8:
-            raise damaged(where, position, "the file ends, expected the LAZ chunk table: it changed while read")
+            raise damaged(path, position, "the file ends, expected the LAZ chunk table: it changed while read")
         n_chunks = struct.unpack("<II", raw)[1]
         # every chunk begins with one record as it is: a bound for the count before anything is allocated
-        if not 1 <= n_chunks <= (position - start) // header.record_bytes:
-            most = (position - start) // header.record_bytes
-            problem = f"chunk table of {n_chunks} chunks, expected 1 to {most} in {position - start} bytes"
-            raise damaged(where, position + 4, problem)
-        import lazrs
-
-        with lazrs_errors(where, f"the chunk table at byte {position} cannot be read"):
-            self._handle.seek(header.data_offset)
-            pairs = lazrs.read_chunk_table(self._handle, lazrs.LazVlr(self._vlr_data))
+        least, most = 1, (position - start) // header.record_bytes
+        if not header.n_records:  # there may be no chunk, or one that is empty
+            least, most = 0, max(most, 1)
+        if not least <= n_chunks <= most:
+            problem = f"chunk table of {n_chunks} chunks, expected {least} to {most} in {position - start} bytes"
+            raise damaged(path, position + 4, problem)
+        with decoding(self._source, f"the chunk table at byte {position} cannot be read"):
+            self._source.seek(header.data_offset)
+            pairs = lazrs.read_chunk_table(self._source, self.vlr)
+        if not header.n_records:
+            nothing: I64 = np.array([0], np.int64)
+            return ChunkTable(nothing, nothing + start, 0, position, stop)
         # 32 bits in the file; the decoder hands on what damage makes of them, so keep the sums within int64
         table = np.array(pairs, dtype=np.uint64).reshape(-1, 2).clip(max=2**32).astype(np.int64)
         n_bytes = int(table[:, 1].sum())
         if len(table) != n_chunks or n_bytes > position - start or (table[:, 1] < header.record_bytes).any():
             problem = f"chunk table of {n_bytes} bytes in {len(table)} chunks"
-            raise damaged(where, position, f"{problem}, expected {position - start} bytes")
-        return self._place(table, start)
+            raise damaged(path, position, f"{problem}, expected {position - start} bytes")
+        held = np.cumsum(table[:, 0])
+        if held[-1] < header.n_records:
+            found = f"the {len(table)} LAZ chunks hold at most {held[-1]}"
+            problem = f"the header promises {header.n_records} records, {found}"
+            raise InputError(self._where, problem, "the header lies or records are lost; write the file anew")
+        n_used = int(np.searchsorted(held, header.n_records)) + 1
+        first_record = np.concatenate(([0], held[: n_used - 1], [header.n_records])).astype(np.int64)
+        first_byte = start + np.concatenate(([0], np.cumsum(table[:n_used, 1]))).astype(np.int64)
+        return ChunkTable(first_record, first_byte, len(table) - n_used, position, stop)
 
-    def _table_position(self) -> int:
-        """Return the byte where the chunk table begins."""
-        header = self._header
-        ends_at = header.file_bytes
-        self._handle.seek(header.data_offset)
-        raw = self._handle.read(8)
+    def _table_bounds(self) -> tuple[int, int]:
+        """Return the byte where the chunk table begins, and the end of what may follow it."""
+        header = self.header
+        stop = header.file_bytes
+        self._source.seek(header.data_offset)
+        raw = self._source.read(8)
         position = struct.unpack("<q", raw)[0] if len(raw) == 8 else 0
-        if position == -1 and ends_at >= header.data_offset + 16:
-            # written to a pipe: the position stands at the very end
-            self._handle.seek(ends_at - 8)
-            position = struct.unpack("<q", self._handle.read(8))[0]
-        if not header.data_offset + 8 <= position <= ends_at - 8:
+        if position == -1 and stop >= header.data_offset + 16:
+            # written to a pipe: the position stands at the very end, and is not needed again
+            stop -= 8
+            self._source.seek(stop)
+            position = struct.unpack("<q", self._source.exact(8, "the position of the chunk table"))[0]
+        if not header.data_offset + 8 <= position <= stop - 8:
             problem = (
-                f"the LAZ chunk table should begin at byte {position}, found the file's end at byte {ends_at}"
+                f"the LAZ chunk table should begin at byte {position}, found the file's end at byte {stop}"
                 if position > 0
                 else "the LAZ chunk table was never written (an unfinished file)"
             )
             raise InputError(self._where, f"{problem}; expected it after the {header.n_records} records", DAMAGED)
-        return position
+        return position, stop
 
-    def _place(self, table: I64, start: int) -> ChunkTable:
-        """Compare the table with the header's count and give every chunk its place."""
-        n_records = self._header.n_records
-        held = np.cumsum(table[:, 0])
-        if held[-1] < n_records:
-            problem = f"the header promises {n_records} records, the {len(table)} LAZ chunks hold at most {held[-1]}"
-            raise InputError(self._where, problem, "the header lies or records are lost; write the file anew")
-        n_used = int(np.searchsorted(held, n_records)) + 1
-        first_record = np.concatenate(([0], held[: n_used - 1], [n_records])).astype(np.int64)
-        first_byte = start + np.concatenate(([0], np.cumsum(table[:n_used, 1]))).astype(np.int64)
-        return ChunkTable(first_record, first_byte, len(table) - n_used)
-
-    def batches(self, n_max: int, selection: int, several: int | None = None) -> Iterator[tuple[int, memoryview]]:
+    def batches(
+        self, n_max: int, selection: int, several: int | None = None, n_buffers: int = 1
+    ) -> Iterator[tuple[int, memoryview]]:
         """Decode from the start.
 
         Parameters
@@ -159,6 +185,8 @@ class LazRecords:
         several : int, optional
             Layers to decode of records among which a shot has several returns, and of all after them; contains
             ``selection``. The others then hold anything in the layers between the two.
+        n_buffers : int
+            A batch is valid until as many more are asked for.
 
         Yields
         ------
@@ -170,39 +198,40 @@ class LazRecords:
         InputError
             Naming the records that cannot be decoded.
         """
-        import lazrs
-
-        size = self._header.record_bytes
+        if not self.header.n_records:
+            return
+        size = self.header.record_bytes
         largest = int(np.diff(self.table.first_record).max())
         # the parallel decoder sizes its buffers by the declared chunk, full or not
-        declared = lazrs.LazVlr(self._vlr_data).chunk_size()
-        whole = largest * size <= _SERIAL_BYTES and (declared * size <= _SERIAL_BYTES or self._variable())
+        declared = self.vlr.chunk_size()
+        limit = _SERIAL_BYTES if n_buffers == 1 else _SHARED_BYTES
+        whole = largest * size <= limit and (declared * size <= limit or self.vlr.uses_variable_size_chunks())
         kind = lazrs.ParLasZipDecompressor if whole else lazrs.LasZipDecompressor
-        if several is not None and not (whole and self._header.point_format >= 6):
+        if several is not None and not (whole and self.header.point_format >= LAYERED_FORMATS):
             selection, several = several, None
-        with lazrs_errors(self._where, "the compressed records cannot be opened"):
-            decoder = self._open(kind, selection)
+        decoder = self.open(self._source, kind, selection)
         n_chunks = len(self.table.first_record) - 1
         # every core decodes a chunk of its own
         n_together = max(n_max, min(default_threads() * largest, _TOGETHER_BYTES // size))
+        buffers = _Buffers(n_buffers)
         chunk = 0
         while chunk < n_chunks:
             first = int(self.table.first_record[chunk])
             end = max(int(np.searchsorted(self.table.first_record, first + n_together, side="right")) - 1, chunk + 1)
-            # a handle of its own: the decoder must find the other one where it left it
-            with Path(self._where).open("rb") as handle:
-                self._check_layers(handle, chunk, end)
-                self._check_runs(handle, chunk, end)
+            # opened anew: the decoder must find the other one where it left it
+            with open_source(self.header.path) as source:
+                self._check_layers(source, chunk, end)
+                self._check_runs(source, chunk, end)
             stop = int(self.table.first_record[end])
             # whole chunks are decoded at once even if they are longer than a batch: only then is damage noticed
             step = stop - first if whole else n_max
             for begin in range(first, stop, step):
-                raw = np.empty(min(step, stop - begin) * size, np.uint8).data
+                raw = buffers.next(min(step, stop - begin) * size)
                 if not self._decode(decoder, raw):
                     raise self._damage(chunk, end, begin, kind)
                 if several is not None and _has_several(raw, size):
-                    with lazrs_errors(self._where, "the compressed records cannot be opened"):
-                        decoder = self._open(kind, several)
+                    decoder = self.open(self._source, kind, several)
+                    with decoding(self._source, "the compressed records cannot be opened"):
                         decoder.seek(begin)
                     several = None
                     if not self._decode(decoder, raw):
@@ -211,38 +240,32 @@ class LazRecords:
                     yield begin + start // size, raw[start : start + n_max * size]
             chunk = end
 
-    def _variable(self) -> bool:
-        import lazrs
+    def open(self, source: Source, kind: Any, selection: int) -> Any:
+        """Return a decoder of some layers, which stands at the first record of a source."""
+        source.seek(self.header.data_offset)
+        with decoding(source, "the compressed records cannot be opened"):
+            return kind(source, self.vlr_data, lazrs.DecompressionSelection(selection))
 
-        return bool(lazrs.LazVlr(self._vlr_data).uses_variable_size_chunks())
-
-    def _open(self, kind: Any, selection: int) -> Any:
-        import lazrs
-
-        self._handle.seek(self._header.data_offset)
-        return kind(self._handle, self._vlr_data, lazrs.DecompressionSelection(selection))
-
-    @staticmethod
-    def _decode(decoder: Any, raw: memoryview) -> bool:
+    def _decode(self, decoder: Any, raw: memoryview) -> bool:
         try:
-            with lazrs_errors("", ""):
+            with decoding(self._source, ""):
                 decoder.decompress_many(raw)
         except InputError:
+            if self._source.error is not None:
+                raise
             return False
         return True
 
     def _damage(self, chunk: int, end: int, begin: int, kind: Any) -> InputError:
         """Find the first chunk that cannot be decoded and say where it lies."""
-        import lazrs
-
         bounds = self.table.first_record
         if kind is lazrs.ParLasZipDecompressor:
-            with contextlib.suppress(InputError), lazrs_errors("", ""):
-                decoder = self._open(kind, lazrs.SELECTIVE_DECOMPRESS_ALL)
+            with contextlib.suppress(InputError), decoding(self._source, ""):
+                decoder = self.open(self._source, kind, lazrs.SELECTIVE_DECOMPRESS_ALL)
                 decoder.seek(begin)
                 while chunk < end - 1:
                     decoder.decompress_many(
-                        bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self._header.record_bytes)
+                        bytearray(int(bounds[chunk + 1] - bounds[chunk]) * self.header.record_bytes)
                     )
                     chunk += 1
             begin = int(bounds[chunk])
@@ -253,30 +276,38 @@ class LazRecords:
         )
         return InputError(self._where, problem, DAMAGED)
 
-    def _check_layers(self, handle: BinaryIO, first: int, end: int) -> None:
+    @property
+    def n_layers(self) -> int:
+        """Compressed layers of a chunk of point formats 6-10."""
+        return chunk_head(self._items).size // 4 - 1
+
+    def heads(self, source: Source, first: int, end: int) -> Iterator[tuple[int, int]]:
+        """Yield how many records every chunk of point formats 6-10 says that it holds, and how many bytes it claims."""
+        layout = chunk_head(self._items)
+        for begin in self.table.first_byte[first:end].tolist():
+            source.seek(begin + self.header.record_bytes)
+            head = source.read(layout.size)
+            held, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
+            yield held, self.header.record_bytes + layout.size + sum(layers)
+
+    def _check_layers(self, source: Source, first: int, end: int) -> None:
         """Compare the sizes that chunks of point formats 6-10 declare of themselves with the chunk table."""
         if self._items[0][0] < 10:
             return
-        layout = chunk_head(self._items)
-        size = self._header.record_bytes
-        first_byte = self.table.first_byte[first : end + 1].tolist()
-        first_record = self.table.first_record[first : end + 1].tolist()
-        for k, chunk in enumerate(range(first, end)):
-            begin, n_bytes = first_byte[k], first_byte[k + 1] - first_byte[k]
-            n_records = first_record[k + 1] - first_record[k]
-            handle.seek(begin + size)
-            head = handle.read(layout.size)
-            held, *layers = layout.unpack(head) if len(head) == layout.size else (0,)
-            what = f"LAZ chunk {chunk} (from record {first_record[k]})"
-            if held < n_records or (held > n_records and chunk < len(self.table.first_byte) - 2):
-                raise damaged(self._where, begin + size, f"{what} holds {held} records, expected {n_records}")
-            claimed = size + layout.size + sum(layers)
+        path, table = self.header.path, self.table
+        for chunk, (held, claimed) in enumerate(self.heads(source, first, end), start=first):
+            begin, n_bytes = int(table.first_byte[chunk]), int(table.first_byte[chunk + 1] - table.first_byte[chunk])
+            n_records = int(table.first_record[chunk + 1] - table.first_record[chunk])
+            what = f"LAZ chunk {chunk} (from record {table.first_record[chunk]})"
+            if held < n_records or (held > n_records and chunk < len(table.first_byte) - 2):
+                where = begin + self.header.record_bytes
+                raise damaged(path, where, f"{what} holds {held} records, expected {n_records}")
             if claimed > n_bytes:
-                raise damaged(self._where, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
+                raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
 
-    def _check_runs(self, handle: BinaryIO, first: int, end: int) -> None:
+    def _check_runs(self, source: Source, first: int, end: int) -> None:
         """Refuse chunks with a long run of 0xFF: the decoder would end the process."""
-        byte = find_run(handle, int(self.table.first_byte[first]), int(self.table.first_byte[end]))
+        byte = find_run(source, int(self.table.first_byte[first]), int(self.table.first_byte[end]))
         if byte is None:
             return
         chunk = int(np.searchsorted(self.table.first_byte, byte, side="right")) - 1
@@ -285,7 +316,187 @@ class LazRecords:
             f"records {bounds[0]} to {bounds[1] - 1} cannot be decompressed: LAZ chunk {chunk} holds "
             f"{RUN_BYTES} bytes of 0xFF in a row, expected compressed records"
         )
-        raise damaged(self._where, byte, problem)
+        raise damaged(self.header.path, byte, problem)
+
+
+def read_batches(
+    source: Source,
+    header: LasHeader,
+    n_max: int,
+    layers: tuple[int, int | None] = (lazrs.SELECTIVE_DECOMPRESS_ALL, None),
+    n_buffers: int = 1,
+) -> Iterator[tuple[int, memoryview]]:
+    """Yield the index of the first record and the raw records, up to ``n_max`` at a time, compressed or not.
+
+    Parameters
+    ----------
+    source : Source
+        The file, opened; nobody else may read from it meanwhile.
+    header : LasHeader
+        Of this file.
+    n_max : int
+        Most records of a batch.
+    layers : (int, int or None)
+        ``selection`` and ``several`` of :meth:`LazRecords.batches`.
+    n_buffers : int
+        A batch is valid until as many more are asked for.
+
+    Raises
+    ------
+    InputError
+        When records are cut off or cannot be decompressed, naming them.
+    """
+    if header.compressed:
+        yield from LazRecords(source, header).batches(n_max, *layers, n_buffers=n_buffers)
+        return
+    size = header.record_bytes
+    source.seek(header.data_offset)
+    buffers = _Buffers(n_buffers)
+    for first in range(0, header.n_records, n_max):
+        batch = buffers.next(min(n_max, header.n_records - first) * size)
+        found = source.into(batch)
+        if found < len(batch):
+            record = first + found // size
+            problem = f"the file ends at record {record}, expected {header.n_records}: it changed while read"
+            raise InputError(str(header.path), problem, DAMAGED)
+        yield first, batch
+
+
+def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
+    """Yield all raw records, ``n`` at a time; each may be changed by the caller, until the next is asked for.
+
+    Compressed ones are decoded ahead in a thread of their own; close the iterator before the source.
+
+    Raises
+    ------
+    InputError
+        When records are cut off or cannot be decompressed, naming them.
+    """
+    # what is not compressed is read in less time than two threads take to hand it over
+    ahead = header.compressed and header.n_records > n
+    # where a thread reads ahead, one is in use, others wait, one is being filled
+    batches = _exactly(read_batches(source, header, n, n_buffers=_AHEAD + 2 if ahead else 1), header, n)
+    yield from read_ahead(batches, depth=_AHEAD) if ahead else batches
+
+
+def _exactly(batches: Iterator[tuple[int, memoryview]], header: LasHeader, n: int) -> Generator[U8]:
+    """Join and cut batches to ``n`` records each, fewer in the last."""
+    n_left, n_held = header.n_records, 0
+    for _, raw in batches:
+        rows = np.frombuffer(raw, np.uint8).reshape(-1, header.record_bytes)
+        while len(rows):
+            wanted = min(n, n_left)
+            if n_held == 0 and len(rows) >= wanted:
+                yield rows[:wanted]
+                rows = rows[wanted:]
+                n_left -= wanted
+                continue
+            if n_held == 0:
+                held: U8 = np.empty((wanted, header.record_bytes), np.uint8)
+            taken = rows[: wanted - n_held]
+            held[n_held : n_held + len(taken)] = taken
+            n_held += len(taken)
+            rows = rows[len(taken) :]
+            if n_held == wanted:
+                yield held
+                n_left -= wanted
+                n_held = 0
+
+
+def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
+    """Return where what follows the points begins and ends: EVLRs, waveforms, foreign bytes.
+
+    Behind compressed points this is the end of the chunk table, found by encoding the table again.
+    """
+    if not header.compressed:
+        return header.data_offset + header.n_records * header.record_bytes, header.file_bytes
+    if header.file_bytes < header.data_offset + 8:
+        return header.data_offset, header.file_bytes
+    records = LazRecords(source, header)
+    table_at, stop = records.table.start, records.table.stop
+    with decoding(source, f"the chunk table at byte {table_at} cannot be read"):
+        source.seek(table_at)
+        table = lazrs.read_chunk_table_only(source, records.vlr)
+        again = io.BytesIO()
+        lazrs.write_chunk_table(again, table, records.vlr)
+    source.seek(table_at)
+    if source.read(len(again.getvalue())) == again.getvalue():
+        return table_at + len(again.getvalue()), stop
+    # another encoder's table: what follows is known only from the EVLRs' own offset
+    return (header.evlrs[0].start if header.evlrs else stop), stop
+
+
+class _Buffers:
+    """Memory used in turns: new one every time would cost as much as reading."""
+
+    def __init__(self, n: int) -> None:
+        self._turns = cycle(range(n))
+        self._buffers: list[U8] = [np.empty(0, np.uint8)] * n
+
+    def next(self, n_bytes: int) -> memoryview:
+        """Return the next one; it is given again after all others."""
+        turn = next(self._turns)
+        if len(self._buffers[turn]) < n_bytes:
+            self._buffers[turn] = np.empty(n_bytes, np.uint8)
+        return self._buffers[turn][:n_bytes].data
+
+
+def chunk_head(items: Iterable[tuple[int, int]]) -> struct.Struct:
+    """Return what follows the first record of a chunk: the number of records, and the bytes of every layer.
+
+    Parameters
+    ----------
+    items : iterable of (type, bytes)
+        Of the laszip VLR.
+
+    Examples
+    --------
+    Point format 6 with four extra bytes:
+
+    >>> chunk_head([(10, 30), (14, 4)]).format
+    '<14I'
+    """
+    return struct.Struct(f"<{1 + sum(_LAYERS.get(kind, n_bytes) for kind, n_bytes in items)}I")
+
+
+class _Readable(Protocol):
+    def seek(self, position: int, /) -> int: ...
+
+    def read(self, n: int, /) -> bytes: ...
+
+
+def find_run(handle: _Readable, start: int, stop: int) -> int | None:
+    r"""Return where a long run of 0xFF lies in a file, as bad blocks of a disk leave them; None without.
+
+    The decoder of times calls itself once for every such code (lazrs 0.8) until its stack is used up, which ends the
+    process. Compressed data look random: a run of this length does not occur in sound files.
+
+    Parameters
+    ----------
+    handle : binary stream
+        File; its position is changed.
+    start, stop : int
+        First byte to look at, and first behind.
+
+    Examples
+    --------
+    >>> import io
+    >>> find_run(io.BytesIO(bytes(600) + b"\xff" * 1400), 0, 2000), find_run(io.BytesIO(bytes(2000)), 0, 2000)
+    (512, None)
+    """
+    handle.seek(start)
+    position = start
+    while position < stop:
+        raw = np.frombuffer(handle.read(min(_LOOK_BYTES, stop - position)), np.uint8)
+        if not len(raw):
+            return None
+        # a run of twice the block covers a whole block wherever it begins; a few other bytes in it change nothing
+        blocks = raw[: len(raw) // RUN_BYTES * RUN_BYTES].reshape(-1, RUN_BYTES)
+        full = np.flatnonzero((blocks[:, ::8] == 0xFF).sum(axis=1) > RUN_BYTES // 16)
+        if len(full):
+            return position + int(full[0]) * RUN_BYTES
+        position += len(raw)
+    return None
 
 
 def _has_several(raw: memoryview, record_bytes: int) -> bool:
@@ -295,14 +506,14 @@ def _has_several(raw: memoryview, record_bytes: int) -> bool:
 
 
 @contextlib.contextmanager
-def lazrs_errors(where: str, problem: str) -> Iterator[None]:
+def decoding(source: Source, problem: str) -> Iterator[None]:
     """Turn whatever the decompressor raises into :class:`InputError`; it may even panic on damaged bytes."""
     try:
         yield
-    except Exception as error:
-        raise InputError(where, f"{problem} ({error})", DAMAGED) from error
     except BaseException as error:
+        if source.error is not None:  # the system's own, which the library rewords
+            raise source.error from error
         # pyo3's PanicException is no Exception and cannot be imported; Ctrl-C must pass
-        if type(error).__name__ != "PanicException":
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
-        raise InputError(where, f"{problem} ({error})", DAMAGED) from error
+        raise InputError(str(source.path), f"{problem} ({error})", DAMAGED) from error

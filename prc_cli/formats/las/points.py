@@ -1,27 +1,328 @@
-"""Point records as bytes: class codes set, formats 0-5 turned into 6-10, extra bytes appended.
+"""Point records: which bytes and bits hold which dimension, read and changed.
 
-Records are (n, record length) uint8 arrays, laid out as in the file (ASPRS LAS 1.4 R15, tables 7-17).
+laspy knows the point formats and takes extra-bytes descriptors apart. Records are (n, record length) uint8 arrays,
+laid out as in the file (ASPRS LAS 1.4 R15, tables 7-17).
 """
 
 from __future__ import annotations
 
+import math
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
+import lazrs
 import numpy as np
 from numpy.typing import NDArray
 
+from prc_cli.core.errors import InputError, OutputError
 from prc_cli.core.types import I64, U8
-from prc_cli.formats.las.file import POINT_SIZES
+from prc_cli.formats.las.header import DAMAGED, EXTRA_BYTES_KEY, LasHeader, Vlr, make_vlr, standard_bytes, text_of
+from prc_cli.formats.writing.columns import ExtraDimension
 
 FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
 """The format with eight-bit classes that holds everything of a format with five-bit classes."""
-
 SCAN_ANGLE_STEP_DEG = 0.006
 """Unit of the scan angle in formats 6-10 [deg]."""
+VLR_LIMIT = 65_535
+"""Largest content of a VLR [bytes]."""
+_EXTRA_TEXT = "Extra Bytes Record"
+_LAST_DATA_TYPE = 30
+_RENAMED = {"gps_time": "time", "scan_angle": "angle", "scan_angle_rank": "angle"}
+_ANGLE_RAD = {"scan_angle": math.radians(SCAN_ANGLE_STEP_DEG), "scan_angle_rank": math.radians(1.0)}
+_AS_FLOAT = frozenset(("range", "time", "angle"))
 
-_HAS_TIME = {1: 20, 3: 20, 4: 20, 5: 20}  # byte of gps_time by old format
-_COLOUR = {2: (20, 30), 3: (28, 30), 5: (28, 30)}  # bytes of red, green, blue: old and new place
-_WAVE = {4: (28, 30), 5: (34, 38)}  # waveform packet, 29 bytes: old and new place
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """How one dimension is decoded: ``stored * scale + offset``, or some bits of ``stored``."""
+
+    column: str
+    """Field of the structured record."""
+    mask: int | None = None
+    scale: float | None = None
+    offset: float = 0.0
+    no_data: float | int | None = None
+    """Stored value that means none."""
+    as_float: bool = False
+    """float64 even where the stored number is another."""
+    layer: str = "extra"
+    """Dimension whose compressed layer holds it (point formats 6-10)."""
+
+    def decode(self, records: NDArray[Any]) -> NDArray[Any]:
+        """Return the dimension as an array of its own, so that the raw records can go."""
+        stored = records[self.column]
+        if self.mask is not None:
+            return (stored & np.uint8(self.mask)) >> np.uint8((self.mask & -self.mask).bit_length() - 1)
+        # damaged records may hold any bits: what is no number stays NaN or infinite and is counted later
+        with np.errstate(invalid="ignore", over="ignore"):
+            if self.scale is not None:
+                values = stored * np.float64(self.scale) + np.float64(self.offset)
+            elif self.as_float or self.no_data is not None:
+                values = stored.astype(np.float64)
+            else:
+                return np.array(stored)
+        if self.no_data is not None:
+            values[stored == self.no_data] = np.nan
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraBytes:
+    """What a descriptor says of some extra bytes."""
+
+    name: str
+    data_type: int
+    """Number of the type in LAS 1.4 table 24."""
+    description: str
+    dtype: np.dtype[Any]
+    """Type of a number; raw bytes have as many of their own."""
+    n_values: int
+    scale: float | None
+    offset: float | None
+    no_data: float | int | None
+    place: int = 0
+    """Its first byte in the record."""
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of a record."""
+        return self.dtype.itemsize * self.n_values
+
+    @property
+    def is_scaled(self) -> bool:
+        """Whether it has a scale or an offset."""
+        return self.scale is not None or self.offset is not None
+
+    @property
+    def type_name(self) -> str:
+        """Type of a record, for people."""
+        kind = f"V{self.n_bytes}" if self.data_type == 0 else self.dtype.str[1:]
+        return kind if self.n_values == 1 else f"{self.n_values}{kind}"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordLayout:
+    """The record of a file."""
+
+    dtype: np.dtype[Any]
+    """Structured type of a stored record."""
+    fields: dict[str, Field]
+    """Dimension name -> how it is decoded, in the order of the record."""
+    extra: tuple[ExtraBytes, ...]
+    """The extra bytes that are described and fit, under names that no other dimension has."""
+    notes: tuple[str, ...]
+    """What in the description does not fit the record."""
+
+    def describe_extra(self) -> list[dict[str, Any]]:
+        """Return name, type, description and scaling of all extra bytes, ready for JSON."""
+        return [
+            {"name": one.name, "type": one.type_name, "description": one.description, "scaled": one.is_scaled}
+            for one in self.extra
+        ]
+
+
+@cache
+def standard_columns(point_format: int) -> tuple[tuple[str, str], ...]:
+    """Return the stored fields of a point format and their types."""
+    import laspy
+
+    return tuple(laspy.PointFormat(point_format).dtype().descr)
+
+
+def read_layout(header: LasHeader) -> RecordLayout:
+    """Put together the point format and the extra bytes.
+
+    Raises
+    ------
+    InputError
+        When an extra-bytes descriptor makes no sense.
+    """
+    from laspy.point.dims import COMPOSED_FIELDS
+
+    columns: list[tuple[Any, ...]] = list(standard_columns(header.point_format))
+    bits = COMPOSED_FIELDS[header.point_format]
+    fields: dict[str, Field] = {}
+    for axis, (name, scale, offset) in enumerate(zip("xyz", header.scales, header.offsets, strict=True)):
+        fields[name] = Field("XYZ"[axis], scale=scale, offset=offset, layer=name)
+    for column, *_ in columns[3:]:
+        if column in bits:
+            fields |= {part.name: Field(column, mask=part.mask, layer=part.name) for part in bits[column]}
+        else:
+            name = _RENAMED.get(column, column)
+            fields[name] = Field(column, scale=_ANGLE_RAD.get(column), as_float=name in _AS_FLOAT, layer=column)
+    found: list[ExtraBytes] = []
+    notes: list[str] = []
+    left = header.n_extra_bytes
+    # a file may hold several of these VLRs, each describes the bytes that follow those of the one before
+    for extra in _described(str(header.path), header.find(EXTRA_BYTES_KEY)):
+        if extra.n_bytes > left:
+            what = f"extra bytes {extra.name!r} are described"
+            notes.append(f"{what} but records of this size do not hold them: left out")
+            continue
+        name = extra.name
+        while name in fields or name in {"X", "Y", "Z"}:
+            name = f"extra_{name}"
+        column = f"{name} {len(columns)}"  # a blank: no clash with a field of the point format
+        kind = f"V{extra.n_bytes}" if extra.data_type == 0 else extra.dtype.str
+        one = extra.n_values == 1 or extra.data_type == 0
+        columns.append((column, kind) if one else (column, kind, (extra.n_values,)))
+        found.append(replace(extra, name=name, place=header.record_bytes - left))
+        left -= extra.n_bytes
+        if extra.data_type and one:  # neither raw bytes nor vectors are one number a record
+            factor = (1.0 if extra.scale is None else extra.scale) if extra.is_scaled else None
+            as_float = name in _AS_FLOAT
+            fields[name] = Field(column, None, factor, extra.offset or 0.0, extra.no_data, as_float=as_float)
+    if left:
+        columns.append(("undescribed bytes", f"V{left}"))
+        notes.append(f"{left} bytes of every record are described nowhere and not read")
+    return RecordLayout(np.dtype(columns), fields, tuple(found), tuple(notes))
+
+
+def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:
+    """Yield what the descriptors of Extra Bytes VLRs say, in their order, checked."""
+    from laspy.vlrs.known import ExtraBytesStruct
+
+    size = ExtraBytesStruct.size()
+    for data in contents:
+        for start in range(0, len(data) - size + 1, size):
+            yield _extra_bytes(f"{where}: extra bytes VLR", ExtraBytesStruct.from_buffer_copy(data, start))
+
+
+def _extra_bytes(where: str, said: Any) -> ExtraBytes:
+    name = text_of(said.name) or "unnamed"
+    if said.data_type > _LAST_DATA_TYPE:
+        problem = f"{name!r} has data type {said.data_type}, expected 0 to {_LAST_DATA_TYPE}"
+        raise InputError(where, problem, DAMAGED)
+    if said.data_type == 0:
+        return ExtraBytes(name, 0, text_of(said.description), np.dtype("u1"), said.options, None, None, None)
+    number, n_values = said.dtype().base, said.num_elements()
+    scale, offset = said.scale, said.offset
+    extra = ExtraBytes(
+        name=name,
+        data_type=said.data_type,
+        description=text_of(said.description),
+        dtype=number,
+        n_values=n_values,
+        scale=None if scale is None else float(scale[0]),
+        offset=None if offset is None else float(offset[0]),
+        no_data=_no_data(said, number),
+    )
+    if n_values == 1 and extra.is_scaled:
+        factor, shift = (1.0 if scale is None else scale[0]), (0.0 if offset is None else offset[0])
+        if not (0 < abs(factor) < math.inf and abs(shift) < math.inf):
+            problem = f"{name!r} has scale {factor} and offset {shift}"
+            raise InputError(where, f"{problem}, expected finite numbers and a scale other than 0", DAMAGED)
+    return extra
+
+
+def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
+    """Return the stored value that means none; laspy would turn one that cannot occur into one that can."""
+    if not said.options & said.NO_DATA_BIT_MASK:
+        return None
+    value: float = struct.unpack_from({"u": "<Q", "i": "<q", "f": "<d"}[number.kind], bytes(said), 40)[0]
+    if number.kind != "f":
+        return value if np.iinfo(number).min <= value <= np.iinfo(number).max else None
+    with np.errstate(over="ignore"):
+        return float(number.type(value))
+
+
+def layers_of(fields: Iterable[Field]) -> int:
+    """Return which compressed layers hold these fields, as lazrs wants it (point formats 6-10)."""
+    selection = int(lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
+    for one in fields:
+        layer = _LAYER.get(one.layer)
+        if layer is None:
+            # a dimension without a layer of its own: better too much than too little
+            layer = "ALL_EXTRA_BYTES" if one.layer == "extra" else "ALL"
+        if layer:
+            selection |= int(getattr(lazrs, f"SELECTIVE_DECOMPRESS_{layer}"))
+    return selection
+
+
+_LAYER = {
+    **dict.fromkeys(("x", "y", "return_number", "number_of_returns", "scanner_channel"), ""),
+    "z": "Z",
+    "classification": "CLASSIFICATION",
+    **dict.fromkeys(
+        ("synthetic", "key_point", "withheld", "overlap", "scan_direction_flag", "edge_of_flight_line"), "FLAGS"
+    ),
+    "intensity": "INTENSITY",
+    "scan_angle": "SCAN_ANGLE",
+    "user_data": "USER_DATA",
+    "point_source_id": "POINT_SOURCE_ID",
+    "gps_time": "GPS_TIME",
+    **dict.fromkeys(("red", "green", "blue"), "RGB"),
+    "nir": "NIR",
+    **dict.fromkeys(
+        ("wavepacket_index", "wavepacket_offset", "wavepacket_size", "return_point_wave_location", "x_t", "y_t", "z_t"),
+        "WAVEPACKET",
+    ),
+}
+
+
+def descriptor(dimension: ExtraDimension) -> bytes:
+    """Return the 192 bytes that describe a dimension, without the least and greatest value."""
+    from laspy.vlrs.known import ExtraBytesStruct
+
+    said = ExtraBytesStruct.from_buffer_copy(bytes(ExtraBytesStruct.size()))
+    said.data_type = data_type_of(dimension)
+    said.name, said.description = dimension.name.encode("ascii"), dimension.description.encode("ascii")
+    return bytes(said)
+
+
+def data_type_of(dimension: ExtraDimension) -> int:
+    """Return the number of its type in LAS 1.4 table 24."""
+    from laspy.extradims import get_id_for_extra_dim_type
+
+    return int(get_id_for_extra_dim_type(dimension.dtype))
+
+
+def extra_bytes_vlr(dimensions: Sequence[ExtraDimension]) -> Vlr:
+    """Return a new Extra Bytes VLR."""
+    return make_vlr(EXTRA_BYTES_KEY, b"".join(map(descriptor, dimensions)), _EXTRA_TEXT)
+
+
+def with_extra_dimensions(
+    header: LasHeader, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension], hint: str
+) -> list[Vlr]:
+    """Return the VLRs with dimensions described behind those that the records have already.
+
+    Bytes of the record that no VLR describes get an undocumented entry, so that the new ones are found. ``hint`` says
+    what to do about an error.
+
+    Raises
+    ------
+    OutputError
+        When the VLRs describe more than the records hold, lie where they cannot grow, or are full.
+    """
+    if not dimensions:
+        return vlrs
+    where = str(header.path)
+    places = [index for index, vlr in enumerate(vlrs) if vlr.key == EXTRA_BYTES_KEY]
+    described = sum(extra.n_bytes for extra in _described(where, (vlrs[index].data or b"" for index in places)))
+    hidden = header.n_extra_bytes - described
+    elsewhere = any(vlr.key == EXTRA_BYTES_KEY for vlr in header.evlrs)
+    if hidden < 0 or elsewhere:
+        found = "in an EVLR" if elsewhere else f"as {described} bytes for the {header.n_extra_bytes} that records have"
+        problem = f"found the extra bytes described {found}, expected an Extra Bytes VLR that can be extended"
+        raise OutputError(where, problem, hint)
+    new = b""
+    while hidden > 0:
+        # of type 0, whose options are its length
+        new += bytes((0, 0, 0, min(hidden, 255))).ljust(160, b"\0") + b"not described in the input".ljust(32, b"\0")
+        hidden -= 255
+    new += b"".join(map(descriptor, dimensions))
+    if not places:
+        return [*vlrs, make_vlr(EXTRA_BYTES_KEY, new, _EXTRA_TEXT)]
+    last = vlrs[places[-1]]
+    if last.n_bytes + len(new) > VLR_LIMIT:
+        problem = f"the Extra Bytes VLR is full ({last.n_bytes} of {VLR_LIMIT} bytes)"
+        raise OutputError(where, problem, hint)
+    grown = last.with_data((last.data or b"") + new)
+    return [*vlrs[: places[-1]], grown, *vlrs[places[-1] + 1 :]]
 
 
 def set_classes(records: U8, point_format: int, codes: U8) -> None:
@@ -49,8 +350,8 @@ def set_classes(records: U8, point_format: int, codes: U8) -> None:
 def upgrade(records: U8, point_format: int) -> U8:
     """Turn records of formats 0-5 into the matching format 6-10, classes and extra bytes included.
 
-    Return number and count, scan direction, edge, the three flags, user data, point source and colour are moved; the
-    scan angle is turned from whole degrees into steps of 0.006 degrees; what the old format lacks (gps_time in 0
+    Return number and count, scan direction, edge, the three flags and whatever has the same name in both are moved;
+    the scan angle is turned from whole degrees into steps of 0.006 degrees; what the old format lacks (gps_time in 0
     and 2, near infrared in 5, scanner channel, overlap) is zero.
 
     Parameters
@@ -64,28 +365,18 @@ def upgrade(records: U8, point_format: int) -> U8:
     (n, new length) uint8
     """
     new_format = FORMAT_FOR_CODES[point_format]
-    old_size, new_size = POINT_SIZES[point_format], POINT_SIZES[new_format]
-    new = np.zeros((len(records), new_size + records.shape[1] - old_size), np.uint8)
-    new[:, :14] = records[:, :14]
-    returns, class_byte = records[:, 14], records[:, 15]
-    new[:, 14] = (returns & 0x07) | ((returns & 0x38) << 1)
-    new[:, 15] = (class_byte >> 5) | (returns & 0xC0)
-    new[:, 16] = class_byte & 0x1F
-    new[:, 17] = records[:, 17]
-    degrees = np.ascontiguousarray(records[:, 16]).view(np.int8)
-    steps = np.rint(degrees.astype(np.float64) / SCAN_ANGLE_STEP_DEG).astype("<i2")
-    new[:, 18:20] = steps.view(np.uint8).reshape(-1, 2)
-    new[:, 20:22] = records[:, 18:20]
-    if point_format in _HAS_TIME:
-        new[:, 22:30] = records[:, 20:28]
-    if point_format in _COLOUR:
-        old, at = _COLOUR[point_format]
-        new[:, at : at + 6] = records[:, old : old + 6]
-    if point_format in _WAVE:
-        old, at = _WAVE[point_format]
-        new[:, at : at + 29] = records[:, old : old + 29]
-    new[:, new_size:] = records[:, old_size:]
-    return new
+    n_extra = records.shape[1] - standard_bytes(point_format)
+    rest = [("extra bytes", f"V{n_extra}")] if n_extra else []
+    old = np.ascontiguousarray(records).view(np.dtype([*standard_columns(point_format), *rest]))[:, 0]
+    new = np.zeros(len(records), np.dtype([*standard_columns(new_format), *rest]))
+    for name in set(old.dtype.names or ()) & set(new.dtype.names or ()):
+        new[name] = old[name]
+    returns, class_byte = old["bit_fields"], old["raw_classification"]
+    new["bit_fields"] = (returns & 0x07) | ((returns & 0x38) << 1)
+    new["classification_flags"] = (class_byte >> 5) | (returns & 0xC0)
+    new["classification"] = class_byte & 0x1F
+    new["scan_angle"] = np.rint(old["scan_angle_rank"].astype(np.float64) / SCAN_ANGLE_STEP_DEG)
+    return new.view(np.uint8).reshape(len(records), new.dtype.itemsize)
 
 
 def append_bytes(records: U8, columns: list[NDArray[Any]]) -> U8:

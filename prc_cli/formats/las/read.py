@@ -10,19 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import ConfigError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.threads import read_ahead
 from prc_cli.formats.las.contexts import LazContexts, contexts_of
-from prc_cli.formats.las.header import (
-    DAMAGED,
-    LasHeader,
-    find_crs,
-    find_points_per_line,
-    read_header,
-)
-from prc_cli.formats.las.layout import layers_of, read_layout
-from prc_cli.formats.las.laz import LazRecords
+from prc_cli.formats.las.crs import find_crs
+from prc_cli.formats.las.header import LasHeader, check_decodable, find_points_per_line, open_source, read_header
+from prc_cli.formats.las.laz import LazRecords, read_batches
+from prc_cli.formats.las.points import layers_of, read_layout
 from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
 
 CHUNK_RECORDS = 1 << 16
@@ -55,15 +50,16 @@ class LasSource:
     def __init__(self, path: Path, chunk_records: int = CHUNK_RECORDS) -> None:
         self._path = path
         self.header: LasHeader = read_header(path)
+        check_decodable(self.header)
         self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self.header.record_bytes))
-        self._layout = read_layout(str(path), self.header)
+        self._layout = read_layout(self.header)
         self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
         """Kept from the records that :meth:`chunks` decodes, for who writes the file again."""
         self._spares_intensity = False
         self._n_unread_chunks = 0
         if self.header.compressed:
-            with path.open("rb") as handle:
-                self._n_unread_chunks = LazRecords(str(path), handle, self.header).table.n_unread
+            with open_source(path) as source:
+                self._n_unread_chunks = LazRecords(source, self.header).table.n_unread
 
     @property
     def path(self) -> str:
@@ -208,27 +204,13 @@ class LasSource:
 
     def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, memoryview]]:
         """Yield the index of the first record and the records, uncompressed; valid until the next is asked for."""
-        header = self.header
-        with self._path.open("rb") as handle:
-            if header.compressed:
-                asked = [self._layout.fields[name] for name in names]
-                layers, several = layers_of(asked), None
-                if self._spares_intensity and "intensity" in names:
-                    several = layers
-                    layers = layers_of([field for field in asked if field.layer != "intensity"])
-                yield from LazRecords(self.path, handle, header).batches(self._chunk_records, layers, several)
-                return
-            handle.seek(header.data_offset)
-            # one buffer for all batches: every dimension is copied out before the next one is read
-            buffer = memoryview(bytearray(min(self._chunk_records, header.n_records) * header.record_bytes))
-            for first in range(0, header.n_records, self._chunk_records):
-                batch = buffer[: min(self._chunk_records, header.n_records - first) * header.record_bytes]
-                found = handle.readinto(batch)
-                if found < len(batch):
-                    record = first + found // header.record_bytes
-                    problem = f"the file ends at record {record}, expected {header.n_records}: it changed while read"
-                    raise InputError(self.path, problem, DAMAGED)
-                yield first, batch
+        asked = [self._layout.fields[name] for name in names]
+        layers, several = layers_of(asked), None
+        if self._spares_intensity and "intensity" in names:
+            several = layers
+            layers = layers_of(field for field in asked if field.layer != "intensity")
+        with open_source(self._path) as source:
+            yield from read_batches(source, self.header, self._chunk_records, (layers, several))
 
     def describe(self) -> dict[str, Any]:
         """Return what the header says, ready for JSON, for ``prc info``."""
@@ -245,11 +227,11 @@ class LasSource:
             "system_id": header.system_id,
             "generating_software": header.software,
             "crs": self.crs_wkt,
-            "extra_bytes": list(self._layout.extra),
+            "extra_bytes": self._layout.describe_extra(),
             "vlrs": [
                 {"user_id": v.user_id, "record_id": v.record_id, "bytes": v.n_bytes, "description": v.description,
                  "extended": v.extended}
-                for v in header.vlrs
+                for v in (*header.vlrs, *header.evlrs)
             ],
             "notes": list(self.notes),
         }  # fmt: skip

@@ -1,95 +1,51 @@
-"""LAS or LAZ in, LAS or LAZ out: classes set, everything else bit for bit as it was.
-
-The input is read again as bytes. Header, VLRs, user bytes, points and what follows them are copied in their order;
-changed are the class of every record, what the ``[output]`` table asks for, and the offsets that this moves.
-"""
+"""Classes into a LAS or LAZ file; everything else stays, bit for bit, but for what the ``[output]`` table asks for."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.classes import ClassCodes
-from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.facts import ClassContexts
-from prc_cli.core.types import U8
-from prc_cli.formats.las.codec import (
-    LASZIP_KEY,
-    LasSink,
-    LazSink,
-    PointSink,
-    Target,
-    batch_records,
+from prc_cli.core.files import output_errors
+from prc_cli.core.types import I64, U8
+from prc_cli.formats.las.copy import (
+    COPC_USER,
+    Plan,
     check_compressed,
-    copy_bytes,
-    crc,
-    has_variable_chunks,
-    laszip_payload,
-    read_points,
-    tail_bounds,
+    check_copied,
+    has_waveform_file,
+    read_las,
+    with_laszip,
+    with_record,
+    write_again,
 )
-from prc_cli.formats.las.file import (
-    POINT_SIZES,
-    STANDARD_HEADER,
-    Header,
-    LasFile,
-    Source,
-    Vlr,
-    open_source,
-    read_structure,
-)
+from prc_cli.formats.las.crs import with_wkt
+from prc_cli.formats.las.header import RECORD_KEY, HeaderFields, LasHeader, Source, Vlr, open_source, standard_bytes
+from prc_cli.formats.las.laz import read_records
 from prc_cli.formats.las.points import (
     FORMAT_FOR_CODES,
     append_bytes,
     count_returns,
+    data_type_of,
+    read_layout,
     set_classes,
     upgrade,
-)
-from prc_cli.formats.las.splice import find_chunks, splice_classes, splice_records
-from prc_cli.formats.las.tail import Tail, plan_tail
-from prc_cli.formats.las.vlrs import (
-    COPC_USER,
-    RECORD_KEY,
-    WKT_BIT,
-    find_dimension,
-    make_vlr,
-    record_vlr,
     with_extra_dimensions,
-    with_wkt,
 )
+from prc_cli.formats.las.sinks import PointSink, Target, batch_records, crc
+from prc_cli.formats.las.splice import find_chunks, splice_classes, splice_records
 from prc_cli.formats.writing.base import Columns, ScatterWriter
-from prc_cli.formats.writing.columns import OptionalColumn, asked_columns
+from prc_cli.formats.writing.columns import OPTIONAL_COLUMNS, asked_columns
 from prc_cli.formats.writing.options import FIVE_BIT_LIMIT, OutputConfig
 from prc_cli.formats.writing.record import RunRecord
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What an output differs in from its input."""
-
-    point_format: int
-    """Point format written."""
-    compress: bool
-    """LAZ."""
-    appended: tuple[OptionalColumn, ...] = ()
-    """Columns appended to every record, in order."""
-    replaced: tuple[tuple[OptionalColumn, int], ...] = ()
-    """Columns that the records have already and that are replaced, each with its first byte."""
-
-    @property
-    def n_appended(self) -> int:
-        """Bytes appended to every record."""
-        return sum(column.dtype.itemsize for column in self.appended)
-
-    def only_classes(self, las: LasFile) -> bool:
-        """Whether the points differ in nothing but their classes, stored as they were."""
-        changed = self.appended or self.replaced or self.point_format != las.point_format
-        return not changed and self.compress == las.compressed
 
 
 class LasRewriter(ScatterWriter):
@@ -106,14 +62,9 @@ class LasRewriter(ScatterWriter):
         self._source_path = source
         self._laz_contexts = laz_contexts
         self._state = self._source_state()
-        las = self._structure()
-        super().__init__(path, codes, options, asked_columns(options), las.n_points)
-        self._las = las
+        self._las = read_las(source)
+        super().__init__(path, codes, options, asked_columns(options), self._las.n_records)
         self._compress = path.suffix.lower() == ".laz"
-
-    def _structure(self) -> LasFile:
-        with open_source(self._source_path) as source:
-            return read_structure(source)
 
     def _source_state(self) -> tuple[int, int, int]:
         """Size, time of the last change and number of the input file: another one of any is another file."""
@@ -121,26 +72,36 @@ class LasRewriter(ScatterWriter):
             return source.state()
 
     def _write(self, record: RunRecord) -> RunRecord:
-        las = self._structure()
-        if las != replace(self._las, header=las.header) or las.header.data != self._las.header.data:
+        las, before = read_las(self._source_path), self._las
+        if (las.raw, las.vlrs, las.evlrs, las.file_bytes) != (before.raw, before.vlrs, before.evlrs, before.file_bytes):
             problem = "found another header than at the start of the run, expected the same file"
             raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
-        for columns in self._columns(las.n_points):
+        for columns in self._columns(las.n_records):
             self._count(columns.codes)
         plan = self._plan(las)
-        vlrs, bits = self._vlrs(las, plan)
+        vlrs = self._vlrs(las, plan)
         record = self._completed(record)
-        place = next((index for index, vlr in enumerate(vlrs) if vlr.key == RECORD_KEY), len(vlrs))
-        vlrs = [vlr for vlr in vlrs if vlr.key != RECORD_KEY]
-        vlrs.insert(place, record_vlr(record))
-        with open_source(self._source_path) as source, self._temporary.open("w+b") as writing:
-            self._rewrite(las, plan, vlrs, bits, source, writing)
+        points = _Points(las, plan)
+
+        def write_points(source: Source, target: Target, open_sink: Callable[[], PointSink]) -> None:
+            chunks = find_chunks(source, las) if plan.only_classes(las) else None
+            if chunks is None:
+                n = batch_records(las, compressed=las.compressed or plan.compress)
+                points.write(source, open_sink(), n, self._columns(las.n_records, n))
+                return
+            codes = (columns.codes for columns in self._columns(las.n_records, splice_records(chunks)))
+            splice_classes(source, target, chunks, codes, self._laz_contexts)
+
+        drop = (RECORD_KEY[0], COPC_USER)
+        write_again(las, plan, with_record(vlrs, record), self._temporary, write_points, points.finish, drop)
+        if plan.is_checked:
+            check_compressed(self._temporary, self.path, points.checksum)
         if self._source_state() != self._state:
             problem = "changed while it was read"
             raise InputError(str(self._source_path), problem, "run again when nothing else writes the input")
         return record
 
-    def _plan(self, las: LasFile) -> Plan:
+    def _plan(self, las: LasHeader) -> Plan:
         used = np.flatnonzero(self._counts)
         highest = int(used[-1]) if len(used) else 0
         form = las.point_format
@@ -148,130 +109,87 @@ class LasRewriter(ScatterWriter):
             form = FORMAT_FOR_CODES[las.point_format]
             lost = {0: "; gps_time is 0", 2: "; gps_time is 0", 5: "; near infrared is 0"}.get(las.point_format, "")
             self._notice(f"point format {las.point_format} cannot hold code {highest}; upgraded to {form}{lost}")
-        moved = POINT_SIZES[form] - POINT_SIZES[las.point_format]
+        moved = standard_bytes(form) - standard_bytes(las.point_format)
         appended, replaced = [], []
+        there = {extra.name: extra for extra in read_layout(las).extra} if self._optional else {}
         for column in self._optional:
-            dimension = column.dimension
-            found = find_dimension(las, dimension.name)
+            found, data_type = there.get(column.name), data_type_of(column.dimension)
             if found is None:
                 appended.append(column)
-            elif found[1] != dimension.data_type:
-                problem = f"the input has extra bytes named {dimension.name!r} of type {found[1]}, expected none"
-                problem += f" or type {dimension.data_type}"
+            elif found.data_type != data_type:
+                problem = f"the input has extra bytes named {column.name!r} of type {found.data_type}, expected none"
+                problem += f" or type {data_type}"
                 raise OutputError(str(las.path), problem, f"set [output] {column.option} = false")
             elif column.keep:
                 self._notice(f"the input has {column.name} already; it was kept as it is")
             else:
                 self._notice(f"the input has {column.name} already; its values were replaced")
-                replaced.append((column, found[0] + moved))
+                replaced.append((column, found.place + moved))
         plan = Plan(form, self._compress, tuple(appended), tuple(replaced))
-        length = las.record_length + moved + plan.n_appended
+        length = las.record_bytes + moved + plan.n_appended
         if length > 65_535:
             raise OutputError(
                 str(las.path), f"records would take {length} bytes, LAS allows 65535", "add no extra bytes"
             )
         return plan
 
-    def _vlrs(self, las: LasFile, plan: Plan) -> tuple[list[Vlr], int]:
-        """VLRs of the output, the run record still the old one; and the global encoding bits to add."""
+    def _vlrs(self, las: LasHeader, plan: Plan) -> list[Vlr]:
+        """VLRs of the output, the run record still the old one."""
         vlrs = list(las.vlrs)
-        bits = 0
-        if any(vlr.key[0] == COPC_USER for vlr in vlrs):
+        if any(vlr.user_id == COPC_USER for vlr in vlrs):
             self._notice(
                 "the COPC index does not fit the rewritten chunks and was left out: the output is plain LAS/LAZ"
             )
-            vlrs = [vlr for vlr in vlrs if vlr.key[0] != COPC_USER]
-        if any(vlr.key[0] == "lascompatible" for vlr in vlrs):
-            problem = "found LAS 1.4 points in LASzip's compatibility mode, whose classes lie in extra bytes"
-            raise InputError(str(las.path), problem, "write it again as plain LAS 1.4, e.g. with las2las or PDAL")
+            vlrs = [vlr for vlr in vlrs if vlr.user_id != COPC_USER]
+        check_copied(las)
         options = dict.fromkeys(column.option for column in plan.appended)
         hint = "set [output] " + " and ".join(f"{option} = false" for option in options)
         vlrs = with_extra_dimensions(las, vlrs, [column.dimension for column in plan.appended], hint)
-        if plan.point_format != las.point_format:
-            bits = WKT_BIT
+        if plan.upgrades(las):
             vlrs, notice = with_wkt(vlrs, plan.point_format)
             if notice:
                 self._notice(notice)
-        if las.header.get("global_encoding") & 4 and las.header.has("waveform_start"):
+        if has_waveform_file(las):
             self._notice(
                 f"waveforms lie in a file of their own beside the input; copy {las.path.stem}.wdp beside the output"
             )
-        return self._with_laszip(las, plan, vlrs), bits
+        vlrs, notice = with_laszip(las, plan, vlrs)
+        if notice:
+            self._notice(notice)
+        return vlrs
 
-    def _with_laszip(self, las: LasFile, plan: Plan, vlrs: list[Vlr]) -> list[Vlr]:
-        if not plan.compress:
-            return [vlr for vlr in vlrs if vlr.key != LASZIP_KEY]
-        same = plan.point_format == las.point_format and not plan.appended
-        extra = las.n_extra_bytes + plan.n_appended
-        payload = laszip_payload(las, plan.point_format, extra, keep=same)
-        old = las.vlr(*LASZIP_KEY)
-        if old is None:
-            return [*vlrs, make_vlr(LASZIP_KEY, payload, "laszip (lazrs)")]
-        if has_variable_chunks(old.payload):
-            self._notice("compressed chunks of differing length were written as chunks of equal length")
-        elif same and payload != old.payload:
-            self._notice(
-                "the points were compressed with a version of laszip's items that is not written; the usual one is used"
-            )
-        return [old.with_payload(payload) if vlr.key == LASZIP_KEY else vlr for vlr in vlrs]
 
-    def _rewrite(self, las: LasFile, plan: Plan, vlrs: list[Vlr], bits: int, source: Source, writing: BinaryIO) -> None:
-        target = Target(writing)
-        header = new_header(las, plan, vlrs, bits)
-        target.write(header.data)
-        for vlr in vlrs:
-            target.write(vlr.raw)
-        copy_bytes(source, target, las.vlr_end, las.point_offset)  # user bytes
-        checksum, returns = self._write_points(las, plan, vlrs, source, target)
-        tail = plan_tail(las, tail_bounds(source, las), target.tell(), drop=(RECORD_KEY[0], COPC_USER))
-        for start, stop in tail.spans:
-            copy_bytes(source, target, start, stop)
-        set_tail(header, las, tail)
-        if plan.point_format != las.point_format:
-            header.set("n_points", las.n_points)
-            header.set("by_return", *returns.tolist())
-        target.seek(0)
-        target.write(header.data)
-        target.flush()
-        if plan.compress and plan.point_format in (9, 10):
-            written = replace(las, header=header, vlrs=tuple(vlrs), point_format=plan.point_format, compressed=True)
-            written = replace(written, record_length=header.get("record_length"))
-            check_compressed(self._temporary, self.path, written, checksum)
+class _Points:
+    """Writes every record with its class, and notes what the header and a check must know of them."""
 
-    def _write_points(
-        self, las: LasFile, plan: Plan, vlrs: list[Vlr], source: Source, target: Target
-    ) -> tuple[int, np.ndarray[tuple[int], np.dtype[np.int64]]]:
-        """Write every record with its class; return CRC-32 and counts by return (of an upgraded format)."""
-        checksum = 0
-        returns = np.zeros(15, np.int64)
-        chunks = find_chunks(source, las) if plan.only_classes(las) else None
-        if chunks is not None:
-            codes = (columns.codes for columns in self._columns(las.n_points, splice_records(las, chunks)))
-            splice_classes(source, target, las, chunks, codes, self._laz_contexts)
-            return checksum, returns
-        sink: PointSink = LasSink(target)
-        if plan.compress:
-            sink = LazSink(target, next(vlr.payload for vlr in vlrs if vlr.key == LASZIP_KEY))
-        with contextlib.closing(self._records(las, plan, source)) as batches:
-            for records in batches:
-                if plan.point_format != las.point_format:
-                    returns += count_returns(records)
-                if plan.compress and plan.point_format in (9, 10):
-                    checksum = crc(records, checksum)
+    def __init__(self, las: LasHeader, plan: Plan) -> None:
+        self._las = las
+        self._plan = plan
+        self.checksum = 0
+        self._returns = np.zeros(15, np.int64)
+
+    def write(self, source: Source, sink: PointSink, n: int, columns: Iterator[Columns]) -> None:
+        """Write all records, ``n`` at a time."""
+        with contextlib.closing(read_records(source, self._las, n)) as batches:
+            for old, values in zip(batches, columns, strict=True):
+                records = changed(old, values, self._las, self._plan)
+                if self._plan.upgrades(self._las):
+                    self._returns += count_returns(records)
+                if self._plan.is_checked:
+                    self.checksum = crc(records, self.checksum)
                 sink.write(records)
         sink.close()
-        return checksum, returns
 
-    def _records(self, las: LasFile, plan: Plan, source: Source) -> Generator[U8]:
-        n = batch_records(las.record_length, compressed=las.compressed or plan.compress)
-        with contextlib.closing(read_points(source, las, n)) as batches:
-            for records, columns in zip(batches, self._columns(las.n_points, n), strict=True):
-                yield changed(records, columns, las, plan)
+    def finish(self, fields: HeaderFields) -> None:
+        """Set the counts of a header that was of an older version."""
+        if self._plan.upgrades(self._las):
+            fields.set("n_points", self._las.n_records)
+            fields.set("by_return", *self._returns.tolist())
 
 
-def changed(records: U8, columns: Columns, las: LasFile, plan: Plan) -> U8:
+def changed(records: U8, columns: Columns, las: LasHeader, plan: Plan) -> U8:
     """Return records as they go into the output; the given ones may be changed in place."""
-    if plan.point_format != las.point_format:
+    if plan.upgrades(las):
         records = upgrade(records, las.point_format)
     set_classes(records, plan.point_format, columns.codes)
     for column, at in plan.replaced:
@@ -282,49 +200,70 @@ def changed(records: U8, columns: Columns, las: LasFile, plan: Plan) -> U8:
     return records
 
 
-def new_header(las: LasFile, plan: Plan, vlrs: list[Vlr], bits: int) -> Header:
-    """Return the input's header with the fields that the plan changes; what follows the points is set later."""
-    header = las.header.copy()
-    if plan.point_format != las.point_format:
-        header = _as_1_4(header)
-        header.set("legacy_n_points", 0)
-        header.set("legacy_by_return", 0, 0, 0, 0, 0)
-        header.set("global_encoding", header.get("global_encoding") | bits)
-    if plan.point_format != las.point_format or plan.compress != las.compressed:
-        header.set("point_format", plan.point_format | (0x80 if plan.compress else 0))
-    added = POINT_SIZES[plan.point_format] - POINT_SIZES[las.point_format] + plan.n_appended
-    header.set("record_length", las.record_length + added)
-    header.set("n_vlrs", len(vlrs))
-    user_bytes = las.point_offset - las.vlr_end
-    offset = len(header.data) + sum(len(vlr.raw) for vlr in vlrs) + user_bytes
-    if offset >= 1 << 32:
-        raise OutputError(str(las.path), f"points would begin at byte {offset}, LAS allows 4294967295")
-    header.set("point_offset", offset)
-    return header
+CARRIED = tuple(column.name for column in OPTIONAL_COLUMNS)
+"""Dimensions of this program's own outputs that can go along with the class."""
 
 
-def _as_1_4(header: Header) -> Header:
-    """Return a header of any version as LAS 1.4; user bytes at its end stay there."""
-    minor = header.data[25]
-    if minor == 4:
-        return header
-    standard = STANDARD_HEADER[minor]
-    new = Header(bytes(header.data[:standard]) + bytes(375 - standard) + bytes(header.data[standard:]))
-    new.data[25] = 4
-    new.set("header_size", len(new.data))
-    return new
+class LasRecoder(LasRewriter):
+    """Writer of a LAS or LAZ file from another one, with a class code for every record.
 
+    Use it as a context manager: :meth:`put` every record once, then :meth:`finish`; without that nothing is left.
 
-def set_tail(header: Header, las: LasFile, tail: Tail) -> None:
-    """Set the header fields that point at what follows the points."""
-    if header.has("waveform_start") and las.header.get("waveform_start"):
-        header.set("waveform_start", tail.moved(las.header.get("waveform_start")))
-    if not header.has("evlr_start"):
-        return
-    if las.header.has("evlr_start"):
-        header.set("evlr_start", tail.evlr_start if tail.n_evlrs or las.evlrs else las.header.get("evlr_start"))
-        header.set("n_evlrs", tail.n_evlrs)
-    elif header.get("waveform_start") and header.get("global_encoding") & 2:
-        # LAS 1.3 keeps its waveforms in an EVLR that only 1.4 counts
-        header.set("evlr_start", header.get("waveform_start"))
-        header.set("n_evlrs", 1)
+    Parameters
+    ----------
+    path : Path
+        Output, ``.las`` or ``.laz``.
+    source : Path
+        LAS or LAZ file that is written again.
+    carried : tuple of str
+        Dimensions of :data:`CARRIED` that are set too, for records that get them; values that the source has under
+        this name are replaced.
+
+    Raises
+    ------
+    ConfigError
+        When a dimension cannot be carried.
+    InputError
+        When the source has no sound header.
+    """
+
+    def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
+        super().__init__(path, ClassCodes(), OutputConfig(), source)
+        for name in carried:
+            if name not in CARRIED:
+                raise ConfigError("--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}")
+        chosen = (column for column in OPTIONAL_COLUMNS if column.name in carried)
+        self._optional = tuple(replace(column, keep=False) for column in chosen)
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        try:
+            with output_errors(self.path):
+                self._settle(None)
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def put(self, record: I64, codes: U8) -> None:
+        """Set class codes by record index.
+
+        Raises
+        ------
+        OutputError
+            When they cannot be written (disk full).
+        """
+        with output_errors(self.path):
+            self._put(record, codes, {})
+
+    def put_values(self, record: I64, values: dict[str, NDArray[Any]]) -> None:
+        """Set carried dimensions by record index.
+
+        Raises
+        ------
+        OutputError
+            When they cannot be written (disk full).
+        """
+        with output_errors(self.path):
+            for column in self._optional:
+                self._spools[column.name].put(record, values[column.name].astype(column.dtype))

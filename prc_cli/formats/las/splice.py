@@ -13,104 +13,53 @@ import contextlib
 import io
 import struct
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
 
 import lazrs
 import numpy as np
 
+from prc_cli.core.errors import InputError
 from prc_cli.core.facts import ClassContexts
 from prc_cli.core.types import U8
-from prc_cli.formats.las.codec import (
-    CHUNK_SIZE_AT,
-    ITEMS_AT,
-    LASZIP_KEY,
+from prc_cli.formats.las.contexts import contexts_of, records_of
+from prc_cli.formats.las.header import DAMAGED, LasHeader, Source, open_source, standard_bytes
+from prc_cli.formats.las.laz import CHUNK_SIZE_AT, ITEMS_AT, LazRecords, chunk_head, decoding
+from prc_cli.formats.las.sinks import (
     Target,
     batch_records,
     codec_errors,
-    decoding,
-    find_table,
     has_variable_chunks,
     large_chunks,
     new_laszip_payload,
 )
-from prc_cli.formats.las.contexts import contexts_of, records_of
-from prc_cli.formats.las.file import (
-    POINT_SIZES,
-    LasFile,
-    Source,
-    damaged,
-    open_source,
-)
 
-_LAYERS = {6: 9, 7: 10, 8: 11}
-"""Layers of a chunk by point format; every extra byte has one more."""
+_POINT_FORMATS = (6, 7, 8)
 _CLASS_LAYER = 2
-"""The classes' place among them: after coordinates with returns and channel, and z."""
+"""The classes' place among the layers: after coordinates with returns and channel, and z."""
 _CLASS_AT = 16
 
 
-@dataclass(frozen=True, slots=True)
-class Chunks:
-    """The chunks of a file, all of them of the layered kind and sound as far as their heads tell."""
-
-    chunk_points: int
-    """Records in every chunk but the last."""
-    n_layers: int
-    first_byte: tuple[int, ...]
-    """Position of every chunk, then the end of the last."""
-
-
-def find_chunks(source: Source, las: LasFile) -> Chunks | None:
+def find_chunks(source: Source, las: LasHeader) -> LazRecords | None:
     """Return the chunks of a file if classes can be put into them, else None.
 
     They cannot where the file is not LAZ of point format 6-8, chunks differ in length or are large, the laszip VLR
     is not the usual one, or chunk table and heads of chunks do not fit each other and the header.
     """
-    laszip = las.vlr(*LASZIP_KEY)
-    if laszip is None or not las.compressed or las.point_format not in _LAYERS or not las.n_points:
+    if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
-    payload = laszip.payload
-    usual = new_laszip_payload(las.path, las.point_format, las.n_extra_bytes)
+    records = LazRecords(source, las)
+    found, usual = records.vlr_data, new_laszip_payload(las.path, las.point_format, las.n_extra_bytes)
     # the compressor (layered chunks) and the items with their versions
-    if has_variable_chunks(payload) or payload[:2] != usual[:2] or payload[ITEMS_AT:] != usual[ITEMS_AT:]:
+    if has_variable_chunks(found) or found[:2] != usual[:2] or found[ITEMS_AT:] != usual[ITEMS_AT:]:
         return None
-    with decoding(source, 0):
-        vlr = lazrs.LazVlr(payload)
-        if large_chunks(vlr):
-            return None
-        find_table(source, las)
-        source.seek(las.point_offset)
-        table = lazrs.read_chunk_table(source, vlr)
-    chunk_points = vlr.chunk_size()
-    start = las.point_offset + 8
-    ends = np.cumsum([start, *(n_bytes for _, n_bytes in table)], dtype=np.int64)
-    if len(table) != -(-las.n_points // chunk_points) or int(ends[-1]) > las.size:
+    n_chunks, n = len(records.table.first_byte) - 1, records.vlr.chunk_size()
+    if large_chunks(records.vlr) or records.table.n_unread or n_chunks != -(-las.n_records // n):
         return None
-    n_layers = _LAYERS[las.point_format] + las.n_extra_bytes
-    chunks = Chunks(chunk_points, n_layers, tuple(ends.tolist()))
-    return chunks if _heads_fit(source, las, chunks) else None
-
-
-def _heads_fit(source: Source, las: LasFile, chunks: Chunks) -> bool:
-    """Whether the records and the sizes of layers that every chunk declares are those it has."""
-    head = struct.Struct(f"<{1 + chunks.n_layers}I")
-    left = las.n_points
-    for first, stop in zip(chunks.first_byte[:-1], chunks.first_byte[1:], strict=True):
-        source.seek(first + las.record_length)
-        data = source.read(head.size)
-        if len(data) < head.size:
-            return False
-        held, *layers = head.unpack(data)
-        if held != min(chunks.chunk_points, left):
-            return False
-        if las.record_length + head.size + sum(layers) != stop - first:
-            return False
-        left -= held
-    return True
+    sizes = zip(np.diff(records.table.first_record), np.diff(records.table.first_byte), strict=True)
+    return records if list(records.heads(source, 0, n_chunks)) == list(sizes) else None
 
 
 def splice_classes(
-    source: Source, target: Target, las: LasFile, chunks: Chunks, codes: Iterator[U8], kept: ClassContexts | None = None
+    source: Source, target: Target, chunks: LazRecords, codes: Iterator[U8], kept: ClassContexts | None = None
 ) -> None:
     """Write all chunks with other classes, and their table; the target stands behind it then.
 
@@ -120,9 +69,7 @@ def splice_classes(
         Input.
     target : Target
         Stands where the points of the output begin.
-    las : LasFile
-        Of the input.
-    chunks : Chunks
+    chunks : LazRecords
         From :func:`find_chunks`.
     codes : iterator of (n,) uint8
         Class codes of consecutive records, :func:`splice_records` at a time.
@@ -136,53 +83,49 @@ def splice_classes(
     OutputError
         When the compression library fails.
     """
-    laszip = las.vlr(*LASZIP_KEY)
-    assert laszip is not None
     start = target.tell()
     target.write(struct.pack("<q", 0))
-    n = splice_records(las, chunks)
+    n, n_chunk = splice_records(chunks), chunks.vlr.chunk_size()
+    first_byte = chunks.table.first_byte.tolist()
     table: list[tuple[int, int]] = []
-    with contextlib.closing(_contexts(las, laszip.payload, n, kept)) as contexts:
+    with contextlib.closing(_contexts(chunks, n, kept)) as contexts:
         for batch, (context, new) in enumerate(zip(contexts, codes, strict=True)):
-            records = records_of(context, POINT_SIZES[6])
+            records = records_of(context, standard_bytes(6))
             records[:, _CLASS_AT] = new
-            first = batch * (n // chunks.chunk_points)
-            for chunk, layer in enumerate(_class_layers(target, chunks.chunk_points, records), start=first):
-                code = int(new[(chunk - first) * chunks.chunk_points])
-                span = chunks.first_byte[chunk : chunk + 2]
-                source.seek(span[0])
-                old = source.exact(span[1] - span[0], f"LAZ chunk {chunk}")
-                written = sum(target.write(part) for part in _with_layer(las, chunks, old, layer, code))
-                table.append((chunks.chunk_points, written))
+            first = batch * (n // n_chunk)
+            for chunk, layer in enumerate(_class_layers(target, n_chunk, records), start=first):
+                source.seek(first_byte[chunk])
+                old = source.exact(first_byte[chunk + 1] - first_byte[chunk], f"LAZ chunk {chunk}")
+                code = int(new[(chunk - first) * n_chunk])
+                written = sum(target.write(part) for part in _with_layer(chunks, old, layer, code))
+                table.append((n_chunk, written))
     table_at = target.tell()
     with codec_errors(target):
-        lazrs.write_chunk_table(target, table, lazrs.LazVlr(laszip.payload))
+        lazrs.write_chunk_table(target, table, chunks.vlr)
     end = target.tell()
     target.seek(start)
     target.write(struct.pack("<q", table_at))
     target.seek(end)
 
 
-def splice_records(las: LasFile, chunks: Chunks) -> int:
+def splice_records(chunks: LazRecords) -> int:
     """Return how many records :func:`splice_classes` takes at a time: whole chunks, for every core some."""
-    n = batch_records(las.record_length, compressed=True)
-    return max(1, n // chunks.chunk_points) * chunks.chunk_points
+    n_chunk: int = chunks.vlr.chunk_size()
+    return max(1, batch_records(chunks.header, compressed=True) // n_chunk) * n_chunk
 
 
-def _contexts(las: LasFile, payload: bytes, n: int, kept: ClassContexts | None) -> Generator[U8]:
+def _contexts(chunks: LazRecords, n: int, kept: ClassContexts | None) -> Generator[U8]:
     """Yield the contexts of the classes of ``n`` records at a time, kept or decoded."""
-    if kept is not None and kept.n_seen == las.n_points:
+    las = chunks.header
+    if kept is not None and kept.n_seen == las.n_records:
         yield from kept.take(n)
         return
     with open_source(las.path) as source:
-        source.seek(las.point_offset)
-        with decoding(source, 0):
-            selection = lazrs.DecompressionSelection(lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
-            decompressor = lazrs.ParLasZipDecompressor(source, payload, selection)
-        whole = np.empty((min(n, las.n_points), las.record_length), np.uint8)
-        for first in range(0, las.n_points, n):
-            records = whole[: las.n_points - first]
-            with decoding(source, first):
+        decompressor = chunks.open(source, lazrs.ParLasZipDecompressor, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
+        whole = np.empty((min(n, las.n_records), las.record_bytes), np.uint8)
+        for first in range(0, las.n_records, n):
+            records = whole[: las.n_records - first]
+            with decoding(source, f"record {first} and what follows cannot be decompressed"):
                 decompressor.decompress_many(records.reshape(-1))
             yield contexts_of(records)
 
@@ -200,27 +143,26 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
         buffer.seek(0)
         table = lazrs.read_chunk_table(buffer, vlr)
     view = buffer.getbuffer()
-    head = struct.Struct(f"<{_LAYERS[6]}I")
+    head = chunk_head([(10, standard_bytes(6))])
     at = 8
     for _, n_bytes in table:
-        sizes_at = at + POINT_SIZES[6] + 4
-        sizes = head.unpack_from(view, sizes_at)
-        first = sizes_at + head.size + sum(sizes[:_CLASS_LAYER])
+        _, *sizes = head.unpack_from(view, at + standard_bytes(6))
+        first = at + standard_bytes(6) + head.size + sum(sizes[:_CLASS_LAYER])
         yield view[first : first + sizes[_CLASS_LAYER]]
         at += n_bytes
 
 
 def _with_layer(
-    las: LasFile, chunks: Chunks, old: bytes, layer: memoryview, code: int
+    chunks: LazRecords, old: bytes, layer: memoryview, code: int
 ) -> tuple[bytearray, memoryview, memoryview, memoryview]:
     """Return the parts of a chunk with another layer of classes and another class of its first record."""
-    head_bytes = las.record_length + 4 + 4 * chunks.n_layers
+    sizes_at = chunks.header.record_bytes + 4
+    head_bytes = sizes_at + 4 * chunks.n_layers
     head = bytearray(old[:head_bytes])
-    sizes_at = las.record_length + 4
     sizes = struct.unpack_from(f"<{chunks.n_layers}I", head, sizes_at)
     if head_bytes + sum(sizes) != len(old):
         problem = f"found a chunk of {head_bytes + sum(sizes)} bytes, expected {len(old)} as at the start of the run"
-        raise damaged(las.path, "LAZ chunks", problem)
+        raise InputError(f"{chunks.header.path}: LAZ chunks", problem, DAMAGED)
     head[_CLASS_AT] = code
     struct.pack_into("<I", head, sizes_at + 4 * _CLASS_LAYER, len(layer))
     first = head_bytes + sum(sizes[:_CLASS_LAYER])

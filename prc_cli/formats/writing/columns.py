@@ -11,10 +11,23 @@ from numpy.typing import NDArray
 
 from prc_cli.core.stream import LabelledBlock, StageLabels
 from prc_cli.core.types import F32, U8
-from prc_cli.formats.las.vlrs import RANGE, ExtraDimension
 from prc_cli.formats.writing.options import OutputConfig
 
 Values: TypeAlias = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraDimension:
+    """A dimension that LAS and LAZ files keep in extra bytes."""
+
+    name: str
+    dtype: np.dtype[Any]
+    """Type of a value, little-endian."""
+    description: str
+    """At most 32 characters."""
+
+
+RANGE = ExtraDimension("range", np.dtype("<f4"), "slant range [m]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +88,12 @@ _SEQUENTIAL_ANGLE = "sequential-angle method"
 
 OPTIONAL_COLUMNS = (
     OptionalColumn(
-        ExtraDimension("segment_id", 5, "segment R_b, 0 = none"), "segment", "segment_ids", "segment id", 0, _segments
+        ExtraDimension("segment_id", np.dtype("<u4"), "segment R_b, 0 = none"),
+        "segment",
+        "segment_ids",
+        "segment id",
+        0,
+        _segments,
     ),
     OptionalColumn(
         RANGE,
@@ -88,7 +106,7 @@ OPTIONAL_COLUMNS = (
         keep=True,
     ),
     OptionalColumn(
-        ExtraDimension("surface", 1, "T 1, H 2, V 3, undecided 4"),
+        ExtraDimension("surface", np.dtype("u1"), "T 1, H 2, V 3, undecided 4"),
         "surface",
         "stages",
         "stage",
@@ -97,7 +115,7 @@ OPTIONAL_COLUMNS = (
         needs=_SEQUENTIAL_ANGLE,
     ),
     OptionalColumn(
-        ExtraDimension("dense_vegetation", 1, "less sensitive test T', 1 = yes"),
+        ExtraDimension("dense_vegetation", np.dtype("u1"), "less sensitive test T', 1 = yes"),
         "dense_vegetation",
         "stages",
         "stage",
@@ -106,7 +124,7 @@ OPTIONAL_COLUMNS = (
         needs=_SEQUENTIAL_ANGLE,
     ),
     OptionalColumn(
-        ExtraDimension("ground_height", 9, "z_g, 0 = height of scanner [m]"),
+        ExtraDimension("ground_height", np.dtype("<f4"), "z_g, 0 = height of scanner [m]"),
         "ground_height",
         "stages",
         "stage",

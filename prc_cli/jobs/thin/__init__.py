@@ -183,7 +183,7 @@ class _Run:
         with contextlib.ExitStack() as stack:
             path = temporary_name(self.output)
             stack.callback(lambda: path.unlink(missing_ok=True))
-            stays = Spool(path, np.uint8, 1, n_records=las.n_points)
+            stays = Spool(path, np.uint8, 1, n_records=las.n_records)
             stack.callback(stays.close)
             with self._open(xyz=any(rule.spacing_m is not None for rule in self.rules)) as (opened, items):
                 hints = _check_lines(self.source, opened)

@@ -15,7 +15,7 @@ import numpy as np
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale
-from prc_cli.formats.las.transfer import LasRecoder
+from prc_cli.formats.las.rewrite import LasRecoder
 from prc_cli.formats.options import Layout
 from prc_cli.formats.writing.record import (
     Fingerprint,

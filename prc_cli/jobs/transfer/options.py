@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from prc_cli.core.errors import ConfigError
-from prc_cli.formats.las.transfer import CARRIED
+from prc_cli.formats.las.rewrite import CARRIED
 from prc_cli.matching.keyed_source import (
     MAX_SAME,
 )

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.stream import ExtraReturns, LabelledBlock
-from prc_cli.formats.las import codec as codec_module
+from prc_cli.formats.las import sinks as codec_module
 from prc_cli.formats.writing.options import OutputConfig
 from tests.formats.common import (
     FOREST,
@@ -193,3 +195,15 @@ def test_a_built_file_can_be_classified_again(tmp_path: Path) -> None:
     assert las.evlrs in (None, [])
     assert [item.record_id for item in las.vlrs if item.user_id == "prc-cli"] == [1]
     assert las["range"].tobytes() == laspy.read(tmp_path / "a.laz")["range"].tobytes()
+
+
+def test_laspy_is_loaded_for_las_files_alone() -> None:
+    """It takes 20 MiB and a tenth of a second."""
+    code = (
+        "import sys\n"
+        "import prc_cli.formats.las.copy, prc_cli.formats.las.rewrite, prc_cli.formats.las.build\n"
+        "import prc_cli.formats.las.read, prc_cli.jobs.transfer, prc_cli.jobs.thin, prc_cli.jobs.convert\n"
+        "assert 'laspy' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr

@@ -33,6 +33,8 @@ def test_one_flipped_byte(tmp_path: Path, point_format: int) -> None:
     (record_length,) = struct.unpack_from("<H", data, 105)
     data[at + 8 + record_length + 4 + 4 * 2 + 3] ^= 0x40  # third layer of the first chunk: 1 GB more
     source.write_bytes(data)
-    with pytest.raises(InputError, match=rf"byte {at + 8}: LAZ chunk 0 claims 10\d{{8}} bytes, expected \d+"):
+    with pytest.raises(
+        InputError, match=rf"byte {at + 8}: LAZ chunk 0 \(from record 0\) claims 10\d{{8}} bytes, expected \d+"
+    ):
         copy_las(read_las(source), output, tmp_path / "part")
     assert not output.exists()

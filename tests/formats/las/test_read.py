@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from laspy.point.dims import COMPOSED_FIELDS
 
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.formats.las.layout import RECORD_COLUMNS, bits_of
+from prc_cli.formats.las.copy import copy_las, read_las
 from prc_cli.formats.las.read import LasSource
 from prc_cli.stream.order import OrderWatch
 
@@ -85,17 +84,6 @@ def test_every_dimension_of_every_point_format(tmp_path: Path, point_format: int
     both = next(iter(source.chunks(("column", "x"))))
     assert set(both.values) == {"column", "x"}
     assert both.record is None
-
-
-@pytest.mark.parametrize("point_format", range(11))
-def test_records_are_laid_out_as_laspy_has_them(point_format: int) -> None:
-    assert list(RECORD_COLUMNS[point_format]) == laspy.PointFormat(point_format).dtype().descr
-    theirs = {
-        name: {part.name: int(part.mask) for part in parts} for name, parts in COMPOSED_FIELDS[point_format].items()
-    }
-    assert {name: list(parts.items()) for name, parts in bits_of(point_format).items()} == {
-        name: list(parts.items()) for name, parts in theirs.items()
-    }
 
 
 def test_standard_names_come_first_and_keep_the_names_of_extra_bytes(tmp_path: Path) -> None:
@@ -401,6 +389,95 @@ def test_the_legacy_count_is_not_taken_for_formats_that_have_none(tmp_path: Path
     assert refused(tmp_path / "a.las").startswith("byte 247: the header says 0 records")
 
 
+def refused_by_both(path: Path) -> str:
+    """What reading and copying say of a file: the same."""
+    told = refused(path)
+    with pytest.raises(InputError) as caught:
+        copy_las(read_las(path), path.with_name("copy.las"), path.with_name("copy.tmp"))
+    assert str(caught.value).replace(f"{path}: ", "").replace("; " + caught.value.hint, "") == told
+    return told
+
+
+@pytest.mark.parametrize(("suffix", "format_byte"), [("las", 0x41), ("laz", 0x41), ("laz", 0xC1)])
+def test_only_the_highest_bit_of_the_format_byte_is_compression(tmp_path: Path, suffix: str, format_byte: int) -> None:
+    """LASzip adds 128; bit 6 belongs to the number of the point format."""
+    path = tmp_path / f"a.{suffix}"
+    make(path, 1)
+    patch(path, 104, "<B", format_byte)
+    assert refused_by_both(path) == "byte 104: point format 65, expected 0 to 10"
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_a_legacy_count_that_must_not_be_is_not_copied(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    make(path, 6)
+    patch(path, 107, "<I", 200)
+    patch(path, 247, "<Q", 0)
+    assert refused_by_both(path).startswith("byte 247: the header says 0 records, expected at least one (")
+
+
+def test_the_legacy_count_is_copied_where_it_may_be(tmp_path: Path) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1, version="1.4")
+    patch(path, 107, "<I", 200)
+    patch(path, 247, "<Q", 0)
+    copy_las(read_las(path), tmp_path / "b.las", tmp_path / "b.las")
+    assert (tmp_path / "b.las").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(("user", "shown"), [(b"\xfc", "\ufffd"), ("\u00fc".encode(), "\u00fc"), (b" me ", "me")])
+def test_user_ids_are_read_in_one_way(tmp_path: Path, user: bytes, shown: str) -> None:
+    path = tmp_path / "a.las"
+    make(path, 1, vlrs=[laspy.VLR("me", 7, "", b"kept")])
+    patch(path, 227 + 2, "<16s", user)
+    patch(path, 227 + 22, "<32s", b"text \xe4 that is no UTF-8")
+    source = LasSource(path)
+    assert source.header.vlrs[0].key == read_las(path).vlrs[0].key == (shown, 7)
+    assert source.describe()["vlrs"][0]["description"] == "text \ufffd that is no UTF-8"
+    copy_las(read_las(path), tmp_path / "b.las", tmp_path / "b.las")
+    assert (tmp_path / "b.las").read_bytes() == path.read_bytes()
+
+
+def test_the_chunk_table_is_checked_in_one_way(tmp_path: Path) -> None:
+    path = tmp_path / "a.laz"
+    raw, start, table = laz(path, 6)
+    for at, layout, value in (
+        (start, "<q", table + 4),
+        (start, "<q", 3),
+        (table + 4, "<I", 2**31),
+        (table + 4, "<I", 2),
+    ):
+        path.write_bytes(raw)
+        patch(path, at, layout, value)
+        refused_by_both(path)
+
+
+@pytest.mark.parametrize("point_format", [1, 6])
+def test_large_chunks_are_copied_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, point_format: int) -> None:
+    path, output, again = tmp_path / "a.laz", tmp_path / "b.las", tmp_path / "c.laz"
+    raw, _, _ = laz(path, point_format)
+    monkeypatch.setattr("prc_cli.formats.las.sinks._BATCH_RECORDS", 7_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz._SHARED_BYTES", 1_000_000)
+    monkeypatch.setattr("prc_cli.formats.las.laz.lazrs.ParLasZipDecompressor", None)
+    copy_las(read_las(path), output, output)
+    assert (
+        laspy.read(output).points.array.tobytes()
+        == laspy.lib.read_las(path, laz_backend=laspy.LazBackend.Lazrs).points.array.tobytes()
+    )
+    copy_las(read_las(path), again, again)
+    assert again.read_bytes() == raw
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+def test_coordinates_that_cannot_be_read_are_copied(tmp_path: Path, suffix: str) -> None:
+    path, output = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+    make(path, 1)
+    patch(path, 131, "<d", math.nan)
+    assert refused(path).startswith("byte 131: x scale factor nan")
+    copy_las(read_las(path), output, output)
+    assert output.read_bytes() == path.read_bytes()
+
+
 def test_more_bytes_than_records_are_noted(tmp_path: Path) -> None:
     path = tmp_path / "a.las"
     las = make(path, 1)
@@ -427,7 +504,7 @@ def test_extended_vlrs(tmp_path: Path, suffix: str) -> None:
     assert source.crs_wkt == WKT
     assert source.describe()["vlrs"][-1]["extended"]
     with_evlr(path, 2 << 20)
-    assert LasSource(path).header.vlrs[-1].data is None  # long ones stay on the disk
+    assert LasSource(path).header.evlrs[-1].data is None  # long ones stay on the disk
 
 
 def test_extended_vlrs_that_lie(tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ from prc_cli.core.errors import InputError
 from prc_cli.formats.las import rewrite as las_rewrite
 from prc_cli.formats.las import splice as las_splice
 from prc_cli.formats.las.contexts import LazContexts, contexts_of
-from prc_cli.formats.las.file import open_source, read_structure
-from prc_cli.formats.las.splice import Chunks, find_chunks
+from prc_cli.formats.las.header import open_source, read_header
+from prc_cli.formats.las.laz import LazRecords
+from prc_cli.formats.las.splice import find_chunks
 from tests.formats.common import (
     random_labels,
     record_blocks,
@@ -69,9 +70,9 @@ def make_laz(path: Path, form: int, n: int, chunk_points: int, seed: int = 0) ->
     return compress(source, path, chunk_points, form=form, extra=8)
 
 
-def chunks_of(path: Path) -> Chunks | None:
+def chunks_of(path: Path) -> LazRecords | None:
     with open_source(path) as source:
-        return find_chunks(source, read_structure(source))
+        return find_chunks(source, read_header(source.path))
 
 
 def labelled_copy(source: Path, output: Path) -> tuple[Parsed, np.ndarray]:
@@ -105,7 +106,7 @@ def test_other_layers_are_copied_even_if_nothing_could_decode_them(tmp_path: Pat
     assert chunks is not None
     data = bytearray(source.read_bytes())
     # the last layer of the second chunk: one of the extra bytes
-    at = chunks.first_byte[2] - 20
+    at = chunks.table.first_byte[2] - 20
     data[at : at + 20] = b"\xa5" * 20
     source.write_bytes(data)
     write(output, source, record_blocks(random_labels(200)))
@@ -155,7 +156,7 @@ def test_chunks_whose_heads_lie_are_left_to_the_decoder(
     chunks = chunks_of(source)
     assert chunks is not None
     data = bytearray(source.read_bytes())
-    lie(data, chunks.first_byte[1], field(bytes(data), 105, "H"))
+    lie(data, chunks.table.first_byte[1], field(bytes(data), 105, "H"))
     source.write_bytes(data)
     assert chunks_of(source) is None
 
