@@ -16,14 +16,20 @@ SORT_RECORDS = 1 << 18
 """Records of a side sorted in memory at a time; twice as many are held while merging."""
 
 
-def columns_of(source: RecordSource, names: tuple[str, ...], *, sort: bool) -> Iterator[Columns]:
-    """Yield some dimensions of a source and :data:`RECORD`, by ascending ``time`` if asked, else in record order."""
+def columns_of(
+    source: RecordSource, names: tuple[str, ...], *, sort: bool, with_record: bool = True
+) -> Iterator[Columns]:
+    """Yield dimensions of a source, and :data:`RECORD` if asked; by ascending ``time`` if asked, else as stored."""
     if sort:
         source = sorted_by_time(source, run_records=SORT_RECORDS, merge_records=2 * SORT_RECORDS)
     for chunk in source.chunks(names):
+        values = {name: chunk.values[name] for name in names}
+        if not with_record:
+            yield values
+            continue
         first = chunk.first_record
         record = np.arange(first, first + chunk.n, dtype=np.int64) if chunk.record is None else chunk.record
-        yield {**{name: chunk.values[name] for name in names}, RECORD: record}
+        yield {**values, RECORD: record}
 
 
 def in_step(

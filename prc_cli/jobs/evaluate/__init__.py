@@ -227,7 +227,8 @@ def _pairs(
     """Yield pairs of records as options ask."""
     columns = (CODE, *plan.keys, *plan.predicted), (CODE, *plan.keys, *plan.reference)
     one, other = (
-        columns_of(side, names, sort=sort) for side, names, sort in zip((left, right), columns, on_disk, strict=True)
+        columns_of(side, names, sort=sort, with_record=False)
+        for side, names, sort in zip((left, right), columns, on_disk, strict=True)
     )
     names = left.path, right.path
     if options.match == "order":
