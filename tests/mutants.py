@@ -25,7 +25,7 @@ from pathlib import Path
 from queue import SimpleQueue
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = ("classifiers", "formats", "stream", "matching", "jobs")
+ROOMS = ("classifiers", "formats", "streams", "matching", "jobs")
 TIMEOUT_S = 300.0
 """A mutant that runs so long hangs, which is noticed."""
 MAX_TESTS = 400
@@ -135,7 +135,7 @@ def _has(bits: bytes, line: int) -> bool:
 
 
 def _node(context: str) -> str | None:
-    """Turn ``tests.stream.test_lines.test_wrap`` into pytest's name of it."""
+    """Turn ``tests.streams.test_lines.test_wrap`` into pytest's name of it."""
     module, _, function = context.rpartition(".")
     while module and not (path := Path(*module.split("."))).with_suffix(".py").exists():
         module, _, outer = module.rpartition(".")

@@ -24,7 +24,7 @@ from prc_cli.core.profile import profiling
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.formats.writing.base import StagedWriter
 from prc_cli.jobs.classify import classify, load_classifier
-from prc_cli.stream import grid
+from prc_cli.streams import grid
 from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw

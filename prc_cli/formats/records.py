@@ -1,7 +1,7 @@
 """Inputs that are lists of records: what a file format has to offer so that the stream can be built from it.
 
 A source decodes, nothing more. Which line, column and range a record has is decided by
-:mod:`prc_cli.stream.grid`, the same way for every format.
+:mod:`prc_cli.streams.grid`, the same way for every format.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.kernels import load_kernels
-from prc_cli.stream.open import open_input
+from prc_cli.streams.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
 """Called with the number of scan lines that were just finished."""
@@ -129,7 +129,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     if not config.needs_beams:
         return stream
     # not at the top: PRC needs no beams, and starts sooner without what finds them
-    from prc_cli.stream.beams import with_beams
+    from prc_cli.streams.beams import with_beams
 
     return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
 

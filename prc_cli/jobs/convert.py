@@ -35,8 +35,8 @@ from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.formats.writing.record_values import RecordValues
 from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 from prc_cli.jobs.classify import Counts, Progress, run_record
-from prc_cli.stream.grid import GridStream
-from prc_cli.stream.open import open_input
+from prc_cli.streams.grid import GridStream
+from prc_cli.streams.open import open_input
 
 XYZ = ("x", "y", "z")
 _LAS = (".las", ".laz")

@@ -18,17 +18,17 @@ from prc_cli.core.types import F32
 from prc_cli.formats import open_source
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
-from prc_cli.stream.beams import with_beams
-from prc_cli.stream.evidence import (
+from prc_cli.streams.beams import with_beams
+from prc_cli.streams.evidence import (
     PeriodEstimate,
     RangeCorrelation,
     estimate_line_frequency,
     estimate_points_per_line,
     range_correlation,
 )
-from prc_cli.stream.grid import open_grid
-from prc_cli.stream.open import open_input
-from prc_cli.stream.order import OrderEvidence, OrderWatch
+from prc_cli.streams.grid import open_grid
+from prc_cli.streams.open import open_input
+from prc_cli.streams.order import OrderEvidence, OrderWatch
 
 SAMPLE_SHOTS = 4_000_000
 """Ranges kept from the start of a file for the median, the correlation and the estimate of M."""

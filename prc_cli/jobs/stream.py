@@ -19,9 +19,9 @@ from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import Counts
-from prc_cli.stream.beams import with_beams
-from prc_cli.stream.grid import GridStream
-from prc_cli.stream.pipe import ByteStream, open_pipe
+from prc_cli.streams.beams import with_beams
+from prc_cli.streams.grid import GridStream
+from prc_cli.streams.pipe import ByteStream, open_pipe
 
 
 class ByteSink(Protocol):

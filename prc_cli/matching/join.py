@@ -24,7 +24,7 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 
 KEY = "time"
 """Column that the streams are sorted by, float64, finite. It is called ``time`` also where it holds an id or a
-coordinate, because :func:`prc_cli.stream.sorting.sorted_by_time` sorts by that name."""
+coordinate, because :func:`prc_cli.streams.sorting.sorted_by_time` sorts by that name."""
 SAME = "same"
 """Column that must be equal in a pair beside the key, int64, 0 or more: return number, scanner."""
 CODE = "code"

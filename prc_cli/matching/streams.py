@@ -8,7 +8,7 @@ import numpy as np
 
 from prc_cli.formats.records import RecordSource
 from prc_cli.matching.join import Columns
-from prc_cli.stream.sorting import sorted_by_time
+from prc_cli.streams.sorting import sorted_by_time
 
 RECORD = "record"
 """Column of :func:`columns_of` with the index of the record in its source, int64."""

@@ -12,7 +12,7 @@ from prc_cli.formats import ptx
 from prc_cli.formats.e57 import file as e57_file
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.organised import Pose, is_rotation
-from prc_cli.stream.open import open_input
+from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
     Scan,
     e57_fields,

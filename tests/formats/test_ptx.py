@@ -15,7 +15,7 @@ from prc_cli.formats import ptx
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ptx import PtxStream
 from prc_cli.jobs.classify import classify
-from prc_cli.stream.open import open_input
+from prc_cli.streams.open import open_input
 from tests.formats.organised_files import (
     Array,
     grid_points,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.stream import ReadTally
 from prc_cli.formats.returns import choose_returns, continues_run, mark_shots
-from tests.stream.record_lists import open_records, read
+from tests.streams.record_lists import open_records, read
 
 NAN = np.nan
 

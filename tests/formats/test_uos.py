@@ -10,7 +10,7 @@ import pytest
 
 from prc_cli.core.blocks import join
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
-from prc_cli.stream.open import open_input
+from prc_cli.streams.open import open_input
 
 RULES: dict[str, Any] = {"points_per_line": 2, "range": "sensor-xyz"}
 

@@ -14,8 +14,8 @@ from prc_cli.formats import open_source
 from prc_cli.formats.labels.read import open_codes
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.tables.read import open_table
-from prc_cli.stream.open import open_input
-from prc_cli.stream.trajectory import load_trajectory
+from prc_cli.streams.open import open_input
+from prc_cli.streams.trajectory import load_trajectory
 from tests.fuzz.seeds import LAYOUT, seed
 
 

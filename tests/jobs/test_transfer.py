@@ -236,7 +236,7 @@ def test_raw_dump_with_a_layout(drive: Drive, tmp_path: Path) -> None:
 def test_the_order_of_either_side_changes_nothing(
     drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from prc_cli.stream import sorting
+    from prc_cli.streams import sorting
 
     monkeypatch.setattr(sorting, "_SortedSource", _small_runs(sorting._SortedSource))
     shuffled = RNG(3).permutation(len(drive))

@@ -20,7 +20,7 @@ from prc_cli.core.stream import ScanBlock, ScanStream, StageLabels
 from prc_cli.core.types import F64
 from prc_cli.jobs.classify import label_blocks, open_stream
 from prc_cli.jobs.render.options import PRC_STEPS
-from prc_cli.stream.beams import with_beams
+from prc_cli.streams.beams import with_beams
 
 Plane: TypeAlias = NDArray[Any]
 

@@ -46,8 +46,8 @@ from prc_cli.jobs.convert import (
 )
 from prc_cli.jobs.thin.rules import ThinRule, parse_rules
 from prc_cli.jobs.thin.selection import choose, without
-from prc_cli.stream.beams import with_beams
-from prc_cli.stream.grid import GridStream
+from prc_cli.streams.beams import with_beams
+from prc_cli.streams.grid import GridStream
 
 CLASSIFY = "classify"
 """Labels: those that the classifier gives on the way."""

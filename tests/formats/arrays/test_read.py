@@ -15,7 +15,7 @@ from prc_cli.core.errors import ConfigError, InputError, OrderError, PrcError
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream
 from prc_cli.formats.arrays.read import ArrayStream
 from prc_cli.formats.options import InputConfig
-from prc_cli.stream.order import WatchedStream
+from prc_cli.streams.order import WatchedStream
 
 AUTO = InputConfig()
 

@@ -19,7 +19,7 @@ from prc_cli.formats.e57 import read as e57
 from prc_cli.formats.e57.read import E57Stream
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import classify
-from prc_cli.stream.open import open_input
+from prc_cli.streams.open import open_input
 from tests import patience
 from tests.formats.organised_files import (
     Array,
@@ -346,7 +346,7 @@ import resource, sys
 from pathlib import Path
 resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
 from prc_cli.core.errors import PrcError
-from prc_cli.stream.open import open_input
+from prc_cli.streams.open import open_input
 from prc_cli.formats.options import InputConfig
 for name in sys.stdin.read().split():
     try:

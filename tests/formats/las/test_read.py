@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.las.copy import copy_las, read_las
 from prc_cli.formats.las.read import LasSource
-from prc_cli.stream.order import OrderWatch
+from prc_cli.streams.order import OrderWatch
 
 VERSION = {**dict.fromkeys(range(4), "1.2"), 4: "1.3", 5: "1.3", **dict.fromkeys(range(6, 11), "1.4")}
 ANGLE = {True: ("scan_angle", 0.006), False: ("scan_angle_rank", 1.0)}

@@ -1,0 +1,216 @@
+"""What scan angles tell: how the sweep runs, and the grid of the columns, estimated where nobody says it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F64, I64, Mask
+from prc_cli.streams.columns import AngleGrid, begins_line, columns_by_angle
+
+FULL_TURN = 0.9
+"""Share of a turn that the lines must span to be taken for whole turns."""
+MAX_EQUAL = 0.5
+"""Share of neighbouring shots that may have equal angles: more are rounded too coarsely to tell columns."""
+MAX_ROUNDED = 0.005
+"""Share of neighbouring shots with equal angles from which on angles count as rounded coarsely."""
+MIN_AGREEMENT = 0.75
+"""Share of steps of the scan angle that must go the same way."""
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """How the scan angle runs within a line."""
+
+    direction: int
+    """+1 = the angle grows from shot to shot, -1 = it falls."""
+    span_rad: float
+    """Angle between the ends of the longest lines [rad]."""
+    noise_rad: float
+    """Angles may go back by this much within a line [rad]."""
+
+
+def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
+    """Find direction and span of the sweep from the first shots.
+
+    Parameters
+    ----------
+    angle : (n,) float
+        Scan angles in the order of the input [rad]; NaN is left out.
+    where : str
+        File, for messages.
+
+    Raises
+    ------
+    InputError
+        When angles do not vary, or run back and forth (an oscillating mirror has no wrap).
+
+    Examples
+    --------
+    >>> find_sweep(np.tile(np.linspace(1.0, -1.0, 50), 20), "strip.laz")  # doctest: +ELLIPSIS
+    Sweep(direction=-1, span_rad=2.0, noise_rad=0.081...)
+    """
+    value = np.asarray(angle, np.float64)
+    value = value[np.isfinite(value)]
+    hint = "find lines another way: --lines dimension:NAME, fixed or time:HZ"
+    low, high = np.percentile(value, (0.1, 99.9)) if len(value) else (0.0, 0.0)
+    span = float(high - low)
+    if not span > 0:
+        raise InputError(where, f"the scan angle does not vary in {len(value)} shots, expected sweeps", hint)
+    step = np.diff(value)
+    step = step[np.abs(step) <= 0.5 * span]
+    n_up, n_down = int(np.count_nonzero(step > 0)), int(np.count_nonzero(step < 0))
+    share = max(n_up, n_down) / max(n_up + n_down, 1)
+    if share < MIN_AGREEMENT:
+        problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
+        raise InputError(where, problem, hint)
+    # angles are rounded: a few steps back and forth are no wrap
+    noise = max(2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span)
+    return Sweep(1 if n_up >= n_down else -1, span, noise)
+
+
+def find_angle_grid(
+    angle: NDArray[Any], line: I64, where: str, *, start_rad: float | None = None, step_rad: float | None = None
+) -> AngleGrid:
+    """Estimate columns from the angles of the first shots.
+
+    The step is found between neighbours and refined over ever longer stretches of the lines, so that it holds
+    over a whole line.
+
+    Parameters
+    ----------
+    angle : (n,) float
+        Scan angles [rad].
+    line : (n,) int64
+        Line of every shot, not decreasing.
+    where : str
+        File, for messages.
+    start_rad, step_rad : float, optional
+        What is known already.
+
+    Raises
+    ------
+    InputError
+        When the angles do not tell: too few, or rounded so coarsely that shots share them.
+    """
+    finite = np.isfinite(angle)
+    value, line = np.asarray(angle, np.float64)[finite], line[finite]
+    within = ~begins_line(line)
+    if not within.any():
+        raise InputError(where, f"{len(value)} scan angles, too few to tell columns", "--columns order")
+    turn = np.diff(value, prepend=value[0])
+    turn = turn - _TURN * np.rint(turn / _TURN)
+    sign = math.copysign(1.0, step_rad if step_rad is not None else float(np.sum(np.sign(turn[within]))))
+    forward = np.where(within, sign * turn, 0.0)
+    # more than half a turn without return: the way round is still forward
+    forward = np.where(forward < -0.5 * math.pi, forward + _TURN, forward)
+    if step_rad is None:
+        equal = float(np.mean(forward[within] == 0))
+        if equal > MAX_EQUAL:
+            problem = f"{100 * equal:.0f} % of neighbouring shots have equal scan angles: rounded too coarsely"
+            raise InputError(where, problem, "take the order, --columns order, or the time, --columns time:HZ")
+        step = _refine_step(np.cumsum(forward), line, forward[within & (forward >= 0)])
+    else:
+        step = abs(step_rad)
+    return _grid(value, line, forward, sign * step, start_rad, keep_step=step_rad is not None)
+
+
+def _refine_step(along: F64, line: I64, forward: F64) -> float:
+    """Return the step: that of neighbours first, then least squares over ever longer stretches."""
+    ahead = forward[forward > 0]
+    if len(ahead) < (1 - MAX_ROUNDED) * len(forward):
+        # rounded more coarsely than the step: 0, 1 or 2 times the rounding, only their mean tells
+        step = float(np.mean(forward[forward < 2.5 * np.median(ahead)]))
+    else:
+        # shots may be missing between most neighbours: look at the shortest fifth
+        step = float(np.median(ahead[ahead < 1.5 * np.percentile(ahead, 20)]))
+    lag = 1
+    while lag < len(along):
+        same = line[lag:] == line[:-lag]
+        distance = (along[lag:] - along[:-lag])[same]
+        n_steps = np.rint(distance / step)
+        # beyond this the number of steps would be a guess
+        use = (n_steps >= 1) & (np.abs(distance / step - n_steps) < 0.25) & (n_steps <= 4 * lag)
+        if use.any():
+            step = float((distance[use] * n_steps[use]).sum() / (n_steps[use] ** 2).sum())
+        lag *= 2
+    return step
+
+
+def _grid(value: F64, line: I64, forward: F64, step: float, start_rad: float | None, *, keep_step: bool) -> AngleGrid:
+    """Place column 0 and decide whether lines are whole turns."""
+    begins = begins_line(line)
+    first = np.flatnonzero(begins)
+    along = np.cumsum(forward)
+    reach = np.maximum.reduceat(along, first) - along[first]
+    size, sign = abs(step), math.copysign(1.0, step)
+    whole = float(np.max(reach)) + size >= FULL_TURN * _TURN
+    if whole and not keep_step:
+        step = sign * _TURN / round(_TURN / size)
+        size = abs(step)
+    if start_rad is None:
+        # the earliest first shot of a line (the input may begin in the middle of its first), then a whole number of
+        # steps from the others
+        early = value[first[1:] if len(first) > 2 else first]
+        middle = _circular_mean(early)
+        away = sign * (early - middle)
+        away -= _TURN * np.rint(away / _TURN)
+        start_rad = middle + sign * float(away.min())
+        steps = sign * (value - start_rad) / size
+        start_rad += sign * size * _circular_mean(steps * _TURN) / _TURN
+    grid = AngleGrid(start_rad, step, round(_TURN / size), whole_turn=True)
+    if whole:
+        return grid
+    column = columns_by_angle(value[begins], grid)
+    column = np.where(column > grid.n_columns / 2, column - grid.n_columns, column)
+    n_columns = int(np.max(column + np.rint(reach / size).astype(np.int64))) + 1
+    return replace(grid, n_columns=max(n_columns, 1), whole_turn=False)
+
+
+def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64 | None:
+    """Mean scan angle of every column, from the first shots; columns not seen are interpolated.
+
+    Parameters
+    ----------
+    angle : (n,) float
+        Scan angles [rad].
+    column : (n,) int64
+        Columns of the shots.
+    points_per_line : int
+        M.
+
+    Returns
+    -------
+    (M,) float64 or None
+        [rad], continuous over the columns; None where fewer than half of the columns are seen, or shots of a
+        column do not share an angle.
+    """
+    value = np.asarray(angle, np.float64)
+    use: Mask = np.isfinite(value) & (column >= 0) & (column < points_per_line)
+    where = column[use]
+    count = np.bincount(where, minlength=points_per_line)
+    seen = np.flatnonzero(count)
+    if len(seen) < 2 or 2 * len(seen) < points_per_line:
+        return None
+    cosine = np.bincount(where, np.cos(value[use]), points_per_line)[seen]
+    sine = np.bincount(where, np.sin(value[use]), points_per_line)[seen]
+    mean = np.unwrap(np.arctan2(sine, cosine))
+    slope = float(np.median(np.diff(mean) / np.diff(seen)))
+    spread = np.sqrt(np.maximum(1.0 - np.hypot(cosine, sine) / count[seen], 0.0) * 2)
+    if float(np.median(spread)) > max(abs(slope), 1e-6):
+        return None
+    angles = np.interp(np.arange(points_per_line), seen, mean)
+    after, before = np.arange(seen[-1] + 1, points_per_line), np.arange(seen[0])
+    angles[after] = mean[-1] + slope * (after - seen[-1])
+    angles[before] = mean[0] + slope * (before - seen[0])
+    return angles
+
+
+def _circular_mean(value: F64) -> float:
+    return math.atan2(float(np.sin(value).mean()), float(np.cos(value).mean()))

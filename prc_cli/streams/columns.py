@@ -1,0 +1,244 @@
+"""Which column of its line a shot is: one pure function a rule.
+
+All work on shots (the first record of each) of one scanner. A column outside 0 to M - 1 is returned as it is
+found: the caller counts it. :data:`NO_COLUMN` stands for shots without one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F64, I64, Mask
+from prc_cli.streams.table import LINE, ORDINAL, SPREAD, START, Table, take
+
+NO_COLUMN = -1
+MAX_COLUMN = 10_000_000
+"""Columns beyond are taken for none; as many as ``points_per_line`` may be."""
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class AngleGrid:
+    """Columns as steps of the scan angle."""
+
+    start_rad: float
+    """Angle of column 0 [rad]."""
+    step_rad: float
+    """From column to column, signed [rad]."""
+    n_columns: int
+    """Columns of the sector that the lines span, or of a whole turn."""
+    whole_turn: bool
+
+    def angles(self, points_per_line: int) -> F64:
+        """Return the scan angle of every column, (M,) [rad]."""
+        return self.start_rad + self.step_rad * np.arange(points_per_line, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnRule:
+    """How columns are found: the first of dimension, grid and shot frequency that is there, else the order."""
+
+    dimension: str | None = None
+    """Dimension that numbers them."""
+    grid: AngleGrid | None = None
+    """Steps of the scan angle."""
+    shot_hz: float | None = None
+    """Shots a second."""
+    line_hz: float | None = None
+    """Lines a second, where lines are found by time."""
+
+
+def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I64:
+    """Return the column of every shot of whole lines.
+
+    Parameters
+    ----------
+    records : Table
+        Sorted by line, with the columns that :mod:`prc_cli.streams.whole_lines` adds.
+    rule : ColumnRule
+    origin_s : float or None
+        Time of line 0 [s] where lines are found by time.
+
+    Returns
+    -------
+    (n,) int64
+        Below 0 or beyond M where there is none.
+    """
+    starts = records[START]
+    shots = records if starts.all() else take(records, starts)
+    line: I64 = shots[LINE]
+    if rule.dimension is not None:
+        return columns_by_dimension(shots[rule.dimension])
+    if rule.grid is not None:
+        return columns_by_angle(shots["angle"], rule.grid)
+    if rule.shot_hz is None:
+        return columns_by_order(line)
+    spread: F64 = shots[SPREAD]
+    stamp = np.asarray(shots["time"], np.float64)
+    if rule.line_hz is not None and origin_s is not None:
+        # relative to the origin first: line / HZ keeps full resolution however long the drive
+        spread, start = spread - origin_s, line / rule.line_hz
+    else:
+        start = line_starts(spread, line)
+    return columns_by_time(spread, stamp, shots[ORDINAL], line, rule.shot_hz, start)
+
+
+@dataclass(frozen=True, slots=True)
+class StampState:
+    """What the next chunk must know of the time stamps before it."""
+
+    last_s: float = math.nan
+    """Last time stamp [s]."""
+    n_equal: int = 0
+    """Shots so far that have it."""
+
+
+def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, I64, StampState]:
+    """Spread shots that share a time stamp over the shots that follow it.
+
+    Many files round times more coarsely than the scanner fires; shots of equal stamps were fired one after
+    another from there on.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Time stamps of the shots [s].
+    shot_hz : float
+        Shots a second.
+    state : StampState
+
+    Returns
+    -------
+    spread_s : (n,) float64
+        Estimated times [s].
+    ordinal : (n,) int64
+        Shots before this one with the same stamp.
+    state : StampState
+
+    Examples
+    --------
+    >>> spread_stamps(np.array([1.0, 1.0, 2.0]), 10.0, StampState())[0]
+    array([1. , 1.1, 2. ])
+    """
+    n = len(time_s)
+    if not n:
+        return time_s, np.empty(0, np.int64), state
+    new = np.ones(n, np.bool_)
+    new[1:] = time_s[1:] != time_s[:-1]
+    carried = state.n_equal if time_s[0] == state.last_s else 0
+    position = np.arange(n, dtype=np.int64)
+    ordinal = position - np.maximum.accumulate(np.where(new, position, 0))
+    if carried:
+        first_run = int(np.argmax(new[1:])) + 1 if new[1:].any() else n
+        ordinal[:first_run] += carried
+    state = replace(state, last_s=float(time_s[-1]), n_equal=int(ordinal[-1]) + 1)
+    return time_s + ordinal / shot_hz, ordinal, state
+
+
+def columns_by_dimension(number: NDArray[Any]) -> I64:
+    """Take columns from the input; what is no whole number from 0 on is none."""
+    if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
+        column = number.astype(np.int64)
+        if not is_within(column, MAX_COLUMN):
+            column[(column < 0) | (column >= MAX_COLUMN)] = NO_COLUMN
+        return column
+    value = np.asarray(number, np.float64)
+    with np.errstate(invalid="ignore"):
+        whole = (value >= 0) & (value < MAX_COLUMN) & (value == np.floor(value))
+    return np.where(whole, value, NO_COLUMN).astype(np.int64)
+
+
+def is_within(number: I64, stop: int) -> bool:
+    """Tell whether all numbers are 0 or more and below ``stop``; faster than to look for those that are not.
+
+    >>> is_within(np.array([0, 4]), 5), is_within(np.array([0, 5]), 5), is_within(np.array([-1, 0]), 5)
+    (True, False, False)
+    """
+    return not len(number) or bool(number.min() >= 0 and number.max() < stop)
+
+
+def columns_by_order(line: I64) -> I64:
+    """Count the shots of every line.
+
+    >>> columns_by_order(np.array([4, 4, 4, 7, 7]))
+    array([0, 1, 2, 0, 1])
+    """
+    position = np.arange(len(line), dtype=np.int64)
+    return position - np.maximum.accumulate(np.where(begins_line(line), position, 0))
+
+
+def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
+    """Round to the nearest step; angles are equal modulo a turn.
+
+    Examples
+    --------
+    >>> columns_by_angle(np.deg2rad([0.0, 90.4, -90.0, 359.9]), AngleGrid(0.0, np.deg2rad(90.0), 4, True))
+    array([0, 1, 3, 0])
+    """
+    value = np.asarray(angle, np.float64)
+    known = np.isfinite(value)
+    sign = math.copysign(1.0, grid.step_rad)
+    away = np.remainder(sign * (np.where(known, value, 0.0) - grid.start_rad), _TURN)
+    column = np.rint(away / abs(grid.step_rad)).astype(np.int64)
+    n_turn = round(_TURN / abs(grid.step_rad))
+    if grid.whole_turn:
+        column %= max(n_turn, 1)
+    else:
+        # the rest of the turn is shared by the two ends: noise before column 0 is -1, not almost a turn
+        column = np.where(column > (grid.n_columns + n_turn) / 2, column - n_turn, column)
+    return np.where(known, column, NO_COLUMN)
+
+
+def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64) -> I64:
+    """Round the time since the line began to shots; shots with equal stamps stay in strictly rising columns.
+
+    Parameters
+    ----------
+    spread_s, stamp_s : (n,) float64
+        Estimated times and stamps as stored [s].
+    ordinal : (n,) int64
+        From :func:`spread_stamps`.
+    line : (n,) int64
+        Line of every shot, not decreasing.
+    shot_hz : float
+        Shots a second.
+    line_start_s : (n,) float64
+        Time of column 0 of every shot's line [s].
+
+    Returns
+    -------
+    (n,) int64
+    """
+    limit = float(1 << 31)
+    with np.errstate(invalid="ignore", over="ignore"):
+        column = np.rint((spread_s - line_start_s) * shot_hz)
+    column = np.clip(np.where(np.isfinite(column), column, -limit), -limit, limit).astype(np.int64)
+    if not ordinal.any():
+        return column
+    # Rounding may give the last shot of a stamp and the first of the next one the same column: the later moves
+    # on. Only there: shots with stamps of their own that meet in a column are a collision.
+    head = begins_line(line)
+    head[1:] |= (ordinal[1:] == 0) & (ordinal[:-1] == 0)
+    head[1:] |= stamp_s[1:] < stamp_s[:-1]
+    position = np.arange(len(column), dtype=np.int64)
+    apart = np.cumsum(head) << 34
+    rising: I64 = np.maximum.accumulate(column - position + apart) - apart + position
+    return rising
+
+
+def line_starts(time_s: F64, line: I64) -> F64:
+    """Time of the first shot of every shot's line, (n,) [s]."""
+    first = np.maximum.accumulate(np.where(begins_line(line), np.arange(len(line)), 0))
+    return time_s[first]
+
+
+def begins_line(line: I64) -> Mask:
+    """Mark the first shot of every line."""
+    begins: Mask = np.ones(len(line), np.bool_)
+    begins[1:] = line[1:] != line[:-1]
+    return begins

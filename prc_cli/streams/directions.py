@@ -1,0 +1,318 @@
+"""The angle of every column's beam from straight down, found in coordinates relative to the scanner.
+
+They are directions: the scan plane of every line and the angle of every shot in it follow at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.stream import FAR_M
+from prc_cli.core.types import F64, I64, Mask
+from prc_cli.streams.down import (
+    DECIMALS,
+    MIN_RISE_RAD,
+    LevelLinesError,
+    NoddingError,
+    NoDirectionError,
+    TooFewReturnsError,
+    WrongOriginError,
+    wrap,
+)
+
+MAX_SCATTER_RAD = math.radians(5.0)
+"""Median deviation of a column's directions from line to line; where there is more, columns share no direction."""
+BACKWARD_RAD = math.radians(10.0)
+"""Steps back of up to this are scatter; larger ones are the long way round."""
+MAX_TURNS = 1.1
+"""Turns that a line may make."""
+MIN_ARC_RAD = math.radians(0.5)
+"""Lines that span less do not tell their plane."""
+MAX_OFF_PLANE = 0.02
+"""Share of its arc by which the shots of a line may lie off a plane through the scanner, in the middle of lines and
+shots: scanners that turn while they sweep come to 0.011."""
+MIN_OFF_PLANE_RAD = math.radians(0.1)
+"""Shots closer to the plane than this are in it, however short the arc."""
+MAX_DRIFT_RAD = math.radians(15.0)
+"""Change of the tilt of the scan planes; where there is more the scanner nods, and its lines are not vertical lines."""
+MIN_LEVEL_RAD = math.radians(10.0)
+"""Lines that rise by less, and by less than they sweep sideways, are level arcs."""
+LEAST_STEP_RAD = 1e-6
+"""Angles closer than this are equal."""
+N_TRIMS = 5
+
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """Directions of the columns of a scanner."""
+
+    beam_rad: F64
+    """(M,) float64, angle from straight down [rad], in (-pi, pi]; unwrapped it is strictly monotone."""
+    is_straight: bool
+    """Whether the angles are a straight line in the column."""
+    n_lines: int
+    """Lines that they were found in."""
+
+
+def fit_beams(xyz: NDArray[Any]) -> Beams:
+    """Find the angle of every column's beam from straight down in coordinates relative to the scanner.
+
+    The scan plane of a line is fitted through the scanner; angles are measured in it, from its lowest direction. The
+    side of the plane that counts as positive is the one that makes the angles grow with the column. A column
+    has the median of its lines. Where a straight line in the column is within half a step of nearly all
+    of them it is taken (profilers turn evenly), else the medians themselves, made monotone.
+
+    Parameters
+    ----------
+    xyz : (lines, M, 3) float
+        Relative to the scanner, z up [m]; NaN = missing.
+
+    Returns
+    -------
+    Beams
+        Growing with the column.
+
+    Raises
+    ------
+    NoDirectionError
+        When there are too few returns, the origin is not the scanner, the planes are horizontal or differently tilted,
+        or the columns share no direction.
+
+    Examples
+    --------
+    >>> angle = np.deg2rad([20.0, 50.0, 80.0])
+    >>> line = 5.0 * np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
+    >>> np.rad2deg(fit_beams(line[None]).beam_rad).round(6)
+    array([20., 50., 80.])
+    """
+    unit, seen = _directions(xyz)
+    enough = seen.sum(axis=1) >= 2
+    if not enough.any():
+        shown = "no line has two returns" if seen.any() else "no shot has a return"
+        message = f"{shown} in the first lines"
+        raise TooFewReturnsError(message)
+    _check_lengths(xyz)
+    unit, seen = unit[enough], seen[enough]
+    normal, arc, off = _planes(unit, seen)
+    wide = arc >= MIN_ARC_RAD
+    if not wide.any():
+        message = f"every line spans less than {math.degrees(MIN_ARC_RAD):g} deg of directions"
+        raise NoDirectionError(message)
+    unit, seen, normal, arc, off = unit[wide], seen[wide], normal[wide], arc[wide], off[wide]
+    rise = np.arccos(np.clip(np.abs(normal[:, 2]), 0.0, 1.0))
+    if float(np.median(rise)) < MIN_RISE_RAD:
+        message = (
+            f"the lines do not rise: their planes are {math.degrees(float(np.median(rise))):.1f} deg from horizontal, "
+            f"expected at least {math.degrees(MIN_RISE_RAD):g}"
+        )
+        raise LevelLinesError(message)
+    _check_level(unit, seen)
+    _check_planes(arc, off, rise)
+    steep = rise >= MIN_RISE_RAD
+    angle, seen = _angles_in_plane(unit[steep], seen[steep], normal[steep]), seen[steep]
+    return _columns(angle, seen)
+
+
+def _check_lengths(xyz: NDArray[Any]) -> None:
+    """Refuse coordinates of a country."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        length = np.sqrt((np.asarray(xyz, np.float64) ** 2).sum(axis=-1))
+    far = float(np.nanmedian(length[length > 0]))
+    if far > FAR_M:
+        message = f"xyz is not relative to the scanner: its ranges are {far / 1000:.0f} km in the middle"
+        raise WrongOriginError(message)
+
+
+def _check_level(unit: F64, seen: Mask) -> None:
+    """Refuse lines that run sideways at a nearly constant elevation: arcs of a turning head, not of its mirror."""
+    elevation = np.arcsin(np.clip(unit[..., 2], -1.0, 1.0))
+    azimuth = np.arctan2(unit[..., 1], unit[..., 0])
+    is_level = np.zeros(len(unit), np.bool_)
+    for row, has in enumerate(seen):
+        rise = float(np.ptp(elevation[row, has]))
+        # modulo half a turn: a line through the zenith does not run sideways
+        at = np.sort(np.remainder(azimuth[row, has], math.pi))
+        around = math.pi - float(np.max(np.diff(at, append=at[0] + math.pi)))
+        sideways = around * float(np.cos(np.median(elevation[row, has])))
+        is_level[row] = rise < MIN_LEVEL_RAD and rise < 0.5 * sideways
+    if np.mean(is_level) > 0.5:
+        message = (
+            "the lines do not rise: most run sideways at an elevation that changes by less than "
+            f"{math.degrees(MIN_LEVEL_RAD):g} deg"
+        )
+        raise LevelLinesError(message)
+
+
+def _check_planes(arc: F64, off: F64, rise: F64) -> None:
+    """Refuse lines whose shots lie off a plane through the origin, and planes that are differently tilted."""
+    out, whole = float(np.median(off)), float(np.median(arc))
+    if out > max(MAX_OFF_PLANE * whole, MIN_OFF_PLANE_RAD):
+        message = (
+            f"xyz is not relative to the scanner: the shots of a line lie {math.degrees(out):.2f} deg off a plane "
+            f"through the origin, over an arc of {math.degrees(whole):.1f} deg"
+        )
+        raise WrongOriginError(message)
+    # the plane of a short line is unsure
+    low, high = np.percentile(rise[arc >= 0.5 * whole], (5, 95)).tolist()
+    if high - low > MAX_DRIFT_RAD:
+        message = (
+            f"the lines are not vertical lines: their planes are {math.degrees(low):.0f} to {math.degrees(high):.0f} "
+            f"deg from horizontal, expected the same within {math.degrees(MAX_DRIFT_RAD):g} deg"
+        )
+        raise NoddingError(message)
+
+
+def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
+    """Return unit vectors and where there are any."""
+    wide = np.asarray(xyz, np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        length = np.sqrt((wide * wide).sum(axis=-1))
+        seen: Mask = np.isfinite(length) & (length > 0)
+        unit = np.where(seen[..., None], wide / length[..., None], 0.0)
+    return unit, seen
+
+
+def _planes(unit: F64, seen: Mask) -> tuple[F64, F64, F64]:
+    """Fit a plane through the scanner to every line, outliers trimmed.
+
+    Returns normals, spanned arcs [rad] and how far shots are off the plane, in the middle [rad].
+    """
+    weight = seen.astype(np.float64)
+    for _ in range(N_TRIMS):
+        moments = np.einsum("lm,lmi,lmj->lij", weight, unit, unit)
+        values, vectors = np.linalg.eigh(moments)
+        normal: F64 = vectors[:, :, 0]
+        off = np.where(seen, np.abs(np.einsum("lmi,li->lm", unit, normal)), np.nan)
+        middle = np.nanmedian(off, axis=1)
+        # a share of the shots may lie anywhere; what is within 0.5 deg never hurts
+        limit = np.maximum(3 * 1.4826 * middle, math.radians(0.5))
+        weight = (seen & (off <= limit[:, None])).astype(np.float64)
+    total = np.maximum(values.sum(axis=1), np.finfo(float).tiny)
+    # the standard deviation of directions that fill an arc evenly is the arc over the root of 12
+    arc = np.sqrt(12 * np.maximum(values[:, 1], 0.0) / total)
+    return normal, arc, np.arcsin(np.minimum(middle, 1.0))
+
+
+def _angles_in_plane(unit: F64, seen: Mask, normal: F64) -> F64:
+    """Return the angle from the lowest direction of the plane, (lines, M), growing with the column; NaN = none."""
+    flat = np.hypot(normal[:, 0], normal[:, 1])
+    side = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1) / flat[:, None]
+    down = normal * normal[:, 2:3]
+    down[:, 2] -= 1.0
+    down /= flat[:, None]
+    angle: F64 = np.arctan2(np.einsum("lmi,li->lm", unit, side), np.einsum("lmi,li->lm", unit, down))
+    angle[~seen] = np.nan
+    for row, has in zip(angle, seen, strict=True):
+        step = wrap(np.diff(row[has]))
+        if np.sign(step[np.abs(step) < math.pi / 2]).sum() < 0:
+            np.negative(row, out=row)
+    return angle
+
+
+def _columns(angle: F64, seen: Mask) -> Beams:
+    """Return the beams of all columns from the angles of some lines."""
+    m = angle.shape[1]
+    columns = np.flatnonzero(seen.any(axis=0))
+    angle, seen = angle[:, columns], seen[:, columns]
+    filled = np.where(seen, angle, 0.0)
+    middle = np.arctan2((np.sin(filled) * seen).sum(axis=0), (np.cos(filled) * seen).sum(axis=0))
+    for _ in range(2):
+        middle = wrap(middle + np.nanmedian(wrap(angle - middle), axis=0))
+    scatter = float(np.nanmedian(np.abs(wrap(angle - middle))))
+    if scatter > MAX_SCATTER_RAD:
+        message = f"the shots of a column look different ways, {math.degrees(scatter):.1f} deg apart in the middle"
+        raise NoDirectionError(message)
+    beam_rad, is_straight = turn_evenly(columns, middle, seen.sum(axis=0).astype(np.float64), m)
+    return Beams(beam_rad, is_straight, len(angle))
+
+
+def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
+    """Return an angle for every column out of those of some, growing with the column.
+
+    Parameters
+    ----------
+    columns : (n,) int64
+        Columns that have an angle, ascending; at least two.
+    angle : (n,) float64
+        Their angles, modulo a turn, growing with the column but for scatter [rad].
+    weight : (n,) float64
+        How much each counts.
+    points_per_line : int
+        M.
+
+    Returns
+    -------
+    beam_rad : (M,) float64
+        In (-pi, pi]; unwrapped it is strictly growing.
+    is_straight : bool
+        Whether they are a straight line in the column.
+
+    Raises
+    ------
+    NoDirectionError
+        When the angles do not grow, or turn more than once around.
+    """
+    step = wrap(np.diff(angle))
+    step[step < -BACKWARD_RAD] += _TURN
+    along = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
+    if along[-1] - along[0] > MAX_TURNS * _TURN:
+        turns = (along[-1] - along[0]) / _TURN
+        message = f"the directions do not turn with the column: {turns:.1f} turns in a line, expected one at most"
+        raise NoDirectionError(message)
+    every = np.arange(points_per_line, dtype=np.float64)
+    slope, start = _straight(columns.astype(np.float64), along, weight)
+    off = np.abs(along - (start + slope * columns))
+    if slope > 0 and float(np.percentile(off, 99)) <= 0.5 * slope:
+        return _finish(start + slope * every), True
+    at, value = _monotone(columns.astype(np.float64), along, weight)
+    if len(at) < 2:
+        message = "the directions do not turn with the column"
+        raise NoDirectionError(message)
+    beam = np.interp(every, at, value)
+    slope = float((value[-1] - value[0]) / (at[-1] - at[0]))
+    before, after = every < at[0], every > at[-1]
+    beam[before] = value[0] + slope * (every[before] - at[0])
+    beam[after] = value[-1] + slope * (every[after] - at[-1])
+    return _finish(beam), False
+
+
+def _finish(beam: F64) -> F64:
+    """Bring growing angles into (-pi, pi]."""
+    step = float(np.max(np.diff(beam), initial=0.0))
+    if step >= math.pi:
+        message = f"neighbouring columns look {math.degrees(step):.0f} deg apart, expected less than half a turn"
+        raise NoDirectionError(message)
+    return wrap(np.round(beam, DECIMALS))
+
+
+def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
+    """Return slope and start of a straight line, columns far off it trimmed."""
+    use = weight
+    for _ in range(N_TRIMS):
+        total = use.sum()
+        x, y = column - (use * column).sum() / total, angle - (use * angle).sum() / total
+        square = (use * x * x).sum()
+        slope = float((use * x * y).sum() / square) if square > 0 else 0.0
+        off = np.abs(y - slope * x)
+        use = np.where(off <= max(3 * 1.4826 * float(np.median(off)), 1e-9), weight, 0.0)
+        if not use.any():
+            break
+    return slope, float((angle - y).flat[0] - slope * (column - x).flat[0])
+
+
+def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
+    """Return knots, strictly growing, of the growing function closest to the angles."""
+    from scipy.optimize import isotonic_regression  # here: it takes longer to load than a small file to classify
+
+    value = isotonic_regression(angle, weights=weight).x
+    # sums of equal angles differ in their last bits
+    first = np.flatnonzero(np.diff(value, prepend=-np.inf) > LEAST_STEP_RAD)
+    total = np.add.reduceat(weight, first)
+    return np.add.reduceat(weight * column, first) / total, value[first]

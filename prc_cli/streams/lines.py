@@ -1,0 +1,286 @@
+"""Where scan lines begin: one pure function a rule, what crosses chunks is passed in and returned.
+
+All work on shots (the first record of each), in the order of the input, for one scanner.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F64, I64, Mask
+from prc_cli.streams.angles import Sweep
+from prc_cli.streams.columns import columns_by_dimension
+from prc_cli.streams.shot_timing import time_in_line
+from prc_cli.streams.table import Table
+
+MAX_NUMBER = 2.0**53
+"""Line numbers at or beyond cannot be told apart as float64."""
+
+
+@dataclass(frozen=True, slots=True)
+class LineState:
+    """What the next chunk of a scanner must know of the shots before it."""
+
+    top: int = -1
+    """Highest line so far; -1 = none."""
+    n_seen: int = 0
+    """Shots with a line so far."""
+    n_late: int = 0
+    """Those of them whose line had left already."""
+    offset: int | None = None
+    """Dimension: line number that is line 0."""
+    n_shots: int = 0
+    """Fixed: shots so far."""
+    wraps: int = 0
+    """Angle wrap: wraps so far."""
+    last_angle: float = math.nan
+    """Angle wrap: last known angle [rad]."""
+    low: float = math.inf
+    """Angle wrap: least angle of the line so far [rad]."""
+    high: float = -math.inf
+    """Angle wrap: greatest angle of the line so far [rad]."""
+    last_span: float = 0.0
+    """Angle wrap: span of the line before [rad]."""
+    origin_s: float | None = None
+    """Time: begin of line 0 [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class NumberedLines:
+    """Lines have numbers in the input."""
+
+    dimension: str
+    path: str
+    """For messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class FixedLines:
+    """Every shot is in the input, missing ones too."""
+
+    points_per_line: int
+
+
+@dataclass(frozen=True, slots=True)
+class SweptLines:
+    """A line ends where the scan angle jumps back."""
+
+    sweep: Sweep
+
+
+@dataclass(frozen=True, slots=True)
+class TimedLines:
+    """Lines begin at a fixed frequency."""
+
+    line_hz: float
+    half_shot_s: float
+    """Half the time between shots [s], 0 if unknown."""
+    origin_s: float | None
+    """Time of line 0, column 0 [s]; None = that of the first shot."""
+    column_dimension: str | None = None
+    """Where the time of column 0 is told by the column of the shot."""
+    column_s: float = 0.0
+    """Time from column to column there [s]."""
+
+
+LineRule: TypeAlias = NumberedLines | FixedLines | SweptLines | TimedLines
+
+
+def find_lines(
+    shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rule: LineRule
+) -> tuple[I64, Mask, LineState]:
+    """Apply a rule to the next shots.
+
+    Parameters
+    ----------
+    shots : Table
+        The dimension that the rule names.
+    time_s : (n,) float64 or None
+        Estimated times [s]; None = ``time`` of the table.
+    n_shots : int
+    state : LineState
+    rule : LineRule
+
+    Returns
+    -------
+    line : (n,) int64
+        Line of every shot (may be below 0 where numbers go back).
+    known : (n,) bool
+        False where the shot has no line.
+    state : LineState
+    """
+    match rule:
+        case NumberedLines(dimension, path):
+            return lines_by_dimension(shots[dimension], state, f"{path}: {dimension}")
+        case FixedLines(points_per_line):
+            return lines_fixed(n_shots, points_per_line, state)
+        case SweptLines(sweep):
+            return lines_by_wrap(shots["angle"], sweep, state)
+        case TimedLines():
+            time_s = time_s if time_s is not None else np.asarray(shots["time"], np.float64)
+            since = None
+            if rule.column_dimension is not None:
+                column = columns_by_dimension(shots[rule.column_dimension])
+                since = time_in_line(column, rule.column_s, 1 / rule.line_hz)
+            return lines_by_time(time_s, rule.line_hz, rule.half_shot_s, rule.origin_s, state, since)
+
+
+def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tuple[I64, Mask, LineState]:
+    """Take line numbers from the input; the first one is line 0, skipped numbers are missing lines.
+
+    Parameters
+    ----------
+    number : (n,) float or integer
+        Line numbers as stored; NaN and infinite = none.
+    state : LineState
+    where : str
+        File and dimension, for messages.
+
+    Returns
+    -------
+    line : (n,) int64
+        Line of every shot (may be below 0 where numbers go back).
+    known : (n,) bool
+        False where the shot has no line.
+    state : LineState
+
+    Raises
+    ------
+    InputError
+        When a number is not whole or absurdly large.
+    """
+    if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
+        if state.offset is None and len(number):
+            state = replace(state, offset=int(number[0]))
+        # in one pass: nearly every file numbers its lines so
+        line = np.subtract(number, np.int64(state.offset or 0), dtype=np.int64)
+        return line, np.ones(len(number), np.bool_), state
+    value = np.asarray(number, np.float64)
+    known = np.isfinite(value)
+    value = np.where(known, value, 0.0)
+    odd = (value != np.floor(value)) | (np.abs(value) >= MAX_NUMBER)
+    if odd.any():
+        problem = f"found line number {value[int(np.argmax(odd))]:g}, expected whole numbers"
+        raise InputError(where, problem, "name the dimension that counts lines: --lines dimension:NAME")
+    line = value.astype(np.int64)
+    if state.offset is None and known.any():
+        state = replace(state, offset=int(line[int(np.argmax(known))]))
+    return line - (state.offset or 0), known, state
+
+
+def lines_fixed(n_shots: int, points_per_line: int, state: LineState) -> tuple[I64, Mask, LineState]:
+    """Begin a line every ``points_per_line`` shots.
+
+    >>> lines_fixed(5, 2, LineState(n_shots=1))[0]
+    array([0, 1, 1, 2, 2])
+    """
+    line = np.arange(state.n_shots, state.n_shots + n_shots, dtype=np.int64) // points_per_line
+    return line, np.ones(n_shots, np.bool_), replace(state, n_shots=state.n_shots + n_shots)
+
+
+def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[I64, Mask, LineState]:
+    """Begin a line where the angle jumps back against the sweep by more than half the span.
+
+    The span is that of the line that ends there or of the one before it, whichever is larger: at the edges of a
+    flight or behind an obstacle lines are much shorter than the longest.
+
+    Parameters
+    ----------
+    angle : (n,) float
+        Scan angle [rad]; shots without one stay in the line they stand in.
+    sweep : Sweep
+        From :func:`prc_cli.streams.angles.find_sweep`.
+    state : LineState
+
+    Returns
+    -------
+    line, known, state
+        As :func:`lines_by_dimension`; every shot has a line.
+
+    Examples
+    --------
+    >>> lines_by_wrap(np.array([0.0, 0.5, 1.0, 0.1, 0.6]), Sweep(1, 1.0, 0.05), LineState())[0]
+    array([0, 0, 0, 1, 1])
+    """
+    value = np.asarray(angle, np.float64)
+    position = np.flatnonzero(np.isfinite(value))
+    begins = np.zeros(len(value), np.int64)
+    if len(position):
+        seen = value[position]
+        back = sweep.direction * (np.concatenate(([state.last_angle], seen[:-1])) - seen)
+        # a jump that is larger than noise ends a line or not: few of them, looked at one by one
+        jumps = np.flatnonzero(back > sweep.noise_rad)
+        borders = np.concatenate(([0], jumps[jumps > 0]))
+        lows, highs = np.minimum.reduceat(seen, borders), np.maximum.reduceat(seen, borders)
+        pieces = iter(zip(lows.tolist(), highs.tolist(), strict=True))
+        low, high, last_span = state.low, state.high, state.last_span
+        if not len(jumps) or jumps[0] > 0:
+            first_low, first_high = next(pieces)
+            low, high = min(low, first_low), max(high, first_high)
+        for jump, size, (piece_low, piece_high) in zip(jumps.tolist(), back[jumps].tolist(), pieces, strict=True):
+            if size > 0.5 * max(high - low, last_span):
+                begins[position[jump]] = 1
+                low, high, last_span = piece_low, piece_high, high - low
+            else:
+                low, high = min(low, piece_low), max(high, piece_high)
+        state = replace(state, last_angle=float(seen[-1]), low=low, high=high, last_span=last_span)
+    line = state.wraps + np.cumsum(begins)
+    if len(line):
+        state = replace(state, wraps=int(line[-1]))
+    return line, np.ones(len(value), np.bool_), state
+
+
+def lines_by_time(
+    time_s: F64,
+    line_hz: float,
+    half_shot_s: float,
+    origin_s: float | None,
+    state: LineState,
+    since_s: F64 | None = None,
+) -> tuple[I64, Mask, LineState]:
+    """Count line periods from the origin: ``floor((t - t0) * HZ)``.
+
+    Parameters
+    ----------
+    time_s : (n,) float64
+        Times of the shots [s]; NaN and infinite = no line.
+    line_hz : float
+        Lines a second.
+    half_shot_s : float
+        Half the time between shots [s], 0 if unknown: shots are evenly timed, so one that seems to come just
+        before its line (rounded times) is its column 0.
+    origin_s : float or None
+        Time of line 0, column 0 [s]; None = the first known time, less the time since its line began if known.
+    state : LineState
+    since_s : (n,) float64, optional
+        Time since the line of the shot began where its column tells it, else NaN [s]. Then the line is
+        ``rint((t - since - t0) * HZ)``: no rounding of times is near half a line.
+
+    Returns
+    -------
+    line, known, state
+        As :func:`lines_by_dimension`; below 0 before the origin.
+    """
+    known: Mask = np.isfinite(time_s)
+    if state.origin_s is None:
+        if origin_s is None and known.any():
+            i = int(np.argmax(known))
+            origin_s = float(time_s[i])
+            if since_s is not None and np.isfinite(since_s[i]):
+                origin_s -= float(since_s[i])
+        state = replace(state, origin_s=origin_s)
+    if state.origin_s is None:
+        return np.zeros(len(time_s), np.int64), known, state
+    time_s = np.where(known, time_s, state.origin_s)
+    # two steps of the stored number at least: 1.2e-7 s for times of 5e8 s
+    guard_s = np.maximum(half_shot_s, 2 * np.spacing(np.maximum(np.abs(time_s), abs(state.origin_s))))
+    turns = np.floor((time_s - state.origin_s + guard_s) * line_hz)
+    if since_s is not None:
+        turns = np.where(np.isnan(since_s), turns, np.rint((time_s - since_s - state.origin_s) * line_hz))
+    return np.clip(turns, -MAX_NUMBER, MAX_NUMBER).astype(np.int64), known, state

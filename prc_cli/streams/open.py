@@ -1,0 +1,77 @@
+"""An archive becomes a stream: the source is opened, and what kind it is decides the way to its blocks.
+
+Images, whose lines and columns are in the file, are blocks of the stream already. Records become blocks in
+:mod:`prc_cli.streams.grid`, but for frames of rings (:mod:`prc_cli.streams.rings`).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prc_cli.core.stream import ScanStream
+from prc_cli.formats import open_images, open_source
+from prc_cli.formats.options import InputConfig, Layout
+
+
+def open_input(
+    path: Path,
+    config: InputConfig,
+    layout: Layout | None = None,
+    *,
+    lines_at_once: int = 1,
+    geometry: bool = True,
+    only_ranges: bool = False,
+) -> ScanStream:
+    """Open an input file as a stream of blocks.
+
+    Parameters
+    ----------
+    path : Path
+        Input file.
+    config : InputConfig
+        How lines, columns and ranges are found.
+    layout : Layout, optional
+        Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
+    lines_at_once : int
+        Lines that are used together: files whose lines are known beforehand are best read in multiples of them.
+    geometry : bool
+        Find the angles of the columns and where down is; who needs nothing but ranges saves reading the first records
+        for them.
+    only_ranges : bool
+        Times and intensities of the shots may be left out of the blocks; coordinates stay.
+
+    Raises
+    ------
+    InputError
+        When the file is damaged or does not hold what the configuration asks for.
+    """
+    source = open_source(path, layout)
+    config = with_layout(config, layout)
+    # what finds lines is imported where there are some to find: images start sooner without
+    if source is None:
+        from prc_cli.streams.order import WatchedStream
+
+        return WatchedStream(open_images(path, config, lines_at_once=lines_at_once), config.order)
+    if config.lines == "rings":
+        from prc_cli.streams.rings import open_rings
+
+        return open_rings(source, config)
+    from prc_cli.streams.grid import open_grid
+
+    if config.points_per_line is not None:
+        source.facts.align_chunks(config.points_per_line * lines_at_once)
+    line_hz = None if layout is None else layout.line_frequency
+    if not config.lines.startswith("elevation:"):
+        return open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
+    from prc_cli.streams.elevation import tell_elevation, with_elevation
+
+    risen, rules = with_elevation(source, config)
+    stream = open_grid(risen, rules, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
+    return tell_elevation(stream, config.lines)
+
+
+def with_layout(config: InputConfig, layout: Layout | None) -> InputConfig:
+    """Return the configuration with M of the layout, where it gives none itself."""
+    if layout is None or layout.points_per_line is None or config.points_per_line is not None:
+        return config
+    return config.model_copy(update={"points_per_line": layout.points_per_line})

@@ -1,0 +1,158 @@
+"""Records that come through a pipe, from a live scanner or another program: read once, as they arrive."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanStream
+from prc_cli.formats.options import RANGES_ONLY, InputConfig, Layout
+from prc_cli.formats.raw_binary.read import LayoutRecords
+from prc_cli.formats.records import RecordChunk
+from prc_cli.streams.grid import open_grid
+from prc_cli.streams.open import with_layout
+
+READ_BYTES = 1 << 20
+"""Most bytes taken from the pipe at a time, and what the pipe is asked to hold where the system lets one ask."""
+KEPT_BYTES = 256 << 20
+"""Most bytes at the start that are kept until lines, columns and directions are known."""
+_F_SETPIPE_SZ = 1031
+"""Linux: fcntl command that sets the size of a pipe."""
+
+
+class ByteStream(Protocol):
+    """What bytes are read from: an unbuffered file object, such as ``sys.stdin.buffer.raw``."""
+
+    def fileno(self) -> int:
+        """Return the file descriptor."""
+
+    def read(self, size: int = -1, /) -> bytes | None:
+        """Return what has arrived, at most ``size`` bytes, waiting for at least one; empty at the end."""
+
+
+class PipeSource(LayoutRecords):
+    """Records of a layout out of a pipe, as a :class:`prc_cli.formats.records.RecordSource`.
+
+    What is read while the stream is being opened is kept, so that :meth:`chunks` can begin anew; after :meth:`seal`
+    nothing is kept and the records can be read to their end once.
+
+    Parameters
+    ----------
+    handle : ByteStream
+        Unbuffered.
+    layout : Layout
+        Its header, byte order and fields.
+    name : str
+        For messages.
+    """
+
+    n_records = None
+    """Only reading can tell."""
+
+    def __init__(self, handle: ByteStream, layout: Layout, name: str = "stdin") -> None:
+        super().__init__(layout, name)
+        self._handle = handle
+        self._kept: list[bytes] = []
+        self._n_kept = 0
+        self._sealed = self._ended = False
+        self.arrived_s = 0.0
+        """When the last bytes came, on the clock of :func:`time.perf_counter` [s]."""
+        widen_pipe(handle)
+
+    def seal(self) -> None:
+        """Keep no more bytes than those that were read so far: the next :meth:`chunks` is the last."""
+        self._sealed = True
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        """Decode records as they arrive, from the start.
+
+        Raises
+        ------
+        ConfigError
+            When a name is none of the layout's.
+        InputError
+            When nothing comes, the pipe breaks, or it ends inside a record or before its first one.
+        """
+        self._check_names(names)
+        each, n_header, first, rest = self._dtype.itemsize, self._header_bytes, 0, b""
+        for piece in self._pieces():
+            data = rest + piece if rest else piece
+            if n_header:
+                n_header, data = max(0, n_header - len(data)), data[n_header:]
+            n_records = len(data) // each
+            rest = data[n_records * each :]
+            if n_records:
+                records = np.frombuffer(data, self._dtype, count=n_records)
+                yield self._decoded(first, records, names)
+                first += n_records
+        if not first:
+            problem = f"ended before the first record of {each} bytes"
+            raise InputError(self.path, problem, "check that the program before the pipe runs and writes to stdout")
+        if rest:
+            problem = f"ended inside record {first}: found {len(rest)} bytes of {each}"
+            raise InputError(self.path, problem, "check the layout, and that the program before the pipe has not died")
+
+    def _pieces(self) -> Iterator[bytes]:
+        """Give out what was kept, then what arrives."""
+        yield from list(self._kept)
+        if self._sealed:
+            self._kept.clear()
+        while not self._ended:
+            piece = self._read()
+            if not self._sealed:
+                self._keep(piece)
+            if piece:
+                yield piece
+
+    def _keep(self, piece: bytes) -> None:
+        self._kept.append(piece)
+        self._n_kept += len(piece)
+        if self._n_kept > KEPT_BYTES:
+            problem = f"lines and columns are not known after {self._n_kept >> 20} MiB, and a pipe cannot be read twice"
+            raise InputError(self.path, problem, "give --points-per-line and, with angles, input.angle_start and _step")
+
+    def _read(self) -> bytes:
+        """Wait for bytes; empty at the end."""
+        try:
+            piece = self._handle.read(READ_BYTES)
+        except OSError as error:
+            problem = f"cannot be read ({error.strerror or error})"
+            raise InputError(self.path, problem, "check the program before the pipe") from error
+        self.arrived_s = time.perf_counter()
+        self._ended = not piece
+        return piece or b""
+
+
+def widen_pipe(handle: ByteStream) -> None:
+    """Ask the system for a pipe that holds more, so that its writer waits less; where it cannot be, nothing changes."""
+    with contextlib.suppress(OSError, ImportError, ValueError, AttributeError):
+        import fcntl
+
+        if os.uname().sysname == "Linux":
+            fcntl.fcntl(handle.fileno(), _F_SETPIPE_SZ, READ_BYTES)
+
+
+def open_pipe(handle: ByteStream, config: InputConfig, layout: Layout | None = None) -> tuple[PipeSource, ScanStream]:
+    """Open a pipe as a stream of blocks; see :func:`prc_cli.streams.open.open_input`.
+
+    The source must be sealed (:meth:`PipeSource.seal`) before the blocks are read to their end.
+
+    Raises
+    ------
+    InputError, ConfigError
+        When the pipe does not hold what lines, columns or ranges could be found by.
+    """
+    layout = RANGES_ONLY if layout is None else layout
+    layout = layout if layout.fields else layout.model_copy(update={"fields": RANGES_ONLY.fields})
+    config = with_layout(config, layout)
+    if config.order == "sort-time":
+        problem = "a pipe cannot be sorted by time: its labels leave before its end"
+        raise ConfigError("input.order", problem, "write the stream to a file first, or leave --sort-by-time out")
+    source = PipeSource(handle, layout)
+    return source, open_grid(source, config, line_hz=layout.line_frequency)

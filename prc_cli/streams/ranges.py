@@ -1,0 +1,198 @@
+"""Slant range of every record: from a dimension, or the distance to the sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import Assumption, ReadTally
+from prc_cli.core.types import F32, F64
+from prc_cli.formats.options import InputConfig, parse_origin
+from prc_cli.formats.ranges import clean_ranges
+from prc_cli.streams.trajectory import Trajectory, load_trajectory
+
+XYZ = ("x", "y", "z")
+MAX_LENGTH_OFF = 0.01
+"""Share of the range by which coordinates relative to the scanner may be longer or shorter."""
+MAX_LENGTH_OFF_M = 0.05
+"""The same in metres: the larger of the two holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class RangeRule:
+    """Where ranges come from; exactly one of the first three is set."""
+
+    dimension: str | None = None
+    """Dimension that holds the range [m]."""
+    origin_m: tuple[float, float, float] | None = None
+    """Fixed position of the sensor in the coordinates of the input [m]; zeros = they are the sensor's own."""
+    trajectory: Trajectory | None = None
+    """Position of the sensor over time."""
+    sensor_xyz: bool = False
+    """Whether x, y, z beside a dimension of ranges are relative to the sensor."""
+    min_range_m: float = 0.0
+    """Ranges at or below are missing [m]."""
+    max_range_m: float | None = None
+    """Ranges beyond are missing [m]; None = no bound."""
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """What measuring ranges takes for granted."""
+        if self.trajectory is None:
+            return ()
+        first, last = self.trajectory.span
+        value = f"{self.trajectory.n_positions} positions from {first:.3f} to {last:.3f} s"
+        why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
+        return (Assumption("input.range", value, why),)
+
+    @property
+    def gives_xyz(self) -> bool:
+        """Whether :func:`measure_ranges` returns coordinates."""
+        return self.sensor_xyz or self.dimension is None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dimensions that :func:`measure_ranges` needs."""
+        if self.dimension is not None:
+            return (self.dimension, *(XYZ if self.sensor_xyz else ()))
+        return (*XYZ, "time") if self.trajectory is not None else XYZ
+
+
+def open_ranges(
+    rule: str,
+    dimensions: tuple[str, ...],
+    path: str,
+    config: InputConfig,
+    *,
+    crs_wkt: str | None,
+    sensor_xyz: bool = False,
+) -> RangeRule:
+    """Turn a resolved ``input.range`` into what it means; reads the trajectory if there is one.
+
+    Parameters
+    ----------
+    rule : str
+        ``dimension:NAME``, ``trajectory:FILE``, ``origin:X,Y,Z`` or ``sensor-xyz``.
+    dimensions : tuple of str
+        What the input has.
+    path : str
+        Input, for messages.
+    config : InputConfig
+        Coordinate system and time offset of the trajectory, bounds of the ranges.
+    crs_wkt : str or None
+        Coordinate system of the input.
+    sensor_xyz : bool
+        Whether x, y, z beside a dimension of ranges are relative to the sensor.
+
+    Raises
+    ------
+    InputError
+        When the input lacks coordinates or times, or the trajectory cannot be read.
+    """
+    kind, _, argument = rule.partition(":")
+    bounds = RangeRule(min_range_m=config.min_range, max_range_m=config.max_range)
+    if kind == "dimension":
+        return replace(bounds, dimension=argument, sensor_xyz=sensor_xyz)
+    needed = (*XYZ, "time") if kind == "trajectory" else XYZ
+    lacking = [name for name in needed if name not in dimensions]
+    if lacking:
+        problem = f"range = {rule} needs {', '.join(needed)}; the file has no {', '.join(lacking)}"
+        raise InputError(path, problem, f"it has: {', '.join(dimensions)}")
+    if kind == "sensor-xyz":
+        return replace(bounds, origin_m=(0.0, 0.0, 0.0))
+    if kind == "origin":
+        return replace(bounds, origin_m=parse_origin(rule))
+    try:
+        file = Path(argument).expanduser()
+    except RuntimeError:
+        raise ConfigError("input.range", f"found {rule!r}, whose home folder is not known", "write it out") from None
+    trajectory = load_trajectory(
+        file,
+        crs=config.trajectory_crs,
+        source_crs_wkt=crs_wkt,
+        time_offset=config.trajectory_time_offset,
+        max_gap=config.trajectory_max_gap,
+    )
+    return replace(bounds, trajectory=trajectory)
+
+
+def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
+    """Return ranges as found or computed, not yet cleaned, and sensor-centred coordinates.
+
+    Parameters
+    ----------
+    values : dict of (n,) arrays
+        The dimensions ``rule.names``.
+    rule : RangeRule
+
+    Returns
+    -------
+    range_m : (n,) float
+        [m]; from a dimension as stored, else float64; NaN where a coordinate is NaN.
+    xyz_m : (n, 3) float32 or None
+        Relative to the sensor, axes as in the input (z up) [m]; None if ranges come from a dimension and
+        the coordinates beside it are those of a map.
+
+    Raises
+    ------
+    InputError
+        When a time lies outside the trajectory.
+
+    Examples
+    --------
+    >>> point = {"x": np.array([13.0]), "y": np.array([4.0]), "z": np.array([7.0])}
+    >>> measure_ranges(point, RangeRule(origin_m=(10.0, 0.0, 7.0)))[0]
+    array([5.])
+    """
+    if rule.dimension is not None and not rule.sensor_xyz:
+        return values[rule.dimension], None
+    xyz: F64 = np.stack([np.asarray(values[name], np.float64) for name in XYZ], axis=1)
+    if rule.dimension is not None:
+        with np.errstate(over="ignore"):
+            return values[rule.dimension], xyz.astype(np.float32)
+    # coordinates of 1e6 m keep their millimetres only in float64: subtract before rounding
+    if rule.trajectory is not None:
+        xyz -= rule.trajectory.positions(np.asarray(values["time"], np.float64))
+    elif rule.origin_m is not None:
+        xyz -= rule.origin_m
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.sqrt((xyz * xyz).sum(axis=1)), xyz.astype(np.float32)
+
+
+def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F32, F32 | None, ReadTally]:
+    """Return ranges as the stream has them, coordinates as :func:`measure_ranges`, and what was taken as missing."""
+    found, xyz_m = measure_ranges(values, rule)
+    range_m, tally = clean_ranges(found, rule.min_range_m, rule.max_range_m)
+    return range_m, xyz_m, tally
+
+
+def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
+    """Tell whether coordinates beside ranges are relative to the sensor: their length is the range.
+
+    Parameters
+    ----------
+    values : dict of (n,) arrays
+        x, y, z and the ranges, of the first records.
+    dimension : str
+        Name of the ranges.
+
+    Examples
+    --------
+    >>> point = {"x": np.array([3.0]), "y": np.array([0.0]), "z": np.array([4.0]), "range": np.array([5.0])}
+    >>> is_sensor_xyz(point, "range"), is_sensor_xyz(point | {"z": np.array([90.0])}, "range")
+    (True, False)
+    """
+    x, y, z, found = (np.asarray(values[name], np.float64) for name in (*XYZ, dimension))
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.sqrt(x * x + y * y + z * z)
+        # where all heights are 0 they are those of a scan plane that lies flat, as written without directions
+        use = np.isfinite(length) & np.isfinite(found) & (found > 0)
+    if not use.any() or not z[use].any():
+        return False
+    off = np.abs(length[use] - found[use]) - np.maximum(MAX_LENGTH_OFF * found[use], MAX_LENGTH_OFF_M)
+    return float(np.percentile(off, 95)) <= 0

@@ -1,0 +1,209 @@
+"""The reading loop: chunks of a source, split by scanner, watched for their order, out as whole lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from prc_cli.core.errors import InputError, OrderError
+from prc_cli.core.stream import ReadTally
+from prc_cli.formats.records import RecordChunk, RecordSource
+from prc_cli.streams.lines import FixedLines
+from prc_cli.streams.order import OrderWatch, Policy
+from prc_cli.streams.rules import GridRules
+from prc_cli.streams.table import RECORD, Table, n_rows, take
+from prc_cli.streams.whole_lines import LineRules, ScanState, WholeLines, advance, split_scanners
+
+MAX_SCANNERS = 256
+"""Scanners in one input; more values are something else than scanners."""
+MAX_LATE = 0.01
+"""Share of shots that may come after their line has left."""
+
+LineRulesOf: TypeAlias = Callable[[int], LineRules]
+"""Gives the rules of a scanner."""
+Prepare: TypeAlias = Callable[[RecordChunk, Table], tuple[Table, ReadTally]]
+"""Adds to the table of a chunk what goes along with its records."""
+
+
+def whole_lines(
+    source: RecordSource,
+    rules: GridRules,
+    line_rules: LineRulesOf,
+    names: tuple[str, ...] = (),
+    prepare: Prepare | None = None,
+) -> Iterator[WholeLines]:
+    """Read a source from the start to its end as whole lines, chronological for each scanner.
+
+    Parameters
+    ----------
+    source : RecordSource
+    rules : GridRules
+        ``rules.names`` are decoded in any case.
+    line_rules : callable
+    names : tuple of str
+        Dimensions that ``prepare`` needs beside.
+    prepare : callable, optional
+        Called with every chunk and its table.
+
+    Raises
+    ------
+    OrderError
+        When the times show that records are not in the order they were fired.
+    InputError
+        When no record has a line, or for what the lines themselves refuse.
+    """
+    states: dict[int, ScanState] = {}
+    watches: dict[int, OrderWatch] = {}
+    waiting = ReadTally()
+    for chunk in source.chunks(tuple(dict.fromkeys((*rules.names, *names)))):
+        table = table_of(chunk, rules.names)
+        if prepare is not None:
+            table, tally = prepare(chunk, table)
+            waiting += tally
+        for scanner, records in split_scanners(table, rules.scanner, source.path):
+            state = states.get(scanner, ScanState())
+            if rules.has_time:
+                watch = watches.setdefault(scanner, open_watch(source, rules.order))
+                waiting += see_times(watch, records)
+            tally = state.tally + waiting + ReadTally(n_records=n_rows(records))
+            state, waiting = replace(state, tally=tally), ReadTally()
+            try:
+                whole, states[scanner] = advance(scanner, records, state, line_rules(scanner), final=False)
+            except InputError:
+                # lines that jump are often but a sign of records out of order: then that is the better reason
+                finish(watches)
+                raise
+            if whole is not None:
+                yield whole
+        check_scanners(len(states), source.path, rules.scanner)
+    finish(watches)
+    yield from _last_lines(source, rules, line_rules, states)
+
+
+def _last_lines(
+    source: RecordSource, rules: GridRules, line_rules: LineRulesOf, states: dict[int, ScanState]
+) -> Iterator[WholeLines]:
+    """Close the open lines of every scanner; nothing is yielded if one of them is refused."""
+    closed: list[WholeLines] = []
+    leftover = ReadTally()
+    for scanner in sorted(states):
+        mine = line_rules(scanner)
+        whole, state = advance(scanner, {}, states[scanner], mine, final=True)
+        if rules.order == "require":
+            _check_late(source.path, state)
+        if isinstance(mine.line, FixedLines) and not rules.pads_last_line:
+            what = "records" if mine.same_shot is None else "shots"
+            check_partial_line(source.path, state.lines.n_shots, mine.line.points_per_line, what)
+        # what a scanner without a single line leaves behind
+        leftover += state.tally
+        if whole is not None:
+            closed.append(whole)
+    if not closed:
+        raise nothing_placed(source.path)
+    closed[0] = replace(closed[0], tally=closed[0].tally + leftover)
+    yield from closed
+
+
+def _check_late(path: str, state: ScanState) -> None:
+    """Refuse an input in which more than a seam's worth of shots go back to lines that have left.
+
+    A piece of an earlier drive behind a later one has a single step back: no share of steps tells it.
+    """
+    n_late, n_seen = state.lines.n_late, state.lines.n_seen
+    if n_late > MAX_LATE * n_seen:
+        problem = f"{n_late} of {n_seen} shots go back to lines before those that they follow"
+        hint = "sort with --sort-by-time, or leave them unclassified with --trust-order"
+        raise OrderError(path, f"{problem}; expected lines in the order they were scanned", hint)
+
+
+def table_of(chunk: RecordChunk, names: tuple[str, ...]) -> Table:
+    """Return a chunk as a table, with the index of every record."""
+    record = chunk.record
+    if record is None:
+        record = np.arange(chunk.first_record, chunk.first_record + chunk.n, dtype=np.int64)
+    return {**{name: chunk.values[name] for name in names}, RECORD: record}
+
+
+def first_records(
+    source: RecordSource, scanner: str | None, names: tuple[str, ...], limit: int, *, to_end: bool
+) -> dict[int, Table]:
+    """Return the first ``limit`` records of every scanner, the same however the source is chunked.
+
+    Unless ``to_end``, reading stops after ``limit`` records of the input; later scanners are not met then.
+    """
+    parts: dict[int, Table] = {}
+    n_seen = 0
+    for chunk in source.chunks(names):
+        table = table_of(chunk, names)
+        if not to_end:
+            table = take(table, slice(0, limit - n_seen))
+        n_seen += n_rows(table)
+        for one, records in split_scanners(table, scanner, source.path):
+            have = parts.get(one, {})
+            left = limit - n_rows(have)
+            if left > 0:
+                more = take(records, slice(0, left))
+                parts[one] = {name: np.concatenate([have[name], more[name]]) for name in more} if have else more
+        check_scanners(len(parts), source.path, scanner)
+        if not to_end and n_seen >= limit:
+            break
+    return dict(sorted(parts.items()))
+
+
+def open_watch(source: RecordSource, order: Policy) -> OrderWatch:
+    """Return a watch over the times of a source."""
+    return OrderWatch(source.path, order, source.facts.time_name)
+
+
+def see_times(watch: OrderWatch, records: Table) -> ReadTally:
+    """Show the times of records to a watch; return the steps back."""
+    before = watch.n_back
+    watch.see(np.asarray(records["time"], np.float64), records[RECORD])
+    return ReadTally(n_time_steps_back=watch.n_back - before)
+
+
+def finish(watches: dict[int, OrderWatch]) -> None:
+    """Judge every scanner's order."""
+    for watch in watches.values():
+        watch.finish()
+
+
+def judge_first_records(source: RecordSource) -> None:
+    """Refuse a source whose first chunk shows already that it is not chronological.
+
+    Raises
+    ------
+    OrderError
+    """
+    if "time" not in source.dimensions:
+        return
+    watch = open_watch(source, "require")
+    for chunk in source.chunks(("time",)):
+        see_times(watch, table_of(chunk, ("time",)))
+        break
+    watch.finish()
+
+
+def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
+    """Refuse a dimension of too many values."""
+    if n_scanners > MAX_SCANNERS:
+        problem = f"{scanner} has more than {MAX_SCANNERS} values, expected one a scanner"
+        raise InputError(path, problem, "choose another dimension for --scanner, or none")
+
+
+def check_partial_line(path: str, n_shots: int, points_per_line: int, what: str = "records") -> None:
+    """Refuse a last line that is not whole."""
+    n_over = n_shots % points_per_line
+    if n_over:
+        problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
+        hint = 'check points_per_line, or pad the last line: --set input.partial_line="pad"'
+        raise InputError(path, problem, hint)
+
+
+def nothing_placed(path: str) -> InputError:
+    """Return the refusal of an input without a single line."""
+    problem = "no record has a scan line, expected at least one"
+    return InputError(path, problem, "look at the dimensions with prc info and name the one that counts lines")

@@ -1,0 +1,207 @@
+"""Rings of a frame: where they begin, which column and which cell of azimuth every record has."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F32, F64, I64, Mask
+from prc_cli.streams.down import wrap
+
+MAX_RINGS = 4096
+"""Rings of a frame; more turns are no rings."""
+BACKWARD_RAD = math.radians(20.0)
+"""Steps back of up to this are shots out of order; larger ones are the long way round."""
+MAX_RING_ORDER_RAD = math.radians(0.5)
+"""Rings may lie this much against the order of the others."""
+MIN_RING = 0.01
+"""Share of the middle ring that the first and last one must have: less are shots across the border."""
+WINDOW = 64
+"""Neighbours that the step of azimuth is measured over."""
+NEIGHBOUR = 1.5
+"""Steps of less than so many medians are from neighbour to neighbour."""
+DENSEST = 25.0
+"""Percentile of the windows that gives the step: cells must be fine enough where shots are close together."""
+
+_TURN = 2 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Records of a frame that have a direction, in the order of the file."""
+
+    record: I64
+    range_m: F32
+    xyz_m: F32
+    intensity: F32 | None
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Rings of a frame."""
+
+    ring: I64
+    """(n,) int64, from 0 in the order of the file."""
+    along_rad: F64
+    """(n,) float64, azimuth from where rings begin, in the sense of rotation, 0 to a turn [rad]."""
+    cut_rad: float
+    """Azimuth where rings begin [rad]."""
+    way: float
+    """1 = anticlockwise seen from above."""
+
+
+def _elevation(frame: Frame) -> F64:
+    xyz = frame.xyz_m.astype(np.float64)
+    elevation: F64 = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
+    return elevation
+
+
+def find_turns(frame: Frame, path: str) -> Turns:
+    """Find where rings begin: the azimuth that leaves the least spread of elevation within them.
+
+    Raises
+    ------
+    InputError
+        When the records do not turn around the scanner several times.
+    """
+    azimuth = np.arctan2(frame.xyz_m[:, 1].astype(np.float64), frame.xyz_m[:, 0].astype(np.float64))
+    step = wrap(np.diff(azimuth))
+    way = math.copysign(1.0, float(np.sign(step).sum()))
+    step *= way
+    step[step < -BACKWARD_RAD] += _TURN
+    along = way * azimuth[0] + np.concatenate([[0.0], np.cumsum(step)])
+    n_turns = (along[-1] - along[0]) / _TURN
+    if not 1.0 < n_turns < min(MAX_RINGS, len(along) / 2):
+        problem = f"the records turn {n_turns:.1f} times around the scanner, expected ring after ring"
+        raise InputError(path, problem, "check x, y, z and their order, or find lines in another way: --lines")
+    elevation = _elevation(frame)
+    best: tuple[float, Turns] | None = None
+    for cut in _cuts(along, float(np.median(step[step > 0]))):
+        ring, within = _cut_turns(along - cut)
+        n = np.bincount(ring)
+        total, square = np.bincount(ring, elevation), np.bincount(ring, elevation**2)
+        spread = float((square - total**2 / np.maximum(n, 1)).sum())
+        if best is None or spread < best[0]:
+            best = (spread, Turns(ring, within, float(wrap(np.array([way * cut]))[0]), way))
+    if best is None:
+        raise InputError(path, "no ring begins", "check x, y, z")
+    return best[1]
+
+
+def _cut_turns(along: F64) -> tuple[I64, F64]:
+    """Return ring and azimuth within it of shots whose rings begin at multiples of a turn."""
+    turn = np.floor(along / _TURN)
+    # shots out of order around the cut belong to the ring that has begun
+    ring: I64 = np.maximum.accumulate(turn - turn[0]).astype(np.int64)
+    within: F64 = np.remainder(along, _TURN)
+    n = np.bincount(ring)
+    few = MIN_RING * float(np.median(n))
+    # the same at both ends of the frame, where there is no ring for them
+    if n[-1] < few:
+        last = ring == len(n) - 1
+        ring[last], within[last] = len(n) - 2, np.nextafter(_TURN, 0)
+    if n[0] < few:
+        within[ring == 0] = 0.0
+        ring = np.maximum(ring - 1, 0)
+    return ring, within
+
+
+def _cuts(along: F64, step: float) -> Iterator[float]:
+    """Yield azimuths where rings may begin, in the sense of rotation: axes, the first shot, gaps."""
+    yield from (0.0, math.pi, math.pi / 2, -math.pi / 2, along[0] - step / 2)
+    n_bins = 360
+    seen = np.bincount((np.remainder(along, _TURN) / _TURN * n_bins).astype(np.int64) % n_bins, minlength=n_bins) > 0
+    empty = np.flatnonzero(~seen)
+    if len(empty):
+        # the middle of the longest gap
+        doubled = np.flatnonzero(np.concatenate([seen, seen]))
+        gap = int(np.argmax(np.diff(doubled)))
+        yield float((doubled[gap] + doubled[gap + 1] + 1) / 2 / n_bins * _TURN)
+
+
+def ring_columns(frame: Frame, turns: Turns, wanted: int | None, path: str) -> tuple[int, I64]:
+    """Return the number of rings, and every record's, counted from the lowest."""
+    n_rings = int(turns.ring[-1]) + 1
+    if wanted is not None and n_rings != wanted:
+        problem = f"found {n_rings} rings, expected {wanted} as input.points_per_line says"
+        raise InputError(path, problem, "leave input.points_per_line out, or check that every ring is there")
+    elevation = _elevation(frame)
+    borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
+    middle = np.array([np.median(elevation[a:b]) for a, b in pairwise(borders)])
+    way = 1 if middle[-1] >= middle[0] else -1
+    back = way * np.diff(middle)
+    if (back < -MAX_RING_ORDER_RAD).any():
+        at = int(np.argmin(back))
+        problem = (
+            f"ring {at + 1} lies at {math.degrees(middle[at + 1]):.2f} deg of elevation after one at "
+            f"{math.degrees(middle[at]):.2f} deg, expected rings from top to bottom or from bottom to top"
+        )
+        raise InputError(path, problem, "check that the file holds one frame, ring after ring")
+    return n_rings, turns.ring if way > 0 else n_rings - 1 - turns.ring
+
+
+def find_step(turns: Turns) -> float:
+    """Return the step of azimuth from shot to shot where they are close together [rad]."""
+    step = np.diff(turns.along_rad)
+    step[np.diff(turns.ring) > 0] = np.inf
+    ahead = step[(step > 0) & np.isfinite(step)]
+    if not len(ahead):
+        return 0.0
+    limit = NEIGHBOUR * float(np.median(ahead))
+    near = (step >= 0) & (step < limit)
+    total = np.cumsum(np.concatenate([[0.0], np.where(near, step, 0.0)]))
+    count = np.cumsum(np.concatenate([[0], near]))
+    whole = count[WINDOW:] - count[:-WINDOW] == WINDOW
+    if not whole.any():
+        return float(np.mean(ahead[ahead < limit]))
+    return float(np.percentile((total[WINDOW:] - total[:-WINDOW])[whole] / WINDOW, DENSEST))
+
+
+def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
+    """Return the line of every record, and which of them follow the order of azimuth along their ring."""
+    from scipy.optimize import isotonic_regression  # here: it takes longer to load than a small file to classify
+
+    place = turns.along_rad / _TURN * n_lines
+    line = np.minimum(place.astype(np.int64), n_lines - 1)
+    in_order: Mask = np.ones(len(place), np.bool_)
+    borders = np.searchsorted(turns.ring, np.arange(n_rings + 1))
+    for a, b in pairwise(borders):
+        along = place[a:b]
+        if np.any(along[1:] < along[:-1]):
+            in_order[a:b] = _longest_rise(along)
+        own = a + np.flatnonzero(in_order[a:b])
+        # strictly rising cells are a function that does not fall beside the ordinal
+        ordinal = np.arange(len(own))
+        line[own] = np.rint(isotonic_regression(place[own] - 0.5 - ordinal).x).astype(np.int64) + ordinal
+    return np.clip(line, 0, n_lines - 1), in_order
+
+
+def _longest_rise(values: F64) -> Mask:
+    """Mark the longest subsequence that does not fall (patience sorting).
+
+    >>> _longest_rise(np.array([1.0, 2.0, 9.0, 3.0, 3.0])).tolist()
+    [True, True, False, True, True]
+    """
+    tops: list[float] = []
+    at: list[int] = []
+    before = np.full(len(values), -1, np.int64)
+    for i, value in enumerate(values.tolist()):
+        pile = bisect_right(tops, value)
+        if pile == len(tops):
+            tops.append(value)
+            at.append(i)
+        else:
+            tops[pile], at[pile] = value, i
+        before[i] = at[pile - 1] if pile else -1
+    marked: Mask = np.zeros(len(values), np.bool_)
+    i = at[-1] if at else -1
+    while i >= 0:
+        marked[i] = True
+        i = int(before[i])
+    return marked

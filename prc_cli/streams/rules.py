@@ -1,0 +1,290 @@
+"""``auto`` resolved: where lines, columns and ranges of an input come from, and what to type where they are missing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from difflib import SequenceMatcher
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import Assumption
+from prc_cli.formats.options import InputConfig, parse_rate
+from prc_cli.formats.records import RecordSource
+from prc_cli.formats.returns import ReturnRule
+from prc_cli.streams.angles import find_sweep
+from prc_cli.streams.order import Policy
+from prc_cli.streams.ranges import XYZ, is_sensor_xyz
+
+
+@dataclass(frozen=True, slots=True)
+class GridRules:
+    """How the shots of an input find their cells; the same for all its scanners."""
+
+    path: str
+    lines: str
+    """``dimension``, ``fixed``, ``angle-wrap`` or ``time``."""
+    columns: str
+    """``dimension``, ``angle``, ``time`` or ``order``."""
+    range: str
+    """Resolved ``input.range``."""
+    line_dimension: str | None
+    column_dimension: str | None
+    line_hz: float | None
+    """Lines a second under ``lines = time``."""
+    shot_hz: float | None
+    """Shots a second under ``columns = time``."""
+    scanner: str | None
+    """Dimension that splits the input."""
+    has_time: bool
+    has_angle: bool
+    has_returns: bool
+    """Whether the input says how many returns a shot has."""
+    has_return_number: bool
+    has_intensity: bool
+    has_sensor_xyz: bool
+    """Whether coordinates relative to the scanner stand beside ranges."""
+    height_names: tuple[str, ...]
+    """Dimensions beside the scan angle that tell where down is: the range and registered heights, or none."""
+    assumptions: tuple[Assumption, ...]
+    points_per_line: int | None
+    """M where it is given."""
+    time_origin_s: float | None
+    """Time of line 0, column 0 where it is given [s]."""
+    angle_start_deg: float | None
+    """Scan angle of column 0 where it is given [deg]."""
+    angle_step_deg: float | None
+    """Scan angle between columns where it is given [deg]."""
+    max_gap_lines: int
+    """Most missing lines in a row."""
+    pads_last_line: bool
+    """Whether a last line of fixed lines may be cut short."""
+    chosen_return: ReturnRule
+    """The return that stands for a shot of several."""
+    order: Policy
+    """What is done about records out of order."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Dimensions that decide lines, columns and shots."""
+        wanted = (
+            ("time", self.has_time),
+            ("return_number", self.has_returns and self.has_return_number),
+            ("number_of_returns", self.has_returns),
+            ("angle", self.columns == "angle" or self.lines == "angle-wrap"),
+            (self.line_dimension, True),
+            (self.column_dimension, True),
+            (self.scanner, True),
+        )
+        return tuple(dict.fromkeys(name for name, is_wanted in wanted if name is not None and is_wanted))
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether the records are the cells, one after the other."""
+        fixed = self.lines == "fixed" and self.columns == "order" and self.range.startswith("dimension:")
+        return (
+            fixed
+            and not self.has_sensor_xyz
+            and self.scanner is None
+            and not self.has_returns
+            and self.order != "sort-time"
+        )
+
+
+def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
+    """Resolve ``auto`` and check that everything named is there.
+
+    Raises
+    ------
+    InputError
+        When ``auto`` finds nothing; the hint says which keys would do.
+    ConfigError
+        When a named dimension does not exist; the hint lists what there is, nearest name first.
+    """
+    has = source.dimensions
+    if config.lines == "rings":
+        problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
+        raise ConfigError("input.lines", problem, "find lines in another way: --lines")
+    taken: list[Assumption] = []
+    lines = _auto_lines(source, config, taken) if config.lines == "auto" else config.lines
+    columns = _auto_columns(source, lines, taken) if config.columns == "auto" else config.columns
+    range_ = _auto_range(source, taken) if config.range == "auto" else config.range
+    scanner = None if config.scanner == "none" else config.scanner
+    for key, rule in (("lines", lines), ("columns", columns), ("range", range_)):
+        if rule.startswith("dimension:"):
+            _check_dimension(f"input.{key}", rule.partition(":")[2], source)
+        elif rule in ("angle", "angle-wrap"):
+            _check_dimension(f"input.{key}", "angle", source)
+        elif rule.startswith("time:"):
+            _check_dimension(f"input.{key}", "time", source)
+    if scanner is not None:
+        _check_dimension("input.scanner", scanner, source)
+    if columns.startswith("time:") and not lines.startswith("time:"):
+        # nothing says when a line begins
+        why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
+        taken.append(Assumption("input.columns", "column 0 is the first return of each line", why))
+    if lines.startswith("time:") and config.time_origin is None:
+        why = "line 0, column 0 is taken to be fired then: the phase of the mirror is not in the input"
+        taken.append(Assumption("input.time_origin", "time of the first record", why))
+    if config.return_ != "strongest" and "number_of_returns" not in has:
+        why = "the input does not say how many returns a shot has: every record is a shot"
+        taken.append(Assumption("input.return", "no effect", why))
+    return GridRules(
+        path=source.path,
+        lines=lines.partition(":")[0],
+        columns=columns.partition(":")[0],
+        range=range_,
+        line_dimension=_argument(lines),
+        column_dimension=_argument(columns),
+        line_hz=parse_rate(lines) if lines.startswith("time:") else None,
+        shot_hz=parse_rate(columns) if columns.startswith("time:") else None,
+        scanner=scanner,
+        has_time="time" in has,
+        has_angle="angle" in has,
+        has_returns="number_of_returns" in has,
+        has_return_number="return_number" in has,
+        has_intensity="intensity" in has,
+        has_sensor_xyz=_has_sensor_xyz(source, range_, taken),
+        height_names=_height_names(has, range_) if config.nadir is None else (),
+        assumptions=tuple(taken),
+        points_per_line=config.points_per_line,
+        time_origin_s=config.time_origin,
+        angle_start_deg=config.angle_start,
+        angle_step_deg=config.angle_step,
+        max_gap_lines=config.max_gap_lines,
+        pads_last_line=config.partial_line == "pad",
+        chosen_return=config.return_,
+        order=config.order,
+    )
+
+
+def _height_names(has: tuple[str, ...], range_: str) -> tuple[str, ...]:
+    """Return what tells heights where registered coordinates stand beside ranges and scan angles."""
+    is_there = range_.startswith("dimension:") and {"angle", *XYZ} <= set(has)
+    return (range_.partition(":")[2], "z") if is_there else ()
+
+
+def _argument(rule: str) -> str | None:
+    return rule.partition(":")[2] if rule.startswith("dimension:") else None
+
+
+def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumption]) -> str:
+    if "scan_line" in source.dimensions:
+        taken.append(Assumption("input.lines", "dimension:scan_line", "the input has a dimension of this name"))
+        return "dimension:scan_line"
+    if config.points_per_line is not None:
+        why = f"points_per_line = {config.points_per_line} is given and the input has no dimension scan_line"
+        taken.append(Assumption("input.lines", "fixed", why))
+        return "fixed"
+    if "angle" in source.dimensions and _has_sweeps(source):
+        why = "no dimension scan_line, no points_per_line, but the scan angle runs in sweeps"
+        taken.append(Assumption("input.lines", "angle-wrap", why))
+        return "angle-wrap"
+    ways = ["-M NUMBER if no shot is left out", "--lines dimension:NAME"]
+    if "range" in source.dimensions:
+        ways[0] += " (prc info estimates it)"
+    if set(XYZ) <= set(source.dimensions) and config.range in ("auto", "sensor-xyz"):
+        drop = "--lines elevation:DEG" + ("" if config.range == "sensor-xyz" else " with --range sensor-xyz")
+        ways.append(f"{drop} (x, y, z from the scanner, line after line)")
+    if "time" in source.dimensions:
+        ways.append("--lines time:HZ (scan lines a second)")
+    if source.format == "text" and not {"range", *XYZ} & set(source.dimensions):
+        ways.insert(0, "a layout that names the columns (--layout FILE)")
+    problem = "no scan lines: the file has no dimension scan_line and points_per_line is not given"
+    raise InputError(source.path, problem, f"give {_either(ways)}")
+
+
+def _has_sweeps(source: RecordSource) -> bool:
+    """Tell whether the scan angles of the first records jump back from sweep to sweep."""
+    first = next(iter(source.chunks(("angle",))), None)
+    if first is None:
+        return False
+    try:
+        find_sweep(first.values["angle"], source.path)
+    except InputError:
+        return False
+    return True
+
+
+def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> str:
+    if lines == "fixed":
+        taken.append(Assumption("input.columns", "order", "lines are fixed: every shot has its record"))
+        return "order"
+    if "column" in source.dimensions:
+        taken.append(Assumption("input.columns", "dimension:column", "the input has a dimension of this name"))
+        return "dimension:column"
+    if lines.startswith("time:"):
+        ways = ["--columns time:HZ (shots a second)"]
+        ways += ["--columns angle"] if "angle" in source.dimensions else []
+        ways += ["--columns order if no shot is left out"]
+        problem = "no columns: the file has no dimension column, and lines found by time say nothing of them"
+        raise InputError(source.path, problem, f"give {_either(ways)}")
+    why = "the input has no dimension column; where shots are left out, the rest of the line moves up"
+    taken.append(Assumption("input.columns", "order", why))
+    return "order"
+
+
+def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
+    """Tell whether coordinates beside ranges are relative to the scanner; scan angles make them needless."""
+    kind, _, name = range_.partition(":")
+    if kind != "dimension" or name in XYZ or "angle" in source.dimensions or not set(XYZ) <= set(source.dimensions):
+        return False
+    first = next(iter(source.chunks((*XYZ, name))), None)
+    if first is None or not is_sensor_xyz(first.values, name):
+        return False
+    why = f"their length is {name!r} in the first records: they are relative to the scanner"
+    taken.append(Assumption("input.range", "x, y, z as directions", why))
+    return True
+
+
+def _auto_range(source: RecordSource, taken: list[Assumption]) -> str:
+    if "range" in source.dimensions:
+        taken.append(Assumption("input.range", "dimension:range", "the input has a dimension of this name"))
+        return "dimension:range"
+    ways = ["--range dimension:NAME"]
+    if set(XYZ) <= set(source.dimensions):
+        ways += ["--range trajectory:FILE"] if "time" in source.dimensions else []
+        ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
+    names = ", ".join(source.dimensions[:12]) + (", ..." if len(source.dimensions) > 12 else "")
+    problem = f"no slant range: the file has no dimension range, it has {names or 'none'}"
+    raise InputError(source.path, problem, f"give {_either(ways)}")
+
+
+def _either(ways: list[str]) -> str:
+    return ways[0] if len(ways) == 1 else f"{', '.join(ways[:-1])} or {ways[-1]}"
+
+
+def _check_dimension(key: str, name: str, source: RecordSource) -> None:
+    if name in source.dimensions:
+        return
+    nearest = sorted(source.dimensions, key=lambda other: -SequenceMatcher(None, name, other).ratio())
+    problem = f"{source.path} has no dimension {name!r}"
+    raise ConfigError(key, problem, f"it has: {', '.join(nearest)}" if nearest else "it has none")
+
+
+def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int | None, Assumption | None]:
+    """Return M where nothing needs to be read for it.
+
+    Parameters
+    ----------
+    rules : GridRules
+    recorded : int or None
+        M that the file records.
+
+    Raises
+    ------
+    ConfigError
+        When lines are fixed and M is not given.
+    """
+    key = "input.points_per_line"
+    if rules.points_per_line is not None:
+        return rules.points_per_line, None
+    if rules.lines == "fixed":
+        hint = f"give -M NUMBER; prc info {rules.path} estimates it"
+        raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {rules.path}", hint)
+    if rules.line_hz is not None and rules.shot_hz is not None:
+        # shots that no column would be left for were dropped by rounding down
+        m = max(math.ceil(rules.shot_hz / rules.line_hz - 0.01), 1)
+        return m, Assumption(key, str(m), f"{rules.shot_hz:g} shots and {rules.line_hz:g} lines a second")
+    if recorded is not None and recorded > 0:
+        return recorded, Assumption(key, str(recorded), "recorded in the file")
+    return None, None

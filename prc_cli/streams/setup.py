@@ -1,0 +1,202 @@
+"""What must be known of every scanner before its first block: sweep, column angles, M.
+
+Found in the first records, and in one pass over the few dimensions needed where only the whole input can tell.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prc_cli.core.stream import Assumption
+from prc_cli.core.types import F64
+from prc_cli.formats.records import RecordSource
+from prc_cli.streams.angles import column_angles
+from prc_cli.streams.columns import AngleGrid, ColumnRule, find_columns
+from prc_cli.streams.down import NoDirectionError, fit_heights, shown_tilt
+from prc_cli.streams.limits import check_found_columns, check_image
+from prc_cli.streams.probe import Estimates, estimate_assumptions, line_rules, probe
+from prc_cli.streams.ranges import RangeRule, clean_measured
+from prc_cli.streams.reading import whole_lines
+from prc_cli.streams.rules import GridRules
+from prc_cli.streams.table import LINE, START, Table, n_rows
+from prc_cli.streams.whole_lines import LineRules
+
+DOWN_LINES = 64
+"""Lines with returns that the direction of down is found in."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScannerSetup:
+    """What one scanner's cells depend on; fixed before the first block."""
+
+    points_per_line: int
+    found: Estimates
+    angle_rad: F64 | None
+    """(M,) float64, angle of every column [rad], None if unknown."""
+    down_rad: float | None = None
+    """Scan angle that points straight down [rad], None if unknown."""
+    cos_tilt: float = 1.0
+    """Cosine of the tilt of the scan plane from the vertical."""
+    n_shots: int = 0
+    """Shots of the whole input, if it was read."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Extent:
+    """Size of one scanner's image."""
+
+    n_lines: int = 0
+    n_shots: int = 0
+    longest: int = 0
+    """Shots of the longest line."""
+    max_column: int = -1
+
+
+def find_setups(
+    source: RecordSource, rules: GridRules, ranges: RangeRule, points_per_line: int | None, *, geometry: bool = True
+) -> tuple[dict[int, ScannerSetup], int | None, tuple[Assumption, ...]]:
+    """Estimate what the rules need, scanner by scanner.
+
+    Parameters
+    ----------
+    source : RecordSource
+    rules : GridRules
+    ranges : RangeRule
+    points_per_line : int or None
+        M where it is known already.
+    geometry : bool
+        Find the angles of the columns, and where down is, where lines and columns do not need them.
+
+    Returns
+    -------
+    setups : dict of ScannerSetup by scanner
+        Empty where the scanners of the input are not known and need not be.
+    n_lines : int or None
+        Lines of all scanners, if the whole input was read.
+    assumptions : tuple of Assumption
+
+    Raises
+    ------
+    InputError
+        When the angles do not tell, or the image would be absurdly empty.
+    """
+    if points_per_line is not None and rules.points_per_line is None:
+        check_found_columns(rules.path, points_per_line, source.n_records)
+    estimates, probes = probe(source, rules, points_per_line, geometry=geometry)
+    n_lines: int | None = None
+    extents: dict[int, _Extent] = {}
+    sizes: dict[int, int | None] = dict.fromkeys(estimates, points_per_line)
+    taken = estimate_assumptions(rules, estimates)
+    if points_per_line is None:
+        for scanner, found in estimates.items():
+            grid = found.angle_grid
+            sizes[scanner] = grid.n_columns if grid is not None and grid.whole_turn else None
+        if None in sizes.values() or not sizes:
+            extents = _survey(source, rules, estimates)
+            n_lines = sum(extent.n_lines for extent in extents.values())
+            sizes = {scanner: sizes.get(scanner) or _size(rules, extents[scanner]) for scanner in sorted(extents)}
+            images = {one: (extent.n_lines, sizes[one] or 1, extent.n_shots) for one, extent in extents.items()}
+            check_image(rules.path, images, rules.scanner or "")
+        shown = _shown_sizes(rules, sizes)
+        taken.append(Assumption("input.points_per_line", shown, _size_reason(rules, whole_pass=n_lines is not None)))
+    setups = {}
+    for scanner, size in sizes.items():
+        if size is None:
+            continue
+        if points_per_line is None:
+            check_found_columns(rules.path, size, source.n_records)
+        found = estimates.get(scanner, Estimates())
+        angle = _angles(rules, size, found, probes.get(scanner))
+        down_rad, cos_tilt = None, 1.0
+        if geometry and angle is not None and rules.height_names and scanner in probes:
+            down_rad, cos_tilt, assumption = _down(rules, ranges, probes[scanner], scanner)
+            taken.append(assumption)
+        n_shots = extents[scanner].n_shots if scanner in extents else 0
+        setups[scanner] = ScannerSetup(size, found, angle, down_rad, cos_tilt, n_shots)
+    return setups, n_lines, tuple(taken)
+
+
+def _size(rules: GridRules, extent: _Extent) -> int:
+    size = extent.longest if rules.columns == "order" else extent.max_column + 1
+    return max(size, 1)
+
+
+def _shown_sizes(rules: GridRules, sizes: dict[int, int | None]) -> str:
+    """Return M for people, scanner by scanner where there are several."""
+    if rules.scanner is None:
+        return ", ".join(str(size) for size in sizes.values())
+    return ", ".join(f"scanner {scanner}: {sizes[scanner]}" for scanner in sorted(sizes))
+
+
+def _size_reason(rules: GridRules, *, whole_pass: bool) -> str:
+    if not whole_pass:
+        return "steps of the scan angle in a whole turn"
+    return "shots of the longest line" if rules.columns == "order" else "highest column in the input"
+
+
+def given_angles(rules: GridRules, points_per_line: int) -> F64 | None:
+    """Return the scan angle of every column where it is given, (M,) float64 [rad]."""
+    if rules.angle_start_deg is None or rules.angle_step_deg is None:
+        return None
+    return np.deg2rad(rules.angle_start_deg + rules.angle_step_deg * np.arange(points_per_line, dtype=np.float64))
+
+
+def column_rule(rules: GridRules, grid: AngleGrid | None) -> ColumnRule:
+    """Return what the columns of a scanner depend on."""
+    return ColumnRule(rules.column_dimension, grid, rules.shot_hz, rules.line_hz)
+
+
+def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, Estimates]) -> dict[int, _Extent]:
+    """Read the whole input once for the size of the image."""
+
+    def of_scanner(scanner: int) -> LineRules:
+        return line_rules(rules, None, estimates.get(scanner, Estimates()))
+
+    extents: dict[int, _Extent] = {}
+    for whole in whole_lines(source, rules, of_scanner):
+        extent = extents.get(whole.scanner, _Extent())
+        records = whole.records
+        if n_rows(records):
+            found = estimates.get(whole.scanner, Estimates())
+            column = find_columns(records, column_rule(rules, found.angle_grid), whole.origin_s)
+            line = records[LINE][records[START]]
+            borders = np.flatnonzero(np.diff(line, prepend=-1, append=np.iinfo(np.int64).max))
+            extent = replace(
+                extent,
+                n_shots=extent.n_shots + len(line),
+                longest=max(extent.longest, int(np.diff(borders).max(initial=0))),
+                max_column=max(extent.max_column, int(column.max(initial=-1))),
+            )
+        extents[whole.scanner] = replace(extent, n_lines=whole.stop_line)
+    return extents
+
+
+def _down(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
+    """Find the scan angle that points straight down, and the tilt, in heights of the first lines."""
+    key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
+    range_m, _, _ = clean_measured(records, replace(ranges, sensor_xyz=False))
+    lines = np.unique(records[LINE][np.isfinite(range_m)])[:DOWN_LINES]
+    first = np.isin(records[LINE], lines)
+    try:
+        fit = fit_heights(records["angle"][first], range_m[first], records["z"][first], records[LINE][first])
+    except NoDirectionError as error:
+        return None, 1.0, Assumption(key, "not found", f"z is there beside range and scan angle, but {error}")
+    why = f"found from z, range and scan angle of {fit.n_shots} shots, heights within {fit.off_m:.3f} m in the middle"
+    shown = f"{math.degrees(fit.down_rad):.2f} deg{shown_tilt(fit.cos_tilt)}"
+    return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
+
+
+def _angles(rules: GridRules, size: int, found: Estimates, records: Table | None) -> F64 | None:
+    if found.angle_grid is not None:
+        return found.angle_grid.angles(size)
+    if (given := given_angles(rules, size)) is not None:
+        return given
+    if records is None or "angle" not in records or rules.columns not in ("dimension", "order"):
+        return None
+    if rules.columns == "order" and rules.lines != "fixed":
+        return None
+    angle = records["angle"][records[START]]
+    return column_angles(angle, find_columns(records, column_rule(rules, None), None), size)

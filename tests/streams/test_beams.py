@@ -1,0 +1,437 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError, InputError, PrcError
+from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
+from prc_cli.core.types import F64
+from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.streams import beam_finder as module
+from prc_cli.streams import probe as grid_probe
+from prc_cli.streams.beam_finder import from_angles
+from prc_cli.streams.beams import with_beams
+from prc_cli.streams.down import NoDirectionError
+from prc_cli.streams.open import open_input
+from tests.streams.beam_lines import (
+    GEOMETRIES,
+    gone,
+    is_strictly_monotone,
+    lines,
+    pieces,
+    stream,
+    worst_deg,
+)
+from tests.streams.record_lists import M, open_records, scene
+
+AUTO = InputConfig()
+
+
+def beams_of(source: ScanStream, config: InputConfig = AUTO) -> F64:
+    found = [block.beam_rad for block in with_beams(source, config).blocks()]
+    assert found[0] is not None
+    for beam in found:
+        assert beam is not None
+        assert np.array_equal(beam, found[0])
+    return found[0]
+
+
+@pytest.mark.parametrize("name", GEOMETRIES)
+def test_beams_do_not_depend_on_how_the_stream_is_cut(name: str) -> None:
+    true = GEOMETRIES[name]
+    # leading lines without returns do not count
+    block = gone(lines(true, 150, seed=3, tilt_deg=2.0), slice(None), np.r_[0:30, 40:43])
+    whole = beams_of(stream(block))
+    assert worst_deg(whole, true) < 0.25
+    for seed in range(6):
+        assert np.array_equal(beams_of(stream(*pieces(block, np.random.default_rng(seed)))), whole)
+
+
+def test_only_the_first_lines_with_returns_decide() -> None:
+    true = GEOMETRIES["low to high"]
+    first = lines(true, 64, seed=1)
+    # what comes later looks elsewhere
+    later = replace(lines(true + 0.3, 50, seed=2), first_line=64)
+    assert np.array_equal(beams_of(stream(first, later)), beams_of(stream(first)))
+
+
+def test_blocks_are_passed_on_as_they_are_and_info_says_what_was_found() -> None:
+    block = lines(GEOMETRIES["through the zenith"], 90)
+    source = stream(*pieces(block, np.random.default_rng(0)), assumptions=(Assumption("input.lines", "fixed", "why"),))
+    found = with_beams(source, AUTO)
+    assert found.info.assumptions[0].key == "input.lines"
+    assert found.info.assumptions[1].key == "input.nadir"
+    assert found.info.assumptions[1].value.startswith("beams from 40.")
+    assert "straight line" in found.info.assumptions[1].why
+    for _ in range(2):
+        for old, new in zip(source.blocks(), found.blocks(), strict=True):
+            assert new.range_m is old.range_m
+            assert new.xyz_m is old.xyz_m
+            assert replace(new, beam_rad=None) == old
+
+
+def test_every_scanner_has_beams_of_its_own_however_late_it_is_met() -> None:
+    names = ["whole circle", "low to high", "through the zenith"]
+    parts = []
+    for scanner, name in enumerate(names):
+        block = lines(GEOMETRIES[name], 100, seed=scanner)
+        parts += [replace(part, scanner=scanner) for part in pieces(block, np.random.default_rng(scanner))]
+    for source in (stream(*parts), stream(*parts[::2], *parts[1::2])):
+        seen = set()
+        n_lines = dict.fromkeys(range(3), 0)
+        for block in with_beams(source, AUTO).blocks():
+            assert block.beam_rad is not None
+            assert worst_deg(block.beam_rad, GEOMETRIES[names[block.scanner]]) < 0.25
+            seen.add((block.scanner, block.beam_rad.tobytes()))
+            n_lines[block.scanner] += block.n_lines
+        assert len(seen) == 3
+        assert set(n_lines.values()) == {100}
+
+
+def test_the_wait_for_lines_with_returns_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_SAMPLE_CELLS", 100 * 193)
+    true = GEOMETRIES["low to high"]
+    block = gone(lines(true, 150), slice(None), slice(0, 90))
+    assert worst_deg(beams_of(stream(block)), true) < 0.5
+    # what follows lines without returns cannot be waited for
+    late = with_beams(stream(gone(lines(true, 150), slice(None), slice(0, 100))), AUTO)
+    with pytest.raises(InputError, match="no vertical direction known: the first 19300 shots tell nothing"):
+        list(late.blocks())
+
+
+def with_angles(angle_deg: F64, n_lines: int = 3) -> ScanBlock:
+    return ScanBlock(0, np.full((n_lines, len(angle_deg)), 5.0, np.float32), angle_rad=np.deg2rad(angle_deg))
+
+
+def test_nadir_given_on_the_scale_of_the_scan_angles() -> None:
+    angle = np.arange(0.0, 360.0, 0.5)
+    found = with_beams(stream(with_angles(angle)), InputConfig(nadir=90.0))
+    assert found.info.assumptions[-1] == Assumption("input.nadir", "90 deg", "input.nadir is given")
+    (block,) = found.blocks()
+    assert block.beam_rad is not None
+    assert np.rad2deg(block.beam_rad[[0, 180, 540, 541]]).round(6).tolist() == [-90.0, 0.0, 180.0, -179.5]
+    # and it goes before what coordinates would say
+    coordinates = replace(lines(np.deg2rad(angle)), angle_rad=np.deg2rad(angle))
+    assert beams_of(stream(coordinates), InputConfig(nadir=10.0))[0] == pytest.approx(np.deg2rad(-10.0))
+
+
+def test_nadir_of_the_reader() -> None:
+    block = with_angles(np.linspace(130.0, 30.0, 101))
+    found = beams_of(stream(block, down_rad=np.pi))
+    assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [-50.0, -150.0]
+    found = beams_of(stream(block, down_rad=np.pi), InputConfig(nadir=0.0))
+    assert np.rad2deg(found[[0, -1]]).round(6).tolist() == [130.0, 30.0]
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_rounded_angles_still_rise_strictly(way: int) -> None:
+    angle = way * np.round(np.linspace(-40.0, 70.0, 400))
+    beam = from_angles(np.deg2rad(angle), 0.1)
+    assert is_strictly_monotone(beam)
+    assert np.abs(np.rad2deg(beam + 0.1) - angle).max() < 1.1
+
+
+def test_one_column_is_a_line_too() -> None:
+    assert from_angles(np.array([1.0]), 0.25).tolist() == [0.75]
+
+
+def test_angles_that_do_not_turn_one_way_are_refused() -> None:
+    angle = np.random.default_rng(0).uniform(-np.pi, np.pi, 100)
+    with pytest.raises(NoDirectionError):
+        from_angles(angle, 0.0)
+    with pytest.raises(InputError, match="scan angles: the directions do not turn with the column"):
+        with_beams(stream(with_angles(np.rad2deg(angle))), InputConfig(nadir=0.0))
+    with pytest.raises(NoDirectionError, match="turns in a line, expected one at most"):
+        from_angles(np.deg2rad(np.arange(0.0, 800.0, 2.0)), 0.0)
+
+
+def test_nothing_tells() -> None:
+    ranges = ScanBlock(0, np.full((3, 4), 5.0, np.float32))
+    for block, why in (
+        (ranges, "neither scan angles nor coordinates relative to the scanner"),
+        (with_angles(np.arange(4.0)), "nothing says which of them points straight down"),
+    ):
+        with pytest.raises(InputError, match=f"^drive.laz: no vertical direction known: .*{why}") as caught:
+            with_beams(stream(block), AUTO)
+        for way in ("input.nadir", "sensor-xyz", "trajectory:FILE", "origin:X,Y,Z"):
+            assert way in caught.value.hint
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ConfigError, match=r"^input.nadir: is given, but drive.laz has no scan angles"):
+        with_beams(stream(ranges), InputConfig(nadir=0.0))
+
+
+@pytest.mark.parametrize(
+    ("block", "note"),
+    [
+        (gone(lines(GEOMETRIES["half circle"]), slice(None)), "no shot has a return"),
+        (gone(lines(GEOMETRIES["half circle"]), slice(1, None)), "no line has two returns: nothing can be classified"),
+        (lines(np.array([1.0])), "no line has two returns: nothing can be classified"),
+        (ScanBlock(0, np.full((3, 4), np.nan, np.float32)), "no shot has a return"),
+    ],
+)
+def test_where_nothing_can_be_classified_any_directions_do(block: ScanBlock, note: str) -> None:
+    full = lines(GEOMETRIES["whole circle"])
+    alone = with_beams(stream(replace(block, angle_rad=None)), AUTO)
+    assert alone.info.facts.notes == (note,)
+    assert is_strictly_monotone(beams_of(alone))
+    for format_, which in (("PTX", "scan 1: "), ("LAS", "")):
+        parts = (replace(full, is_last=True), replace(block, scanner=1, angle_rad=None, is_last=True))
+        both = with_beams(stream(*parts, format=format_), AUTO)
+        found = list(both.blocks())
+        assert found[0].beam_rad is not None
+        assert worst_deg(found[0].beam_rad, GEOMETRIES["whole circle"]) < 0.25
+        assert found[1].beam_rad is not None
+        assert both.info.facts.notes == (f"{which}{note}",)
+
+
+def test_hints_are_possible_for_the_input_and_messages_name_the_scan() -> None:
+    level = lines(np.deg2rad(np.linspace(20, 120, 80)))
+    assert level.xyz_m is not None
+    across = replace(level, xyz_m=level.xyz_m[..., [0, 2, 1]] * np.float32(1))
+    for format_, where in (("PTX", "drive.laz: scan 0"), ("E57", "drive.laz: scan 0"), ("array", "drive.laz")):
+        with pytest.raises(InputError, match=f"^{where}: no vertical direction known: ") as caught:
+            with_beams(stream(across, format=format_), AUTO)
+        assert "--range" not in caught.value.hint
+        assert "input." not in caught.value.hint
+    away = replace(level, xyz_m=level.xyz_m + np.float32(1e6), range_m=level.range_m + np.float32(np.sqrt(3) * 1e6))
+    with pytest.raises(InputError, match="its ranges are 1732 km in the middle") as caught:
+        with_beams(stream(away), AUTO)
+    assert caught.value.hint.startswith("give --range trajectory:FILE or --range origin:X,Y,Z")
+
+
+def test_heights_of_a_plane_that_leans_over_are_true() -> None:
+    true, lean = GEOMETRIES["half circle"], np.deg2rad(45.0)
+    block = lines(true, noise_m=0.0, tilt_deg=45.0)
+    assert block.xyz_m is not None
+    registered = replace(block, xyz_m=block.xyz_m + np.array([400.0, 90.0, 250.0], np.float32), angle_rad=true + 1.0)
+    found = with_beams(stream(registered), AUTO)
+    assert "the scan plane leans over by 45.0 deg" in found.info.assumptions[-1].value
+    (placed,) = found.blocks()
+    assert placed.xyz_m is not None
+    length = np.linalg.norm(placed.xyz_m.astype(np.float64), axis=-1)
+    np.testing.assert_allclose(length, block.range_m, rtol=1e-6)
+    np.testing.assert_allclose(placed.xyz_m[..., 2], block.range_m * -np.cos(true) * np.cos(lean), atol=2e-3)
+    np.testing.assert_allclose(placed.xyz_m[..., 2], block.xyz_m[..., 2], atol=2e-3)
+
+
+def test_horizontal_lines_are_refused() -> None:
+    angle = np.deg2rad(np.arange(360.0))
+    flat = 9.0 * np.stack([np.cos(angle), np.sin(angle), 0.1 * np.sin(angle)], axis=-1)
+    xyz = np.repeat(flat[None], 70, axis=0).astype(np.float32)
+    block = ScanBlock(0, np.sqrt((xyz**2).sum(axis=-1)), xyz_m=xyz)
+    with pytest.raises(InputError, match="no vertical direction known: the lines do not rise"):
+        with_beams(stream(block), AUTO)
+
+
+def registered(with_angle: bool) -> ScanBlock:
+    """Coordinates of a map, which are no directions."""
+    true = GEOMETRIES["half circle"]
+    block = lines(true, noise_m=0.0)
+    assert block.xyz_m is not None
+    xyz = block.xyz_m + np.array([400.0, 90.0, 250.0], np.float32)
+    return replace(block, xyz_m=xyz, angle_rad=true + 1.0 if with_angle else None)
+
+
+def test_registered_coordinates_are_refused_or_used_for_their_heights() -> None:
+    with pytest.raises(
+        InputError, match=r"xyz is not relative to the scanner: its length is .* m off the range"
+    ) as got:
+        with_beams(stream(registered(with_angle=False)), AUTO)
+    assert "subtract the scanner's position" in got.value.hint
+    found = with_beams(stream(registered(with_angle=True)), AUTO)
+    assert found.info.assumptions[-1].value == f"{np.rad2deg(1.0):.2f} deg"
+    assert "heights of xyz" in found.info.assumptions[-1].why
+    for block in found.blocks():
+        assert block.xyz_m is None
+        assert block.beam_rad is not None
+        assert worst_deg(block.beam_rad, GEOMETRIES["half circle"]) < 0.01
+    # where down is known by the angles they are left out too, and told
+    found = with_beams(stream(registered(with_angle=True)), InputConfig(nadir=57.3))
+    assert "xyz is not relative to the scanner" in found.info.assumptions[-1].why
+    assert next(iter(found.blocks())).xyz_m is None
+    wrong = registered(with_angle=True)
+    assert wrong.angle_rad is not None
+    wrong = replace(wrong, angle_rad=np.random.default_rng(0).permutation(wrong.angle_rad))
+    with pytest.raises(InputError, match="xyz is not relative to the scanner: .*, and the heights"):
+        with_beams(stream(wrong), AUTO)
+
+
+def test_zenith_angles_and_coordinates_of_arrays(tmp_path: Path) -> None:
+    true = GEOMETRIES["low to high"]
+    block = lines(true, 30)
+    assert block.xyz_m is not None
+    path = tmp_path / "scan.npz"
+    np.savez(path, range_m=block.range_m, zenith_deg=180.0 - np.rad2deg(true))
+    info = open_input(path, AUTO).info
+    assert info.down_rad == np.pi
+    (read,) = with_beams(open_input(path, AUTO), AUTO).blocks()
+    assert read.beam_rad is not None
+    assert worst_deg(read.beam_rad, true) < 1e-6
+    # coordinates alone: their length is the range
+    np.savez(path, xyz=block.xyz_m)
+    config = InputConfig(max_range=30.0)
+    (read,) = with_beams(open_input(path, config), config).blocks()
+    expected = np.where(block.range_m > 30, np.nan, block.range_m)
+    np.testing.assert_allclose(read.range_m, expected, rtol=1e-6)
+    assert read.xyz_m is not None
+    assert np.array_equal(np.isnan(read.xyz_m).all(axis=-1), np.isnan(expected))
+    assert read.tally.n_beyond == np.count_nonzero(block.range_m > 30)
+    assert read.beam_rad is not None
+    assert worst_deg(read.beam_rad, true) < 0.3
+    np.savez(path, xyz=block.xyz_m, angle_deg=np.arange(len(true)))
+    assert open_input(path, AUTO).info.down_rad is None
+    np.savez(path, xyz=np.zeros((3, 4, 2)))
+    with pytest.raises(InputError, match="shape"):
+        open_input(path, AUTO)
+
+
+def test_angles_of_the_configuration_and_nadir_for_a_raw_dump(tmp_path: Path) -> None:
+    path = tmp_path / "drive.bin"
+    np.full((20, 36), 7.0, np.float32).tofile(path)
+    config = InputConfig(points_per_line=36, angle_start=-180.0, angle_step=10.0, nadir=0.0)
+    blocks = list(with_beams(open_input(path, config), config).blocks())
+    assert blocks[0].beam_rad is not None
+    assert np.rad2deg(blocks[0].beam_rad[[0, 1, 18]]).round(6).tolist() == [180.0, -170.0, 0.0]
+
+
+def test_down_from_registered_coordinates_beside_range_and_angle() -> None:
+    image, records = scene()
+    rng = np.random.default_rng(0)
+    records = {
+        **records,
+        "z": records["z"] + 120.0 + 0.1 * records["scan_line"] + rng.normal(0, 0.01, len(records["z"])),
+        "x": records["x"] + 5000.0,
+    }
+    info = open_records(records).info
+    assert info.down_rad == pytest.approx(0.0, abs=1e-3)
+    assert any(one.key == "input.nadir" and "found from z" in one.why for one in info.assumptions)
+    blocks = list(with_beams(open_records(records, 77), AUTO).blocks())
+    expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
+    for block in blocks:
+        assert block.beam_rad is not None
+        assert worst_deg(block.beam_rad, expected) < 0.1
+    assert sum(block.n_lines for block in blocks) == len(image)
+    # nothing is fitted where the configuration says it
+    assert not any(one.key == "input.nadir" for one in open_records(records, nadir=30.0).info.assumptions)
+
+
+def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:
+    _, one = scene()
+    one["z"] += 120.0 + 0.1 * one["scan_line"]
+    n = len(one["z"])
+    records = {name: np.concatenate([values, values]) for name, values in one.items()}
+    records["point_source_id"] = np.repeat([3, 8], n)
+    records["angle"][n:] = (records["angle"][n:] + np.deg2rad(30.0)) % (2 * np.pi)
+    read = open_records(records, scanner="point_source_id")
+    assert read.info.down_rad is None
+    assert np.rad2deg([read.info.down(scanner)[0] for scanner in (3, 8)]) == pytest.approx([0.0, 30.0], abs=0.1)
+    expected = (np.arange(M) * 2 * np.pi / M + np.pi) % (2 * np.pi) - np.pi
+    found = with_beams(read, AUTO)
+    for block in found.blocks():
+        assert block.beam_rad is not None
+        assert worst_deg(block.beam_rad, expected) < 0.1
+    assert [a.key for a in found.info.assumptions if "nadir" in a.key] == [
+        "input.nadir of point_source_id 3", "input.nadir of point_source_id 8",
+    ]  # fmt: skip
+
+
+def test_a_scanner_met_late_does_not_take_the_down_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, one = scene()
+    one["z"] += 120.0
+    n = len(one["z"])
+    records = {name: np.concatenate([values, values]) for name, values in one.items()}
+    records["point_source_id"] = np.repeat([3, 8], n)
+    monkeypatch.setattr(grid_probe, "PROBE_RECORDS_EACH", n)
+    read = open_records(records, scanner="point_source_id", points_per_line=M)
+    assert read.info.down(3)[0] == pytest.approx(0.0, abs=1e-3)
+    assert read.info.down(8) == (None, 1.0)
+
+
+def test_a_scanner_is_refused_for_its_own_heights() -> None:
+    """The one that is met first is not the one that is named first."""
+    _, one = scene()
+    n = len(one["z"])
+    records = {name: np.concatenate([values, values]) for name, values in one.items()}
+    records["point_source_id"] = np.repeat([8, 3], n)
+    records["z"] = np.append(one["z"] * 3, np.random.default_rng(0).normal(0, 30, n))
+    with pytest.raises(InputError, match="point_source_id 8: .*the heights fall 3.00 m"):
+        with_beams(open_records(records, n, scanner="point_source_id"), InputConfig(scanner="point_source_id"))
+
+
+def test_registered_coordinates_that_do_not_fit_are_told_and_refused() -> None:
+    _, records = scene()
+    records["z"] = np.random.default_rng(0).normal(0, 30, len(records["z"]))
+    read = open_records(records)
+    assert read.info.down_rad is None
+    (told,) = [one for one in read.info.assumptions if one.key == "input.nadir"]
+    assert told.value == "not found"
+    with pytest.raises(InputError, match="no vertical direction known: z is there beside range and scan angle, but"):
+        with_beams(read, AUTO)
+
+
+def test_sensor_coordinates_of_records() -> None:
+    _, records = scene()
+    del records["range"], records["angle"]
+    found = with_beams(open_records(records, range="sensor-xyz", points_per_line=M), AUTO)
+    for block in found.blocks():
+        assert block.beam_rad is not None
+        assert worst_deg(block.beam_rad, np.arange(M) * 2 * np.pi / M) < 1e-3
+
+
+def test_text_with_angles_and_a_layout(tmp_path: Path) -> None:
+    path = tmp_path / "drive.csv"
+    rows = [f"{line},{column},{column * 10},{3 + column}" for line in range(5) for column in range(30)]
+    path.write_text("\n".join(["line,column,angle_deg,range_m", *rows]) + "\n")
+    config = InputConfig(nadir=180.0)
+    blocks = list(with_beams(open_input(path, config, Layout()), config).blocks())
+    assert blocks[0].beam_rad is not None
+    assert np.rad2deg(blocks[0].beam_rad[[0, 18]]).round(6).tolist() == [180.0, 0.0]
+
+
+def hostile(rng: np.random.Generator) -> ScanBlock:
+    """Return lines of anything: noise, grids, one direction, tiny or huge, nearly empty, lengths that lie."""
+    n, m = int(rng.integers(1, 90)), int(rng.integers(1, 40))
+    angle = np.sort(rng.uniform(-3, 3, m))
+    plane = np.stack([np.sin(angle), 0 * angle, -np.cos(angle)], axis=-1)
+    xyz = [
+        rng.normal(size=(n, m, 3)),
+        np.round(rng.normal(size=(n, m, 3))),
+        np.broadcast_to(rng.normal(size=(1, m, 3)), (n, m, 3)),
+        np.broadcast_to(plane, (n, m, 3)),
+        rng.uniform(-1, 1, (n, 1, 3)) * np.ones((1, m, 1)),
+    ][int(rng.integers(5))] * 10.0 ** float(rng.integers(-20, 18))
+    small = xyz.astype(np.float32)
+    length = np.sqrt((small.astype(np.float64) ** 2).sum(axis=-1)).astype(np.float32)
+    missing = (rng.random((n, m)) < rng.choice([0.0, 0.3, 0.9, 0.99])) | ~(length > 0) | ~np.isfinite(length)
+    length[missing], small[missing] = np.nan, np.nan
+    return ScanBlock(
+        0,
+        length * np.float32(rng.choice([1.0, 1.5], p=[0.8, 0.2])),
+        xyz_m=small if rng.random() < 0.9 else None,
+        angle_rad=np.sort(rng.uniform(-10, 10, m)) if rng.random() < 0.3 else None,
+    )
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_lines_have_proper_beams_or_are_refused_in_one_line() -> None:
+    rng = np.random.default_rng(8)
+    n_found, refusals = 0, []
+    for _ in range(400):
+        block = hostile(rng)
+        config = InputConfig(nadir=float(rng.uniform(-400, 400))) if rng.random() < 0.2 else AUTO
+        try:
+            (found,) = with_beams(stream(block), config).blocks()
+        except PrcError as refusal:
+            refusals.append(str(refusal))
+            continue
+        beam = found.beam_rad
+        assert beam is not None
+        assert beam.shape == (block.points_per_line,)
+        assert np.all((beam > -np.pi) & (beam <= np.pi))
+        assert is_strictly_monotone(beam)
+        n_found += 1
+    assert min(n_found, len(refusals)) > 20
+    assert not any("\n" in message for message in refusals)

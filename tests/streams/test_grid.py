@@ -1,0 +1,866 @@
+"""Records to the stream: every rule finds the same scene, chunking changes nothing, nothing is lost uncounted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from prc_cli.core.errors import ConfigError, InputError, OrderError
+from prc_cli.core.facts import SourceFacts
+from prc_cli.core.stream import ReadTally
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.records import RecordChunk
+from prc_cli.streams import (
+    cells as grid_cells,
+)
+from prc_cli.streams import (
+    limits as grid_limits,
+)
+from prc_cli.streams import (
+    probe as grid_probe,
+)
+from prc_cli.streams import (
+    reading as grid_read,
+)
+from prc_cli.streams import (
+    rules as grid_rules,
+)
+from prc_cli.streams import (
+    whole_lines as grid_lines,
+)
+from prc_cli.streams.grid import open_grid
+from tests.streams.record_lists import (
+    LINE_HZ,
+    N_LINES,
+    SHOT_HZ,
+    START_S,
+    M,
+    MemorySource,
+    only,
+    open_records,
+    read,
+    scene,
+)
+
+RULES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "named": (("range", "scan_line", "column"), {}),
+    "angle": (("range", "scan_line", "angle"), {"columns": "angle"}),
+    "given angle": (
+        ("range", "scan_line", "angle"),
+        {"columns": "angle", "angle_start": 0.0, "angle_step": 360 / M, "points_per_line": M},
+    ),
+    "time": (("range", "time"), {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}),
+    "time and angle": (("range", "time", "angle"), {"lines": f"time:{LINE_HZ}", "columns": "angle"}),
+    "time and column": (("range", "time", "column"), {"lines": f"time:{LINE_HZ}"}),
+    "line and time": (
+        ("range", "scan_line", "time"),
+        {"columns": f"time:{SHOT_HZ}", "points_per_line": M},
+    ),
+    "sensor xyz": (("x", "y", "z", "scan_line", "column"), {"range": "sensor-xyz"}),
+}
+
+
+def every_line_begins(records: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Only lines whose first shot is there: time columns without a line frequency count from it."""
+    first = records["column"] == 0
+    keep = np.isin(records["scan_line"], records["scan_line"][first])
+    return {name: value[keep] for name, value in records.items()}
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+def test_every_rule_finds_the_same_scene(rule: str, chunk_records: int) -> None:
+    image, records = scene()
+    names, options = RULES[rule]
+    if rule == "line and time":
+        records = every_line_begins(records)
+        image[~np.isin(np.arange(N_LINES), records["scan_line"])] = np.nan
+        image = image[: records["scan_line"].max() + 1]
+        assert records["scan_line"][0] == 0
+    stream = open_records(only(records, *names), chunk_records, **options)
+    whole = read(stream)
+    assert stream.info.points_per_line == M
+    if rule == "sensor xyz":
+        np.testing.assert_allclose(whole.range_m, image, rtol=1e-6)
+    else:
+        assert np.array_equal(whole.range_m, image, equal_nan=True)
+    assert np.array_equal(whole.record[whole.record >= 0], np.arange(len(records["range"])))
+    assert np.array_equal(whole.record >= 0, ~np.isnan(image))
+    assert whole.tally == ReadTally()
+
+
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+def test_a_wrap_finds_the_lines_that_have_shots(chunk_records: int) -> None:
+    image, records = scene()
+    stream = open_records(only(records, "range", "angle"), chunk_records, lines="angle-wrap", columns="angle")
+    # a line without a single return leaves no trace in the angles
+    assert np.array_equal(read(stream).range_m, np.delete(image, 9, axis=0), equal_nan=True)
+    assert stream.info.angle_rad is not None
+    np.testing.assert_allclose(np.diff(stream.info.angle_rad), 2 * np.pi / M)
+
+
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+@pytest.mark.parametrize("columns", ["auto", "order"])
+def test_fixed_lines(chunk_records: int, columns: str) -> None:
+    image, _ = scene(missing=0.0)
+    dense = np.where(np.isnan(image), np.float32(-1), image).ravel()
+    stream = open_records({"range": dense}, chunk_records, points_per_line=M, columns=columns)
+    whole = read(stream)
+    assert np.array_equal(whole.range_m, image, equal_nan=True)
+    assert all(block.record is None for block in whole.blocks)
+    assert whole.tally == ReadTally(n_not_positive=int(np.isnan(image).sum()))
+    assert stream.info.n_lines == N_LINES
+
+
+def test_dense_and_general_paths_agree() -> None:
+    _, records = scene(missing=0.0)
+    full = {name: value[records["scan_line"] != 9] for name, value in records.items()}
+    dense = read(open_records(only(full, "range", "time", "intensity"), points_per_line=M))
+    returns = {**only(full, "range", "time", "intensity"), "number_of_returns": np.ones(len(full["range"]), np.uint8)}
+    general = read(open_records(returns, points_per_line=M))
+    assert np.array_equal(dense.range_m, general.range_m)
+    assert np.array_equal(dense.record, general.record)
+    for one, other in zip(dense.blocks, general.blocks, strict=False):
+        assert one.time_s is not None
+        assert other.time_s is not None
+        n = min(one.n_lines, other.n_lines)
+        assert np.array_equal(one.time_s[:n], other.time_s[:n])
+        assert one.intensity is not None
+        assert other.intensity is not None
+        assert np.array_equal(one.intensity[:n], other.intensity[:n])
+
+
+def test_what_goes_along_stands_in_the_right_cells() -> None:
+    _, records = scene()
+    origin = np.array([552_000.125, 6_600_000.25, 31.5])
+    for axis, name in enumerate("xyz"):
+        records[name] = records[name] + origin[axis]
+    rule = "origin:{},{},{}".format(*origin)
+    whole = read(open_records(records, 37, range=rule))
+    for block in whole.blocks:
+        record = block.records()
+        there = record >= 0
+        assert block.time_s is not None
+        assert np.array_equal(block.time_s[there], records["time"][record[there]])
+        assert np.isnan(block.time_s[~there]).all()
+        assert block.intensity is not None
+        assert np.array_equal(block.intensity[there], records["intensity"][record[there]].astype(np.float32))
+        assert block.xyz_m is not None
+        distance = np.linalg.norm(block.xyz_m.astype(np.float64), axis=2)
+        np.testing.assert_allclose(distance[there], records["range"][record[there]], rtol=1e-5)
+        assert np.isnan(block.xyz_m[~there]).all()
+        assert block.angle_rad is not None
+        np.testing.assert_allclose(block.angle_rad, 2 * np.pi * np.arange(M) / M, atol=1e-9)
+
+
+class _SkippingSource(MemorySource):
+    """Intensities of shots with one return are made up once they may be."""
+
+    def __post_init__(self) -> None:
+        self.facts = SourceFacts(skip_intensity=self._skip_intensity)
+
+    def _skip_intensity(self) -> None:
+        single = self.values["number_of_returns"] <= 1
+        self.values = {**self.values, "intensity": np.where(single, -7.0, self.values["intensity"])}
+
+
+@pytest.mark.parametrize("rule", ["strongest", "first"])
+@pytest.mark.parametrize("chunk_records", [7, 1000])
+def test_ranges_alone_are_the_same(rule: str, chunk_records: int) -> None:
+    _, records = scene()
+    rng = np.random.default_rng(4)
+    number = rng.integers(1, 4, len(records["range"]))
+    twice = {name: np.repeat(values, number) for name, values in records.items()}
+    twice["number_of_returns"] = np.repeat(number, number)
+    twice["return_number"] = np.concatenate([np.arange(1, n + 1) for n in number])
+    twice["range"] = twice["range"] + twice["return_number"]
+    twice["intensity"] = rng.random(len(twice["range"]))
+    options: dict[str, Any] = {"return": rule, "columns": "dimension:column"}
+    config = InputConfig.model_validate(options)
+    whole = read(open_grid(MemorySource(twice, chunk_records), config))
+    found = read(open_grid(_SkippingSource(twice, chunk_records), config, only_ranges=True))
+    assert np.array_equal(found.range_m, whole.range_m, equal_nan=True)
+    assert np.array_equal(found.record, whole.record)
+    assert found.extras == whole.extras
+    assert len(found.extras) == int(np.sum(number - 1))
+    assert found.tally == whole.tally
+    assert all(block.time_s is None and block.intensity is None for block in found.blocks)
+
+
+def test_intensities_that_are_ranges_or_lines_are_never_skipped() -> None:
+    _, records = scene()
+    records["number_of_returns"] = np.ones(len(records["range"]))
+    records["intensity"] = records["range"]
+    config = InputConfig(range="dimension:intensity")
+    whole = read(open_grid(_SkippingSource(records), config, only_ranges=True))
+    assert np.array_equal(whole.range_m, read(open_grid(MemorySource(records), config)).range_m, equal_nan=True)
+
+
+@pytest.mark.parametrize("name", ["time", "intensity"])
+@pytest.mark.parametrize("options", [{}, {"columns": f"time:{SHOT_HZ}", "points_per_line": M}])
+def test_what_numbers_the_lines_may_be_needed_again(name: str, options: dict[str, Any]) -> None:
+    """Dimensions that find the lines are given up after that, but not what columns and blocks are made of."""
+    _, records = scene()
+    records[name] = records.pop("scan_line")
+    config = InputConfig(lines=f"dimension:{name}", **options)
+    whole = read(open_grid(MemorySource(records, 77), config))
+    alone = read(open_grid(MemorySource(records, 77), config, only_ranges=True))
+    assert np.array_equal(whole.record, alone.record)
+    told = [block.time_s if name == "time" else block.intensity for block in whole.blocks]
+    assert max(np.nanmax(lines) for lines in told if lines is not None) == N_LINES - 1
+
+
+def test_assumptions_say_what_was_taken() -> None:
+    _, records = scene()
+    stream = open_records(only(records, "range", "scan_line", "column"))
+    taken = {item.key: item.value for item in stream.info.assumptions}
+    assert taken == {
+        "input.lines": "dimension:scan_line",
+        "input.columns": "dimension:column",
+        "input.range": "dimension:range",
+        "input.points_per_line": str(M),
+    }
+    assert stream.info.n_lines == N_LINES
+    time_lines = open_records(only(records, "range", "time"), lines="time:50", columns="time:1999")
+    assert {a.key: a.value for a in time_lines.info.assumptions}["input.points_per_line"] == "40"
+    assert time_lines.info.line_hz == 50.0
+
+
+def test_columns_by_time_say_where_they_count_from() -> None:
+    _, records = scene()
+    names, options = RULES["line and time"]
+    for more in (options, {**options, "lines": "angle-wrap"}):
+        stream = open_records(only(records, *names, "angle"), **more)
+        [item] = [item for item in stream.info.assumptions if item.key == "input.columns"]
+        assert item.value == "column 0 is the first return of each line"
+        assert item.why == "lines that begin with missing shots shift; with --lines time:HZ they do not"
+    names, options = RULES["time"]
+    stream = open_records(only(records, *names), **options)
+    assert "input.columns" not in [item.key for item in stream.info.assumptions]
+
+
+@given(st.data())
+@settings(deadline=None, max_examples=60)
+def test_chunks_change_nothing_in_hostile_input(data: st.DataObject) -> None:
+    """Random returns, repeated cells and times, lines that go back, gaps, NaN: the same for every chunk size."""
+    n = data.draw(st.integers(1, 60))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    line = np.cumsum(rng.choice([0, 0, 0, 0, 1, 2, -1, -2], n)).astype(np.float64)
+    line[rng.random(n) < 0.1] = np.nan
+    records = {
+        "range": rng.choice([1.0, 2.0, 3.0, np.nan, -1.0], n),
+        "scan_line": line,
+        "column": rng.choice([0.0, 1.0, 2.0, 3.0, 4.0, np.nan, 2.5], n),
+        "time": np.round(np.cumsum(rng.choice([0.0, 0.0, 0.01, 0.03, -0.01], n)), 3),
+        "number_of_returns": rng.choice([1, 2, 3], n),
+        "return_number": rng.choice([1, 2, 3], n),
+        "intensity": rng.integers(0, 3, n),
+    }
+    if data.draw(st.booleans()):
+        del records["return_number"]
+    options: dict[str, Any] = data.draw(
+        st.sampled_from(
+            [
+                {},
+                {"columns": "order"},
+                {"lines": "time:50", "columns": "time:200"},
+                {"lines": "time:50", "columns": "order", "points_per_line": 3},
+                {"lines": "time:50", "columns": "order"},
+                {"lines": "time:50"},
+                {"lines": "time:50", "points_per_line": 3},
+                {"lines": "fixed", "points_per_line": 4, "partial_line": "pad"},
+            ]
+        )
+    )
+    results = []
+    for chunk_records in (1, 2, 7, 1000):
+        try:
+            whole = read(open_records(records, chunk_records, order="trust", return_="first", **options))
+        except InputError as error:
+            results.append(str(error))
+            continue
+        labelled = np.concatenate([whole.record[whole.record >= 0], [item[3] for item in whole.extras]])
+        assert len(np.unique(labelled)) == len(labelled)
+        assert len(labelled) + whole.tally.n_unplaced == n
+        assert len(whole.extras) == whole.tally.n_collisions + whole.tally.n_extra_returns
+        shown = [(item[0], item[1], item[3]) for item in whole.extras]
+        results.append(str((whole.range_m.tolist(), whole.record.tolist(), shown, whole.tally)))
+    assert len(set(results)) == 1
+
+
+def test_gaps_leave_in_bounded_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid_cells, "MAX_BLOCK_CELLS", 100)
+    line = np.array([0, 0, 70_000, 70_001])
+    records = {"range": np.array([-1.0, 1, 1, 1]), "scan_line": line, "column": np.array([0, 4, 1, 2])}
+    whole = read(open_records(records))
+    assert whole.tally == ReadTally(n_not_positive=1)
+    assert max(block.n_lines for block in whole.blocks) == 20
+    assert whole.range_m.shape == (70_002, 5)
+    assert np.argwhere(whole.record >= 0).tolist() == [[0, 0], [0, 4], [70_000, 1], [70_001, 2]]
+    with pytest.raises(InputError, match=r"scan_line: 69999 lines are missing before record 2, expected at most 500;"):
+        open_records(records, max_gap_lines=500)
+
+
+def test_memory_is_bounded_when_a_line_never_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid_lines, "MAX_OPEN_RECORDS", 500)
+    endless = {"range": np.ones(5000), "scan_line": np.zeros(5000), "column": np.arange(5000) % 7}
+    with pytest.raises(InputError, match="line 0 has more than 500 records and no end, expected scan lines; .*--lines"):
+        open_records(endless, 100)
+    stamps = {"range": np.ones(5000), "scan_line": np.zeros(5000), "time": np.ones(5000)}
+    stamps["number_of_returns"] = np.full(5000, 2)
+    with pytest.raises(InputError, match=r"more than 500 records of several returns share the time 1\.0"):
+        open_records(stamps, 100)
+
+
+def test_a_wrong_column_does_not_blow_up_the_image() -> None:
+    n = 4000
+    records = {"range": np.ones(n), "scan_line": np.arange(n) // 2, "column": np.arange(n) % 2}
+    records["column"][77] = 9_999_999
+    with pytest.raises(InputError, match="2000 lines of 10000000 columns for 4000 shots: a column number is wrong.*-M"):
+        open_records(records)
+    whole = read(open_records(records, points_per_line=2))
+    assert whole.tally == ReadTally(n_unplaced=1)
+    records["column"] = records["column"].astype(np.float64)
+    records["column"][77] = 1e300
+    assert read(open_records(records)).tally == ReadTally(n_unplaced=1)
+
+
+def test_a_few_records_do_not_make_a_large_image() -> None:
+    records = {"range": np.ones(10), "scan_line": np.zeros(10), "column": np.arange(10)}
+    records["column"][9] = 9_999_998
+    with pytest.raises(InputError) as caught:
+        open_records(records)
+    assert str(caught.value) == (
+        "drive.bin: 1 lines of 9999999 columns for 10 shots: a column number is wrong, expected fewer cells; "
+        "give the shots in a scan line: -M NUMBER"
+    )
+    records["column"][9] = 999_999
+    assert open_records(records).info.points_per_line == 1_000_000
+
+
+def test_the_images_of_all_scanners_count_together() -> None:
+    n = 200
+    line, scanner = np.divmod(np.arange(2 * n), n)
+    column = np.where(line == 0, 0, 18_000 - (scanner != 77))
+    records = {"range": np.ones(2 * n), "scan_line": line, "column": column, "user_data": scanner}
+    with pytest.raises(InputError) as caught:
+        open_records(records, scanner="user_data")
+    assert str(caught.value).startswith(
+        "drive.bin: user_data 77: 2 lines of 18001 columns for 2 shots: a column number is wrong, expected fewer cells"
+    )
+    few = {name: value[scanner < 9] for name, value in records.items()}
+    assert open_records(few, scanner="user_data").info.points_per_line == 18_000
+
+
+def test_sparse_lines_pass() -> None:
+    """A shot in every thousand cells."""
+    line = np.arange(3000)
+    column = np.random.default_rng(4).integers(0, 1000, 3000)
+    column[1234] = 999
+    records = {"range": np.ones(3000), "scan_line": line, "column": column}
+    for options in ({}, {"points_per_line": 1000}):
+        assert read(open_records(records, **options)).range_m.shape == (3000, 1000)
+
+
+class UncountedSource(MemorySource):
+    """As a text file: only reading tells how many records there are."""
+
+    @property
+    def n_records(self) -> int | None:
+        return None
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        return MemorySource(self.values, self.chunk_records).chunks(names)
+
+
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+@pytest.mark.parametrize("kind", [MemorySource, UncountedSource])
+def test_lines_that_are_nearly_all_empty_are_refused(chunk_records: int, kind: type[MemorySource]) -> None:
+    """3e10 cells for 300 records, every gap allowed by itself."""
+    n = 300
+    records = {"range": np.ones(n), "scan_line": np.arange(n) * 99_000, "column": np.zeros(n)}
+    with pytest.raises(InputError) as caught:
+        read(open_grid(kind(records, chunk_records), InputConfig(points_per_line=1000)))
+    most = 20_300 if kind is MemorySource else 20_002
+    assert str(caught.value) == (
+        f"drive.bin: scan_line: 2 shots lie in 99001 lines of 1000 columns at record 1, expected at most {most} lines; "
+        "check the line numbers or times there; gaps that are meant: max_gap_lines above 100000"
+    )
+    by_time = {"range": np.ones(n), "time": np.arange(n) * 1.0, "column": np.zeros(n)}
+    with pytest.raises(InputError, match=r"lines = time: .* lines of 1000 columns at record \d+, expected at most"):
+        read(open_grid(kind(by_time, chunk_records), InputConfig(points_per_line=1000, lines="time:99000")))
+    two = {name: value[:2] for name, value in records.items()}
+    meant = InputConfig(points_per_line=100, max_gap_lines=100_001)
+    assert read(open_grid(kind(two, chunk_records), meant)).range_m.shape == (99_001, 100)
+
+
+@pytest.mark.parametrize("chunk_records", [1000, 100_000])
+def test_a_gap_early_in_a_long_drive_passes(chunk_records: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid_limits, "SPARE_CELLS", 1_000_000)
+    line = np.arange(6000) // 2 + np.where(np.arange(6000) < 10, 0, 2000)
+    records = {"range": np.ones(6000), "scan_line": line, "column": np.arange(6000) % 2 * 999}
+    for kind in (MemorySource, UncountedSource):
+        assert read(open_grid(kind(records, chunk_records), InputConfig())).range_m.shape == (5000, 1000)
+
+
+def test_the_first_defect_is_the_reason_however_the_input_is_chunked() -> None:
+    records = {"range": np.ones(4), "scan_line": np.array([0, 99_000, 99_001, 500_000]), "column": np.zeros(4)}
+    gap_first = {**records, "scan_line": np.array([0, 200_000, 290_000, 380_000])}
+    for chunk_records in (1, 4):
+        with pytest.raises(InputError, match="2 shots lie in 99001 lines"):
+            read(open_records(records, chunk_records, points_per_line=1000))
+        with pytest.raises(InputError, match="199999 lines are missing before record 1"):
+            read(open_records(gap_first, chunk_records, points_per_line=1000))
+
+
+def test_a_recorded_m_is_believed_within_reason() -> None:
+    for options in ({}, {"scanner": "user_data"}):
+        source = MemorySource({**dict.fromkeys(("range", "scan_line", "column", "user_data"), np.ones(4))})
+        source.facts = SourceFacts(points_per_line=1_004_001)
+        with pytest.raises(InputError, match="lines of 1004001 columns for 4 records, expected at most 1004000; .*-M"):
+            open_grid(source, InputConfig(**options))
+        source.facts = SourceFacts(points_per_line=1_004_000)
+        assert open_grid(source, InputConfig(**options)).info.points_per_line == 1_004_000
+
+
+SEVERAL = "scanner_channel"
+
+
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+@pytest.mark.parametrize("rule", [rule for rule in RULES if rule not in ("sensor xyz", "line and time")])
+def test_scanners_are_split(rule: str, chunk_records: int) -> None:
+    names, options = RULES[rule]
+    images, parts = [], []
+    for seed in (1, 2):
+        image, records = scene(seed)
+        images.append(image)
+        parts.append({**only(records, *names), SEVERAL: np.full(len(records["range"]), seed, np.uint8)})
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    when = np.concatenate([scene(seed)[1]["time"] for seed in (1, 2)])
+    order = np.argsort(when, kind="stable")
+    mixed = {name: value[order] for name, value in joined.items()}
+    stream = open_records(mixed, chunk_records, scanner=SEVERAL, **options)
+    for seed, image in zip((1, 2), images, strict=True):
+        whole = read(stream, seed)
+        assert np.array_equal(whole.range_m, image, equal_nan=True)
+        there = whole.record >= 0
+        assert np.array_equal(mixed["range"][whole.record[there]], image[there])
+
+
+def test_scanners_have_their_own_line_length() -> None:
+    records = {
+        "range": np.ones(8),
+        "scan_line": np.array([0, 5, 0, 5, 1, 6, 1, 6]),
+        "column": np.array([0, 0, 1, 4, 0, 1, 1, 2]),
+        "user_data": np.array([3, 9] * 4),
+    }
+    stream = open_records(records, 3, scanner="user_data")
+    assert stream.info.points_per_line == 5
+    assert read(stream, 3).range_m.shape == (2, 2)
+    assert read(stream, 9).range_m.shape == (2, 5)
+    assert {a.key: a.value for a in stream.info.assumptions}["input.points_per_line"] == "scanner 3: 2, scanner 9: 5"
+
+
+@pytest.mark.parametrize("chunk_records", [1, 3, 40, 1000])
+def test_line_lengths_are_told_by_scanner_however_the_input_is_chunked(chunk_records: int) -> None:
+    """The scanner with the shortest lines comes last, and ends its first line first."""
+    parts = [(1, 13, 2), (2, 10, 3), (3, 8, 4)]
+    scanner = np.concatenate([np.full(m * n, one) for one, m, n in parts])
+    line = np.concatenate([np.repeat(np.arange(n), m) for _, m, n in parts])
+    column = np.concatenate([np.tile(np.arange(m), n) for _, m, n in parts])
+    mixed = np.lexsort((scanner, column, line))
+    records = {"range": np.ones(len(line)), "scan_line": line, "column": column, "user_data": scanner}
+    stream = open_records(
+        {name: value[mixed] for name, value in records.items()}, chunk_records, scanner="user_data", columns="order"
+    )
+    shown = {item.key: item.value for item in stream.info.assumptions}["input.points_per_line"]
+    assert shown == "scanner 1: 13, scanner 2: 10, scanner 3: 8"
+
+
+def test_a_scanner_that_comes_late_is_met_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid_probe, "PROBE_RECORDS", 50)
+    up = np.tile(np.arange(10) / 10, 20)
+    angle = np.concatenate([up, -up])
+    records = {"range": np.ones(400), "angle": angle, "point_source_id": np.repeat([1, 2], 200)}
+    stream = open_records(records, 30, lines="angle-wrap", columns="angle", scanner="point_source_id")
+    for scanner in (1, 2):
+        assert read(stream, scanner).range_m.shape == (20, 10)
+        assert not np.isnan(read(stream, scanner).range_m).any()
+
+
+def test_too_many_scanners(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grid_read, "MAX_SCANNERS", 8)
+    records = {"range": np.ones(20), "scan_line": np.zeros(20), "column": np.arange(20), "user_data": np.arange(20)}
+    with pytest.raises(InputError, match="user_data has more than 8 values, expected one a scanner"):
+        open_records(records, scanner="user_data")
+    records["user_data"] = np.where(np.arange(20) == 3, np.nan, 1.0)
+    with pytest.raises(InputError, match="record 3 has user_data nan, expected a whole number"):
+        open_records(records, scanner="user_data")
+
+
+def test_missing_lines_say_what_would_do() -> None:
+    _, records = scene()
+    still = {**only(records, "range", "time", "angle"), "angle": np.zeros_like(records["angle"])}
+    with pytest.raises(InputError) as caught:
+        open_records(still)
+    assert caught.value.where == "drive.bin"
+    assert caught.value.problem == "no scan lines: the file has no dimension scan_line and points_per_line is not given"
+    assert caught.value.hint == (
+        "give -M NUMBER if no shot is left out (prc info estimates it), --lines dimension:NAME or "
+        "--lines time:HZ (scan lines a second)"
+    )
+    with pytest.raises(InputError) as caught:
+        open_records(only(records, "range"))
+    assert "angle-wrap" not in caught.value.hint
+    assert "time:HZ" not in caught.value.hint
+
+
+def test_lines_are_found_by_the_sweeps_of_the_scan_angle_where_nothing_else_tells() -> None:
+    _, records = scene()
+    found = open_records(only(records, "range", "angle"))
+    told = open_records(only(records, "range", "angle"), lines="angle-wrap")
+    assert found.info.n_lines == told.info.n_lines
+    assert next(item.value for item in found.info.assumptions if item.key == "input.lines") == "angle-wrap"
+
+
+def test_missing_ranges_say_what_would_do() -> None:
+    _, records = scene()
+    with pytest.raises(InputError, match="no slant range: the file has no dimension range") as caught:
+        open_records(only(records, "x", "y", "z", "time", "scan_line"))
+    assert caught.value.hint == (
+        "give --range dimension:NAME, --range trajectory:FILE, --range origin:X,Y,Z (static scan) or "
+        "--range sensor-xyz (coordinates of the sensor itself)"
+    )
+    with pytest.raises(InputError) as caught:
+        open_records(only(records, "time", "scan_line"))
+    assert caught.value.hint == "give --range dimension:NAME"
+    with pytest.raises(InputError, match=r"range = origin:1,2,3 needs x, y, z; the file has no z; it has: x, y, scan_"):
+        open_records(only(records, "x", "y", "scan_line"), range="origin:1,2,3")
+    with pytest.raises(InputError, match="needs x, y, z, time; the file has no time"):
+        open_records(only(records, "x", "y", "z", "scan_line"), range="trajectory:drive.csv")
+
+
+def test_time_lines_need_a_column_rule() -> None:
+    _, records = scene()
+    with pytest.raises(InputError, match="no columns: the file has no dimension column") as caught:
+        open_records(only(records, "range", "time", "angle"), lines="time:50")
+    assert caught.value.hint == (
+        "give --columns time:HZ (shots a second), --columns angle or --columns order if no shot is left out"
+    )
+
+
+def test_unknown_dimensions_name_the_nearest_first() -> None:
+    _, records = scene()
+    with pytest.raises(ConfigError) as caught:
+        open_records(records, lines="dimension:scanline")
+    assert str(caught.value).startswith("input.lines: drive.bin has no dimension 'scanline'; it has: scan_line, ")
+    with pytest.raises(ConfigError, match=r"input\.columns: .*no dimension 'angle'"):
+        open_records(only(records, "range", "scan_line"), columns="angle")
+    with pytest.raises(ConfigError, match=r"input\.lines: .*no dimension 'time'"):
+        open_records(only(records, "range"), lines="time:3", columns="order")
+    with pytest.raises(ConfigError, match=r"input\.scanner: .*no dimension 'user_data'"):
+        open_records(records, scanner="user_data")
+    with pytest.raises(ConfigError, match=r"input\.range: .*no dimension 'depth'"):
+        open_records(records, range="dimension:depth")
+
+
+def test_fixed_lines_need_m() -> None:
+    with pytest.raises(ConfigError) as caught:
+        open_records({"range": np.ones(8)}, lines="fixed")
+    assert str(caught.value) == (
+        "input.points_per_line: lines = fixed needs the shots in a scan line of drive.bin; "
+        "give -M NUMBER; prc info drive.bin estimates it"
+    )
+
+
+@pytest.mark.parametrize("extra", [{}, {"number_of_returns": np.ones(10)}])
+def test_a_partial_line_is_refused_or_padded(extra: dict[str, NDArray[Any]]) -> None:
+    records = {"range": np.arange(1.0, 11.0), "time": np.arange(10) / 7, **extra}
+    with pytest.raises(InputError, match=r"10 (records|shots) are not a multiple of points_per_line = 4 \(2 left"):
+        read(open_records(records, 3, points_per_line=4))
+    whole = read(open_records(records, 3, points_per_line=4, partial_line="pad"))
+    assert whole.record.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, -1, -1]]
+    assert np.isnan(whole.range_m[2, 2:]).all()
+    assert whole.range_m[2, :2].tolist() == [9.0, 10.0]
+
+
+def test_a_partial_line_is_refused_before_anything_is_read() -> None:
+    source = MemorySource({"range": np.ones(10)})
+    with pytest.raises(InputError, match="left over"):
+        open_grid(source, InputConfig(points_per_line=4))
+    assert source.reads == []
+
+
+def test_m_recorded_in_the_file_is_taken() -> None:
+    source = MemorySource({"range": np.ones(4), "scan_line": np.arange(4) // 2, "column": np.arange(4) % 2})
+    source.facts = SourceFacts(points_per_line=6)
+    stream = open_grid(source, InputConfig())
+    assert stream.info.points_per_line == 6
+    assert source.reads == []
+    assert read(stream).range_m.shape == (2, 6)
+    stated = open_grid(source, InputConfig(points_per_line=3))
+    assert stated.info.points_per_line == 3
+
+
+def test_times_out_of_order_are_the_first_reason() -> None:
+    _, records = scene()
+    shuffled = {name: np.random.default_rng(3).permutation(value) for name, value in records.items()}
+    for names, options in (
+        (("range", "time"), {}),
+        (("x", "y", "z", "time", "scan_line"), {}),
+        (("range", "time", "scan_line", "column"), {}),
+        (("range", "time"), {"lines": "time:50", "columns": "order", "max_gap_lines": 0}),
+        (("range", "time"), {"points_per_line": 1}),
+    ):
+        with pytest.raises(OrderError, match="time decreases in .* % of"):
+            read(open_records(only(shuffled, *names), **options))
+
+
+def test_trusted_disorder_is_counted() -> None:
+    _, records = scene()
+    names = ("range", "time", "scan_line", "column")
+    order = np.random.default_rng(3).permutation(len(records["range"]))
+    shuffled = {name: records[name][order] for name in names}
+    whole = read(open_records(shuffled, 50, order="trust", max_gap_lines=N_LINES))
+    assert whole.tally.n_time_steps_back > 100
+    assert whole.tally.n_unplaced > 100
+    assert int((whole.record >= 0).sum()) + whole.tally.n_unplaced == len(order)
+
+
+def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
+    """One step back in 40 000 is a seam; but half of the shots have no line left then."""
+    n = 20_000
+    time_s = np.concatenate([100 + np.arange(n) / 1000, np.arange(n) / 1000])
+    records = {"range": np.ones(2 * n), "time": time_s}
+    options: dict[str, Any] = {"lines": "time:50", "columns": "time:1000"}
+    with pytest.raises(OrderError, match="drive.bin: 20000 of 40000 shots go back to lines before those that they"):
+        read(open_records(records, 999, **options))
+    trusted = read(open_records(records, 999, order="trust", **options))
+    assert trusted.tally.n_unplaced == n
+    assert trusted.tally.n_time_steps_back == 1
+    sorted_ = read(open_records(records, 999, order="sort-time", **options))
+    assert sorted_.range_m.shape == (6000, 20)  # 120 s
+    assert np.isnan(sorted_.range_m).sum() == 6000 * 20 - 2 * n
+
+
+@pytest.mark.parametrize("chunk_records", [1, 7, 1000])
+def test_records_swapped_at_the_border_of_lines_are_not_lost(chunk_records: int) -> None:
+    image, records = scene()
+    order = np.arange(len(records["range"]))
+    border = np.flatnonzero(np.diff(records["scan_line"]))[5]
+    order[[border, border + 1]] = border + 1, border
+    swapped = {name: value[order] for name, value in records.items()}
+    by_time: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}", "order": "trust"}
+    for names, options in ((("range", "scan_line", "column"), {}), (("range", "time"), by_time)):
+        whole = read(open_records(only(swapped, *names), chunk_records, **options))
+        assert np.array_equal(whole.range_m, image, equal_nan=True)
+        assert whole.tally.n_unplaced == 0
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_the_first_records_do_not_depend_on_chunks(split: bool) -> None:
+    records = {"range": np.ones(90), "angle": np.arange(90.0), "user_data": np.arange(90) % 3}
+    config = InputConfig(points_per_line=9, scanner="user_data" if split else "none")
+    found = []
+    for chunk_records in (1, 7, 50, 1000):
+        source = MemorySource(records, chunk_records)
+        rules = grid_rules.resolve_rules(source, config)
+        parts = grid_read.first_records(source, rules.scanner, ("angle", *rules.names), 40, to_end=False)
+        found.append({scanner: table["angle"].tolist() for scanner, table in parts.items()})
+        assert sum(len(angles) for angles in found[-1].values()) == 40
+    assert all(one == found[0] for one in found)
+
+
+def test_sorting_by_time_restores_the_scene() -> None:
+    image, records = scene()
+    order = np.random.default_rng(3).permutation(len(records["range"]))
+    shuffled = {name: records[name][order] for name in ("range", "time", "scan_line", "column")}
+    whole = read(open_records(shuffled, 50, order="sort-time"))
+    assert np.array_equal(whole.range_m, image, equal_nan=True)
+    there = whole.record >= 0
+    assert np.array_equal(shuffled["range"][whole.record[there]], image[there])
+    assert whole.tally == ReadTally()
+    dense = {"range": np.arange(1.0, 7.0), "time": np.array([5.0, 4, 3, 2, 1, 0])}
+    assert read(open_records(dense, points_per_line=3, order="sort-time")).record.tolist() == [[5, 4, 3], [2, 1, 0]]
+
+
+def test_nothing_to_place() -> None:
+    records = {"range": np.ones(3), "scan_line": np.full(3, np.nan), "column": np.arange(3)}
+    with pytest.raises(InputError, match="no record has a scan line, expected at least one"):
+        open_records(records)
+    with pytest.raises(InputError, match="no record has a scan line"):
+        read(open_records(records, points_per_line=3))
+
+
+@pytest.mark.parametrize("chunk_records", [1, 2, 3, 1000])
+@pytest.mark.parametrize(
+    ("line", "options"),
+    [
+        ([0, 0, 1, 1, 2, np.nan, np.nan], {}),  # the last records have no line
+        ([0, 0, 1, 1, 2, 2, 2], {"points_per_line": 2}),  # the last record has no column
+        ([0, 0, 1, 1, 2, np.nan, np.nan], {"scanner": "user_data", "points_per_line": 4}),
+        ([0, 0, 1, 1, 2, 2, 2], {"lines": "fixed", "points_per_line": 4, "partial_line": "pad"}),
+        ([0, 0, 1, 1, 2, 2, 2], {"lines": "fixed", "points_per_line": 7}),
+    ],
+)
+def test_all_records_are_counted_placed_or_not(line: list[float], options: dict[str, Any], chunk_records: int) -> None:
+    n = len(line)
+    records = {"range": np.ones(n), "scan_line": np.array(line), "column": np.array([0, 1, 0, 1, 0, 1, 2.0])}
+    records["user_data"] = np.array([1, 1, 1, 2, 1, 1, 3])
+    blocks = list(open_records(records, chunk_records, **options).blocks())
+    assert sum((block.tally for block in blocks), ReadTally()).n_records == n
+
+
+def test_a_scanner_without_lines_is_counted() -> None:
+    line = np.array([np.nan, 0, np.nan, 0])
+    records = {"range": np.ones(4), "scan_line": line, "column": np.arange(4), "user_data": np.array([1, 2, 1, 2])}
+    whole = read(open_records(records, scanner="user_data", points_per_line=4))
+    assert whole.tally == ReadTally(n_unplaced=2)
+
+
+def test_streams_can_be_read_again() -> None:
+    _, records = scene()
+    stream = open_records(records, 13)
+    assert np.array_equal(read(stream).range_m, read(stream).range_m, equal_nan=True)
+
+
+ROUNDED: dict[str, tuple[tuple[str, ...], dict[str, Any], bool]] = {
+    "column": (("column",), {}, True),
+    "column, M given": (("column",), {"points_per_line": 120}, True),
+    "angle": (("angle",), {"columns": "angle"}, True),
+    "angle, M given": (("angle",), {"columns": "angle", "points_per_line": 120}, True),
+    "order": ((), {"columns": "order"}, False),
+    "order, M given": ((), {"columns": "order", "points_per_line": 120}, False),
+}
+"""Dimensions, options, whether shots may be missing."""
+
+
+@pytest.mark.parametrize("rule", ROUNDED)
+@pytest.mark.parametrize("decimals", [5, 6])
+@pytest.mark.parametrize("sparse", [False, True])
+def test_decimal_times_begin_their_lines(rule: str, decimals: int, sparse: bool) -> None:
+    names, options, may_be_sparse = ROUNDED[rule]
+    line, column = np.divmod(np.arange(240 * 120), 120)
+    keep = np.random.default_rng(1).random(len(line)) < (0.3 if sparse and may_be_sparse else 1.0)
+    keep[0] = True
+    line, column = line[keep], column[keep]
+    time_s = np.round(100 + line / 48 + column / (48 * 120), decimals)
+    records = {"range": np.ones(len(line)), "time": time_s, "column": column, "angle": 2 * np.pi * column / 120}
+    for chunk_records in (997, 10_000):
+        stream = open_records(only(records, "range", "time", *names), chunk_records, lines="time:48", **options)
+        whole = read(stream)
+        assert whole.range_m.shape == (240, 120)
+        assert np.array_equal(whole.record[line, column], np.arange(len(line)))
+
+
+@pytest.mark.parametrize("fill", [1.0, 0.3])
+@pytest.mark.parametrize("options", [{}, {"points_per_line": 120}])
+def test_columns_place_their_lines_even_if_the_first_is_missing(fill: float, options: dict[str, Any]) -> None:
+    """Times rounded to a millisecond, six shots; columns that fill a part of the period only."""
+    line, column = np.divmod(np.arange(240 * 120), 120)
+    keep = np.random.default_rng(1).random(len(line)) < 0.5
+    keep[:77] = False
+    line, column = line[keep], column[keep]
+    time_s = np.round(100 + line / 48 + fill * column / (48 * 120), 3)
+    records = {"range": np.ones(len(line)), "time": time_s, "column": column}
+    whole = read(open_records(records, lines="time:48", **options))
+    assert whole.range_m.shape == (240, 120)
+    assert np.array_equal(whole.record[line, column], np.arange(len(line)))
+
+
+def test_a_column_that_no_line_has_room_for_tells_no_line() -> None:
+    line, column = np.divmod(np.arange(20 * 30), 30)
+    records = {"range": np.ones(600), "time": 100 + line / 48 + column / (48 * 30), "column": column}
+    records["column"][[0, 77]] = 9_000_000
+    whole = read(open_records(records, lines="time:48", points_per_line=30))
+    assert whole.range_m.shape == (20, 30)
+    assert whole.tally == ReadTally(n_unplaced=2)
+
+
+def test_times_far_from_zero_keep_their_columns() -> None:
+    """An hour of lines at adjusted GPS time (a float64 holds it to 6e-8 s): no drift from rounding."""
+    line = np.repeat(np.arange(180_000)[::997], 3)
+    column = np.tile([0, 17, M - 1], len(line) // 3)
+    start = 3.9e8 + 0.123
+    time_s = start + line / LINE_HZ + column / SHOT_HZ
+    options: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
+    whole = read(open_records({"range": np.ones(len(line)), "time": time_s}, 100, **options))
+    cell = np.argwhere(whole.record >= 0)
+    assert np.array_equal(cell[:, 0], line)
+    assert np.array_equal(cell[:, 1], column)
+
+
+def test_time_origin_shifts_lines_and_columns() -> None:
+    _, records = scene()
+    options: dict[str, Any] = {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
+    early = START_S - 2 / LINE_HZ - 3 / SHOT_HZ
+    whole = read(open_records(only(records, "range", "time"), time_origin=early, **options))
+    assert np.argwhere(whole.record == 0).tolist() == [[2, 3]]
+    late = START_S + 1 / LINE_HZ
+    n_before = int((records["scan_line"] == 0).sum())
+    whole = read(open_records(only(records, "range", "time"), time_origin=late, **options))
+    assert whole.tally.n_unplaced == n_before
+
+
+@pytest.mark.data
+class TestRealScans:
+    """What is measured on the real files; see the README of the data folder."""
+
+    def test_profiler_cells_from_quantised_times(self, real_data: Path) -> None:
+        from prc_cli.formats.las.read import LasSource
+
+        with np.load(real_data / "profiler/jakarto_0.02s_recovered.npz") as recovered:
+            line, column = recovered["line"].astype(int), recovered["column"].astype(int)
+        m, period = 5099, 5.0161e-3
+        source = LasSource(real_data / "profiler/jakarto_0.02s.las")
+        first = next(iter(source.chunks(("time",)))).values["time"][0]
+        config = InputConfig(
+            lines=f"time:{1 / period!r}",
+            columns=f"time:{m / period!r}",
+            range="sensor-xyz",
+            time_origin=float(first + 2 * period / m),
+        )
+        whole = read(open_grid(source, config))
+        assert whole.range_m.shape == (4, m)
+        assert whole.tally.n_collisions == 0
+        assert whole.tally.n_unplaced <= 4
+        cells = np.argwhere(whole.record >= 0)
+        record = whole.record[whole.record >= 0]
+        away = (cells[:, 0] - line[record]) * m + cells[:, 1] - column[record]
+        assert np.mean(cells[:, 0] == line[record]) > 0.999
+        assert np.mean(away == 0) > 0.93
+        assert np.mean(np.abs(away) <= 1) > 0.95
+        assert np.mean(np.abs(away) <= 5) > 0.98
+
+    def test_airborne_lines_follow_the_clock_of_the_mirror(self, real_data: Path) -> None:
+        from prc_cli.formats.las.read import LasSource
+
+        source = LasSource(real_data / "las/als_strip_labelled.laz")
+        config = InputConfig(lines="angle-wrap", range="origin:0,0,3000")
+        stream = open_grid(source, config)
+        begins: list[float] = []
+        for block in stream.blocks():
+            assert block.time_s is not None
+            begins.extend(block.time_s[:, 0].tolist())
+        # 150 lines a second from record 661 on, where the last piece of the flight begins
+        assert stream.info.n_lines == 911
+        steps = np.diff(begins[4:]) * 150
+        assert np.mean(np.abs(steps - 1) < 0.1) > 0.99
+
+    @pytest.mark.parametrize("number", [1, 2, 3])
+    def test_push_broom_by_every_rule(self, real_data: Path, number: int) -> None:
+        from prc_cli.formats.text.read import TextSource
+
+        source = TextSource(real_data / f"oakland/oakland_{number}.csv.gz")
+        named = read(open_grid(source, InputConfig()))
+        for options in ({"columns": "angle"}, {"lines": "angle-wrap", "columns": "angle"}, {"columns": "order"}):
+            other = read(open_grid(source, InputConfig(**options)))
+            assert np.array_equal(named.range_m, other.range_m, equal_nan=True)
+            assert np.array_equal(named.record, other.record)

@@ -1,0 +1,173 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prc_cli.core.errors import OrderError
+from prc_cli.streams import order
+from prc_cli.streams.order import (
+    OrderEvidence,
+    OrderWatch,
+)
+
+
+def watch_in_chunks(values: np.ndarray, chunk: int, policy: str = "trust") -> OrderWatch:
+    watch = OrderWatch("drive.las", policy)  # type: ignore[arg-type]
+    for start in range(0, len(values), chunk):
+        watch.see(values[start : start + chunk], None)
+    return watch
+
+
+def slow_evidence(values: list[float]) -> tuple[int, int, int, int | None]:
+    """Count record by record: steps, steps back, equal steps, first record that is lower than the one before."""
+    steps = back = equal = 0
+    first = None
+    last = None
+    for index, value in enumerate(values):
+        if not np.isfinite(value):
+            continue
+        if last is not None:
+            steps += 1
+            equal += value == last
+            if value < last:
+                back += 1
+                first = index if first is None else first
+        last = value
+    return steps, back, equal, first
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    values=st.lists(st.sampled_from([0.0, 1.0, 1.5, 2.0, 3.0, float("nan"), float("inf")]), max_size=30),
+    chunk=st.integers(1, 31),
+)
+def test_figures_equal_the_slow_count_for_any_chunk_size(values: list[float], chunk: int) -> None:
+    evidence = watch_in_chunks(np.array(values, np.float64), chunk).evidence()
+    steps, back, equal, first = slow_evidence(values)
+    assert (evidence.n_steps, evidence.n_back, evidence.n_equal) == (steps, back, equal)
+    assert (evidence.first.record if evidence.first else None) == first
+    assert evidence.n_not_finite == int(np.sum(~np.isfinite(values)))
+    assert evidence == watch_in_chunks(np.array(values, np.float64), 100).evidence()
+
+
+def test_largest_step_back_and_its_place() -> None:
+    evidence = watch_in_chunks(np.array([5.0, 4.0, 9.0, 6.5, 7.0, 4.5]), 2).evidence()
+    assert evidence.largest is not None
+    assert (evidence.largest.record, evidence.largest_back) == (3, 2.5)
+
+
+def test_record_numbers_are_those_given() -> None:
+    watch = OrderWatch("drive.las", "trust")
+    watch.see(np.array([1.0, 0.5]), np.array([40, 17]))
+    first = watch.evidence().first
+    assert first is not None
+    assert first.record == 17
+
+
+def test_refusal_names_file_evidence_and_remedy() -> None:
+    times = np.arange(20_000.0)[::-1] / 2 + 3 - 9999.5
+    with pytest.raises(OrderError) as caught:
+        watch_in_chunks(times, 20_000, "require").finish()
+    assert str(caught.value) == (
+        "drive.las: gps_time decreases in 100.0 % of 19 999 steps, first at record 1: 2.50 s after 3.00 s; "
+        "expected shots in the order they were fired; "
+        "sort with --sort-by-time if every record is there, or insist with --trust-order"
+    )
+
+
+def test_few_records_are_judged_only_at_the_end() -> None:
+    watch = watch_in_chunks(np.array([1.0, 0.9, 1.1]), 3, "require")
+    with pytest.raises(OrderError, match=r"decreases in 50.0 % of 2 steps, first at record 1"):
+        watch.finish()
+
+
+@pytest.mark.parametrize(("n_back", "refused"), [(1, False), (2, True)])
+def test_share_of_swapped_pairs(n_back: int, refused: bool) -> None:
+    times = np.arange(12_001) / 1e3
+    for k in range(n_back):
+        times[[100 * k + 10, 100 * k + 11]] = times[[100 * k + 11, 100 * k + 10]]
+    watch = watch_in_chunks(times, 5000)
+    assert watch.n_back == n_back
+    assert watch.evidence().is_chronological is not refused
+
+
+def test_one_seam_in_a_long_drive_is_tolerated_and_reported() -> None:
+    times = np.arange(30_000) / 1e3
+    times[20_000:] -= 1.5
+    watch = watch_in_chunks(times, 30_000, "require")
+    watch.finish()
+    assert watch.evidence().sentence() == (
+        "gps_time decreases in 1 of 29 999 steps, largest at record 20000: 18.50 s after 20.00 s"
+    )
+
+
+def test_a_long_file_is_refused_on_the_way_and_for_any_chunk_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(order, "CHECK_RECORDS", 1000)
+    times = np.arange(10_000.0)
+    times[1500] = 0.0
+    messages = set()
+    for chunk in (1, 7, 999, 1000, 1001, 10_000):
+        with pytest.raises(OrderError) as caught:
+            watch_in_chunks(times, chunk, "require")
+        messages.add(str(caught.value))
+    assert len(messages) == 1
+    assert "1 999 steps" in messages.pop()
+
+
+def test_week_turnover_has_its_own_hint() -> None:
+    times = np.concatenate([np.arange(604_000.0, 604_800.0, 0.05), np.arange(0.0, 10.0, 0.05)])
+    with pytest.raises(OrderError, match="GPS week turned over"):
+        watch_in_chunks(times[12_000:], 1 << 20, "require").finish()
+
+
+@pytest.mark.parametrize("policy", ["trust", "sort-time"])
+def test_other_policies_only_count(policy: str) -> None:
+    watch = watch_in_chunks(np.arange(20_000.0)[::-1], 700, policy)
+    watch.finish()
+    assert watch.n_back == 19_999
+
+
+def test_sentence_of_an_input_in_order() -> None:
+    assert watch_in_chunks(np.arange(12.0), 5).evidence().sentence() == "gps_time never decreases in 11 steps"
+
+
+def test_no_records_are_in_order() -> None:
+    watch = OrderWatch("drive.las", "require")
+    watch.finish()
+    evidence = watch.evidence()
+    assert evidence == OrderEvidence("gps_time", 0, 0, 0, 0, None, None)
+    assert evidence.is_chronological
+
+
+def test_tiny_step_back_is_shown_with_enough_digits() -> None:
+    sentence = watch_in_chunks(np.array([2.0, 2.0 - 3.8e-6]), 5).evidence().sentence()
+    assert sentence.endswith("1.9999962 s after 2.0000000 s")
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ([1e300, -1.7e308, 1.7e308], "first at record 1: -1.7e+308 s after 1e+300 s"),
+        ([1.7e308, -1.7e308], "first at record 1: -1.7e+308 s after 1.7e+308 s"),
+        ([1e300, 12.5], "first at record 1: 12.50 s after 1e+300 s"),
+    ],
+)
+def test_steps_as_large_as_floats_can_be(times: list[float], said: str) -> None:
+    for chunk in (1, 5):
+        sentence = watch_in_chunks(np.array(times), chunk).evidence().sentence()
+        assert sentence.endswith(said)
+
+
+def test_the_refusal_of_what_cannot_be_sorted_does_not_advise_to_sort() -> None:
+    watch = OrderWatch("scan.npz", "require", "time_s", can_sort=False)
+    watch.see(np.array([2.0, 1.0]), None)
+    with pytest.raises(OrderError) as caught:
+        watch.finish()
+    assert caught.value.hint == "write the lines in the order they were scanned, or insist with --trust-order"
+
+
+def test_records_without_a_time_are_told() -> None:
+    sentence = watch_in_chunks(np.array([1.0, np.nan, 2.0, np.inf]), 5).evidence().sentence()
+    assert sentence == "gps_time never decreases in 1 steps; 2 records have none"

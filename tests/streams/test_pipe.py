@@ -1,0 +1,153 @@
+"""Records that arrive through a pipe, in pieces of any size."""
+
+from __future__ import annotations
+
+import io
+import os
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.options import InputConfig, Layout, LayoutField
+from prc_cli.streams.open import open_input
+from prc_cli.streams.pipe import PipeSource, open_pipe
+
+RANGES = Layout(fields=(LayoutField(name="range", type="f4"),))
+RECORDS = Layout(
+    header_bytes=7,
+    endian="big",
+    record_bytes=16,
+    fields=(
+        LayoutField(name="range", type="u2", scale=0.01, missing=0),
+        LayoutField(name="angle", type="i2", scale=0.01),
+        LayoutField(name="time", type="f8"),
+    ),
+)
+
+
+class Pieces:
+    """A pipe whose writer writes pieces of the given sizes, again and again."""
+
+    def __init__(self, data: bytes, sizes: list[int]) -> None:
+        self._pieces = self._cut(data, sizes)
+        self.n_reads = 0
+
+    @staticmethod
+    def _cut(data: bytes, sizes: list[int]) -> Iterator[bytes]:
+        at = n = 0
+        while at < len(data):
+            size = sizes[n % len(sizes)]
+            yield data[at : at + size]
+            at, n = at + size, n + 1
+
+    def read(self, size: int = -1, /) -> bytes:
+        self.n_reads += 1
+        return next(self._pieces, b"")
+
+    def fileno(self) -> int:
+        raise OSError
+
+
+def ranges_of(source: PipeSource) -> list[float]:
+    return [float(value) for chunk in source.chunks(("range",)) for value in chunk.values["range"]]
+
+
+@pytest.mark.parametrize("sizes", [[1], [3, 5], [4], [1000], [7, 64, 1]])
+def test_pieces_of_any_size_give_the_same_records(sizes: list[int]) -> None:
+    values = np.arange(1, 50, dtype="<f4")
+    source = PipeSource(Pieces(values.tobytes(), sizes), RANGES)
+    source.seal()
+    assert ranges_of(source) == values.tolist()
+
+
+@pytest.mark.parametrize("sizes", [[1], [5], [400]])
+def test_the_same_stream_as_from_a_file(tmp_path: Path, sizes: list[int]) -> None:
+    rng = np.random.default_rng(3)
+    records = np.zeros(6 * 30, np.dtype([("r", ">u2"), ("a", ">i2"), ("t", ">f8"), ("pad", "V4")]))
+    records["r"] = rng.integers(0, 3000, len(records)) * (rng.random(len(records)) < 0.8)
+    records["a"] = np.tile(np.arange(30) * 100, 6)
+    records["t"] = np.arange(len(records)) * 1e-3
+    data = b"header!" + records.tobytes()
+    (tmp_path / "drive.bin").write_bytes(data)
+    config = InputConfig(points_per_line=30)
+    whole = list(open_input(tmp_path / "drive.bin", config, RECORDS).blocks())
+    pipe, stream = open_pipe(Pieces(data, sizes), config, RECORDS)
+    pipe.seal()
+    found = list(stream.blocks())
+    for name in ("range_m", "time_s"):
+        expected = np.concatenate([getattr(block, name) for block in whole])
+        np.testing.assert_array_equal(np.concatenate([getattr(block, name) for block in found]), expected)
+    assert found[0].angle_rad is not None
+    np.testing.assert_array_equal(found[0].angle_rad, whole[0].angle_rad)
+
+
+def test_what_was_read_while_opening_is_not_lost() -> None:
+    values = np.arange(1, 41, dtype="<f4")
+    source = PipeSource(Pieces(values.tobytes(), [8]), RANGES)
+    assert next(source.chunks(("range",))).values["range"].tolist() == [1.0, 2.0]
+    assert ranges_of(source)[:3] == [1.0, 2.0, 3.0]
+    source.seal()
+    assert ranges_of(source) == values.tolist()
+
+
+def test_nothing_is_read_before_it_is_asked_for() -> None:
+    pieces = Pieces(np.arange(1, 41, dtype="<f4").tobytes(), [40])
+    pipe, stream = open_pipe(pieces, InputConfig(points_per_line=10), RANGES)
+    pipe.seal()
+    blocks = stream.blocks()
+    assert pieces.n_reads == 0
+    next(blocks)
+    assert pieces.n_reads == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "ended before the first record of 4 bytes"),
+        (b"abc", "ended before the first record of 4 bytes"),
+        (np.ones(3, "<f4").tobytes() + b"xy", "ended inside record 3: found 2 bytes of 4"),
+    ],
+)
+def test_an_end_in_the_wrong_place(data: bytes, message: str) -> None:
+    source = PipeSource(Pieces(data, [5]), RANGES)
+    source.seal()
+    with pytest.raises(InputError, match=message):
+        ranges_of(source)
+
+
+def test_a_pipe_that_breaks() -> None:
+    class Broken(Pieces):
+        def read(self, size: int = -1, /) -> bytes:
+            raise OSError(5, "Input/output error")
+
+    with pytest.raises(InputError, match=r"stdin: cannot be read \(Input/output error\)"):
+        ranges_of(PipeSource(Broken(b"", [1]), RANGES))
+
+
+def test_what_would_need_the_whole_input_first() -> None:
+    with pytest.raises(ConfigError, match="cannot be sorted by time"):
+        open_pipe(Pieces(b"", [1]), InputConfig(points_per_line=3, order="sort-time"), RANGES)
+    with pytest.raises(ConfigError, match="no dimension 'time' in the layout"):
+        next(PipeSource(Pieces(b"", [1]), RANGES).chunks(("time",)))
+
+
+def test_a_real_pipe() -> None:
+    read_end, write_end = os.pipe()
+    values = np.arange(1, 100_001, dtype="<f4")
+
+    def write() -> None:
+        with os.fdopen(write_end, "wb") as out:
+            out.write(values.tobytes())
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    with io.FileIO(read_end) as handle:
+        source = PipeSource(handle, RANGES)
+        source.seal()
+        found = ranges_of(source)
+    writer.join()
+    assert found == values.tolist()

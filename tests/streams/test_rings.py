@@ -1,0 +1,245 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.types import F64, I64
+from prc_cli.formats.options import InputConfig, Layout, LayoutField
+from prc_cli.streams import rings
+from prc_cli.streams.beams import with_beams
+from prc_cli.streams.open import open_input
+from prc_cli.streams.rings import open_rings
+from tests.streams.beam_lines import worst_deg
+from tests.streams.record_lists import MemorySource, Whole, read
+
+N_RINGS, N_LINES = 16, 360
+ELEVATION = np.deg2rad(np.linspace(3.0, -24.0, N_RINGS))
+
+
+def frame(
+    seed: int = 0, *, begin_deg: float = 0.5, way: int = 1, missing: float = 0.1, upwards: bool = False
+) -> tuple[dict[str, Any], I64, I64]:
+    """Return the records of a frame, ring after ring, with the line and the ring from below of each."""
+    rng = np.random.default_rng(seed)
+    ring, line = np.divmod(np.arange(N_RINGS * N_LINES), N_LINES)
+    from_top = N_RINGS - 1 - ring if upwards else ring
+    azimuth = np.deg2rad(begin_deg + way * line * 360 / N_LINES) + np.deg2rad(rng.normal(0, 0.05, len(line)))
+    elevation = ELEVATION[from_top] + np.deg2rad(rng.normal(0, 0.1, len(line)))
+    range_m = rng.uniform(3.0, 60.0, len(line))
+    keep = rng.random(len(line)) >= missing
+    # a long gap in every ring, and a ring that begins late
+    keep &= ~((line > 100) & (line < 130)) & ~((ring == 5) & (line < 40))
+    records = {
+        "x": range_m * np.cos(elevation) * np.cos(azimuth),
+        "y": range_m * np.cos(elevation) * np.sin(azimuth),
+        "z": range_m * np.sin(elevation),
+        "intensity": rng.uniform(0, 1, len(line)).astype(np.float32),
+    }
+    return {name: value[keep] for name, value in records.items()}, line[keep], N_RINGS - 1 - from_top[keep]
+
+
+def opened(records: dict[str, Any], chunk_records: int = 1000, **keys: Any) -> Whole:
+    return read(open_rings(MemorySource(records, chunk_records), InputConfig(lines="rings", **keys)))
+
+
+def cells(whole: Whole, n_records: int) -> tuple[I64, I64]:
+    """Return line and column of every record, -1 where it has no cell of its own."""
+    line, column = np.full(n_records, -1), np.full(n_records, -1)
+    where = np.argwhere(whole.record >= 0)
+    line[whole.record[whole.record >= 0]], column[whole.record[whole.record >= 0]] = where.T
+    return line, column
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("begin_deg", [0.5, 90.0, -179.6, 37.0])
+@pytest.mark.parametrize("upwards", [False, True])
+def test_every_record_finds_its_cell(way: int, begin_deg: float, upwards: bool) -> None:
+    records, true_line, true_column = frame(3, way=way, begin_deg=begin_deg, upwards=upwards)
+    whole = opened(records, points_per_line=N_RINGS, azimuth_step=1.0)
+    assert whole.range_m.shape == (N_LINES, N_RINGS)
+    assert whole.tally.n_collisions == 0
+    line, column = cells(whole, len(true_line))
+    assert np.array_equal(column, true_column)
+    # where the turn begins is a matter of half a line
+    shift = np.bincount(line - true_line + N_LINES).argmax() - N_LINES
+    off = line - true_line - shift
+    assert np.mean(off == 0) > 0.97
+    assert np.abs(off).max() <= 1
+    xyz = np.concatenate([block.xyz_m for block in whole.blocks if block.xyz_m is not None])
+    range_m = np.sqrt(records["x"] ** 2 + records["y"] ** 2 + records["z"] ** 2)
+    np.testing.assert_allclose(whole.range_m[line, column], range_m, rtol=1e-6)
+    np.testing.assert_allclose(xyz[line, column, 2], records["z"], rtol=1e-6)
+    intensity = np.concatenate([block.intensity for block in whole.blocks if block.intensity is not None])
+    assert np.array_equal(intensity[line, column], records["intensity"])
+    assert np.array_equal(np.isnan(whole.range_m), whole.record < 0)
+
+
+def test_rings_and_step_are_found_and_told() -> None:
+    records, *_ = frame(1)
+    stream = open_rings(MemorySource(records), InputConfig(lines="rings"))
+    told = {one.key: one for one in stream.info.assumptions}
+    assert told["input.points_per_line"].value == str(N_RINGS)
+    assert "anticlockwise" in told["input.lines"].value
+    assert told["input.range"].value == "sensor-xyz"
+    assert told["input.azimuth_step"].value.endswith(f"({stream.info.n_lines} lines)")
+    assert stream.info.n_lines == pytest.approx(N_LINES, abs=4)
+    assert stream.info.points_per_line == N_RINGS
+    whole = read(stream)
+    # as often as asked
+    assert np.array_equal(read(stream).record, whole.record)
+    assert np.array_equal(opened(records, 77).record, whole.record)
+    assert whole.tally.n_collisions < 5
+
+
+def test_uneven_rotation_keeps_neighbours_in_cells_of_their_own() -> None:
+    records, true_line, _ = frame(0, missing=0.0)
+    azimuth = np.arctan2(records["y"], records["x"])
+    # five long steps and a half one, as packets of six shots make them
+    uneven = np.deg2rad(np.array([0.0, 0.09, 0.18, 0.27, 0.36, 0.45]))[true_line % 6]
+    flat = np.hypot(records["x"], records["y"])
+    records["x"], records["y"] = flat * np.cos(azimuth + uneven), flat * np.sin(azimuth + uneven)
+    whole = opened(records, azimuth_step=1.0)
+    assert whole.tally.n_collisions < 0.002 * len(true_line)
+    # no gaps but those that were made
+    inside = (whole.record >= 0)[135:355]
+    assert np.mean(~inside) < 0.002
+    assert np.mean(~(whole.record >= 0)[105:125]) == 1.0
+
+
+def test_shots_out_of_order_take_a_free_cell_or_count_as_further_returns() -> None:
+    records, true_line, _ = frame(2)
+    at = np.flatnonzero((true_line > 200) & (true_line < 300))[::97]
+    for name in ("x", "y", "z"):
+        records[name][at] = records[name][at - 6]
+    whole = opened(records, azimuth_step=1.0)
+    assert 0 < whole.tally.n_collisions <= len(at) + 2
+    own = whole.record[whole.record >= 0]
+    assert len(own) + len(whole.extras) == len(true_line)
+    assert sorted([*own.tolist(), *(extra[3] for extra in whole.extras)]) == list(range(len(true_line)))
+    range_m = np.sqrt(records["x"] ** 2 + records["y"] ** 2 + records["z"] ** 2)
+    for _, _, extra_range, record in whole.extras:
+        assert extra_range == pytest.approx(range_m[record], rel=1e-6)
+
+
+def test_records_without_range_or_azimuth_stay_without_a_cell() -> None:
+    records, *_ = frame(4)
+    for name in ("x", "y"):
+        records[name][[5, 900, 2000]] = 0.0
+    records["z"][[900]] = 0.0
+    records["x"][[70]] = np.nan
+    whole = opened(records, max_range=50.0)
+    placed = np.count_nonzero(whole.record >= 0) + len(whole.extras)
+    assert whole.tally.n_unplaced == len(records["x"]) - placed
+    assert whole.tally.n_not_positive == 1
+    assert whole.tally.n_beyond > 0
+    assert not np.isin([5, 70, 900, 2000], whole.record).any()
+
+
+def test_beams_of_a_frame() -> None:
+    records, *_ = frame(6)
+    config = InputConfig(lines="rings")
+    for block in with_beams(open_rings(MemorySource(records), config), config).blocks():
+        assert block.beam_rad is not None
+        assert worst_deg(block.beam_rad, np.pi / 2 + ELEVATION[::-1]) < 0.15
+
+
+def test_an_origin_may_be_given() -> None:
+    records, *_ = frame(7)
+    whole = opened(records)
+    records["x"] = records["x"] + 350_000.0
+    moved = opened(records, range="origin:350000,0,0")
+    assert np.array_equal(moved.record, whole.record)
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ({"columns": "angle"}, "columns"),
+        ({"range": "dimension:range"}, "range"),
+        ({"scanner": "user_data"}, "scanner"),
+        ({"order": "sort-time"}, "order"),
+    ],
+)
+def test_other_rules_are_refused(keys: dict[str, Any], key: str) -> None:
+    with pytest.raises(ConfigError, match=f"input.{key}: found .* where lines = rings"):
+        opened(frame()[0], **keys)
+
+
+def shuffled(records: dict[str, Any]) -> dict[str, Any]:
+    order = np.random.default_rng(0).permutation(len(records["x"]))
+    return {name: value[order] for name, value in records.items()}
+
+
+def by_column(records: dict[str, Any]) -> dict[str, Any]:
+    """In the order of firing: all rings of an azimuth together."""
+    order = np.argsort(np.arctan2(records["y"], records["x"]), kind="stable")
+    return {name: value[order] for name, value in records.items()}
+
+
+def test_frames_that_are_no_rings_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    records, *_ = frame()
+    with pytest.raises(InputError, match="turn|rings from top to bottom"):
+        opened(shuffled(records))
+    with pytest.raises(InputError, match=r"the records turn [01].* times around the scanner, expected ring after ring"):
+        opened(by_column(records))
+    with pytest.raises(InputError, match="found 16 rings, expected 64 as input.points_per_line says"):
+        opened(records, points_per_line=64)
+    swapped = {name: np.concatenate([value[2000:], value[:2000]]) for name, value in records.items()}
+    with pytest.raises(InputError, match="expected rings from top to bottom or from bottom to top"):
+        opened(swapped)
+    with pytest.raises(InputError, match="too few for rings"):
+        opened({name: value * 0 for name, value in records.items()})
+    with pytest.raises(InputError, match="far more cells than records"):
+        opened(records, azimuth_step=0.001)
+    with pytest.raises(InputError, match="needs x, y, z; the file has no z"):
+        opened({name: value for name, value in records.items() if name != "z"})
+    monkeypatch.setattr(rings, "MAX_RECORDS", 3000)
+    with pytest.raises(InputError, match="more than 3000 records, expected one frame"):
+        opened(records)
+
+
+def test_standing_still_is_no_frame() -> None:
+    n = 500
+    for azimuth in (np.zeros(n), np.linspace(0, 20 * np.pi, n) * 0):
+        records: dict[str, F64] = {"x": np.cos(azimuth), "y": np.sin(azimuth), "z": np.zeros(n)}
+        with pytest.raises(InputError, match="turn 0.0 times"):
+            opened(records)
+
+
+def test_through_the_readers(tmp_path: Path) -> None:
+    records, *_ = frame()
+    path = tmp_path / "frame.bin"
+    np.stack([records[name] for name in ("x", "y", "z")], axis=1).astype("<f4").tofile(path)
+    layout = Layout(fields=tuple(LayoutField(name=name) for name in ("x", "y", "z")), points_per_line=N_RINGS)
+    config = InputConfig(lines="rings")
+    stream = open_input(path, config, layout)
+    assert stream.info.points_per_line == N_RINGS
+    assert all(block.intensity is None for block in stream.blocks())
+    with pytest.raises(ConfigError, match="input.lines: found 'rings', expected auto or fixed: "):
+        np.save(tmp_path / "image.npy", np.ones((3, 4)))
+        open_input(tmp_path / "image.npy", config)
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
+    rng = np.random.default_rng(9)
+    n_read, refusals = 0, []
+    for _ in range(150):
+        n, n_turns = int(rng.integers(0, 400)), float(rng.uniform(0, 9))
+        azimuth = np.linspace(0, 2 * np.pi * n_turns, n) + rng.normal(0, rng.choice([0.0, 0.01, 1.0]), n)
+        scale = 10.0 ** float(rng.integers(-30, 30))
+        xyz = np.stack([np.cos(azimuth), np.sin(azimuth), -0.02 * azimuth], axis=1) * scale
+        xyz[rng.random(n) < 0.05] = rng.choice([0.0, np.nan, np.inf])
+        try:
+            whole = opened(dict(zip("xyz", xyz.T, strict=True)), int(rng.integers(1, 100)))
+        except InputError as refusal:
+            refusals.append(str(refusal))
+            continue
+        n_read += 1
+        assert np.count_nonzero(whole.record >= 0) + len(whole.extras) + whole.tally.n_unplaced == n
+    assert min(n_read, len(refusals)) > 20
+    assert not any("\n" in message for message in refusals)

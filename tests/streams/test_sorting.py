@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.facts import SourceFacts
+from prc_cli.formats.records import RecordChunk
+from prc_cli.streams.sorting import sorted_by_time
+
+
+@dataclass
+class ArraySource:
+    """Records from arrays, in chunks of a given size."""
+
+    values: dict[str, np.ndarray[Any, Any]]
+    chunk: int = 7
+    path: str = "drive.las"
+    format: str = "array"
+    facts: SourceFacts = field(default_factory=SourceFacts)
+    asked: list[tuple[str, ...]] = field(default_factory=list)
+
+    @property
+    def n_records(self) -> int:
+        return len(next(iter(self.values.values())))
+
+    @property
+    def dimensions(self) -> tuple[str, ...]:
+        return tuple(self.values)
+
+    def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+        self.asked.append(names)
+        for start in range(0, self.n_records, self.chunk):
+            part = {name: self.values[name][start : start + self.chunk] for name in names}
+            yield RecordChunk(start, part, len(part[names[0]]))
+
+
+def collect(chunks: Iterator[RecordChunk], name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    parts = list(chunks)
+    firsts = [chunk.first_record for chunk in parts]
+    assert firsts == list(np.cumsum([0] + [chunk.n for chunk in parts])[:-1])
+    assert all(chunk.record is not None and len(chunk.record) == chunk.n for chunk in parts)
+    return (
+        np.concatenate([chunk.values[name] for chunk in parts]),
+        np.concatenate([chunk.record for chunk in parts if chunk.record is not None]),
+    )
+
+
+@settings(deadline=None, max_examples=300)
+@given(
+    times=st.lists(st.integers(0, 5), min_size=1, max_size=60),
+    chunk=st.integers(1, 61),
+    run=st.integers(1, 20),
+    merge=st.integers(1, 30),
+)
+def test_equals_a_stable_argsort_for_any_run_and_merge_size(times: list[int], chunk: int, run: int, merge: int) -> None:
+    time_s = np.array(times, np.float64)
+    source = ArraySource({"time": time_s, "point": np.arange(len(times), dtype=np.uint16)}, chunk)
+    point, record = collect(sorted_by_time(source, run_records=run, merge_records=merge).chunks(("point",)), "point")
+    expected = np.argsort(time_s, kind="stable")
+    np.testing.assert_array_equal(record, expected)
+    np.testing.assert_array_equal(point, expected)
+    assert point.dtype == np.uint16
+
+
+@pytest.mark.parametrize("kind", ["random", "sorted", "reversed", "few times", "in blocks"])
+def test_larger_inputs(kind: str) -> None:
+    rng = np.random.default_rng(3)
+    n = 50_000
+    time_s = {
+        "random": rng.random(n),
+        "sorted": np.sort(rng.random(n)),
+        "reversed": -np.sort(rng.random(n)),
+        "few times": rng.integers(0, 3, n).astype(np.float64),
+        "in blocks": (np.arange(n) + 5000 * ((np.arange(n) // 5000) % 2 * 2 - 1)).astype(np.float64),
+    }[kind]
+    source = ArraySource({"time": time_s, "range": rng.random(n)}, 4096)
+    result = sorted_by_time(source, run_records=3000, merge_records=2000)
+    order = np.argsort(time_s, kind="stable")
+    for _ in range(2):  # as often as asked
+        range_m, record = collect(result.chunks(("range", "time")), "range")
+        np.testing.assert_array_equal(record, order)
+        np.testing.assert_array_equal(range_m, source.values["range"][order])
+
+
+def test_only_the_asked_names_are_delivered_and_decoded() -> None:
+    source = ArraySource({"time": np.array([2.0, 1.0]), "x": np.zeros(2), "y": np.ones(2)})
+    (chunk,) = sorted_by_time(source).chunks(("y",))
+    assert set(chunk.values) == {"y"}
+    assert source.asked == [("y", "time")]
+
+
+def test_it_describes_itself_as_its_source_does() -> None:
+    source = ArraySource({"time": np.array([2.0, 1.0]), "x": np.zeros(2)})
+    result = sorted_by_time(source)
+    assert (result.path, result.format, result.n_records, result.dimensions) == (
+        "drive.las", "array", 2, ("time", "x"),
+    )  # fmt: skip
+
+
+def test_record_indices_of_the_source_are_kept() -> None:
+    class Renumbered(ArraySource):
+        def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+            for chunk in super().chunks(names):
+                yield RecordChunk(chunk.first_record, chunk.values, chunk.n, np.arange(chunk.n, dtype=np.int64) + 100)
+
+    _, record = collect(sorted_by_time(Renumbered({"time": np.array([2.0, 1.0])})).chunks(("time",)), "time")
+    assert record.tolist() == [101, 100]
+
+
+def test_no_records() -> None:
+    assert list(sorted_by_time(ArraySource({"time": np.empty(0)})).chunks(("time",))) == []
+
+
+def test_without_time_nothing_can_be_sorted() -> None:
+    with pytest.raises(InputError) as caught:
+        sorted_by_time(ArraySource({"x": np.zeros(2), "y": np.zeros(2)}))
+    assert str(caught.value) == (
+        "drive.las: no time to sort by, found the dimensions x, y; without times the order cannot be restored"
+    )
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_time_that_is_no_number_is_named(bad: float) -> None:
+    source = ArraySource({"time": np.array([1.0] * 9 + [bad])}, chunk=4)
+    with pytest.raises(InputError, match=rf"drive.las: record 9 has time {bad}, expected a finite time to sort by"):
+        list(sorted_by_time(source).chunks(("time",)))
+
+
+def test_a_full_temporary_disk_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    class FullDisk:
+        def write(self, data: object) -> int:
+            raise OSError(28, "No space left on device")
+
+        def close(self) -> None:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **_: FullDisk())
+    source = ArraySource({"time": np.arange(100.0)})
+    with pytest.raises(OutputError, match=r"No space left on device\); free space there or point TMPDIR"):
+        list(sorted_by_time(source, run_records=10).chunks(("time",)))
+
+
+def test_errors_of_the_source_pass_as_they_are() -> None:
+    class Damaged(ArraySource):
+        def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
+            yield from super().chunks(names)
+            raise OSError(5, "Input/output error")
+
+    with pytest.raises(OSError, match="Input/output error"):
+        list(sorted_by_time(Damaged({"time": np.arange(10.0)}), run_records=3).chunks(("time",)))
+
+
+def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    chunks = sorted_by_time(ArraySource({"time": np.arange(100.0)[::-1]}), run_records=10).chunks(("time",))
+    next(chunks)
+    del chunks
+    assert list(tmp_path.iterdir()) == []
