@@ -118,15 +118,15 @@ def check_copied(las: LasHeader) -> None:
 def with_record(vlrs: list[Vlr], record: RunRecord) -> list[Vlr]:
     """Return the VLRs with a run record, in place of one that is there, in short form if it is too long for a VLR."""
     new = make_vlr(RECORD_KEY, record.to_json_within(VLR_LIMIT), RECORD_TEXT)
-    place = next((index for index, vlr in enumerate(vlrs) if vlr.key == RECORD_KEY), len(vlrs))
-    vlrs = [vlr for vlr in vlrs if vlr.key != RECORD_KEY]
+    place = next((index for index, vlr in enumerate(vlrs) if vlr.has(RECORD_KEY)), len(vlrs))
+    vlrs = [vlr for vlr in vlrs if not vlr.has(RECORD_KEY)]
     return [*vlrs[:place], new, *vlrs[place:]]
 
 
 def with_laszip(las: LasHeader, plan: Plan, vlrs: list[Vlr]) -> tuple[list[Vlr], str | None]:
     """Return the VLRs as the plan's compression wants them, and what to tell about it."""
     if not plan.compress:
-        return [vlr for vlr in vlrs if vlr.key != LASZIP_KEY], None
+        return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)], None
     same = not plan.upgrades(las) and not plan.appended
     new = laszip_vlr(las, plan.point_format, las.n_extra_bytes + plan.n_appended, keep=same)
     old = las.vlr(LASZIP_KEY)
@@ -138,7 +138,7 @@ def with_laszip(las: LasHeader, plan: Plan, vlrs: list[Vlr]) -> tuple[list[Vlr],
     elif same and new.data != old.data:
         notice = "the points were compressed with a version of laszip's items that is not written"
         notice += "; the usual one is used"
-    return [new if vlr.key == LASZIP_KEY else vlr for vlr in vlrs], notice
+    return [new if vlr.has(LASZIP_KEY) else vlr for vlr in vlrs], notice
 
 
 def has_waveform_file(las: LasHeader) -> bool:
@@ -299,7 +299,7 @@ def write_again(
         def open_sink() -> PointSink:
             if not plan.compress:
                 return LasSink(target)
-            return LazSink(target, next(vlr.data or b"" for vlr in vlrs if vlr.key == LASZIP_KEY))
+            return LazSink(target, next(vlr.data or b"" for vlr in vlrs if vlr.has(LASZIP_KEY)))
 
         write_points(source, target, open_sink)
         tail = plan_tail(las, tail_bounds(source, las), target.tell(), drop=drop)

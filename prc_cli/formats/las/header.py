@@ -16,6 +16,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -106,7 +107,7 @@ class Vlr:
     data: bytes | None
     """Content; None for long extended records."""
     start: int = 0
-    """Its first byte in the file it was read from."""
+    """First byte of an extended one in the file it was read from."""
 
     @property
     def extended(self) -> bool:
@@ -128,6 +129,10 @@ class Vlr:
         """User id and record id."""
         return self.user_id, self.record_id
 
+    def has(self, key: tuple[str, int]) -> bool:
+        """Whether it has a user id and record id; quick, since damaged files may count a million."""
+        return self.record_id == key[1] and self.user_id == key[0]
+
     @property
     def description(self) -> str:
         """What it says of itself."""
@@ -140,7 +145,7 @@ class Vlr:
 
     @property
     def stop(self) -> int:
-        """First byte behind it in the file."""
+        """First byte behind an extended one in the file."""
         return self.start + len(self.head) + self.n_bytes
 
     @property
@@ -205,11 +210,12 @@ class LasHeader:
 
     def vlr(self, key: tuple[str, int]) -> Vlr | None:
         """Return the first plain VLR of a user id and record id."""
-        return next((vlr for vlr in self.vlrs if vlr.key == key), None)
+        return next((vlr for vlr in self.vlrs if vlr.has(key)), None)
 
     def find(self, key: tuple[str, int]) -> list[bytes]:
         """Return the contents of all VLRs of a user id and record id, those of extended ones at last."""
-        return [vlr.data for vlr in (*self.vlrs, *self.evlrs) if vlr.data is not None and vlr.key == key]
+        every = chain(self.vlrs, self.evlrs)
+        return [vlr.data for vlr in every if vlr.data is not None and vlr.has(key)]
 
 
 class Source:
@@ -485,7 +491,7 @@ def _read_vlrs(source: Source, bounds: tuple[int, int], count: int) -> tuple[tup
         if length > len(data) - content:
             problem = f"VLR {index + 1} of {count} claims {length} bytes, {len(data) - content} are left"
             raise damaged(path, start + position, f"{problem} before the records")
-        vlrs.append(Vlr(data[position:content], data[content : content + length], start + position))
+        vlrs.append(Vlr(data[position:content], data[content : content + length]))
         position = content + length
     return tuple(vlrs), start + position
 

@@ -301,10 +301,10 @@ def with_extra_dimensions(
     if not dimensions:
         return vlrs
     where = str(header.path)
-    places = [index for index, vlr in enumerate(vlrs) if vlr.key == EXTRA_BYTES_KEY]
+    places = [index for index, vlr in enumerate(vlrs) if vlr.has(EXTRA_BYTES_KEY)]
     described = sum(extra.n_bytes for extra in _described(where, (vlrs[index].data or b"" for index in places)))
     hidden = header.n_extra_bytes - described
-    elsewhere = any(vlr.key == EXTRA_BYTES_KEY for vlr in header.evlrs)
+    elsewhere = any(vlr.has(EXTRA_BYTES_KEY) for vlr in header.evlrs)
     if hidden < 0 or elsewhere:
         found = "in an EVLR" if elsewhere else f"as {described} bytes for the {header.n_extra_bytes} that records have"
         problem = f"found the extra bytes described {found}, expected an Extra Bytes VLR that can be extended"
