@@ -189,7 +189,7 @@ def simulated(spec: Simulated) -> Scan:
         "cylinders" if spec.cylinders else "street" if spec.kind == "street" else "forest",
         time_s=np.concatenate([block.time_s for block in blocks if block.time_s is not None]),
         intensity=np.concatenate([block.intensity for block in blocks if block.intensity is not None]),
-        fall=simulation.scan.info.fall,
+        fall=simulation.scan.info.cos_tilt,
         world_m=np.concatenate(world),
         scanner_m=np.concatenate(scanner_m),
         extra=joined(extras),
