@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds_fused import (
+from prc_cli.core.thresholds.fused import (
     ForestThresholds,
     RunThresholds,
     StemThresholds,

@@ -12,7 +12,7 @@ from prc_cli.classifiers.fused.plane import VOTE_LINES, ScanPlane
 from prc_cli.classifiers.fused.strips import Standing, WallParams
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import DecisionThresholds, single
+from prc_cli.core.thresholds.fused import DecisionThresholds, single
 from prc_cli.core.types import F32, U8
 
 NEVER = 1e9

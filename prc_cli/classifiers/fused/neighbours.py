@@ -10,7 +10,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds, single
+from prc_cli.core.thresholds.fused import ChordThresholds, NearThresholds, SmoothThresholds, single
 from prc_cli.core.types import F32, U8
 
 

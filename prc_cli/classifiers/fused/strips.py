@@ -13,7 +13,7 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds, single
+from prc_cli.core.thresholds.fused import StripThresholds, WallThresholds, single
 from prc_cli.core.types import F32, U8
 
 NEVER_M = 1e9

@@ -9,7 +9,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import TerrainThresholds, double
+from prc_cli.core.thresholds.fused import TerrainThresholds, double
 from prc_cli.core.types import F32
 
 

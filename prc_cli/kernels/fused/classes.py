@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Label
-from prc_cli.core.thresholds_fused import DecisionThresholds
+from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import UniTuple, boolean, float32, named, uint8, uint64

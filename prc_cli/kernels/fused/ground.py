@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.thresholds_fused import WalkThresholds
+from prc_cli.core.thresholds.fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import Tuple, UniTuple, boolean, float32, int32, int64, named, uint8

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds
+from prc_cli.core.thresholds.fused import ChordThresholds, NearThresholds, SmoothThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import UniTuple, float32, named, uint8

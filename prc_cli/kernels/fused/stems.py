@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.thresholds_fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
+from prc_cli.core.thresholds.fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import Tuple, boolean, float32, float64, int32, int64, named, uint8

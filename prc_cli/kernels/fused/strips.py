@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds
+from prc_cli.core.thresholds.fused import StripThresholds, WallThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
 from prc_cli.kernels.signatures import Tuple, UniTuple, float32, named, uint8, uint64

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.simulated import CastBodies
+from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64, I32, I64
 from prc_cli.kernels.cache import helper, kernel
 from prc_cli.kernels.signatures import Tuple, float64, int32, int64, named, uint8
