@@ -1,7 +1,8 @@
-"""House rules: who imports whom, who prints, what ``prc --help`` loads."""
+"""House rules: how wide and deep functions are, who imports numba, what ``prc --help`` loads."""
 
 from __future__ import annotations
 
+import ast
 import sys
 import tomllib
 from pathlib import Path
@@ -25,6 +26,53 @@ def test_compiled_loops_live_in_kernels() -> None:
         if "kernels" not in path.parts:
             assert "import numba" not in text, path
             assert "from numba" not in text, path
+
+
+def test_no_function_is_too_wide_or_too_deep() -> None:
+    """At most 12 parameters, ``*args`` and ``**options`` not counted; at most 5 compound statements in each other."""
+    functions = [
+        (f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node)
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    assert len(functions) > 1000
+    assert [place for place, node in functions if count_parameters(node) > 12] == []
+    assert [place for place, node in functions if nesting(node) > 5] == []
+
+
+def test_parameters_and_nesting_are_counted() -> None:
+    (function,) = ast.parse(
+        "def f(a, /, b, *args, c, **options):\n"
+        "    if a:\n        pass\n"
+        "    elif b:\n        pass\n"
+        "    elif c:\n"
+        "        try:\n            pass\n"
+        "        except E:\n"
+        "            for d in a:\n                pass\n"
+    ).body
+    assert isinstance(function, ast.FunctionDef)
+    assert count_parameters(function) == 3
+    assert nesting(function) == 3
+
+
+def count_parameters(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    taken = function.args
+    return len(taken.posonlyargs) + len(taken.args) + len(taken.kwonlyargs)
+
+
+COMPOUND = (
+    ast.For, ast.AsyncFor, ast.While, ast.If, ast.With, ast.AsyncWith, ast.Try, ast.TryStar, ast.Match, ast.ClassDef,
+    ast.FunctionDef, ast.AsyncFunctionDef,
+)  # fmt: skip
+
+
+def nesting(node: ast.AST) -> int:
+    """How many compound statements lie in each other within a node; an ``elif`` is as deep as its ``if``."""
+    last = node.orelse if isinstance(node, ast.If) else []
+    elifs = [one for one in last if isinstance(one, ast.If) and len(last) == 1]
+    inner = ast.iter_child_nodes(node)
+    return max((nesting(one) + (isinstance(one, COMPOUND) and one not in elifs) for one in inner), default=0)
 
 
 def test_help_loads_nothing_heavy() -> None:

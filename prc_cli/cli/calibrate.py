@@ -107,9 +107,8 @@ from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 @click.option("--json", "as_json_flag", is_flag=True, help="Short for --format json.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and what --json or --format asks for).")
 def calibrate(
-    source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, mapping: str,
-    reference_dimension: str | None, objective: str, training_share: float, budget: int, seed: int, max_shots: int,
-    keep: tuple[str, ...], form: str | None, as_json_flag: bool, quiet: bool, **options: Any,
+    source: Path, output: Path | None, plot: Path | None, overwrite: bool, reference: Path | None, form: str | None,
+    as_json_flag: bool, quiet: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Measure the sensor of INPUT and derive the parameters that follow from it.
 
@@ -134,13 +133,7 @@ def calibrate(
     for path in wanted:
         check_output(path, overwrite=overwrite, inputs=inputs)
         remove_stale(path)
-    search = None
-    if reference is None:
-        _refuse_search_options()
-    else:
-        search = SearchOptions(
-            reference, mapping, reference_dimension, objective, training_share, budget, seed, max_shots, keep
-        )
+    search = _search_options(reference, options)
     with line_progress(source.name, quiet=quiet) as progress, _trials(quiet=quiet) as tried:
         found = calibrate_file(source, loaded, search, progress=progress, tried=tried)
     for target, text in ((output, as_toml), (plot, as_svg)):
@@ -161,6 +154,15 @@ SEARCH_OPTIONS = (
     "mapping", "reference_dimension", "objective", "training_share", "budget", "seed", "keep", "max_shots"
 )  # fmt: skip
 """Options that say how the search is done, which there is none of without a reference."""
+
+
+def _search_options(reference: Path | None, options: dict[str, Any]) -> SearchOptions | None:
+    """Build the options of the search, if there is one, from those of the command."""
+    if reference is None:
+        _refuse_search_options()
+        return None
+    chosen = {name: options[name] for name in SEARCH_OPTIONS}
+    return SearchOptions(reference, dimension=chosen.pop("reference_dimension"), **chosen)
 
 
 def _refuse_search_options() -> None:

@@ -70,12 +70,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
-def render(
-    source: Path, output: Path, steps: str | None, only_lines: str | None, eye: str, overwrite: bool, as_json: bool,
-    quiet: bool, block: int | None, figure1: bool, station: int | None, labels: Path | None,
-    labels_dimension: str | None, reference: Path | None, reference_dimension: str | None, mapping: str | None,
-    view: Any, colour: Any, width: int, height: int, pages: int, **options: Any,
-) -> None:  # fmt: skip
+def render(source: Path, output: Path, *, overwrite: bool, as_json: bool, quiet: bool, **options: Any) -> None:
     """Draw INPUT into OUT, a .png or a single .html.
 
     Ranges, the steps of the classifier, classes, differences to a reference; or the points from above or in
@@ -89,14 +84,7 @@ def render(
       prc render drive.laz differences.png --labels out.laz --reference car.laz --steps classes,reference,difference
       prc render out.laz cloud.png --view perspective --from 215,30
     """  # fmt: skip
-    azimuth, elevation = _eye(eye)
-    chosen = RenderOptions(
-        view=view, steps=None if steps is None else tuple(part.strip() for part in steps.split(",") if part.strip()),
-        block=block, lines=None if only_lines is None else _span(only_lines), figure1=figure1, station=station,
-        labels=labels, labels_dimension=labels_dimension, reference=reference,
-        reference_dimension=reference_dimension, mapping=mapping, colour=colour, azimuth_deg=azimuth,
-        elevation_deg=elevation, width=width, height=height, pages=pages,
-    )  # fmt: skip
+    chosen = _render_options(options)
     loaded = config_from(options)
     with line_progress(source.name, quiet=quiet) as progress:
         result = render_file(source, output, loaded, chosen, overwrite=overwrite, progress=progress)
@@ -108,6 +96,26 @@ def render(
             console().print(f"note: {note}", soft_wrap=True)
         for path in result.files:
             console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
+
+
+_AS_GIVEN = (
+    "view", "block", "figure1", "station", "labels", "labels_dimension", "reference", "reference_dimension", "mapping",
+    "colour", "width", "height", "pages",
+)  # fmt: skip
+"""Options of the command that :class:`RenderOptions` has under the same name."""
+
+
+def _render_options(options: dict[str, Any]) -> RenderOptions:
+    """Build what is drawn from the options of the command."""
+    azimuth_deg, elevation_deg = _eye(options["eye"])
+    steps, lines = options["steps"], options["only_lines"]
+    return RenderOptions(
+        steps=None if steps is None else tuple(part.strip() for part in steps.split(",") if part.strip()),
+        lines=None if lines is None else _span(lines),
+        azimuth_deg=azimuth_deg,
+        elevation_deg=elevation_deg,
+        **{name: options[name] for name in _AS_GIVEN},
+    )
 
 
 def _as_dict(result: RenderResult) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.table import Table
@@ -46,6 +47,7 @@ from prc_cli.jobs.transfer.options import TransferOptions
 )
 @click.option(
     "--tolerance",
+    "tolerance_s",
     type=float,
     default=0.0,
     metavar="SECONDS",
@@ -53,6 +55,7 @@ from prc_cli.jobs.transfer.options import TransferOptions
 )
 @click.option(
     "--time-offset",
+    "time_offset_s",
     type=float,
     default=0.0,
     metavar="SECONDS",
@@ -77,9 +80,8 @@ from prc_cli.jobs.transfer.options import TransferOptions
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @output_options
 def transfer(
-    labels: Path, registered: Path, output: Path, points: Path | None, layout_file: Path | None, by: str,
-    tolerance: float, time_offset: float, ignore_return: bool, same: tuple[str, ...], dimension: str | None,
-    carry: tuple[str, ...], min_match: float, overwrite: bool, as_json: bool, quiet: bool, verbose: bool,
+    labels: Path, registered: Path, output: Path, points: Path | None, layout_file: Path | None, overwrite: bool,
+    as_json: bool, quiet: bool, verbose: bool, **matching: Any,
 ) -> None:  # fmt: skip
     """Write REGISTERED again as OUT, with the classes of LABELS.
 
@@ -92,10 +94,7 @@ def transfer(
       prc transfer drive_classified.laz registered.laz registered_classified.laz
       prc transfer labels.npy registered.laz out.laz --points drive.csv --tolerance 1e-6
     """
-    options = TransferOptions(
-        by=by, tolerance_s=tolerance, time_offset_s=time_offset, ignore_return=ignore_return, same=same,
-        dimension=dimension, carry=carry, min_match=min_match,
-    )  # fmt: skip
+    options = TransferOptions(**matching)
     start = time.perf_counter()
     layout = _layout(layout_file)
     with _progress(registered.name, quiet=quiet) as progress:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import stat
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache
 from hashlib import sha256
@@ -24,12 +24,12 @@ from prc_cli.core.files import cache_folder
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 _HELPER = {"nogil": True, "error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-
-
 _SCALARS = {float: "float64", int: "int64", bool: "boolean"}
 
+Tuples = Sequence[type[tuple[Any, ...]]]
 
-def kernel(*signatures: Any, tuples: Sequence[type[tuple[Any, ...]]] = ()) -> Callable[[FunctionT], FunctionT]:
+
+def kernel(*signatures: str, tuples: Tuples = ()) -> Callable[[FunctionT], FunctionT]:
     """Compile a function for the given numba signatures when its module is imported.
 
     No ``fastmath``: results are those of IEEE arithmetic, on every platform; a division by zero gives infinity as in
@@ -38,11 +38,11 @@ def kernel(*signatures: Any, tuples: Sequence[type[tuple[Any, ...]]] = ()) -> Ca
 
     Parameters
     ----------
-    signatures : str or numba signature
+    signatures : str
         Numba signatures; arguments of other types are converted or refused, never compiled anew.
     tuples : sequence of NamedTuple classes
-        Those that the signatures name. Their fields are ``float``, ``int``, ``bool``, other tuples of the sequence
-        before them, or arrays annotated with their numba type: ``Annotated[F32, "float32[:, ::1]"]``.
+        Those that the signatures name. Their fields are ``float``, ``int``, ``bool``, ``np.float32``, other tuples of
+        the sequence before them, or arrays annotated with their numba type: ``Annotated[F32, "float32[:, ::1]"]``.
 
     Returns
     -------
@@ -54,11 +54,10 @@ def kernel(*signatures: Any, tuples: Sequence[type[tuple[Any, ...]]] = ()) -> Ca
         jit: Any = numba.njit  # typed by some versions of numba and not by others
         options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
         folder = writable_cache()
-        types = _signatures(signatures, tuples)
+        types = _numba_signatures(signatures, tuples)
         if folder is not None:
             try:
-                sub = _fields(tuples) if tuples else _layout(signatures)
-                with _numba_cache(folder / sub):
+                with _numba_cache(folder / _fields_folder(tuples)):
                     cached: FunctionT = jit(types, cache=True, **options)(function)
                 return cached
             except NumbaError:
@@ -71,19 +70,7 @@ def kernel(*signatures: Any, tuples: Sequence[type[tuple[Any, ...]]] = ()) -> Ca
     return compiled
 
 
-def _layout(signatures: Iterable[Any]) -> str:
-    """Return the name of a sub-folder of the cache for the fields of the NamedTuples in signatures; empty without any.
-
-    Numba tells NamedTuples apart by class and number of fields, and looks only at the kernel's own source for changes:
-    without this, a cached loop would go on reading the places where fields were before they changed order.
-    """
-    types: Any = numba.types
-    arguments = (argument for signature in signatures if not isinstance(signature, str) for argument in signature.args)
-    fields = [one.fields for one in arguments if isinstance(one, (types.NamedTuple, types.NamedUniTuple))]
-    return sha256(repr(fields).encode()).hexdigest()[:16] if fields else ""
-
-
-def _signatures(signatures: Sequence[str], tuples: Sequence[type[tuple[Any, ...]]]) -> list[Any]:
+def _numba_signatures(signatures: Sequence[str], tuples: Tuples) -> list[Any]:
     """Return signatures as numba takes them: strings, or what they stand for where they name tuples."""
     if not tuples:
         return list(signatures)
@@ -101,8 +88,14 @@ def _numba_type(field: Any, names: dict[str, Any]) -> Any:
     return names[_SCALARS.get(field, field.__name__)]
 
 
-def _fields(tuples: Sequence[type[tuple[Any, ...]]]) -> str:
-    """Name the folder for kernels that take tuples: numba would not see that a field has moved or has another name."""
+def _fields_folder(tuples: Tuples) -> str:
+    """Name the sub-folder of the cache for kernels that take tuples; empty without any.
+
+    Numba tells NamedTuples apart by class and number of fields, and looks only at the kernel's own source for changes:
+    without this, a cached loop would go on reading the places where fields were before they changed order.
+    """
+    if not tuples:
+        return ""
     known = repr([(cls.__name__, getattr(cls, "_fields", ())) for cls in tuples])
     return f"tuples-{sha256(known.encode()).hexdigest()[:8]}"
 

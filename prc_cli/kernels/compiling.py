@@ -36,6 +36,7 @@ PATIENCE_S = 30.0
 """How long to wait for another process that compiles: about what it takes to compile everything alone [s]."""
 _TICK_S = 0.05
 _LOCK = "prc-compiling.lock"
+_KERNELS, _THRESHOLDS = "prc_cli.kernels.", "prc_cli.core.thresholds."
 
 
 def compile_missing(modules: Sequence[str]) -> None:
@@ -98,14 +99,27 @@ def is_compiled(module: str, folder: Path) -> bool:
 
 
 def _mark(module: str, folder: Path) -> Path:
-    """File that says that the kernels of a module are in the cache, for this source, compiler and processor."""
-    status = _source(module).stat()
+    """File that says that the kernels of a module are in the cache, for these sources, compiler and processor."""
     known_by = (
-        module, _source(module), status.st_mtime_ns, status.st_size, sys.version, numba.__version__,
+        module, *(_state(source) for source in _sources(module)), sys.version, numba.__version__,
         llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features().flatten(),
     )  # fmt: skip
     known = sha256(repr(known_by).encode()).hexdigest()[:16]
-    return folder / f"prc-{module.removeprefix('prc_cli.kernels.')}-{known}.compiled"
+    return folder / f"prc-{module.removeprefix(_KERNELS)}-{known}.compiled"
+
+
+def _sources(module: str) -> Iterator[Path]:
+    """Yield the source of a module, and that of the thresholds of its method, whose fields its kernels read."""
+    yield _source(module)
+    method = module.removeprefix(_KERNELS).partition(".")[0]
+    if find_spec(f"{_THRESHOLDS}{method}") is not None:
+        yield _source(f"{_THRESHOLDS}{method}")
+
+
+def _state(source: Path) -> tuple[Path, int, int]:
+    """Return what changes when a file does."""
+    status = source.stat()
+    return source, status.st_mtime_ns, status.st_size
 
 
 def _source(module: str) -> Path:

@@ -28,7 +28,7 @@ from typing import Protocol
 import numpy as np
 
 from prc_cli import kernels
-from prc_cli.core.simulated import SensorModel
+from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.simulation.hashing import hashed
 from prc_cli.simulation.scanners import Scanner

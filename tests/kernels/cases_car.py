@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.sequential_angle import DividerThresholds, FourierThresholds
+from prc_cli.core.thresholds.sequential_angle import DividerThresholds, FourierThresholds
 from prc_cli.core.types import F32, F64, I32, U8
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.simulated import CastBodies
+from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64
 
 N_QUANTILES = 64

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds_fused import (
+from prc_cli.core.thresholds.fused import (
     ChordThresholds,
     DecisionThresholds,
     NearThresholds,
@@ -17,7 +17,7 @@ from prc_cli.core.thresholds_fused import (
     StripThresholds,
     WalkThresholds,
     WallThresholds,
-    single,
+    typed,
 )
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.fused import (
@@ -31,7 +31,7 @@ from prc_cli.kernels.fused import (
 )
 
 AROUND, INNER = 4, 2
-USUAL = single(
+USUAL = typed(
     DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, walked_m=0.3, level_m=0.12, soil_m=0.06, leaf_share=0.4,
     leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3, car_top_m=3.75, car_bins=3,
@@ -103,7 +103,7 @@ def points_case(rng: Generator) -> tuple[Any, ...]:
 
 def near_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    chosen = single(
+    chosen = typed(
         NearThresholds,
         near_m=rng.choice([0.4, 0.125, 2.0]),
         near_steps=rng.choice([0.0, 3.0]),
@@ -116,7 +116,7 @@ def near_case(rng: Generator) -> tuple[Any, ...]:
 
 def smooth_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    chosen = single(
+    chosen = typed(
         SmoothThresholds,
         tolerance_m=rng.choice([0.0, 0.006, 0.2]),
         tolerance_per_m=rng.choice([0.0, 0.01]),
@@ -135,19 +135,19 @@ def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
             counts[np.isnan(one.range_m)] = 0
         return near, smooth, upright, level
     near = fused_neighbours.near_counts(
-        *one.seen, single(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8)
+        *one.seen, typed(NearThresholds, near_m=0.4, near_steps=3, thin_m=0.1, along_m=1, along_steps=8)
     )
     smooth = fused_neighbours.smooth_counts(
-        *one.seen, single(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16)
+        *one.seen, typed(SmoothThresholds, tolerance_m=0.006, tolerance_per_m=0.01, gap_m=0.4, gap_steps=16)
     )
-    usual = single(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
+    usual = typed(ChordThresholds, chord_m=0.15, slope=0.35, slack_m=0.02, longest_m=2)
     chords = fused_neighbours.directions(one.range_m, smooth, *one.beams, one.step, usual)
     return near, smooth, *chords
 
 
 def directions_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
-    chosen = single(
+    chosen = typed(
         ChordThresholds,
         chord_m=rng.choice([0.15, 2.0, 20.0]),
         slope=rng.choice([0.35, 0.0]),
@@ -163,7 +163,7 @@ def walk_case(rng: Generator) -> tuple[Any, ...]:
     age = rng.choice([0, 3, 60, 1000], (2, fused_ground.BINS)).astype(np.int32)
     if rng.random() < 0.5:
         age[:] = 1000
-    chosen = single(
+    chosen = typed(
         WalkThresholds,
         least_near=3,
         step_m=rng.choice([0.14, 1.0]),
@@ -189,7 +189,7 @@ def heights(rng: Generator, one: Street) -> F32:
 def strips_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     above, smooth, level = heights(rng, one), rng.choice([3, 0]), rng.choice([6, 2, 0])
-    chosen = single(
+    chosen = typed(
         StripThresholds,
         least_near=3,
         foot_m=rng.choice([0.15, 0.0]),
@@ -224,7 +224,7 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
         top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
         sums = length, wall, (wall * middle).astype(np.float32), top
-    chosen = single(
+    chosen = typed(
         WallThresholds, height_m=rng.choice([0.01, 0.5, 1.5]), share=rng.choice([0.0, 0.3, 1.0]), before_m=1.6
     )
     return sums, chosen
@@ -257,7 +257,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
         counts,
         one.beams,
         one.step,
-        single(
+        typed(
             StripThresholds,
             least_near=3,
             foot_m=0.15,
@@ -270,7 +270,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     )
     wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
     walls = fused_strips.find_walls(
-        (length, wall, place, top), single(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, before_m=1.6)
+        (length, wall, place, top), typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, before_m=1.6)
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     return (

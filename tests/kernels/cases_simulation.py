@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.simulated import SensorModel
+from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F64, I32, U8
 
 SHAPES = [(0, 5), (1, 1), (1, 2), (3, 1), (2, 7), (4, 30), (2, 90)]

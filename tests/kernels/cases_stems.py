@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds_fused import (
+from prc_cli.core.thresholds.fused import (
     ForestThresholds,
     RunThresholds,
     StemThresholds,
     TerrainThresholds,
-    double,
+    typed,
 )
 from prc_cli.core.types import F32, F64
 from prc_cli.kernels.fused import stems
 
-RUNS = double(
+RUNS = typed(
     RunThresholds,
     step_rad=0.02, above_m=0.05, tolerance_m=0.004, tolerance_share=0.0003, steep=1.0, gap_m=0.3, gap_steep=0.1,
     behind_m=0.15, lean=0.7, short_m=0.03,
@@ -45,7 +45,7 @@ def forest(rng: Generator) -> tuple[F32, F64, F64]:
 
 
 def profile_case(rng: Generator) -> tuple[Any, ...]:
-    chosen = double(
+    chosen = typed(
         TerrainThresholds,
         bin_m=rng.choice([0.25, 1.0, 0.3]),
         slope=rng.choice([0.0, 0.5]),
@@ -84,7 +84,7 @@ def runs_case(rng: Generator) -> tuple[Any, ...]:
 def stems_case(rng: Generator) -> tuple[Any, ...]:
     ranges, heights, sine, cosine, chosen = runs_case(rng)
     found = stems.upright_runs(ranges, heights, sine, cosine, chosen)
-    least = double(
+    least = typed(
         StemThresholds,
         near_m=rng.choice([0.05, -1.0, 1.0]),
         near_share=0.005,
@@ -104,7 +104,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     ranges, _, cosine = forest(rng)
     some = (rng.random(ranges.shape) < rng.choice([0.0, 0.1, 0.6])) & ~np.isnan(ranges)
     top, company = rng.choice([1e9, 1.0, 3.0]), rng.choice([-1.0, 0.0, 0.25])
-    chosen = double(
+    chosen = typed(
         ForestThresholds,
         below_m=0.2,
         soil_m=0.04,

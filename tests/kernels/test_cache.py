@@ -110,6 +110,7 @@ print(sum(weighed.stats.cache_hits.values()))
 
 @needs_compiler
 def test_compiled_code_knows_the_fields_of_the_tuples_it_takes(tmp_path: Path) -> None:
+    """Numba knows a NamedTuple by its class and the number of its fields, which are read by their places."""
     (tmp_path / "weighed.py").write_text(WEIGHED)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
     hits = []
@@ -120,38 +121,6 @@ def test_compiled_code_knows_the_fields_of_the_tuples_it_takes(tmp_path: Path) -
         )
         hits.append(done.stdout)
     assert hits == ["0\n", "1\n", "0\n"]
-
-
-@needs_compiler
-def test_thresholds_whose_fields_change_places_are_compiled_anew(tmp_path: Path) -> None:
-    """Numba knows a NamedTuple by its class and the number of its fields, which are read by their places."""
-    (tmp_path / "some_kernels.py").write_text(
-        "import some_thresholds\n"
-        "from prc_cli.kernels.cache import kernel\n"
-        "from prc_cli.kernels.signatures import float64, named\n"
-        "@kernel(float64(named(some_thresholds.Limits, float64)))\n"
-        "def low_of(limits):\n    return limits.low\n"
-    )
-    code = (
-        "import some_kernels, some_thresholds\n"
-        "print(some_kernels.low_of(some_thresholds.Limits(low=1.0, high=2.0)),"
-        " sum(some_kernels.low_of.stats.cache_hits.values()))"
-    )
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
-    printed = []
-    for fields in ("low high", "low high", "high low"):
-        definition = "from collections import namedtuple\nLimits = namedtuple('Limits', '" + fields + "')\n"
-        (tmp_path / "some_thresholds.py").write_text(definition)
-        result = patience.run(
-            # -B: both definitions have one size and, by the clock of the file system, maybe one age
-            [sys.executable, "-B", "-c", code],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        printed.append(result.stdout)
-    assert printed == ["1.0 0\n", "1.0 1\n", "1.0 0\n"]
 
 
 @needs_compiler

@@ -77,6 +77,22 @@ def test_what_takes_longest_is_compiled_first() -> None:
     assert ordered[-1] == "prc_cli.kernels.sequential_angle.verticals"
 
 
+def test_kernels_are_missing_after_a_change_of_the_thresholds_that_they_take(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel, other = "prc_cli.kernels.fused.ground", "prc_cli.kernels.prc.support"
+    thresholds = "prc_cli.core.thresholds.fused"
+    monkeypatch.setattr(compiling, "_source", lambda module: tmp_path / module)
+    for module in (kernel, thresholds, other):
+        (tmp_path / module).write_text("before")
+    for module in (kernel, other):
+        compiling._mark(module, tmp_path).touch()
+        assert compiling.is_compiled(module, tmp_path)
+    (tmp_path / thresholds).write_text("with another field")
+    assert not compiling.is_compiled(kernel, tmp_path)
+    assert compiling.is_compiled(other, tmp_path), "it takes none"
+
+
 def test_every_module_is_compiled_by_one_process_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled: list[str] = []
     monkeypatch.setattr(compiling, "_compile", lambda module, folder: compiled.append(module))

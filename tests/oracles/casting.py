@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.simulated import CastBodies
+from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64, I32, I64, Mask
 
 U64: TypeAlias = NDArray[np.uint64]

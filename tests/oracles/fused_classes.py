@@ -8,7 +8,7 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds_fused import DecisionThresholds
+from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, U8, Mask
 
 MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from prc_cli.core.thresholds_fused import WalkThresholds
+from prc_cli.core.thresholds.fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 
 QUARTER, HALF, BINS = np.float32(0.25), np.float32(0.5), 320

@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds
+from prc_cli.core.thresholds.fused import ChordThresholds, NearThresholds, SmoothThresholds
 from prc_cli.core.types import F32, U8
 
 PAIRS_IN_LINE = ((-1, 1), (-2, 2), (-2, -1), (1, 2), (-1, 2), (-2, 1))

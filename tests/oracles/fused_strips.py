@@ -7,7 +7,7 @@ from math import floor
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds
+from prc_cli.core.thresholds.fused import StripThresholds, WallThresholds
 from prc_cli.core.types import F32, U8
 
 N, WIDTH, HALF_WIDTH, SLOT = 320, np.float32(0.5), np.float32(0.25), np.float32(0.25)

@@ -7,7 +7,7 @@ from math import floor, isnan, nan, sqrt
 
 import numpy as np
 
-from prc_cli.core.simulated import SensorModel
+from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 _PURPOSES = ("noise", "loss", "stray", "place", "glass", "leaves", "edge", "echo", "sky")

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from prc_cli.core.thresholds_fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
+from prc_cli.core.thresholds.fused import ForestThresholds, RunThresholds, StemThresholds, TerrainThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 

@@ -12,7 +12,7 @@ from prc_cli.classifiers.fused.plane import VOTE_LINES, ScanPlane
 from prc_cli.classifiers.fused.strips import Standing, WallParams
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import DecisionThresholds, single
+from prc_cli.core.thresholds.fused import DecisionThresholds, typed
 from prc_cli.core.types import F32, U8
 
 NEVER = 1e9
@@ -117,7 +117,7 @@ def decision_thresholds(
     poles: PoleParams,
 ) -> DecisionThresholds:
     """Return the limits of the decision; steps that are switched off get limits that nothing reaches."""
-    return single(
+    return typed(
         DecisionThresholds,
         least_near=least_near,
         spike_share=noise.spike_share if noise.spikes else NEVER,

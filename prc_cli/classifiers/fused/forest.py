@@ -18,7 +18,7 @@ from prc_cli.classifiers.fused.stems import StemsParams, find_stems
 from prc_cli.classifiers.fused.terrain import TerrainParams, heights_over_ground
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import ForestThresholds, double
+from prc_cli.core.thresholds.fused import ForestThresholds, typed
 from prc_cli.core.types import F32, U8, Mask
 
 LEAST_COLUMNS, MOST_COLUMNS = 2, 8
@@ -73,7 +73,7 @@ class ForestParams(Params):
     def thresholds(self) -> ForestThresholds:
         """Return what the loop of the labels is given; steps that are off get limits that change nothing."""
         flat, touching, company = self.flat, self.touching, self.company
-        return double(
+        return typed(
             ForestThresholds,
             below_m=self.below_m,
             soil_m=self.soil_m,

@@ -12,7 +12,7 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.plane import ScanPlane, points_of
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import WalkThresholds, single
+from prc_cli.core.thresholds.fused import WalkThresholds, typed
 from prc_cli.core.types import F32, I32, Mask
 
 BINS = 320
@@ -49,7 +49,7 @@ class GroundParams(Params):
 
     def thresholds(self, least_near: int) -> WalkThresholds:
         """Return what the loop is given; shots with fewer near neighbours do not count."""
-        return single(
+        return typed(
             WalkThresholds,
             least_near=least_near,
             step_m=self.step_m,

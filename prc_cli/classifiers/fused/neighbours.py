@@ -10,7 +10,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import ChordThresholds, NearThresholds, SmoothThresholds, single
+from prc_cli.core.thresholds.fused import ChordThresholds, NearThresholds, SmoothThresholds, typed
 from prc_cli.core.types import F32, U8
 
 
@@ -30,7 +30,7 @@ class CompanyParams(Params):
 
     def thresholds(self) -> NearThresholds:
         """Return what the loop is given."""
-        return single(
+        return typed(
             NearThresholds,
             near_m=self.near_m,
             near_steps=self.near_steps,
@@ -52,7 +52,7 @@ class SmoothnessParams(Params):
 
     def thresholds(self, noise_m: float, step_rad: float) -> SmoothThresholds:
         """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
-        return single(
+        return typed(
             SmoothThresholds,
             tolerance_m=max(self.least_m, self.noise_sigmas * noise_m),
             tolerance_per_m=self.per_metre + self.per_step * step_rad,
@@ -71,7 +71,7 @@ class DirectionParams(Params):
 
     def thresholds(self) -> ChordThresholds:
         """Return what the loop is given."""
-        return single(
+        return typed(
             ChordThresholds, chord_m=self.chord_m, slope=self.slope, slack_m=self.slack_m, longest_m=self.longest_m
         )
 

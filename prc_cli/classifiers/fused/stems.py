@@ -15,7 +15,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import RunThresholds, StemThresholds, double
+from prc_cli.core.thresholds.fused import RunThresholds, StemThresholds, typed
 from prc_cli.core.types import F32, Mask
 
 
@@ -68,7 +68,7 @@ class StemsParams(Params):
     def run_thresholds(self, step_rad: float) -> RunThresholds:
         """Return what the loop over the runs of a line is given; steps that are off get limits that change nothing."""
         gaps, opacity = self.gaps, self.opacity
-        return double(
+        return typed(
             RunThresholds,
             step_rad=step_rad,
             above_m=self.above_m,
@@ -86,7 +86,7 @@ class StemsParams(Params):
     def stem_thresholds(self) -> StemThresholds:
         """Return what the loop over the runs of a block is given."""
         joining = self.joining
-        return double(
+        return typed(
             StemThresholds,
             # below any difference of ranges
             near_m=joining.near_m if joining.enabled else -1.0,

@@ -13,7 +13,7 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import StripThresholds, WallThresholds, single
+from prc_cli.core.thresholds.fused import StripThresholds, WallThresholds, typed
 from prc_cli.core.types import F32, U8
 
 NEVER_M = 1e9
@@ -33,7 +33,7 @@ class StripsParams(Params):
 
     def thresholds(self, least_near: int, level_top_m: float) -> StripThresholds:
         """Return what the loop is given; level surfaces above ``level_top_m`` [m] do not count."""
-        return single(
+        return typed(
             StripThresholds,
             least_near=least_near,
             foot_m=self.foot_m,
@@ -62,7 +62,7 @@ class WallParams(Params):
 
     def thresholds(self) -> WallThresholds:
         """Return what the loop is given."""
-        return single(
+        return typed(
             WallThresholds,
             height_m=self.height_m if self.enabled else NEVER_M,
             share=self.share,

@@ -9,7 +9,7 @@ from prc_cli import kernels
 from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds_fused import TerrainThresholds, double
+from prc_cli.core.thresholds.fused import TerrainThresholds, typed
 from prc_cli.core.types import F32
 
 
@@ -29,7 +29,7 @@ class TerrainParams(Params):
 
     def thresholds(self) -> TerrainThresholds:
         """Return what the loop is given."""
-        return double(
+        return typed(
             TerrainThresholds, bin_m=self.bin_m, slope=self.slope, near_m=self.near_m, near_share=self.near_share
         )
 

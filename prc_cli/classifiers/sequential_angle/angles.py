@@ -14,7 +14,7 @@ from pydantic import Field
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.config import Params
-from prc_cli.core.sequential_angle import ChordThresholds
+from prc_cli.core.thresholds.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, I32, U8
 
 

@@ -16,7 +16,7 @@ from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.markov import HmmParams, hmm_cusum
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.sequential_angle import SurfaceThresholds
+from prc_cli.core.thresholds.sequential_angle import SurfaceThresholds
 from prc_cli.core.types import F32, U8, Mask
 
 

@@ -43,9 +43,9 @@ from pydantic import Field
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.core.config import Params
-from prc_cli.core.sequential_angle import GroundState as GroundState
-from prc_cli.core.sequential_angle import GroundThresholds
-from prc_cli.core.sequential_angle import PotentialGround as PotentialGround
+from prc_cli.core.thresholds.sequential_angle import GroundState as GroundState
+from prc_cli.core.thresholds.sequential_angle import GroundThresholds
+from prc_cli.core.thresholds.sequential_angle import PotentialGround as PotentialGround
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from prc_cli import kernels
 from prc_cli.core.config import Params
-from prc_cli.core.sequential_angle import MarkovModel, MarkovThresholds
+from prc_cli.core.thresholds.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, Mask
 
 Probability = Annotated[float, Field(ge=0, le=1)]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.thresholds_fused import WalkThresholds
+from prc_cli.core.thresholds.fused import WalkThresholds
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
-from prc_cli.kernels.signatures import Tuple, UniTuple, boolean, float32, int32, int64, named, uint8
 
 BINS, BIN_M = 320, np.float32(0.25)
 """Number of places on either side at which the ground is remembered, and their width [m]."""
@@ -172,17 +171,10 @@ def _copy(heights: F32, ages: I32, to_heights: F32, to_ages: I32) -> None:
 
 
 @kernel(
-    Tuple((float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[:, ::1]))(
-        float32[:, ::1],
-        UniTuple(float32[::1], 2),
-        UniTuple(uint8[:, ::1], 4),
-        UniTuple(int32[::1], 2),
-        float32[:, ::1],
-        int32[:, ::1],
-        float32,
-        int64,
-        named(WalkThresholds, float32),
-    )
+    "Tuple((float32[:, ::1], boolean[:, ::1], float32[:, ::1], int32[:, ::1]))(float32[:, ::1], "
+    "UniTuple(float32[::1], 2), UniTuple(uint8[:, ::1], 4), UniTuple(int32[::1], 2), float32[:, ::1], int32[:, ::1], "
+    "float32, int64, WalkThresholds)",
+    tuples=[WalkThresholds],
 )
 def walk_ground(
     range_m: F32,

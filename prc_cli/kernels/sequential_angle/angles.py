@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from prc_cli.core.sequential_angle import ChordThresholds
+from prc_cli.core.thresholds.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, F64, I32, U8
 from prc_cli.kernels.cache import helper, inlined, kernel
 

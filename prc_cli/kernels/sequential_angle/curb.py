@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.sequential_angle import CurbThresholds, OpenRegions
+from prc_cli.core.thresholds.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, I32, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 

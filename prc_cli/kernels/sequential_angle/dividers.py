@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.sequential_angle import DividerThresholds
+from prc_cli.core.thresholds.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, kernel
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from prc_cli.core.sequential_angle import FourierThresholds
+from prc_cli.core.thresholds.sequential_angle import FourierThresholds
 from prc_cli.core.types import F32, F64, I32, Mask
 from prc_cli.kernels.cache import kernel
 

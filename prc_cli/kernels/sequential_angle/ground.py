@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.sequential_angle import GroundState, GroundThresholds, PotentialGround
+from prc_cli.core.thresholds.sequential_angle import GroundState, GroundThresholds, PotentialGround
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 from prc_cli.kernels.cache import helper, inlined, kernel
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.sequential_angle import MarkovModel, MarkovThresholds
+from prc_cli.core.thresholds.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.kernels.cache import helper, kernel
 

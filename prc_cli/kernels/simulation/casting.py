@@ -12,12 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prc_cli.core.simulated import CastBodies
+from prc_cli.core.thresholds.simulation import CastBodies
 from prc_cli.core.types import F64, I32, I64
 from prc_cli.kernels.cache import helper, kernel
-from prc_cli.kernels.signatures import Tuple, float64, int32, int64, named, uint8
-
-_BODIES = named(CastBodies, float64[:, ::1], shape=uint8[::1], density=float64[::1], number=float64[::1])
 
 _TRIANGLE, _CONE, _ELLIPSOID = 0, 1, 2
 _GROUP = 16  # bodies that are tested together
@@ -684,11 +681,10 @@ def _walk(
 
 
 @kernel(
-    Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))(
-        float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1], float64[:, ::1], int64, _BODIES, int64[::1],
-        float64[::1],
-    )
-)  # fmt: skip
+    "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))(float64[:, :, ::1], float64[:, :, ::1], float64[:, ::1], "
+    "float64[:, ::1], int64, CastBodies, int64[::1], float64[::1])",
+    tuples=[CastBodies],
+)
 def cast_shots(
     origin: F64,
     direction: F64,

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from prc_cli.core.simulated import SensorModel
+from prc_cli.core.thresholds.simulation import SensorModel
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, kernel
-from prc_cli.kernels.signatures import Tuple, boolean, float32, float64, int32, int64, named, uint8
 
 GLASS, LEAVED, CURVED = 1, 2, 4
 """Bits of what a body is."""
@@ -35,8 +34,7 @@ _T, _POWER, _SLOPE, _LABEL, _N_ECHO = range(5)
 _STEEP, _BEFORE, _AFTER, _N_WORK = range(4, 8)
 """More of these rows: slope of flat surfaces, and the shares of the beam on what the shots beside it meet."""
 
-_HITS = Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))
-_MODEL = named(SensorModel, float64, is_cw=boolean, max_returns=int64)
+_HITS = "Tuple((float64[:, ::1], int32[:, ::1], float64[:, ::1]))"
 
 
 @helper
@@ -235,7 +233,7 @@ def _rounded(t: float, model: SensorModel) -> float:
     return steps if model.nearest_m <= steps <= model.farthest_m else np.nan
 
 
-@kernel(boolean[:, ::1](_HITS, uint8[:, ::1], _MODEL, int64, int64))
+@kernel(f"boolean[:, ::1]({_HITS}, uint8[:, ::1], SensorModel, int64, int64)", tuples=[SensorModel])
 def goes_behind(hits: tuple[F64, I32, F64], kind: U8, model: SensorModel, first_line: int, seed: int) -> Mask:
     """Mark the shots whose light goes on behind the surface that it meets first.
 
@@ -392,9 +390,9 @@ def _keep(
 
 
 @kernel(
-    Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))(
-        _HITS, _HITS, float64[:, ::1], uint8[:, ::1], _MODEL, float64[::1], int64, int64
-    )
+    "Tuple((float32[:, ::1], uint8[:, ::1], float32[:, ::1], int32[:, ::1], float32[::1], uint8[::1], float32[::1]))"
+    f"({_HITS}, {_HITS}, float64[:, ::1], uint8[:, ::1], SensorModel, float64[::1], int64, int64)",
+    tuples=[SensorModel],
 )
 def sense(
     hits: tuple[F64, I32, F64],

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.sequential_angle import ChordThresholds
+from prc_cli.core.thresholds.sequential_angle import ChordThresholds
 from prc_cli.core.types import F32, F64, I32, U8
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.sequential_angle import SurfaceThresholds
+from prc_cli.core.thresholds.sequential_angle import SurfaceThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 

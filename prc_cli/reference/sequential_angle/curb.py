@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.sequential_angle import CurbThresholds, OpenRegions
+from prc_cli.core.thresholds.sequential_angle import CurbThresholds, OpenRegions
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 MISSING, VERTICAL = int(Surface.MISSING), int(Surface.VERTICAL)

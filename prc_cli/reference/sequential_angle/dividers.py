@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.sequential_angle import DividerThresholds
+from prc_cli.core.thresholds.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 H, V = int(Surface.HORIZONTAL), int(Surface.VERTICAL)

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from prc_cli.core.sequential_angle import FourierThresholds
+from prc_cli.core.thresholds.sequential_angle import FourierThresholds
 from prc_cli.core.types import F32, F64, I32, Mask
 
 

@@ -11,7 +11,7 @@ from itertools import groupby
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.sequential_angle import GroundState, GroundThresholds, PotentialGround
+from prc_cli.core.thresholds.sequential_angle import GroundState, GroundThresholds, PotentialGround
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 
 EIGHTHS = 8

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import norm
 
-from prc_cli.core.sequential_angle import MarkovModel, MarkovThresholds
+from prc_cli.core.thresholds.sequential_angle import MarkovModel, MarkovThresholds
 from prc_cli.core.types import F32, F64, Mask
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 from prc_cli.core.types import F64, U8
+
+Floats = Annotated[F64, "float64[::1]"]
+Table = Annotated[F64, "float64[:, ::1]"]
 
 
 class SensorModel(NamedTuple):
@@ -63,15 +66,15 @@ class SensorModel(NamedTuple):
 class CastBodies(NamedTuple):
     """Bodies as the caster takes them; as :class:`prc_cli.simulation.world.Bodies`, but for ``turn``."""
 
-    shape: U8
+    shape: Annotated[U8, "uint8[::1]"]
     """(n,) uint8, :class:`prc_cli.simulation.world.Shape`."""
-    numbers: F64
+    numbers: Table
     """(n, 9) float64, what they mean depends on the shape [m, rad]; at time 0."""
-    turn: F64
+    turn: Table
     """(n, 2) float64, cosine and sine of the yaw of ellipsoids and boxes."""
-    density: F64
+    density: Floats
     """(n,) float64, leaf area density [m²/m³]; 0 = a surface."""
-    velocity: F64
+    velocity: Table
     """(n, 2) float64, along x and y [m/s]."""
-    number: F64
+    number: Floats
     """(n,) float64, identity from 0 to below 2^53, which seeds the leaves."""

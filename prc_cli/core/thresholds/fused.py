@@ -2,34 +2,35 @@
 
 The parameters of a stage build them (``params.thresholds()``), the compiled loop and its slow twin read them by field
 name. The loops of the street compute in float32, those of the forest in float64, and their thresholds are of that type:
-:func:`single` and :func:`double` convert.
+:func:`typed` converts.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 import numpy as np
 
 ThresholdsT = TypeVar("ThresholdsT", bound="tuple[Any, ...]")
 
 
-def single(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
-    """Return thresholds of a class, each converted to float32.
+def typed(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
+    """Return thresholds of a class, each converted to the type of its field.
 
-    >>> single(WallThresholds, height_m=1.5, share=0.3, before_m=2).before_m
+    >>> typed(WallThresholds, height_m=1.5, share=0.3, before_m=2).before_m
     np.float32(2.0)
-    """
-    return kind(**{name: np.float32(value) for name, value in values.items()})
-
-
-def double(kind: type[ThresholdsT], **values: float) -> ThresholdsT:
-    """Return thresholds of a class, each converted to float64.
-
-    >>> double(TerrainThresholds, bin_m=1, slope=0.5, near_m=0.1, near_share=0).bin_m
+    >>> typed(TerrainThresholds, bin_m=1, slope=0.5, near_m=0.1, near_share=0).bin_m
     1.0
     """
-    return kind(**{name: float(value) for name, value in values.items()})
+    types = _field_types(kind)
+    return kind(**{name: types[name](value) for name, value in values.items()})
+
+
+@cache
+def _field_types(kind: type[tuple[Any, ...]]) -> dict[str, Callable[[float], Any]]:
+    return get_type_hints(kind)
 
 
 class NearThresholds(NamedTuple):
