@@ -1,4 +1,4 @@
-"""The decision: the label of every shot, by questions in a fixed order."""
+"""The label of every shot, by a decision list (tests in a fixed order)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from prc_cli.core.thresholds_fused import DecisionThresholds, single
 from prc_cli.core.types import F32, U8
 
 NEVER = 1e9
-"""A limit that nothing reaches, for steps that are switched off."""
+"""A limit that no value reaches, for steps that are switched off."""
 
 
 class NoiseParams(Params):
@@ -76,7 +76,7 @@ class VoteParams(Params):
 
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
-    """Average the smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    """Return the mean smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
     texture: F32 = kernels.mean_smoothness(
         range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m)
     )
@@ -95,10 +95,17 @@ def decide(
 ) -> U8:
     """Label every shot of the lines; see :func:`prc_cli.kernels.fused.classes.fused_labels`.
 
-    In this order: alone, unless a leaf or part of a surface: noise. A spike: noise. Rough and far below the ground:
-    noise. On the ground: ground. Lonely, rough and far behind a wall: noise. Low with level surfaces: no class. Thin
-    and upright: vegetation below a crown, else no class. Rough place, and neither in a wall nor behind its windows:
-    vegetation. All else: building.
+    The first test that applies decides:
+
+    1. isolated, and neither a leaf nor part of a surface: noise;
+    2. a spike: noise;
+    3. rough and far below the ground: noise;
+    4. on the ground: ground;
+    5. few near neighbours, rough and far behind a wall: noise;
+    6. part of a low object with level surfaces (a car): unclassified;
+    7. thin and upright: vegetation below a crown (a trunk), otherwise unclassified (a pole);
+    8. in rough surroundings, and neither in a wall nor seen through its windows: vegetation;
+    9. otherwise: building.
     """
     labels: U8 = kernels.fused_labels(
         window_m, ground.above_m, seen.counts, ground.walked, texture, standing.slots, standing.walls,
@@ -116,7 +123,7 @@ def decision_thresholds(
     cars: CarParams,
     poles: PoleParams,
 ) -> DecisionThresholds:
-    """Return the limits of the decision; steps that are switched off get limits that nothing reaches."""
+    """Return the thresholds of the decision; steps that are switched off get limits that no value reaches."""
     return single(
         DecisionThresholds,
         least_near=least_near,
@@ -148,7 +155,7 @@ def decision_thresholds(
 
 @stage("votes")
 def vote(labels: U8, range_m: F32, plane: ScanPlane, params: VoteParams) -> U8:
-    """Give every shot the label of most shots around it; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
+    """Give every shot the majority label of its surroundings; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
     if not params.enabled:
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(

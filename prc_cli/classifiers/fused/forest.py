@@ -1,8 +1,7 @@
-"""Classes in the forest from the scan plane: ground, stems, other vegetation, noise.
+"""Classes in forest, in the scan plane: ground, stems, other vegetation, noise.
 
-Needs range, angle and time of the stream, as PRC does (Lehtola et al. 2019), and the vertical direction in the scan
-plane; no pose. Blocks are independent of each other: the ground is found anew every few lines, and a few lines are
-enough to find a stem.
+Needs the ranges, as PRC does (Lehtola et al. 2019), and the vertical direction in the scan plane; no pose. Blocks are
+independent: the ground is estimated anew every few lines, and a few lines are enough to find a stem.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from prc_cli.core.thresholds_fused import ForestThresholds, double
 from prc_cli.core.types import F32, U8, Mask
 
 LEAST_COLUMNS, MOST_COLUMNS = 2, 8
-"""Limits of the columns on either side in which near shots are looked for; more would be slow."""
+"""Limits of the columns searched for near shots on either side; more would be slow."""
 
 
 class FlatParams(Params):
@@ -71,7 +70,7 @@ class ForestParams(Params):
     company: CompanyParams = CompanyParams()
 
     def thresholds(self) -> ForestThresholds:
-        """Return what the loop of the labels is given; steps that are off get limits that change nothing."""
+        """Return the thresholds of the labelling loop; steps that are off get limits without effect."""
         flat, touching, company = self.flat, self.touching, self.company
         return double(
             ForestThresholds,
@@ -104,7 +103,7 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
 
     Examples
     --------
-    Ground, a stem and a stray shot before the sky:
+    Ground, a stem, and a stray shot in front of the sky:
 
     >>> from prc_cli.core.classes import Label
     >>> beam = np.deg2rad(np.linspace(45, 110, 651))
@@ -124,7 +123,7 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
 
 @stage("classes")
 def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, params: ForestParams) -> U8:
-    """Label ground and stems; other shots are vegetation, or noise without a near shot."""
+    """Label ground and stems; other shots are vegetation, or noise if no shot is near."""
     columns = round(math.radians(params.company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
     return kernels.forest_labels(range_m, heights_m, stems, around, params.thresholds())

@@ -1,4 +1,4 @@
-"""Neighbours of a shot: whether it is lonely, lies on a smooth surface, and the direction of that surface."""
+"""Neighbourhood of a shot: number of near neighbours, smoothness, and direction of the surface."""
 
 from __future__ import annotations
 
@@ -78,20 +78,20 @@ class DirectionParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbours:
-    """Counts of neighbours, for the inner lines of a window."""
+    """Neighbourhood counts of every shot, for the inner lines of a window."""
 
     near: U8
-    """(lines, M) uint8, neighbours close in space, of 28."""
+    """(lines, M) uint8, near neighbours, of 28."""
     smooth: U8
-    """(lines, M) uint8, pairs of neighbours on a smooth surface with the shot, of 10."""
+    """(lines, M) uint8, pairs of neighbours that lie on a smooth surface with the shot, of 10."""
     upright: U8
-    """(lines, M) uint8, upright chords, of 3."""
+    """(lines, M) uint8, upright chords through the shot, of 3."""
     level: U8
-    """(lines, M) uint8, level chords, of 3."""
+    """(lines, M) uint8, level chords through the shot, of 3."""
 
     @property
     def counts(self) -> tuple[U8, U8, U8, U8]:
-        """All four."""
+        """Return all four."""
         return self.near, self.smooth, self.upright, self.level
 
 
@@ -99,8 +99,8 @@ class Neighbours:
 def near_neighbours(window_m: F32, plane: ScanPlane, params: CompanyParams) -> U8:
     """Count the near neighbours of every shot, in its own line and two lines before and after.
 
-    Near in space, not in range: on a surface at grazing incidence ranges differ by metres from shot to shot, but the
-    shots are on one level, or above each other.
+    Nearness is measured in the scan plane, not in range: at grazing incidence the ranges on one surface differ by
+    metres from shot to shot.
     """
     counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, params.thresholds())
     return counts
@@ -108,7 +108,7 @@ def near_neighbours(window_m: F32, plane: ScanPlane, params: CompanyParams) -> U
 
 @stage("smoothness")
 def smooth_pairs(window_m: F32, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
-    """Count the pairs of neighbours that every shot is on a smooth surface with, in its line and across lines."""
+    """Count, for every shot, the pairs of neighbours on a smooth surface with it, within its line and across lines."""
     thresholds = params.thresholds(noise_m, float(plane.step_rad))
     counts: U8 = kernels.smooth_counts(window_m, plane.sine, plane.cosine, plane.step_rad, thresholds)
     return counts

@@ -1,8 +1,8 @@
 """Stems: upright, opaque, and continuous from line to line.
 
-A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's thickness over the sine of the
+A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's diameter over the sine of the
 tilt; an upright plane cuts it from foot to crown. So every line has a run of returns one above the other. Crowns have
-such runs by chance, but these are short, other returns pass through them, and the next line has none at the same place.
+such runs by chance, but these are short, have returns from behind, and do not continue in the next line.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class StemsParams(Params):
     joining: JoiningParams = JoiningParams()
 
     def run_thresholds(self, step_rad: float) -> RunThresholds:
-        """Return what the loop over the runs of a line is given; steps that are off get limits that change nothing."""
+        """Return the thresholds of the loop over the runs of a line; steps that are off get limits without effect."""
         gaps, opacity = self.gaps, self.opacity
         return double(
             RunThresholds,
@@ -76,7 +76,7 @@ class StemsParams(Params):
             tolerance_share=self.tolerance_share,
             steep=self.steep,
             gap_m=gaps.longest_m if gaps.enabled else math.inf,
-            # no return is near enough beyond the spacing of shots on a wall
+            # excludes every return farther than the shot spacing on a wall
             gap_steep=gaps.steep if gaps.enabled else -math.inf,
             behind_m=opacity.behind_m if opacity.enabled else math.inf,
             lean=self.lean,
@@ -84,7 +84,7 @@ class StemsParams(Params):
         )
 
     def stem_thresholds(self) -> StemThresholds:
-        """Return what the loop over the runs of a block is given."""
+        """Return the thresholds of the loop over the runs of a block."""
         joining = self.joining
         return double(
             StemThresholds,
@@ -119,7 +119,7 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) 
 
     Examples
     --------
-    A stem 4 m to the side and ground, four times the same line:
+    A stem 4 m to the side, and ground; the same line four times:
 
     >>> import numpy as np
     >>> beam = np.deg2rad(np.linspace(45, 100, 551))

@@ -1,4 +1,4 @@
-"""Things above the ground in narrow strips beside the scanner: their heights, and which are walls."""
+"""Objects above the ground in narrow strips beside the scanner: occupied heights, walls, low level surfaces."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class StripsParams(Params):
     jump_m: float = Field(1.0, ge=0, le=100, description="a level surface goes on to a neighbour that is nearer [m]")
 
     def thresholds(self, least_near: int, level_top_m: float) -> StripThresholds:
-        """Return what the loop is given; level surfaces above ``level_top_m`` [m] do not count."""
+        """Return the thresholds of the loop; level surfaces above ``level_top_m`` [m] do not count."""
         return single(
             StripThresholds,
             least_near=least_near,
@@ -61,7 +61,7 @@ class WallParams(Params):
     )
 
     def thresholds(self) -> WallThresholds:
-        """Return what the loop is given."""
+        """Return the thresholds of the loop."""
         return single(
             WallThresholds,
             height_m=self.height_m if self.enabled else NEVER_M,
@@ -72,14 +72,14 @@ class WallParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Standing:
-    """Things beside the lines of a block."""
+    """Objects above the ground beside the lines of a block."""
 
     slots: tuple[NDArray[np.uint64], NDArray[np.uint64]]
-    """(lines, strips) uint64, heights with shots and with rough ones, a bit for every 0.25 m."""
+    """(lines, strips) uint64, occupied heights by all shots and by rough shots, one bit per 0.25 m."""
     walls: tuple[F32, F32, F32]
-    """(lines, strips) float32, side and top of the wall in or before a strip, and side of the wall in or behind it."""
+    """(lines, strips) float32, distance and top of the wall in or before a strip; distance of the wall in or behind."""
     levels: U8
-    """(lines, 2 strips) uint8, 1 where a low level surface is."""
+    """(lines, 2 strips) uint8, 1 = a low level surface."""
 
 
 @stage("strips")

@@ -54,7 +54,7 @@ def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
 
 
 def is_dense(smooth: Mask, params: ForestParams) -> Mask:
-    """Return for every group of columns whether its first one is smooth often enough (eq. 12).
+    """Return for every group of columns whether its first column is dense: smooth often enough (eq. 12).
 
     Noise and missing shots count in the denominator.
 
