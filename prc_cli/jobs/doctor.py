@@ -328,7 +328,7 @@ def _memory() -> Iterator[Check]:
 
 
 def _free_memory() -> int | None:
-    """Return the available memory [bytes] of the machine, or of its container (control groups version 2, 1)."""
+    """Return the memory still available [bytes], to the machine and its container (control groups version 2, 1)."""
     found = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         text = Path("/proc/meminfo").read_text(encoding="ascii")
