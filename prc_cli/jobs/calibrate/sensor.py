@@ -18,7 +18,7 @@ from prc_cli.core.types import F32, F64, I64
 STRETCH = 9
 """Successive shots in a stretch that is tested for flatness."""
 MAX_SPREAD = 1.3
-"""Greatest ratio of ranges in a stretch: beyond it incidence is grazing, and the noise differs too much between shots."""
+"""Greatest ratio of ranges in a stretch: beyond it incidence is grazing, and the noise of the shots differs."""
 MIN_STRETCHES = 50
 """Least number of stretches in a usable range bin."""
 FLAT_M = 0.1

@@ -215,8 +215,7 @@ def _check_options(options: RenderOptions) -> None:
 
 
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
-    """Read all points once; return a sample for frame and scales, whether it is classified, and how many have no
-    coordinates."""
+    """Read all points once; return a sample, whether the cloud has classes, and how many have no coordinates."""
     sample = Sample(5)
     has_classes, n_without = False, 0
     names = ("range", "intensity", "classification") if cloud.has_own_classes else ("range", "intensity")
