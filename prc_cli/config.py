@@ -25,20 +25,20 @@ from prc_cli.formats.writing.options import OutputConfig
 
 
 class _Input(Params):
-    """What is read, and how it is classified."""
+    """Input and classification method."""
 
     method: MethodName = Field(
         "prc",
-        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), or fused, made out "
-        "of both",
+        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), or fused (our own "
+        "combination of both)",
     )
-    input: InputConfig = Field(default_factory=InputConfig, description="how the stream is found in the input")
+    input: InputConfig = Field(default_factory=InputConfig, description="how the stream is read from the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
 
 
 # pydantic orders fields by base class, the last base first; this is the order in the file
 class RunConfig(MethodTables, _Input):
-    """Everything a run depends on beside its input."""
+    """All settings of a run except its input file."""
 
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes")
     output: OutputConfig = Field(default_factory=OutputConfig, description="what is written")

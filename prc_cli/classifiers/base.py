@@ -188,7 +188,7 @@ class Classifier(Protocol[ScannerT, StateT_co]):
 
 
 class MethodParams(Params):
-    """Parameters of a method, a table of the configuration; they know the method."""
+    """Parameters of a method, one table of the configuration."""
 
     def method(self) -> Classifier[Any, Any]:
         """Return the method with these parameters."""

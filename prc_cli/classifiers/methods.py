@@ -20,7 +20,7 @@ METHODS: tuple[MethodName, ...] = get_args(MethodName)
 
 
 class MethodTables(Params):
-    """The parameters of every method, whichever is chosen."""
+    """The parameters of all methods."""
 
     prc: PrcParams = Field(default_factory=PrcParams, description="PRC (Lehtola et al. 2019)")
     sequential_angle: SequentialAngleParams = Field(

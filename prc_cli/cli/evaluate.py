@@ -161,9 +161,9 @@ def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
-    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders, whose files of one
-    name (but for the suffix) are pooled into one matrix. Records that are not in the same order find their partner
-    with --match. The result goes to stdout, and to the files of --output.
+    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders, whose files of the same
+    name (any suffix) are pooled into one matrix. Records that are not in the same order are matched with --match. The
+    result goes to stdout, and to the files of --output.
 
     \b
     Examples:

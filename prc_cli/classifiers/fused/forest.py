@@ -25,12 +25,12 @@ LEAST_COLUMNS, MOST_COLUMNS = 2, 8
 
 
 class FlatParams(Params):
-    """Ground that is rougher than its profile (``[fused.forest.flat]``)."""
+    """Flat places, where the ground may lie higher above its profile (``[fused.forest.flat]``)."""
 
-    enabled: bool = Field(True, description="whether flat places are ground up to a greater height than others")
+    enabled: bool = Field(True, description="whether flat places are ground up to a greater height")
     cover_m: float = Field(0.15, ge=0, le=10, description="height over the ground up to which flat places are ground")
     step_m: float = Field(
-        0.04, ge=0, le=10, description="shots on flat places are less higher or lower than both their neighbours [m]"
+        0.04, ge=0, le=10, description="greatest step in height to both neighbours of a shot on a flat place [m]"
     )
 
 
@@ -38,23 +38,25 @@ class TouchingParams(Params):
     """Single shots of a stem between leaves and at its edges (``[fused.forest.touching]``)."""
 
     enabled: bool = Field(True, description="whether a shot beside a stem's is of the stem where it is as far")
-    range_m: float = Field(0.05, ge=0, le=10, description="as far means within this much [m]")
+    range_m: float = Field(0.05, ge=0, le=10, description="greatest difference in range to the stem shot [m]")
 
 
-class CompanyParams(Params):
-    """Noise is alone (``[fused.forest.company]``)."""
+class IsolationParams(Params):
+    """Isolated shots are noise (``[fused.forest.company]``)."""
 
-    enabled: bool = Field(True, description="whether shots alone in the air are noise")
-    range_m: float = Field(0.3, ge=0, le=100, description="company is within so much in range [m] ...")
+    enabled: bool = Field(True, description="whether isolated shots are noise")
+    range_m: float = Field(
+        0.3, ge=0, le=100, description="a shot is isolated without another one within this range difference [m] ..."
+    )
     angle_deg: float = Field(
-        0.3, ge=0, le=90, description="... and so much of the line on either side [degrees], 2 to 8 columns"
+        0.3, ge=0, le=90, description="... and this angle along the line on either side [degrees], 2 to 8 columns"
     )
 
 
 class ForestParams(Params):
     """The forest, in the scan plane (``[fused.forest]``)."""
 
-    soil_m: float = Field(0.04, ge=0, le=10, description="height over the ground up to which all is ground [m]")
+    soil_m: float = Field(0.04, ge=0, le=10, description="returns up to this height above the ground are ground [m]")
     below_m: float = Field(0.2, ge=0, le=100, description="what is farther below the ground is noise [m]")
     stem_top_m: float = Field(
         1000.0,
@@ -67,7 +69,7 @@ class ForestParams(Params):
     stems: StemsParams = StemsParams()
     flat: FlatParams = FlatParams()
     touching: TouchingParams = TouchingParams()
-    company: CompanyParams = CompanyParams()
+    company: IsolationParams = IsolationParams()
 
     def thresholds(self) -> ForestThresholds:
         """Return the thresholds of the labelling loop; steps that are off get limits without effect."""

@@ -29,22 +29,36 @@ class GroundParams(Params):
     """How the ground is followed (``[fused.ground]``)."""
 
     step_m: float = Field(
-        0.14, ge=0, le=10, description="the ground rises or falls by less than this from shot to shot, as at a curb [m]"
+        0.14,
+        ge=0,
+        le=10,
+        description="greatest step in height from one shot of the ground to the next, as at a curb [m]",
     )
-    slope: float = Field(0.3, ge=0, le=10, description="and by so much more for every metre between the two ...")
-    slope_reach_m: float = Field(0.5, ge=0, le=100, description="... up to so many metres [m]")
-    gap_slope: float = Field(0.08, ge=0, le=10, description="and so much for every metre, where nothing lies between")
-    known_m: float = Field(0.15, ge=0, le=10, description="what is this near to the lines before is ground as well [m]")
-    memory_lines: int = Field(60, ge=0, le=100_000, description="lines that a place is remembered for; 0 = none")
-    follow: float = Field(0.4, gt=0, le=1, description="share of what is new in the memory of a place")
+    slope: float = Field(0.3, ge=0, le=10, description="added to the step per metre between the two shots ...")
+    slope_reach_m: float = Field(0.5, ge=0, le=100, description="... up to this distance [m]")
+    gap_slope: float = Field(0.08, ge=0, le=10, description="added to the step per metre of a gap, at any distance")
+    known_m: float = Field(
+        0.15, ge=0, le=10, description="shots this near to the ground height of earlier lines are ground too [m]"
+    )
+    memory_lines: int = Field(
+        60, ge=0, le=100_000, description="lines for which the height of a place is kept; 0 = none"
+    )
+    follow: float = Field(0.4, gt=0, le=1, description="weight of a new height in the kept height of a place")
     walked_m: float = Field(
-        0.3, ge=0, le=10, description="shots of the walk are ground if this near to the profile of the ground [m]"
+        0.3, ge=0, le=10, description="shots followed as ground are ground if this near to the ground profile [m]"
     )
-    level_m: float = Field(0.12, ge=0, le=10, description="so are others that are more level than upright, within [m]")
-    soil_m: float = Field(0.06, ge=0, le=10, description="and all that is not upright, within [m]")
-    below_m: float = Field(0.3, ge=0, le=1e9, description="what is rough and farther below than this is noise [m]")
+    level_m: float = Field(
+        0.12, ge=0, le=10, description="other shots, more level than upright, are ground if this near to it [m]"
+    )
+    soil_m: float = Field(
+        0.06, ge=0, le=10, description="all shots that are not upright are ground if this near to it [m]"
+    )
+    below_m: float = Field(0.3, ge=0, le=1e9, description="rough shots farther below the ground are noise [m]")
     start_reach_m: float = Field(
-        4.0, gt=0, le=100, description="where nothing is remembered, the ground this far to the side is the start [m]"
+        4.0,
+        gt=0,
+        le=100,
+        description="without heights of earlier lines, start from the ground within this distance [m]",
     )
 
     def thresholds(self, least_near: int) -> WalkThresholds:

@@ -33,8 +33,8 @@ from prc_cli.classifiers.fused.classes import (
 from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
 from prc_cli.classifiers.fused.neighbours import (
-    CompanyParams,
     DirectionParams,
+    NeighbourhoodParams,
     Neighbours,
     SmoothnessParams,
     chords,
@@ -70,7 +70,7 @@ class FusedParams(MethodParams):
         0.3, ge=0, le=100, description="further returns take the label of a shot around that is this near in range [m]"
     )
     sensor: SensorParams = SensorParams()
-    company: CompanyParams = CompanyParams()
+    company: NeighbourhoodParams = NeighbourhoodParams()
     smoothness: SmoothnessParams = SmoothnessParams()
     directions: DirectionParams = DirectionParams()
     ground: GroundParams = GroundParams()

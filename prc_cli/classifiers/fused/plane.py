@@ -39,8 +39,8 @@ class SensorParams(Params):
     range_noise_m: Annotated[float, Field(ge=0, le=1)] | Literal["auto"] = Field(
         "auto", description='standard deviation of ranges on smooth surfaces [m]; "auto" = measured'
     )
-    default_noise_m: float = Field(0.005, gt=0, le=1, description="the same until a block tells it [m]")
-    again: bool = Field(True, description="whether it is measured again in later blocks, and the least taken")
+    default_noise_m: float = Field(0.005, gt=0, le=1, description="range noise used until it could be measured [m]")
+    again: bool = Field(True, description="whether to measure it again in later blocks and use the smallest value")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,13 +23,15 @@ NEVER_M = 1e9
 class StripsParams(Params):
     """What counts in a strip (``[fused.strips]``)."""
 
-    foot_m: float = Field(0.15, ge=0, le=10, description="what is lower above the ground is left out [m]")
-    rough: int = Field(2, ge=0, le=10, description="shots with so many smooth pairs, of 10, or fewer are rough")
-    smooth: int = Field(3, ge=0, le=11, description="shots with so many or more are smooth")
+    foot_m: float = Field(0.15, ge=0, le=10, description="lower shots above the ground are ignored [m]")
+    rough: int = Field(2, ge=0, le=10, description="most smooth pairs, of 10, of a rough shot")
+    smooth: int = Field(3, ge=0, le=11, description="fewest smooth pairs of a smooth shot")
     level_smooth: int = Field(
-        6, ge=0, le=11, description="level surfaces of cars have so many or more; the tops of hedges are rougher"
+        6, ge=0, le=11, description="fewest smooth pairs on the level surface of a car; tops of hedges are rougher"
     )
-    jump_m: float = Field(1.0, ge=0, le=100, description="a level surface goes on to a neighbour that is nearer [m]")
+    jump_m: float = Field(
+        1.0, ge=0, le=100, description="a level surface continues to neighbouring shots within this distance [m]"
+    )
 
     def thresholds(self, least_near: int, level_top_m: float) -> StripThresholds:
         """Return the thresholds of the loop; level surfaces above ``level_top_m`` [m] do not count."""
@@ -46,18 +48,23 @@ class StripsParams(Params):
 
 
 class WallParams(Params):
-    """What a wall is, and what is seen through it (``[fused.walls]``)."""
+    """Walls, and returns from behind their windows (``[fused.walls]``)."""
 
     enabled: bool = Field(True, description="whether rough shots in walls and behind their windows are building")
     height_m: float = Field(
-        1.5, gt=0, le=1000, description="smooth upright surface that it shows at least, in the mean of five lines [m]"
+        1.5, gt=0, le=1000, description="least height of its smooth upright surface, mean of five lines [m]"
     )
-    share: float = Field(0.3, ge=0, le=1, description="its share of all that stands there")
-    front_m: float = Field(0.4, ge=0, le=10, description="what is this close before a wall belongs to it [m]")
-    behind_m: float = Field(1.0, ge=0, le=100, description="so does what is seen through it, up to so far behind [m]")
-    over_m: float = Field(0.3, ge=0, le=10, description="by lines of sight up to so much above its top [m]")
+    share: float = Field(0.3, ge=0, le=1, description="least share of that surface in everything in the strip")
+    front_m: float = Field(0.4, ge=0, le=10, description="shots up to this far in front of a wall are part of it [m]")
+    behind_m: float = Field(1.0, ge=0, le=100, description="so are shots seen through it, up to this far behind [m]")
+    over_m: float = Field(
+        0.3, ge=0, le=10, description="lines of sight up to this far above its top count as through it [m]"
+    )
     before_m: float = Field(
-        2.0, ge=0, le=100, description="before a wall, up to so far, leaves must be rougher: balconies are there [m]"
+        2.0,
+        ge=0,
+        le=100,
+        description="up to this far in front of a wall, foliage must be rougher, because of balconies [m]",
     )
 
     def thresholds(self) -> WallThresholds:

@@ -17,13 +17,14 @@ class TerrainParams(Params):
     """How the height of the ground is found (``[fused.forest.terrain]``)."""
 
     lines_together: int = Field(4, ge=1, le=1000, description="successive lines that share a profile of the ground")
-    bin_m: float = Field(0.25, gt=0, le=10, description="width of a step of the profile [m]")
+    bin_m: float = Field(0.25, gt=0, le=10, description="width of a bin of the profile [m]")
     reach_m: float = Field(80.0, gt=0, le=1000, description="how far to either side the profile goes [m]")
-    slope: float = Field(
-        0.5, ge=0, le=10, description="what is higher over the ground beside it than this for every metre is a plant"
-    )
+    slope: float = Field(0.5, ge=0, le=10, description="greatest slope of the ground; higher bins are plants")
     near_m: float = Field(
-        0.1, ge=0, le=10, description="returns this near to the one before them in the line make the ground [m] ..."
+        0.1,
+        ge=0,
+        le=10,
+        description="ground returns differ from the previous return in the line by at most this [m] ...",
     )
     near_share: float = Field(0.05, ge=0, le=1, description="... plus this share of the range; the rest may be noise")
 

@@ -14,7 +14,7 @@ from prc_cli.core.types import F32, U8, Mask
 
 
 class ForestParams(Params):
-    """Which columns of a block look at the ground (``[prc.forest]``)."""
+    """Which columns of a block are ground (``[prc.forest]``)."""
 
     column_step: int = Field(
         10, ge=1, le=1_000_000, description="columns that are ground, or not, together; the first one of them decides"

@@ -30,7 +30,7 @@ def _area(value: Any) -> Any:
 
 
 class SurfacesParams(Params):
-    """What is large enough to be a surface, and how far the rest grows together (``[prc.surfaces]``)."""
+    """Size limit of smooth segments, and dilation of the others (``[prc.surfaces]``)."""
 
     area: Annotated[Annotated[float, Field(gt=0)] | Literal["auto"], BeforeValidator(_area)] = Field(
         30.0,

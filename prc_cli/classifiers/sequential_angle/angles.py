@@ -19,7 +19,7 @@ from prc_cli.core.types import F32, I32, U8
 
 
 class AnglesParams(Params):
-    """Which shots are joined by the chords that angles are measured on (``[sequential_angle.angles]``)."""
+    """Chords between shots, on which angles are measured (``[sequential_angle.angles]``)."""
 
     range_noise_m: float = Field(
         0.005, ge=0, le=10, description="standard deviation of the range noise of the scanner [m] (published)"

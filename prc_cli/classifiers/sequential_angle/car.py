@@ -20,7 +20,9 @@ class CarParams(Params):
 
     suspicious: SuspiciousParams = Field(SuspiciousParams(), description="which lines may hold a car")
     dividers: DividersParams = Field(DividersParams(), description="where on a line a car may be")
-    high_verticals: HighVerticalsParams = Field(HighVerticalsParams(), description="what no car lies behind")
+    high_verticals: HighVerticalsParams = Field(
+        HighVerticalsParams(), description="high vertical surfaces, behind which no cars are accepted"
+    )
     fourier: FourierParams = Field(FourierParams(), description="car or vegetation")
     ground_layer_m: float = Field(
         0.3,

@@ -30,7 +30,7 @@ from prc_cli.core.types import F32, I32, U8, Mask
 
 
 class CurbParams(Params):
-    """How curbs are found and proven (``[sequential_angle.curb]``)."""
+    """How curbs are found and verified (``[sequential_angle.curb]``)."""
 
     under_points: int = Field(
         30, ge=1, le=100_000, description="points before a point that are looked at for something under it (published)"

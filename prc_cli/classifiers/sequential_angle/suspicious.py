@@ -28,7 +28,7 @@ Matrix = tuple[Row, Row, Row]
 
 
 class SuspiciousParams(Params):
-    """What a regular surface and a car look like as chains of H, V and M (``[sequential_angle.car.suspicious]``)."""
+    """Markov chains of H, V and M on a regular surface and on a car (``[sequential_angle.car.suspicious]``)."""
 
     h0: Matrix = Field(
         ((0.8, 0.1, 0.1), (0.09, 0.9, 0.01), (0.6, 0.3, 0.1)),
