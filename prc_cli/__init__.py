@@ -1,7 +1,6 @@
 """Preregistration classification of raw mobile laser scanning streams.
 
-The functions below are what the commands themselves call; they are loaded on first use, so that
-``import prc_cli`` stays cheap.
+The commands call the functions below. They are loaded on first use, so that ``import prc_cli`` is fast.
 
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)

@@ -1,6 +1,6 @@
-"""The whole configuration: every stage's own parameters put together, layered, with the source of every value.
+"""The whole configuration: the parameters of all stages, in layers, with the source of every value.
 
-Layers, each over the one before: built-in defaults, a preset, a TOML file, command-line options.
+Layers, later ones win: built-in defaults, a preset, a TOML file, command-line options.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from prc_cli.formats.writing.options import OutputConfig
 
 
 class _Input(Params):
-    """What is read, and how it is classified."""
+    """Input and classification method."""
 
     method: MethodName = Field(
         "prc",
-        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), or fused, made out "
-        "of both",
+        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), or fused (our own "
+        "combination of both)",
     )
-    input: InputConfig = Field(default_factory=InputConfig, description="how the stream is found in the input")
+    input: InputConfig = Field(default_factory=InputConfig, description="how the stream is read from the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
 
 
-# fields come in the order of the file: those of the last base first
+# pydantic orders fields by base class, the last base first; this is the order in the file
 class RunConfig(MethodTables, _Input):
-    """Everything a run depends on beside its input."""
+    """All settings of a run except its input file."""
 
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes")
     output: OutputConfig = Field(default_factory=OutputConfig, description="what is written")
@@ -51,12 +51,12 @@ class RunConfig(MethodTables, _Input):
 
     @property
     def needs_beams(self) -> bool:
-        """Whether the classifier must know where down is."""
+        """Whether the classifier needs beam angles from straight down."""
         return self.classifier.method().needs.beams
 
     @property
     def nadir_from_ground(self) -> bool:
-        """Whether the ranges may tell where down is."""
+        """Whether nadir may be estimated from the ranges."""
         return self.classifier.method().needs.nadir_from_ground
 
     def to_table(self) -> dict[str, Any]:
@@ -64,7 +64,7 @@ class RunConfig(MethodTables, _Input):
         return self.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def of_run(self) -> dict[str, Any]:
-        """Return :meth:`to_table` without the classifiers that ``method`` does not name: what labels depend on."""
+        """Return :meth:`to_table` without the parameters of the other classifiers, which labels do not depend on."""
         table = self.to_table()
         for method in METHODS:
             if method != self.method:
@@ -73,22 +73,22 @@ class RunConfig(MethodTables, _Input):
 
 
 PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-scan-published")
-"""Sets of parameters by name; each is a file of the sample configurations (:func:`preset_file`)."""
+"""Names of the presets; each is a file of the sample configurations (:func:`preset_file`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedConfig:
-    """A configuration and where each of its values came from."""
+    """A configuration and the source of each of its values."""
 
     config: RunConfig
     sources: dict[str, str] = field(default_factory=dict)
-    """Layer by dotted key; keys that are absent here hold their default."""
+    """Layer by dotted key; other keys hold their default."""
     files: tuple[Path, ...] = ()
-    """Files that were read for it: never overwritten by a run."""
+    """Files it was read from; a run never overwrites them."""
 
     @property
     def trajectory(self) -> Path | None:
-        """The trajectory that ranges are measured from, if any."""
+        """The trajectory file that ranges are computed from, if any."""
         kind, _, name = self.config.input.range.partition(":")
         return Path(name) if kind == "trajectory" else None
 
@@ -107,7 +107,7 @@ def load_config(
     preset : str, optional
         One of :data:`PRESETS`; wins over the preset that the file names.
     options : mapping, optional
-        Nested table laid over everything else, for example ``{"prc": {"support": {"zeta_p": 0.1}}}``.
+        Nested table that wins over everything else, for example ``{"prc": {"support": {"zeta_p": 0.1}}}``.
 
     Raises
     ------
@@ -140,12 +140,12 @@ def load_config(
 
 
 def from_layers(layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Path, ...] = ()) -> LoadedConfig:
-    """Build a configuration of named nested tables, each laid over the one before.
+    """Build a configuration from named nested tables; later ones win.
 
     Parameters
     ----------
     layers : sequence of (str, mapping)
-        Where a table comes from, and the table.
+        Name of the source, and its table.
     files : tuple of Path
         Files that were read for it.
 
@@ -158,14 +158,14 @@ def from_layers(layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Pa
     sources: dict[str, str] = {}
     for name, layer in layers:
         merged = merge(merged, layer)
-        # each layer is validated on top of those below it, so that the message names the right source
+        # validated after every layer, so that the message names the right source
         build(RunConfig, merged, name)
         sources.update(dict.fromkeys(dict(flatten(layer)), name))
     return LoadedConfig(build(RunConfig, merged, "configuration"), sources, files)
 
 
 def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
-    """Let the trajectory that a configuration file names start at the file's folder, wherever the program runs."""
+    """Resolve a relative trajectory path against the folder of the configuration file that names it."""
     inputs = table.get("input")
     rule = inputs.get("range") if isinstance(inputs, Mapping) else None
     if not isinstance(rule, str) or not rule.startswith("trajectory:"):
@@ -178,12 +178,12 @@ def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
 
 
 def preset_file(name: str) -> Path:
-    """Return the file that a preset is."""
+    """Return the file of a preset."""
     return samples_folder() / f"{name.replace('-', '_')}.toml"
 
 
 def preset_table(name: Any) -> dict[str, Any]:
-    """Return the table of a preset, or raise :class:`ConfigError` naming those there are."""
+    """Return the table of a preset, or raise :class:`ConfigError` with the names of all presets."""
     if not isinstance(name, str) or name not in PRESETS:
         raise ConfigError("preset", f"found {name!r}, expected one of: {', '.join(PRESETS)}")
     return read_toml(preset_file(name))
@@ -191,7 +191,7 @@ def preset_table(name: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class PresetSummary:
-    """What ``prc config presets`` tells of a preset."""
+    """Summary of a preset for ``prc config presets``."""
 
     name: str
     purpose: str
@@ -200,7 +200,7 @@ class PresetSummary:
     n_changed: int
     """Number of values that differ from the defaults."""
     values: dict[str, Any]
-    """Every value that the file sets, by dotted key; the published urban ones are the defaults, too."""
+    """Every value that the file sets, by dotted key, including those equal to the defaults."""
     file: Path
 
 
@@ -253,7 +253,7 @@ def to_toml(loaded: LoadedConfig, *, comments: bool = True) -> str:
     loaded : LoadedConfig
         The configuration.
     comments : bool
-        With the description of every key and the source of every value that is not its default.
+        Whether to write the description of every key and the source of every value that is not its default.
     """
     return params_to_toml(loaded.config, loaded.sources, comments=comments)
 
@@ -264,11 +264,11 @@ def params_to_toml(params: Params, sources: Mapping[str, str] | None = None, *, 
     Parameters
     ----------
     params : Params
-        The table, with those inside it.
+        The table, including nested ones.
     sources : mapping, optional
-        Where the value of a dotted key, or a whole table, came from, for its comment.
+        Source by dotted key, or by table, for the comments.
     comments : bool
-        With the description of every key.
+        Whether to write the description of every key.
 
     Examples
     --------
@@ -313,13 +313,13 @@ def _toml_key(key: str, value: Any, info: FieldInfo, source: str | None, comment
 
 
 def _origin(source: str) -> str:
-    """Return a comment; the name of a file must not end it."""
+    """Return a comment with the source; control characters in file names are escaped, so they cannot end it."""
     shown = "".join(character if character.isprintable() else ascii(character)[1:-1] for character in source)
     return f"  # from: {shown}"
 
 
 def _toml_value(value: Any) -> str:
-    """Return JSON's strings, numbers, booleans and lists, which are TOML's but for some escaped characters."""
+    """Return a value as JSON, which is valid TOML once some characters are escaped."""
     text = json.dumps(value, ensure_ascii=False)
     return "".join(c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in text)
 

@@ -1,1 +1,1 @@
-"""Blocks of the stream in, one label per shot out; a folder for each method."""
+"""Classifiers: blocks of scan lines in, one label per shot out; one folder per method."""

@@ -1,12 +1,12 @@
-"""What a classifier is: how it wants the stream cut, and how it labels a block.
+"""Interface of a classifier: how the stream is cut for it, and how it labels a block.
 
-A method is one folder beside this file and one row in :mod:`prc_cli.classifiers.methods`;
-:mod:`prc_cli.classifiers.run` runs whichever it is, in as many threads as there are.
+A method is one folder beside this file and one row in :mod:`prc_cli.classifiers.methods`.
+:mod:`prc_cli.classifiers.run` runs all methods, in any number of threads.
 
-Nearly all steps of a method need one block alone. The few that need the blocks before it hand a value on: the step
-gets the value that the block before left, and returns its result and the value for the next block. These values are
-the fields of the method's state, a frozen dataclass, one for every scanner. Steps that hand on should be short: the
-blocks take turns in them, while all other steps run at the same time.
+Most steps of a method need only their own block. A step that depends on earlier blocks receives the value left by the
+previous block, and returns its result and the value for the next block. These values are the fields of the method's
+state, a frozen dataclass, one per scanner. Such steps should be short: they run block after block, all other steps run
+in parallel.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ _ResultT = TypeVar("_ResultT")
 
 @dataclass(frozen=True)
 class Part(Generic[_ValueT]):
-    """A field of a state, which is handed on by itself."""
+    """A field of a state, handed on separately from the other fields."""
 
     name: str
 
 
 class Turn(Protocol):
-    """The place of a block in the stream of its scanner."""
+    """The position of a block in its scanner's stream; passes the state from block to block."""
 
     def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
-        """Take a step that needs the blocks before.
+        """Run a step that depends on the previous blocks.
 
         Parameters
         ----------
         part : Part
-            Every block of a scanner hands on the same parts, each once.
+            Every block of a scanner hands on the same parts, each exactly once.
         step : callable
-            Takes the value that the block before left; returns a result, and the value for the next block.
+            Takes the value left by the previous block; returns a result and the value for the next block.
 
         Returns
         -------
@@ -56,17 +56,17 @@ class Turn(Protocol):
 
 
 class OneByOne(Generic[StateT]):
-    """Turns of blocks that are labelled one after the other.
+    """A :class:`Turn` for blocks that are labelled one after the other in one thread.
 
     Parameters
     ----------
     state : dataclass
-        What the block before left.
+        State left by the previous block.
 
     Attributes
     ----------
     state : dataclass
-        After a block: what it leaves to the next one.
+        After a block: the state for the next one.
 
     Examples
     --------
@@ -82,7 +82,7 @@ class OneByOne(Generic[StateT]):
         self.state = state
 
     def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
-        """Take a step; see :class:`Turn`."""
+        """Run a step; see :class:`Turn`."""
         state: Any = self.state
         result, value = step(getattr(state, part.name))
         self.state = replace(state, **{part.name: value})
@@ -91,28 +91,28 @@ class OneByOne(Generic[StateT]):
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a method asks for."""
+    """What a method requires of its input."""
 
     kernels: frozenset[str]
     """Folders or modules of the compiled loops that it calls, as for :func:`prc_cli.kernels.load_kernels`."""
     lines_per_block: int | None = None
-    """k, scan lines of a block, fewer only at the end of the stream; None = any number of whole lines."""
+    """k, scan lines per block, fewer only at the end of the stream; None = any number of whole lines."""
     look_ahead: int | None = None
-    """Lines that are shown after a block, at least 1; None = those of :func:`prc_cli.core.blocks.look_ahead_lines`."""
+    """Lines of look-ahead after a block, at least 1; None = :func:`prc_cli.core.blocks.look_ahead_lines`."""
     beams: bool = True
-    """Whether blocks must say where their beams point (``beam_rad``)."""
+    """Whether blocks must hold beam angles (``beam_rad``)."""
     nadir_from_ground: bool = False
-    """Whether the ranges may tell where down is: in streets, where much is level, and a degree or two is enough."""
+    """Whether nadir may be estimated from the ranges: accurate to a degree or two in streets, where much is level."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What is found beside the labels, where the method has it."""
+    """Optional results besides the labels, where the method provides them."""
 
     segments: bool = False
     """Segment ids."""
     stages: bool = False
-    """What was found on the way (:class:`~prc_cli.core.stream.StageLabels`)."""
+    """Intermediate results (:class:`~prc_cli.core.stream.StageLabels`)."""
 
 
 LABELS_ALONE = Wanted()
@@ -124,11 +124,11 @@ class Classifier(Protocol[ScannerT, StateT_co]):
     @property
     @abstractmethod
     def needs(self) -> Needs:
-        """What the method asks for."""
+        """What the method requires of its input."""
 
     @abstractmethod
     def scanner(self, first: ScanBlock) -> ScannerT:
-        """Return what never changes of a scanner, such as its beams, from its first block.
+        """Return the constants of a scanner, such as its beams, from its first block.
 
         Raises
         ------
@@ -147,24 +147,23 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         Parameters
         ----------
         block : ScanBlock
-            The next lines of the scanner, with the lines that follow (``next_m``) and whether it is the last
-            (``is_last``).
+            The next lines of the scanner, with look-ahead (``next_m``) and whether it is the last (``is_last``).
         scanner : object
             From :meth:`scanner`.
         turn : Turn
             Hands the state on.
         wanted : Wanted
-            What to find beside the labels.
+            Optional results to compute.
 
         Returns
         -------
         sequence of LabelledBlock
-            The lines that became final, in order, their further returns labelled too; there may be none, and lines of
-            earlier blocks among them.
+            The lines that became final, in order, including their further returns; may be empty, and may include
+            lines of earlier blocks.
         """
 
     def hopping(self, hop: int) -> Classifier[Any, Any]:
-        """Return the method such that labels leave every ``hop`` lines; here as it is, it has no other way.
+        """Return the method set to output labels every ``hop`` lines; by default the method itself.
 
         Raises
         ------
@@ -174,7 +173,7 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         return self
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
-        """Say what a finished run did without, in sentences.
+        """Return sentences on what a finished run could not do.
 
         Parameters
         ----------
@@ -189,7 +188,7 @@ class Classifier(Protocol[ScannerT, StateT_co]):
 
 
 class MethodParams(Params):
-    """Parameters of a method, a table of the configuration; they know the method."""
+    """Parameters of a method, one table of the configuration."""
 
     def method(self) -> Classifier[Any, Any]:
         """Return the method with these parameters."""
@@ -197,7 +196,7 @@ class MethodParams(Params):
 
 
 def beams_of(block: ScanBlock) -> F64:
-    """Return the beams of a block, (M,) float64 [rad].
+    """Return the beam angles of a block, (M,) float64 [rad].
 
     Raises
     ------

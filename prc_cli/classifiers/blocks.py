@@ -1,4 +1,4 @@
-"""What classifiers that work on blocks of k lines ask of a block, whichever they are."""
+"""Shape check shared by the classifiers that work on blocks of k lines."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WHERE = "block of ranges"
 def check_block(
     range_m: F32, next_m: F32 | None, points_per_line: int, lines_per_block: int, *, columns: str, key: str
 ) -> None:
-    """Refuse what cannot be the next block of a stream.
+    """Refuse arrays that cannot be the next block of a stream.
 
     Parameters
     ----------
@@ -22,9 +22,9 @@ def check_block(
     points_per_line : int
         M.
     lines_per_block : int
-        k, most lines of a block.
+        k, the largest number of lines in a block.
     columns : str
-        What says that a line has M columns, for the message.
+        Why a line has M columns, for the message.
     key : str
         The parameter that holds k, for the message.
 

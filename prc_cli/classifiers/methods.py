@@ -1,6 +1,6 @@
-"""The table of methods: the only place outside a method's folder that knows it.
+"""The table of methods: the only place outside a method's folder that names it.
 
-Reading this loads the parameters of all methods, and no compiled loop.
+Importing this loads the parameters of all methods, and no compiled loop.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from prc_cli.core.config import Params
 
 MethodName: TypeAlias = Literal["prc", "sequential-angle", "fused"]
 METHODS: tuple[MethodName, ...] = get_args(MethodName)
-"""Names of the methods; the table of each has underscores for hyphens."""
+"""Names of the methods; a method's table in the configuration has underscores for hyphens."""
 
 
 class MethodTables(Params):
-    """The parameters of every method, whichever is chosen."""
+    """The parameters of all methods."""
 
     prc: PrcParams = Field(default_factory=PrcParams, description="PRC (Lehtola et al. 2019)")
     sequential_angle: SequentialAngleParams = Field(
@@ -30,7 +30,7 @@ class MethodTables(Params):
 
 
 def table_of(method: MethodName) -> str:
-    """Return the name of a method's table.
+    """Return the name of a method's table in the configuration.
 
     >>> table_of("sequential-angle")
     'sequential_angle'

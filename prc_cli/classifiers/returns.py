@@ -1,4 +1,4 @@
-"""Labels of further returns: a shot has one label, its other returns take that of the shot they agree with in range."""
+"""Labels of further returns: each takes the label of the neighbouring shot that is nearest in range."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, I32, U8
 
 IN_SLICE = tuple((0, column) for column in range(-4, 5))
-"""Cells asked in the line of the shot, as (lines, columns) away from it."""
+"""Cells compared in the line of the shot, as (line, column) offsets."""
 ADJACENT = tuple((line, column) for line in (-1, 1) for column in (-1, 0, 1))
-"""Cells asked in the lines before and after."""
+"""Cells compared in the lines before and after."""
 
 
 @stage("further returns")
@@ -26,16 +26,16 @@ def label_extra_returns(
     *,
     alone: Label = Label.NOISE,
 ) -> U8:
-    """Label returns beside the one that stands for the shot in the range image.
+    """Label the returns of shots that are not in the range image.
 
-    A further return takes the label of the shot with the smallest range difference, among the shots around its own
-    cell whose difference is below the support limits of Lehtola et al. (2019), eqs. 5 and 6. Only cells of the block
-    are asked.
+    A further return takes the label of the shot with the smallest range difference around its own cell, if the
+    difference is below the support thresholds of Lehtola et al. (2019), eqs. 5 and 6. Only cells of the block are
+    compared.
 
     Parameters
     ----------
     range_m : (lines, M) float32, metres
-        The block; NaN = missing, which agrees with nothing.
+        The block; NaN = missing, never agrees.
     labels : (lines, M) uint8
         Its labels.
     line, column : (n,) int32
@@ -45,13 +45,13 @@ def label_extra_returns(
     zeta_p, zeta_s : float, metres
         Differences must be below these, in the line and in the lines before and after.
     alone : Label
-        What a further return is that no shot agrees with.
+        Label of a further return that agrees with no shot.
 
     Returns
     -------
     (n,) uint8
-        ``alone`` where no shot agrees, MISSING where the further return has no range (NaN). Of equal differences the
-        cells of the line go first, then the order of the stream.
+        ``alone`` where no shot agrees, MISSING where the further return has no range (NaN). On ties, cells of the
+        same line come first, then the order of the stream.
 
     Examples
     --------

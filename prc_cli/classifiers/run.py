@@ -1,4 +1,4 @@
-"""The one runner of all classifiers: blocks of several scanners through the steps of a method, in threads."""
+"""Runs any classifier on a stream of blocks, for several scanners and in several threads."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.threads import Relay, close_items, ordered
 
 SHOTS_AT_ONCE = 1 << 17
-"""Shots of a block where the method takes any number of lines; labels do not depend on it."""
+"""Approximate shots per block for methods that take any number of lines; labels do not depend on it."""
 
 _ValueT = TypeVar("_ValueT")
 _ResultT = TypeVar("_ResultT")
@@ -28,7 +28,7 @@ def run_blocks(
     wanted: Wanted = LABELS_ALONE,
     shots_at_once: int = SHOTS_AT_ONCE,
 ) -> Iterator[LabelledBlock]:
-    """Classify a stream block by block; what crosses blocks is one state a scanner.
+    """Classify a stream block by block, with one state per scanner.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ def run_blocks(
     classifier : Classifier
         A method and its parameters.
     threads : int
-        Threads that classify; results do not depend on it. At most one block more is held at a time.
+        Classifying threads; results do not depend on it. At most one more block than threads is held at a time.
     wanted : Wanted
-        What to find beside the labels, where the method has it.
+        Optional results to compute, where the method provides them.
     shots_at_once : int
-        Where the method takes any number of lines: about as many shots, whole lines, at a time; labels do not depend
+        Approximate shots per block, in whole lines, for methods that take any number of lines; labels do not depend
         on it.
 
     Yields
@@ -68,7 +68,7 @@ def run_blocks(
             raise
 
     keep_memory()
-    # one more than are worked on: the queue before the threads holds the next one
+    # one more than the threads work on: the next one waits in the queue
     found = ordered(work, begin(), threads=threads, ahead=threads + 1)
     try:
         for labelled in found:
@@ -80,7 +80,7 @@ def run_blocks(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scanner:
-    """A scanner and its state, which blocks in several threads hand on field by field."""
+    """A scanner's constants and its state, handed from block to block across threads, field by field."""
 
     constants: Any
     relays: dict[str, Relay[Any]]
@@ -88,7 +88,7 @@ class _Scanner:
 
     @classmethod
     def of(cls, classifier: Classifier[Any, Any], first: ScanBlock) -> _Scanner:
-        """Begin with the first block of a scanner."""
+        """Return the scanner of a first block."""
         constants = classifier.scanner(first)
         state = classifier.initial_state(constants)
         return cls(constants, {each.name: Relay(getattr(state, each.name)) for each in fields(state)}, count())
@@ -96,18 +96,18 @@ class _Scanner:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """A block on its way; it is its own :class:`~prc_cli.classifiers.base.Turn`."""
+    """A block being classified; also its :class:`~prc_cli.classifiers.base.Turn`."""
 
     block: ScanBlock
     scanner: _Scanner
     turn: int
 
     def hand_on(self, part: Part[_ValueT], step: Callable[[_ValueT], tuple[_ResultT, _ValueT]]) -> _ResultT:
-        """Wait until the block before has handed the part on, and take the step."""
+        """Wait until the previous block has handed the part on, then run the step."""
         relay: Relay[_ValueT] = self.scanner.relays[part.name]
         return relay.take_turn(self.turn, step)[0]
 
     def give_up(self) -> None:
-        """Tell the blocks after this one that nothing comes."""
+        """Make the later blocks fail, as this one left no state."""
         for relay in self.scanner.relays.values():
             relay.give_up(self.turn)

@@ -1,4 +1,4 @@
-"""The command line: parses, calls one function, prints. The only code that prints."""
+"""The command line: parses options, calls one job, prints the result. The only code that prints."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
-"""Commands by name: where they live (loaded when called) and what ``prc --help`` says of them."""
+"""Commands by name: their module (loaded when called) and the line in ``prc --help``."""
 
 
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, as in shells."""
 AGAIN_S = 0.05
-"""A signal that was dropped comes again so much later [s]."""
+"""Delay after which a dropped signal is raised again [s]."""
 
 
 class LazyGroup(click.Group):
-    """Loads a command only when it is called, so that ``prc --help`` loads nothing but click."""
+    """Loads a command only when it is called, so that ``prc --help`` loads only click."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order of a first day's work."""
+        """Return the commands in the order in which a new user needs them."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -96,18 +96,18 @@ def cli(debug: bool) -> None:
 
 
 def main(args: list[str] | None = None) -> None:
-    """Run the command line; every refusal of the package ends here as one line and an exit code."""
+    """Run the command line; errors of the package become one line and an exit code."""
     arguments = sys.argv[1:] if args is None else args
-    # a parent may have closed them, as some daemons do
+    # the parent process may have closed stdout and stderr, as some daemons do
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     _leave_on_signals()
-    # the process is this command: names that the terminal cannot show are no reason to stop
+    # escape names that the terminal cannot show instead of stopping
     if args is None and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     code = _run(arguments, debug="--debug" in arguments)
     if args is None:
-        gc.freeze()  # the process ends: else Python looks through all objects once more, a fifth of a short command
+        gc.freeze()  # skips Python's last garbage collection, a fifth of the time of a short command
     sys.exit(code)
 
 
@@ -133,7 +133,7 @@ def _run(arguments: list[str], *, debug: bool) -> int:
     except (click.Abort, KeyboardInterrupt):
         message, code = "interrupted; no output was left behind", INTERRUPTED
     except OSError as error:
-        # the package's own files are dealt with where they are used: this is the terminal, the pipe or its disk
+        # errors of input and output files are handled where they occur: this is the terminal or a pipe
         message, code = f"the result cannot be printed ({error.strerror or error})", 1
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
     else:
@@ -147,24 +147,24 @@ def _run(arguments: list[str], *, debug: bool) -> int:
 
 
 def _leave_on_signals() -> None:
-    """Let ``kill`` and ``timeout`` end a run like Ctrl-C: temporary files are removed on the way out."""
+    """Make SIGTERM (``kill``, ``timeout``) end a run like Ctrl-C, so that temporary files are removed."""
     if threading.current_thread() is not threading.main_thread():
         return
     signal.signal(signal.SIGTERM, lambda number, frame: raise_or_hold(SystemExit(128 + number)))
-    # a parent may have told its children to ignore Ctrl-C, as nohup does
+    # the parent process may have set Ctrl-C to be ignored, as nohup does
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, lambda number, frame: raise_or_hold(KeyboardInterrupt()))
     sys.unraisablehook = _deliver_again
 
 
 def _deliver_again(dropped: sys.UnraisableHookArgs) -> None:
-    """Let a signal come once more whose exception Python dropped, because it arrived while an object was deleted."""
+    """Raise a signal again if Python dropped its exception because it arrived while an object was deleted."""
     if not isinstance(dropped.exc_value, (KeyboardInterrupt, SystemExit)):
         sys.__unraisablehook__(dropped)
         return
     number = signal.SIGINT if isinstance(dropped.exc_value, KeyboardInterrupt) else signal.SIGTERM
     main = threading.main_thread().ident
-    # not from here: what is raised in this hook is dropped as well
+    # by a timer: an exception raised in this hook would be dropped as well
     if main is not None and hasattr(signal, "pthread_kill"):
         timer = threading.Timer(AGAIN_S, signal.pthread_kill, (main, number))
     else:

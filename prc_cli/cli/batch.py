@@ -99,7 +99,7 @@ _OUTPUTS = [
 ]  # fmt: skip
 _CHECKS = [
     _option("--reference", type=click.Path(path_type=Path), metavar="TREE",
-            help="Evaluate against the files of this tree of the same name but for the suffix."),
+            help="Evaluate against this reference folder: files of the same name, any suffix."),
     _option("--mapping", default="prc", show_default=True, metavar="NAME|FILE.toml",
             help="Which codes mean which class, as prc evaluate."),
     _option("--match", default="order", show_default=True, metavar="HOW",

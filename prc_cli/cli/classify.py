@@ -21,7 +21,7 @@ from prc_cli.jobs.classify import RunSummary, load_classifier
 from prc_cli.jobs.classify import classify as classify_file
 
 MANY = 0.01
-"""Share of records from which on the rules for lines and columns are probably wrong."""
+"""Share of unplaced records above which the rules for lines and columns are probably wrong."""
 
 
 @click.command()
@@ -57,7 +57,7 @@ def classify(
     threads, wants_profile = options.pop("threads") or default_threads(), options.pop("profile")
     loaded = config_from(options)
     with profiling() if wants_profile else nullcontext() as profile:
-        if source.is_file():  # else the refusal should not wait for the compiler
+        if source.is_file():  # otherwise refuse it without waiting for the compiler
             with compiling_note(quiet=quiet), timed("loading compiled loops"):
                 load_classifier(loaded)
         start = time.perf_counter()

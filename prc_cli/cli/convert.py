@@ -1,4 +1,4 @@
-"""``prc convert``: any readable input to any writable output."""
+"""``prc convert``: any readable input to any writable format."""
 
 from __future__ import annotations
 

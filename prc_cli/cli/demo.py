@@ -1,4 +1,4 @@
-"""``prc demo``: the main job without any data."""
+"""``prc demo``: the whole program on simulated data."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from prc_cli.jobs.demo import PARTS, run_demo
 from prc_cli.simulation.drive import load_simulator
 
 TITLES = {"drive": "prc", "fused": "fused", "static": "sequential-angle", "walk": "prc forest"}
-"""What the parts are called."""
+"""Titles of the parts."""
 
 
 @click.command()

@@ -1,4 +1,4 @@
-"""``prc doctor``: whether this installation, and a folder for outputs, will do."""
+"""``prc doctor``: checks the installation and, optionally, an output folder."""
 
 from __future__ import annotations
 

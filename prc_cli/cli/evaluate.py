@@ -26,7 +26,7 @@ from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.matching.pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
-"""Forms of the result by the suffix of ``--output``."""
+"""Report formats by the suffix of ``--output``."""
 
 DEFAULTS = EvaluateOptions()
 
@@ -161,9 +161,9 @@ def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
-    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders, whose files of one
-    name (but for the suffix) are pooled into one matrix. Records that are not in the same order find their partner
-    with --match. The result goes to stdout, and to the files of --output.
+    Both hold class codes: .npy, .csv(.gz), .parquet, .label, .las or .laz; or both are folders, whose files of the same
+    name (any suffix) are pooled into one matrix. Records that are not in the same order are matched with --match. The
+    result goes to stdout, and to the files of --output.
 
     \b
     Examples:
@@ -207,7 +207,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
 
 
 def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:
-    """Return the result in one of its forms."""
+    """Return the result in one of the report formats."""
     if form == "html":
         return as_html(found, gates, mapping=mapping, pictures=pictures)
     if form in ("csv", "latex"):
@@ -269,7 +269,7 @@ def _read_pictures(texts: Sequence[str], *, wanted: bool) -> Pictures:
         raise ConfigError("--picture", "pictures have their place in the HTML page alone", "add --output report.html")
     pictures = []
     for text in texts:
-        # a file name may have the sign itself
+        # a file name may contain the separator itself
         title, equals, name = text.partition("=")
         path = Path(text) if not equals or Path(text).is_file() else Path(name)
         title = title if path != Path(text) else path.stem

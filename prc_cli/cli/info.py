@@ -1,4 +1,4 @@
-"""``prc info``: what a file holds and whether it can be classified."""
+"""``prc info``: the contents of a file, and whether it can be classified."""
 
 from __future__ import annotations
 

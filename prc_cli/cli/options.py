@@ -1,7 +1,7 @@
-"""Options that several commands share, and the tables that they build.
+"""Options shared by several commands, and the configuration tables built from them.
 
-``stream_options``  how a stream is found in an input and with which parameters it is classified
-``input_options``   the former alone
+``stream_options``  how a stream is read from an input, and with which parameters it is classified
+``input_options``   only how a stream is read
 ``output_options``  ``--json --quiet --verbose``
 """
 
@@ -52,14 +52,14 @@ _OUTPUT_OPTIONS = [
 
 
 def stream_options(command: CommandT) -> CommandT:
-    """Add the options that say how a stream is found and classified."""
+    """Add the options for reading and classifying a stream."""
     for option in reversed([*_CLASSIFIER_OPTIONS, *_INPUT_OPTIONS]):
         command = option(command)
     return command
 
 
 def input_options(command: CommandT) -> CommandT:
-    """Add the options that say how a stream is found, for commands that classify nothing."""
+    """Add the options for reading a stream, for commands that do not classify."""
     for option in reversed(_INPUT_OPTIONS):
         command = option(command)
     return command
@@ -74,16 +74,16 @@ def output_options(command: CommandT) -> CommandT:
 
 @dataclass(frozen=True, slots=True)
 class Layers:
-    """What the configuration is made of, each over the one before."""
+    """Layers of the configuration; later ones win."""
 
     path: Path | None
     """``--config``."""
     preset: str | None
-    """``--preset``; the file may name one too."""
+    """``--preset``; the file may also name one."""
     table: dict[str, Any]
     """All other options, nested."""
     files: tuple[Path, ...]
-    """Further files that were read."""
+    """Other files that were read."""
 
 
 def config_from(options: dict[str, Any]) -> LoadedConfig:
@@ -94,7 +94,7 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
 
 
 def layers_from(options: dict[str, Any]) -> Layers:
-    """Read the values of :func:`stream_options` without putting them together with the file of ``--config``."""
+    """Read the values of :func:`stream_options` as separate layers, without merging them."""
     if options["sort_by_time"] and options["trust_order"]:
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)

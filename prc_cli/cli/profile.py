@@ -1,4 +1,4 @@
-"""Where the time of a run went, as a table on stderr and for ``--json``."""
+"""``--profile``: time per stage, as a table on stderr and for ``--json``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from prc_cli.cli.report import console
 from prc_cli.core.profile import Profile, StageTime, peak_memory
 
 REST = "all else"
-"""What no stage covers: threads of libraries, handing on of blocks, the run record."""
+"""Time outside all stages: threads of libraries, passing on of blocks, the run record."""
 _WAITING = "waiting"
 _NO_RATE = (REST, "loading compiled loops", "opening")
 _NEGLIGIBLE_S = 1e-5
@@ -27,7 +27,7 @@ def profile_of(profile: Profile, n_shots: int, threads: int) -> dict[str, Any]:
     n_shots : int
         Shots that were classified.
     threads : int
-        Threads that classified; reading, writing and the fingerprint have their own if there is more than one.
+        Classifying threads; with more than one, reading, writing and hashing have threads of their own.
     """
     return {
         "wall_s": profile.wall_s,
@@ -50,7 +50,7 @@ def profile_of(profile: Profile, n_shots: int, threads: int) -> dict[str, Any]:
 
 
 def print_profile(profile: Profile, n_shots: int, threads: int) -> None:
-    """Print a profile, the dearest stage first."""
+    """Print a profile, the most expensive stage first."""
     shown = profile_of(profile, n_shots, threads)
     table = Table(title="where the time went")
     for heading in ("stage", "wall s", "CPU s", "of CPU", "M/s of a core"):
@@ -70,7 +70,7 @@ def print_profile(profile: Profile, n_shots: int, threads: int) -> None:
 
 
 def _rows(profile: Profile) -> Iterator[StageTime]:
-    """Stages by what they cost, then what waits, and what is left of the process's time."""
+    """Yield stages by cost, then those that wait, then the rest of the process's time."""
     stages = profile.stages()
     is_waiting = [found.name.startswith(_WAITING) for found in stages]
     yield from sorted((found for found, waits in zip(stages, is_waiting, strict=True) if not waits), key=_cost)
@@ -84,7 +84,7 @@ def _cost(found: StageTime) -> float:
 
 
 def _rate(found: StageTime, n_shots: int) -> float | None:
-    """Million shots a second of processor time; None where that says nothing."""
+    """Million shots per second of processor time; None where that has no meaning."""
     if found.name.startswith(_WAITING) or found.name in _NO_RATE or found.cpu_s < _NEGLIGIBLE_S:
         return None
     return n_shots / found.cpu_s / 1e6

@@ -1,4 +1,4 @@
-"""Tables and progress bars, on stderr; results for machines go to stdout elsewhere."""
+"""Tables and progress bars on stderr; machine-readable results go to stdout elsewhere."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 class SafeConsole(Console):
-    """A console whose terminal obeys nobody else: names in files, and of files, may hold control characters."""
+    """A console that escapes control characters, which names of files and in files may contain."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Take what is to be printed; cells, headings and titles of tables come this way too."""
+        """Escape text to print; rich also calls this for cells, headings and titles of tables."""
         return super().render_str(printable_lines(text), **options)
 
 
@@ -38,18 +38,18 @@ def console() -> Console:
 
 @cache
 def results() -> Console:
-    """Return the console on stdout, for the tables that are the result of a command."""
+    """Return the console on stdout, for tables that are the result of a command."""
     # a pipe or a file gets the whole table, not one cut to 80 columns
     return SafeConsole(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False, emoji=False)
 
 
 COMPILING_S = 2.0
-"""Loading compiled loops takes less than this from the cache [s]."""
+"""Longest time to load compiled loops from the cache [s]; after it a note is shown."""
 
 
 @contextlib.contextmanager
 def compiling_note(*, quiet: bool, what: str = "classifier") -> Iterator[None]:
-    """Say why nothing happens yet when loading the classifier, or the simulator, takes long."""
+    """Show a note if loading the classifier, or the simulator, takes long."""
     text = f"loading the {what}; after installation it is compiled, once, which takes up to a minute"
     timer = threading.Timer(COMPILING_S, lambda: console().print(text, soft_wrap=True))
     timer.daemon = True
@@ -74,7 +74,7 @@ def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
 
 
 def print_classes(summary: RunSummary) -> None:
-    """Print how many records of the run have which class."""
+    """Print the number of records by class."""
     table = Table(title=f"{summary.record.input.name}: classes")
     for heading in ("class", "code", "shots", "share"):
         table.add_column(heading, justify="left" if heading == "class" else "right")
@@ -89,7 +89,7 @@ def print_classes(summary: RunSummary) -> None:
 
 
 def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:
-    """Print what the reader took for granted and what it met."""
+    """Print the assumptions and the counts of the reader."""
     if assumptions:
         table = Table(title="taken for granted")
         for heading in ("key", "value", "why"):
@@ -102,8 +102,8 @@ def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> No
 
 
 def tally_rows(tally: ReadTally, *, everything: bool = False) -> Iterator[tuple[str, int]]:
-    """Yield what a reader met, in words; what it did not meet only if ``everything`` is asked for."""
+    """Yield the counts of a reader, with descriptions; zero counts only with ``everything``."""
     for name, count in asdict(tally).items():
-        # the number of records is told elsewhere
+        # the number of records is printed elsewhere
         if name != "n_records" and (count or everything):
             yield name.removeprefix("n_").replace("_", " "), count

@@ -1,4 +1,4 @@
-"""Tables of an evaluation on stdout; apart from other reports, since most commands evaluate nothing."""
+"""Tables of an evaluation on stdout; a separate module, since most commands do not evaluate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from prc_cli.evaluation.result import Evaluation, Interval
 from prc_cli.evaluation.scores import CLASS_SCORES, Scores, scores
 
 MAX_PARTS = 40
-"""Parts of a split that are shown on a terminal."""
+"""Most parts of a split shown on a terminal."""
 
 
 def print_evaluation(matrix: ConfusionMatrix, found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> None:

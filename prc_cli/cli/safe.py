@@ -1,10 +1,10 @@
-r"""Names from disks on terminals: nothing that a terminal obeys, nothing that cannot be encoded."""
+r"""Escapes control characters and undecodable bytes in names before they are printed."""
 
 from __future__ import annotations
 
 
 def printable(text: str) -> str:
-    r"""Return a text as one printable line: control characters and bytes that are no UTF-8 are escaped.
+    r"""Return a text as one printable line: control characters and bytes that are not UTF-8 are escaped.
 
     >>> printable("a\x1b[2Jb\nc.las")
     'a\\x1b[2Jb\\nc.las'
@@ -16,7 +16,7 @@ def printable(text: str) -> str:
 
 
 def printable_lines(text: str) -> str:
-    r"""Return a text of several lines, each of them as :func:`printable` has it.
+    r"""Return a text of several lines, each made :func:`printable`.
 
     >>> printable_lines("a\x1b[2J\nb")
     'a\\x1b[2J\nb'
@@ -27,6 +27,6 @@ def printable_lines(text: str) -> str:
 def _shown(character: str) -> str:
     if character.isprintable():
         return character
-    if "\udc80" <= character <= "\udcff":  # a byte of a name that is no UTF-8, as the file system gives it
+    if "\udc80" <= character <= "\udcff":  # a byte that is not UTF-8, in Python's encoding of file names
         return f"\\x{ord(character) - 0xDC00:02x}"
     return ascii(character)[1:-1]

@@ -1,4 +1,4 @@
-"""``prc simulate``: scans of worlds that are known, with the reference class of every shot."""
+"""``prc simulate``: simulated scans, with the reference class of every shot."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ _KEYS = {
 
 
 def _table(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the parameters that were given as options; named ones win over --set."""
+    """Return the parameters given as options; named options win over --set."""
     table: dict[str, Any] = {}
     for assignment in options["assignments"]:
         table = merge(table, parse_assignment(assignment))

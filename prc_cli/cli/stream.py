@@ -1,4 +1,4 @@
-"""``prc stream``: ranges on stdin, one class code a shot on stdout."""
+"""``prc stream``: ranges on stdin, one class code per shot on stdout."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def stream(
     with compiling_note(quiet=quiet or as_json):
         load_classifier(loaded)
     report = None if quiet or not every else _Reporter(every, line_hz, as_json=as_json)
-    # unbuffered: bytes must not wait in Python until a buffer is full
+    # unbuffered: labels must not wait until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
     summary = label_stream(source, sink, loaded, hop=1 if continuous else hop, report=report)

@@ -1,4 +1,4 @@
-"""``prc thin``: a reduced stream."""
+"""``prc thin``: drops noise and thins chosen classes."""
 
 from __future__ import annotations
 

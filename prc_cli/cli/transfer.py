@@ -1,4 +1,4 @@
-"""``prc transfer``: classes of a raw run onto the registered points of the same drive."""
+"""``prc transfer``: copies the classes of a raw run to the registered points of the same drive."""
 
 from __future__ import annotations
 

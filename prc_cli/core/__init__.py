@@ -1,1 +1,1 @@
-"""What every layer may speak: errors, class codes, the stream types, configuration machinery, safe files."""
+"""Shared by all layers: errors, class codes, stream types, configuration machinery, atomic files, threads."""

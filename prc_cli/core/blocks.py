@@ -1,4 +1,4 @@
-"""Blocks of k lines out of blocks of any size, with look-ahead, one buffer a scanner."""
+"""Regroups blocks of any size into blocks of k lines with look-ahead; one buffer per scanner."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock, cut
 
 LOOK_AHEAD_SHOTS = 1
-"""Shots needed beyond the next line: the flat index i + M + 1 of a line's last shot lies two lines on."""
+"""Shots needed beyond the next line: index i + M + 1 of a line's last shot is two lines further on."""
 
 MOST_WAITING = 1 << 26
-"""Shots that may wait for their block: a scanner of 250,000 shots a line at 255 lines a block has fewer."""
+"""Most shots buffered for one block; a scanner of 250,000 shots per line at 255 lines per block needs fewer."""
 
 
 def look_ahead_lines(points_per_line: int) -> int:
@@ -47,19 +47,19 @@ def regroup(
     lines_per_block : int, optional
         k; only the last block of a scanner may hold fewer lines.
     shots_per_block : int
-        Without ``lines_per_block``: about as many shots, at least one line.
+        Approximate shots per block where ``lines_per_block`` is not given; at least one line.
     look_ahead : int, optional
-        Lines that are shown after a block; default: those of :func:`look_ahead_lines`.
+        Following lines that each block carries in ``next_m``; default: :func:`look_ahead_lines`.
 
     Yields
     ------
     ScanBlock
-        With ``next_m`` set. What the result holds does not depend on how the input was cut.
+        With ``next_m`` set. The result does not depend on how the input was cut into blocks.
 
     Raises
     ------
     InputError
-        When a block would hold more shots than memory can be asked for.
+        When a block would hold more than :data:`MOST_WAITING` shots.
     """
     buffers: dict[int, LineBuffer] = {}
     for block in blocks:
@@ -91,7 +91,7 @@ def _too_wide(points_per_line: int, lines_per_block: int) -> InputError:
 
 
 def _rest(buffer: LineBuffer, lines_per_block: int, ahead: int) -> Iterator[ScanBlock]:
-    """Give out the last lines of a scanner; the last of them says so."""
+    """Yield the remaining lines of a scanner; the last block has ``is_last`` set."""
     while buffer.n_lines:
         block = buffer.take(min(lines_per_block, buffer.n_lines), ahead)
         yield replace(block, is_last=not buffer.n_lines)
@@ -99,7 +99,7 @@ def _rest(buffer: LineBuffer, lines_per_block: int, ahead: int) -> Iterator[Scan
 
 @dataclass(slots=True)
 class LineBuffer:
-    """Lines of one scanner that wait, in order: for their block, or for their labels."""
+    """Queue of lines of one scanner, waiting for a full block or for their labels."""
 
     parts: list[ScanBlock] = field(default_factory=list)
     n_lines: int = 0
@@ -111,7 +111,7 @@ class LineBuffer:
             self.n_lines += block.n_lines
 
     def take(self, n_lines: int, ahead: int = 0) -> ScanBlock:
-        """Remove ``n_lines`` lines; the ``ahead`` lines after them are shown but stay."""
+        """Remove ``n_lines`` lines; the next ``ahead`` lines are copied into ``next_m`` and stay in the buffer."""
         block = join(self.take_parts(n_lines))
         following: list[NDArray[np.float32]] = []
         missing = ahead
@@ -124,7 +124,7 @@ class LineBuffer:
         return replace(block, next_m=np.concatenate(following) if following else empty)
 
     def take_parts(self, n_lines: int) -> list[ScanBlock]:
-        """Remove ``n_lines`` lines, as they came: nothing is copied but what a cut needs."""
+        """Remove ``n_lines`` lines as a list of blocks; arrays are not joined."""
         taken: list[ScanBlock] = []
         left = n_lines
         while left:
@@ -139,7 +139,7 @@ class LineBuffer:
 
 
 def join(parts: list[ScanBlock]) -> ScanBlock:
-    """Return consecutive blocks of one scanner as one."""
+    """Join consecutive blocks of one scanner into one."""
     if len(parts) == 1:
         return parts[0]
     first_lines = np.cumsum([0] + [part.n_lines for part in parts[:-1]])
@@ -155,7 +155,7 @@ def join(parts: list[ScanBlock]) -> ScanBlock:
     return replace(
         parts[0],
         range_m=np.concatenate([part.range_m for part in parts]),
-        # dense parts beside others have their indices written out
+        # None means dense; one part with explicit indices makes all of them explicit
         record=None if all(part.record is None for part in parts) else np.concatenate([p.records() for p in parts]),
         time_s=_join_field([part.time_s for part in parts]),
         xyz_m=_join_field([part.xyz_m for part in parts]),
@@ -170,6 +170,6 @@ ArrayT = TypeVar("ArrayT", bound=NDArray[np.generic])
 
 
 def _join_field(arrays: list[ArrayT | None]) -> ArrayT | None:
-    """Concatenate a field that every part has, or that none has."""
+    """Concatenate a field; None unless every part has it."""
     present = [array for array in arrays if array is not None]
     return np.concatenate(present) if len(present) == len(arrays) else None  # type: ignore[return-value]

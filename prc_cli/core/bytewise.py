@@ -1,4 +1,4 @@
-"""Arrays of bytes, labels and class codes: counted and looked up without indices of eight bytes each."""
+"""Fast counting and table look-up for uint8 arrays (labels, class codes), without 8-byte index arrays."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from prc_cli.core.types import I64, U8
 
 _FEW = 4096
-"""Below so many values the setting out costs more than the counting."""
+"""Shorter arrays are counted with bincount: the set-up would cost more."""
 _SMALL = 16
-"""Values below are counted by comparison: vector instructions look at 32 values at a time."""
+"""Values below this are counted by comparison, which vector instructions do 32 at a time."""
 
 
 def count_bytes(values: U8) -> I64:
@@ -41,7 +41,7 @@ def count_bytes(values: U8) -> I64:
 
 
 def recode(values: U8, table: U8) -> U8:
-    """Return what a table holds for every value, as ``table[values]`` does, in half the time.
+    """Look up every value in a table: ``table[values]`` in half the time.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The one table of classes: names, what they mean, and the LAS codes they are written as.
+"""The table of classes: names, meanings, colours, and the LAS codes they are written as.
 
 Inside the program a label is a :class:`Label` index (uint8). It becomes a LAS class code only when it is
 written, through :meth:`ClassCodes.lookup`, so that a user can choose the codes in ``[classes]``.
@@ -16,7 +16,7 @@ from prc_cli.core.types import U8
 
 
 class Label(IntEnum):
-    """One label per shot, as it flows from the classifiers to the writers."""
+    """Label of a shot, from the classifiers to the writers."""
 
     MISSING = 0
     UNCLASSIFIED = 1
@@ -43,7 +43,7 @@ class Surface(IntEnum):
     VERTICAL = 3
     """V."""
     UNDECIDED = 4
-    """A return on a line without a single angle: fewer than two returns, or all of them at one place."""
+    """A return on a line where no angle can be measured: fewer than two returns, or all at the same place."""
 
 
 LABEL_OF_SURFACE: tuple[Label, ...] = tuple(
@@ -56,7 +56,7 @@ LABEL_OF_SURFACE: tuple[Label, ...] = tuple(
     }[surface]
     for surface in Surface
 )
-"""Label of every coarse class, where no later stage says otherwise."""
+"""Label of every coarse class, unless a later stage changes it."""
 
 LABEL_NAMES: tuple[str, ...] = tuple(label.name.lower() for label in Label)
 """Lower-case name of every label, by index."""
@@ -74,7 +74,7 @@ LABEL_COLOURS: dict[Label, tuple[int, int, int]] = {
     Label.VERTICAL: (230, 159, 0),
     Label.HORIZONTAL: (86, 180, 233),
 }
-"""Colour of every label in pictures [sRGB], told apart by colour-blind readers (Okabe and Ito)."""
+"""Colour of every label in pictures [sRGB]; distinct for colour-blind readers (Okabe and Ito)."""
 
 MISSING_CODE = 0
 """Code of a shot without return in label files (LAS: created, never classified)."""

@@ -1,6 +1,6 @@
 """Machinery of the configuration: strict parameter models, layered TOML tables, errors that name the key.
 
-What the keys mean is declared by the stages themselves; :mod:`prc_cli.config` puts their models together.
+The stages declare their own keys; :mod:`prc_cli.config` combines their models.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ class Params(BaseModel):
 
 
 _EXPECTED = {"model_type": "a table", "missing": "a value, this key is required"}
-"""Messages of the validation library in the words of a configuration file."""
+"""Error types of the validation library, reworded for configuration files."""
 
 ParamsT = TypeVar("ParamsT", bound=Params)
 
 MAX_TOML_BYTES = 1 << 20
-"""Largest configuration file; the whole schema filled in takes some kilobytes."""
+"""Largest configuration file; with every key set it takes a few kilobytes."""
 MAX_DEPTH = 64
-"""Deepest dotted key; the parser's time and memory grow with the square of it."""
+"""Most parts of a dotted key; the parser's time and memory grow with the square of it."""
 _DEEP_KEY = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % MAX_DEPTH,  # noqa: UP031
 )
@@ -60,7 +60,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Parse TOML that may come from anybody.
+    """Parse TOML from an untrusted source.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        When it is not TOML, or what Python's parser cannot take: values inside one another without end, keys of many
-        parts, numbers of thousands of digits.
+        When it is not TOML, or exceeds what Python's parser can handle: very deep nesting, keys of many parts,
+        numbers of thousands of digits.
     """
     if deep := _DEEP_KEY.search(text):
         line = text.count("\n", 0, deep.start()) + 1
@@ -87,7 +87,7 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
 
 
 def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Lay one nested table over another; tables merge, everything else is replaced.
+    """Merge two nested tables; the second wins, tables are merged recursively.
 
     >>> merge({"a": {"x": 1, "y": 2}}, {"a": {"y": 3}})
     {'a': {'x': 1, 'y': 3}}
@@ -101,7 +101,7 @@ def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def flatten(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Walk a nested table as dotted keys.
+    """Yield a nested table as (dotted key, value).
 
     >>> dict(flatten({"prc": {"support": {"zeta_s": 1.0}}}))
     {'prc.support.zeta_s': 1.0}
@@ -129,7 +129,7 @@ def build(model: type[ParamsT], table: Mapping[str, Any], where: str) -> ParamsT
     Raises
     ------
     ConfigError
-        Naming the first wrong key, what was found and what was expected; an unknown key names its nearest.
+        Names the first wrong key, what was found and what was expected; for an unknown key also the nearest known one.
     """
     try:
         return model.model_validate(table)
@@ -149,7 +149,7 @@ def _translate(error: ValidationError, model: type[BaseModel], where: str) -> Co
         hint = f"did you mean {near[0]!r}?" if near else f"known keys here: {', '.join(known)}"
         return ConfigError(where, f"unknown key {key!r}", hint)
     expected = _EXPECTED.get(issue["type"], issue["msg"]).removeprefix("Value error, ").removeprefix("Input should be ")
-    # a check over several keys has a whole table as its input; then, or always, its own message says what it found
+    # the input of a check over several keys is a whole table: its own message says what was found
     told = issue["type"] == "missing" or isinstance(issue["input"], Mapping | BaseModel) or "found " in expected
     found = "" if told else f"found {issue['input']!r}, "
     more = f" (and {len(issues) - 1} more)" if len(issues) > 1 else ""

@@ -1,4 +1,4 @@
-"""One exception tree: where, what was found, what was expected, what to do.
+"""Exceptions of the package: where, what was found, what was expected, what to do.
 
 The command line catches :class:`PrcError` once and turns it into one line and an exit code that scripts can
 trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 the classes of a file drifted
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 
 class PrcError(Exception):
-    """Anything this package refuses to do, said in one line.
+    """Base of all errors of this package; its message is one line.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class PrcError(Exception):
         super().__init__(f"{where}: {problem}" + (f"; {hint}" if hint else ""))
 
     def __reduce__(self) -> tuple[type[PrcError], tuple[str, str, str]]:
-        # the message is composed, so pickling (worker processes) must go through the parts
+        # the message is composed, so pickling (to worker processes) must keep the parts
         return type(self), (self.where, self.problem, self.hint)
 
 
@@ -59,13 +59,13 @@ class ConfigError(PrcError):
 
 
 class GateError(PrcError):
-    """An evaluation that fell below the demanded figure."""
+    """An evaluation score below the required minimum."""
 
     exit_code = 3
 
 
 class DriftError(PrcError):
-    """A file whose classes are far from those of the archive's earlier files."""
+    """A file whose class shares differ much from those of the archive's earlier files."""
 
     exit_code = 4
 

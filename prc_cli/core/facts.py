@@ -1,4 +1,4 @@
-"""What a file says of itself beside its records: declared by every format, asked for by nobody in another way."""
+"""Metadata of a file: every format declares it as :class:`SourceFacts`, the only way to ask for it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from prc_cli.core.types import U8
 
 
 class ClassContexts(Protocol):
-    """What the classes of an input's records are coded by, kept while it is read, for writing it again."""
+    """LAZ compression contexts of the classes, kept while a file is read so that it can be rewritten exactly."""
 
     @property
     def n_seen(self) -> int:
-        """Records whose contexts are kept, from the first on."""
+        """Number of records whose contexts are kept, from the first one."""
 
     def take(self, n: int) -> Iterator[U8]:
         """Yield the contexts kept, ``n`` at a time, fewer at the end."""
@@ -30,7 +30,7 @@ def _skip_nothing() -> None:
 
 @dataclass(frozen=True, slots=True)
 class SourceFacts:
-    """Facts of a source of records or of images; a format that does not know one leaves its default."""
+    """Metadata of a source of records or of images; a format leaves what it does not know at the default."""
 
     points_per_line: int | None = None
     """M, shots in a scan line, where the file records it."""
@@ -39,16 +39,16 @@ class SourceFacts:
     time_name: str = "time"
     """Name of the times in messages."""
     has_line_times: bool = False
-    """Whether the file holds one time a line, which blocks repeat for each of its shots."""
+    """Whether the file holds one time per line, which blocks repeat for each shot of the line."""
     has_scans: bool = False
-    """Whether scans follow one another, each a scanner of the stream with directions of its own."""
+    """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
     notes: tuple[str, ...] = ()
-    """What is unusual about the file, a plain sentence each: always shown, and kept in the run record."""
+    """What is unusual about the file, one sentence each; always shown, and kept in the run record."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
-    """LAZ of point formats 6-10: filled while the records are read, for writing the same file again."""
+    """LAZ of point formats 6-10: filled while the records are read, for rewriting the same file."""
     describe: Callable[[], dict[str, Any]] = field(default=dict, repr=False, compare=False)
-    """Returns what the header says, ready for JSON, for ``prc info``."""
+    """Returns the header's values, ready for JSON, for ``prc info``."""
     align_chunks: Callable[[int], None] = field(default=_align_nothing, repr=False, compare=False)
-    """Makes chunks end at multiples of so many records, so that blocks need not be joined; no value depends on it."""
+    """Makes chunks end at multiples of this many records, so that blocks need not be joined; changes no value."""
     skip_intensity: Callable[[], None] = field(default=_skip_nothing, repr=False, compare=False)
-    """Lets ``intensity`` be anything where it decides between no returns: it is slow to decode."""
+    """Leaves ``intensity`` undefined for shots where it does not choose between returns: it is slow to decode."""

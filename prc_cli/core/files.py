@@ -1,4 +1,4 @@
-"""Outputs that exist whole or not at all; the only module that knows how operating systems differ.
+"""Atomic output files: complete or absent. The only module that handles differences of operating systems.
 
 A file is written under a temporary name in the folder of its destination, flushed to the disk and renamed.
 """
@@ -42,7 +42,7 @@ def open_to_read(path: Path) -> Iterator[IO[bytes]]:
 
 
 def suffix_of(path: Path) -> str:
-    """Return the suffix that decides the format, lower case, with the compression behind it.
+    """Return the suffix that decides the format, in lower case, including the compression.
 
     >>> suffix_of(Path("drive.CSV.gz"))
     '.csv.gz'
@@ -83,15 +83,15 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
 def temporary_name(path: Path) -> Path:
     """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic).
 
-    It says which process of which machine is writing, so that what a killed one left can be told.
+    It holds the machine and the process id, so that files left by a killed process can be recognised.
     """
     return path.with_name(f".{path.name}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}.part")
 
 
 def remove_stale(path: Path) -> tuple[Path, ...]:
-    """Remove temporary files of ``path`` whose process on this machine is dead; return what was removed.
+    """Remove temporary files of ``path`` left by dead processes of this machine; return what was removed.
 
-    Files of other machines that share the folder, and of processes that still run, stay.
+    Files of other machines that share the folder, and of running processes, are kept.
     """
     removed = []
     for part in path.parent.glob(f".{glob.escape(path.name)}.{_machine()}-*.part"):
@@ -115,12 +115,12 @@ def is_left_behind(part: Path) -> bool | None:
 
 
 def _machine() -> str:
-    """Return a short name of this machine that has no folder or glob characters."""
+    """Return a short name of this machine without folder separators and glob characters."""
     return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 
 
 def _is_running(process: int) -> bool:
-    """Tell whether a process runs; where that cannot be asked without harm (Windows), take it as running."""
+    """Return whether a process runs; always True on Windows, where asking would end it."""
     if os.name != "posix":
         return True
     try:
@@ -161,7 +161,7 @@ def atomic_output(path: Path) -> Iterator[Path]:
 
 
 def commit(temporary: Path, path: Path) -> None:
-    """Flush a finished temporary file to the disk and give it its name."""
+    """Flush a finished temporary file to the disk and rename it to ``path``."""
     with temporary.open("rb+") as handle:
         os.fsync(handle.fileno())
     temporary.replace(path)
@@ -185,20 +185,20 @@ def output_errors(path: Path) -> Iterator[None]:
 
 
 def begin_flush(handle: IO[bytes], first: int, stop: int) -> None:
-    """Let the system begin to write a span of a file to its disk, where it knows how to, and wait for nothing.
+    """Ask the system to start writing part of a file to the disk, without waiting; does nothing where unsupported.
 
-    What has gone when the file is flushed need not be waited for then. Nothing is promised by this.
+    The final flush then has less to wait for. No guarantee is given.
 
     Parameters
     ----------
     handle : file
-        Open; what it still buffers is left out.
+        Open; bytes still in its buffer are not included.
     first, stop : int
-        Bytes of the file, the last exclusive; each byte is best named once.
+        Byte range, ``stop`` exclusive; name each byte only once.
     """
     advise = getattr(os, "posix_fadvise", None)
     if advise is not None:
-        # Linux begins to write what is said not to be needed; it only leaves the cache if it has been written already
+        # DONTNEED makes Linux start writing dirty pages; only pages already written leave the cache
         with contextlib.suppress(OSError, ValueError):
             advise(handle.fileno(), first, stop - first, os.POSIX_FADV_DONTNEED)
 
@@ -210,7 +210,7 @@ def _sync_folder(folder: Path) -> None:
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
-    except OSError:  # some network file systems refuse; the rename stands
+    except OSError:  # some network file systems refuse; the rename is done anyway
         pass
     finally:
         os.close(handle)
@@ -221,7 +221,7 @@ def cache_folder() -> Path:
     base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
     try:
         root = Path(base) if base else Path.home() / ".cache"
-    except RuntimeError:  # a cron user without a home
+    except RuntimeError:  # no home folder, as for some cron users
         import tempfile
 
         root = Path(tempfile.gettempdir())

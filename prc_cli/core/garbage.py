@@ -1,4 +1,4 @@
-"""A garbage collector that waits while there is no garbage."""
+"""Pauses Python's garbage collector while packages are loaded."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def no_collecting() -> Iterator[None]:
-    """Do not look for garbage meanwhile.
+    """Switch the garbage collector off inside the ``with`` block.
 
-    Loading packages and the compiler makes hundreds of thousands of objects that stay. Looking through them again and
-    again takes a tenth of the time of a short command, and finds little.
+    Loading packages and the compiler creates hundreds of thousands of permanent objects. Scanning them again and
+    again takes a tenth of the time of a short command.
     """
     collecting = gc.isenabled()
     gc.disable()

@@ -1,8 +1,8 @@
-"""Ctrl-C and SIGTERM that wait for compiled code.
+"""Delays Ctrl-C and SIGTERM until compiled code has returned.
 
-Python runs signal handlers wherever it gets the chance, also while the arguments of a compiled loop are unpacked. An
-exception there leaves the loop's caller with a broken result. So the handlers of the command line ask here, and what
-arrives inside :func:`held` is raised when it ends.
+Python may run a signal handler while the arguments of a compiled loop are unpacked. An exception there leaves the
+loop's caller with a broken result. So the signal handlers of the command line call :func:`raise_or_hold`, which raises
+at once, or, inside a :func:`held` function, when that function ends.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _T = TypeVar("_T")
 
 
 class _Held(threading.local):
-    """Per thread: signals are handled in the main one, which must not wait for the loops of the others."""
+    """State per thread: signals are handled in the main thread, which must not wait for loops of other threads."""
 
     depth = 0
     pending: BaseException | None = None
@@ -27,7 +27,7 @@ _STATE = _Held()
 
 
 def raise_or_hold(error: BaseException) -> None:
-    """Raise now, or when the compiled code that is running has ended; for signal handlers.
+    """Raise now, or when the running compiled code has ended; for signal handlers.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def raise_or_hold(error: BaseException) -> None:
 
 
 def held(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let a function end before an interrupt is raised.
+    """Wrap a function so that interrupts are raised only after it has ended.
 
     Examples
     --------

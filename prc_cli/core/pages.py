@@ -22,11 +22,11 @@ def render_page(
     name : str
         File in it.
     values : mapping
-        What the template shows. Control characters in texts become blanks.
+        Values for the template. Control characters in texts become blanks.
     filters, tests : mapping, optional
-        Functions that the template calls.
+        Functions for the template.
     """
-    # imported here, so that only writing a page costs the import
+    # imported here, so that only commands that write a page load it
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(

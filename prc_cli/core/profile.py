@@ -1,7 +1,7 @@
-"""Where the time of a run goes: stages that are timed only while somebody asks.
+"""Time spent per stage of a run; measured only inside :func:`profiling`.
 
-A stage is a function with :func:`stage` above it, or a ``with timed(...)``. Without :func:`profiling` neither does
-anything but one comparison. Times are those of the stage alone, without the stages inside it.
+A stage is a function decorated with :func:`stage`, or a ``with timed(...)`` block. Without :func:`profiling` either
+costs one comparison. Times exclude those of nested stages.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ _NOTHING: AbstractContextManager[None] = nullcontext()
 
 @dataclass(frozen=True, slots=True)
 class StageTime:
-    """What one stage took, in all threads together."""
+    """Time of one stage, summed over threads."""
 
     name: str
     wall_s: float
-    """By the clock, added up over threads that ran at the same time [s]."""
+    """Elapsed time, summed over threads that ran at the same time [s]."""
     cpu_s: float
-    """Processor time of the threads that ran it [s]; without that of threads which libraries start by themselves."""
+    """Processor time of the threads that ran it [s]; excludes threads started by libraries."""
     calls: int
 
 
@@ -46,22 +46,22 @@ class Profile:
 
     @property
     def wall_s(self) -> float:
-        """Time by the clock from begin to end, or so far [s]."""
+        """Elapsed time from begin to end, or so far [s]."""
         return (time.perf_counter() if self._end is None else self._end[0]) - self._start[0]
 
     @property
     def cpu_s(self) -> float:
-        """Processor time of the whole process in this time, all threads [s]."""
+        """Processor time of the process in this interval, all threads [s]."""
         return (time.process_time() if self._end is None else self._end[1]) - self._start[1]
 
     def stages(self) -> tuple[StageTime, ...]:
-        """Return the stages, in the order in which they were first done with."""
+        """Return the stages, in the order in which they first ended."""
         with self._lock:
             return tuple(StageTime(name, *times) for name, times in self._times.items())
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
-        """Add what happens inside to a stage."""
+        """Add the time of the ``with`` block to a stage."""
         stack: list[list[float]] = self._inside.__dict__.setdefault("stack", [])
         stack.append([0.0, 0.0])
         wall, cpu = time.perf_counter(), time.thread_time()
@@ -83,14 +83,14 @@ class Profile:
 
 
 class _Active:
-    """The profile that is being made, if any; one a process, because a run has many threads."""
+    """The profile being recorded, if any; one per process, because a run has many threads."""
 
     profile: Profile | None = None
 
 
 @contextmanager
 def profiling() -> Iterator[Profile]:
-    """Time the stages of all that runs inside, in whatever thread.
+    """Time the stages that run inside the ``with`` block, in all threads.
 
     Examples
     --------
@@ -109,13 +109,13 @@ def profiling() -> Iterator[Profile]:
 
 
 def timed(name: str) -> AbstractContextManager[None]:
-    """Return a context whose time counts as a stage; one that does nothing unless somebody asks."""
+    """Return a context that is timed as a stage while :func:`profiling`; otherwise it does nothing."""
     profile = _Active.profile
     return _NOTHING if profile is None else profile.timed(name)
 
 
 def stage(name: str) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
-    """Make every call of a function count as a stage.
+    """Decorate a function so that its calls are timed as a stage.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def stage(name: str) -> Callable[[Callable[_P, _T]], Callable[_P, _T]]:
 
 
 def timed_items(items: Iterable[_T], name: str) -> Iterator[_T]:
-    """Yield items; the making of each counts as a stage."""
+    """Yield items; producing each is timed as a stage."""
     source = iter(items)
     try:
         while True:
@@ -161,9 +161,9 @@ def timed_items(items: Iterable[_T], name: str) -> Iterator[_T]:
 
 
 def peak_memory() -> int | None:
-    """Return the most memory that the process ever held [bytes], None where the system does not tell."""
+    """Return the peak memory of the process [bytes]; None where the system does not report it."""
     try:
-        # getrusage would count the process that started this one
+        # getrusage would include the process that started this one
         with Path("/proc/self/status").open(encoding="ascii", errors="replace") as status:
             return next(int(line.split()[1]) * 1024 for line in status if line.startswith("VmHWM"))
     except (OSError, StopIteration):

@@ -1,4 +1,4 @@
-"""Where the sample configurations are: the presets and class mappings that the program itself reads."""
+"""Location of the sample configurations: presets and class mappings that the program reads."""
 
 from __future__ import annotations
 

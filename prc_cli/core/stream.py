@@ -1,7 +1,7 @@
-"""The types that flow: blocks of the stream in, labelled blocks out.
+"""Data types of the stream: blocks of scan lines in, labelled blocks out.
 
-The stream is chronological: shot ``i = line * M + column``. A shot without return is part of it (missing, NaN
-range). Readers make :class:`ScanBlock`, classifiers see only its arrays, writers take :class:`LabelledBlock`.
+The stream is chronological: shot ``i = line * M + column``. Shots without return are included, with range NaN
+("missing"). Readers yield :class:`ScanBlock`, classifiers use its arrays, writers take :class:`LabelledBlock`.
 """
 
 from __future__ import annotations
@@ -17,49 +17,49 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.types import F32, F64, I32, I64, U8, Mask
 
 FAR_M = 20_000.0
-"""No laser scanner on the ground measures so far [m]: a sign of a wrong origin, unit or coordinate system."""
+"""Beyond the range of any terrestrial scanner [m]: a sign of a wrong origin, unit or coordinate system."""
 
 
 @dataclass(frozen=True, slots=True)
 class Assumption:
-    """One thing the reader took for granted, printed by ``prc info`` and kept in the run record."""
+    """One assumption of the reader, printed by ``prc info`` and kept in the run record."""
 
     key: str
-    """Configuration key that would change it, for example ``input.lines``."""
+    """Configuration key that changes it, for example ``input.lines``."""
     value: str
-    """What was taken."""
+    """The value that was assumed."""
     why: str
-    """Why, in plain words."""
+    """The reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamInfo:
-    """What is known of a stream before it is read."""
+    """Properties of a stream that are known before it is read."""
 
     path: str
     format: str
     """Reader name: ``raw binary``, ``text``, ``LAS``, ``array``."""
     points_per_line: int
-    """M, shots in a scan line (of the longest-lined scanner if several share the file)."""
+    """M, shots in a scan line; the largest M if several scanners share the file."""
     n_records: int | None
-    """Records in the input, None if only reading can tell."""
+    """Records in the input; None = not known before reading."""
     n_lines: int | None
-    """Scan lines, None if only reading can tell."""
+    """Scan lines; None = not known before reading."""
     angle_rad: F64 | None = None
-    """(M,) float64, scan angle of every column [rad], None if unknown."""
+    """(M,) float64, scan angle of every column [rad]; None = unknown."""
     line_hz: float | None = None
-    """Scan lines a second [Hz], None if unknown."""
+    """Scan lines per second [Hz]; None = unknown."""
     down_rad: float | None = None
     """Scan angle of the beam that points straight down, on the scale of ``angle_rad`` [rad]; None if unknown."""
     cos_tilt: float = 1.0
-    """Cosine of the tilt of the scan plane from the vertical: metres of height a metre of range along that beam."""
+    """Cosine of the tilt of the scan plane from the vertical: height per metre of range along that beam."""
     downs: dict[int, tuple[float, float]] = field(default_factory=dict)
-    """The same two by scanner, of those whose own was found; where there are any, it is unknown for all others."""
+    """Down angle and cosine by scanner, where found per scanner; if not empty, unknown for all other scanners."""
     assumptions: tuple[Assumption, ...] = ()
     facts: SourceFacts = field(default_factory=SourceFacts)
-    """What the file says of itself."""
+    """Metadata of the file."""
     dimensions: tuple[str, ...] = ()
-    """Names of the records' dimensions where lines were found among them; empty for images and frames."""
+    """Names of the records' dimensions, where lines were found from records; empty for images and frames."""
 
     def down(self, scanner: int) -> tuple[float | None, float]:
         """Return the scan angle that points straight down [rad], None if unknown, and the cosine of the tilt there."""
@@ -68,27 +68,27 @@ class StreamInfo:
 
 @dataclass(frozen=True, slots=True)
 class ReadTally:
-    """What a reader met on the way, added up over blocks; nothing is dropped without being counted here."""
+    """Counts of what a reader set missing or could not place, summed over blocks; nothing is dropped uncounted."""
 
     n_not_finite: int = 0
-    """Ranges given as infinite: taken as missing (NaN and empty cells are the normal way to say missing)."""
+    """Infinite ranges, taken as missing (NaN and empty cells are the usual codes for missing)."""
     n_not_positive: int = 0
-    """Ranges of zero or below: taken as missing."""
+    """Ranges of zero or below, taken as missing."""
     n_beyond: int = 0
-    """Ranges outside ``min_range`` to ``max_range``: taken as missing."""
+    """Ranges outside ``min_range`` to ``max_range``, taken as missing."""
     n_collisions: int = 0
-    """Records that met another shot in their cell: labelled like further returns of that shot."""
+    """Records whose cell holds another shot; labelled like further returns of that shot."""
     n_extra_returns: int = 0
-    """Further returns of a shot that has its cell already."""
+    """Further returns of a shot whose main return has the cell."""
     n_unplaced: int = 0
-    """Records that belong to no cell (column outside 0..M-1): stay unclassified."""
+    """Records outside all cells (column not in 0..M-1); they stay unclassified."""
     n_time_steps_back: int = 0
     """Times that go back from one record to the next (tolerated when the order is trusted)."""
     n_records: int = 0
     """Records read from the input, placed or not."""
 
     def __add__(self, other: ReadTally) -> ReadTally:
-        # most are empty, and tallies are added up a dozen times for every chunk
+        # most are empty, and tallies are added a dozen times per chunk
         if other == _NO_TALLY:
             return self
         return other if self == _NO_TALLY else ReadTally(*map(add, _counts_of(self), _counts_of(other)))
@@ -100,7 +100,7 @@ _counts_of = attrgetter(*(one.name for one in fields(ReadTally)))
 
 @dataclass(frozen=True, slots=True)
 class ExtraReturns:
-    """Returns beside the one that stands for the shot in the range image."""
+    """Further returns: all returns of a shot but the one in the range image."""
 
     line: I32
     """(n,) int32, line within the block."""
@@ -141,19 +141,19 @@ class ScanBlock:
     xyz_m: F32 | None = None
     """(lines, M, 3) float32, sensor-centred, z up [m]; NaN = missing."""
     intensity: F32 | None = None
-    """(lines, M) float32, NaN = missing; raw units of the input, but 0 to 65535 where the format has limits of its own
-    (PTX, E57)."""
+    """(lines, M) float32, NaN = missing; raw units of the input, scaled to 0..65535 for formats that state their
+    limits (PTX, E57)."""
     angle_rad: F64 | None = None
     """(M,) float64, scan angle per column [rad]."""
     beam_rad: F64 | None = None
-    """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi], its sign the side of the scan
-    plane; unwrapped it rises or falls with the column throughout. None = not known, or not asked for."""
+    """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi]; the sign is the side of the
+    scan plane. Unwrapped it is monotone in the column. None = unknown or not requested."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
     tally: ReadTally = ReadTally()
     is_last: bool = False
-    """The scanner has no more lines: what waits for them need not wait for the end of the input."""
+    """The scanner has no more lines."""
     next_m: F32 | None = None
-    """(lines <= look-ahead, M) float32, the lines that follow the block [m]; set by regrouping only."""
+    """(lines <= look-ahead, M) float32, ranges of the lines that follow the block [m]; set by regrouping only."""
 
     @property
     def n_lines(self) -> int:
@@ -174,7 +174,7 @@ class ScanBlock:
 
 
 def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
-    """Return the lines ``start`` to ``stop`` of a block; its tally goes with the lines from 0."""
+    """Return the lines ``start`` to ``stop`` of a block; the part that begins at line 0 keeps the tally."""
     inside = (block.extra.line >= start) & (block.extra.line < stop)
     extra = ExtraReturns(
         block.extra.line[inside] - np.int32(start),
@@ -198,11 +198,11 @@ def cut(block: ScanBlock, start: int, stop: int) -> ScanBlock:
 
 
 class ScanStream(Protocol):
-    """What every reader gives: what it is, and its blocks, as often as asked."""
+    """Interface of all readers: properties of the stream, and its blocks; may be read repeatedly."""
 
     @property
     def info(self) -> StreamInfo:
-        """What is known before reading."""
+        """Properties known before reading."""
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; yields blocks of any size, chronological for each scanner.
@@ -216,14 +216,14 @@ class ScanStream(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StageLabels:
-    """What the sequential-angle classifier found on the way (Stamos et al. 2012)."""
+    """Intermediate results of the sequential-angle classifier (Stamos et al. 2012)."""
 
     surface: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Surface`: the coarse classification (sec. 4)."""
     dense_vegetation: Mask
-    """(lines, M) bool, T', vegetation of the less sensitive test (sec. 7.1)."""
+    """(lines, M) bool, T', vegetation by the less sensitive test (sec. 7.1)."""
     ground_height_m: F32
-    """(lines, M) float32, z_g, the height of the ground relative to the scanner at that line [m]; NaN = unknown."""
+    """(lines, M) float32, z_g, ground height relative to the scanner at that line [m]; NaN = unknown."""
 
     def of_lines(self, lines: slice) -> StageLabels:
         """Return some of the lines; views."""
@@ -232,7 +232,7 @@ class StageLabels:
 
 @dataclass(frozen=True, slots=True)
 class LabelledBlock:
-    """A block with one label a shot; what writers take."""
+    """A block with one label per shot; input of the writers."""
 
     block: ScanBlock
     labels: U8
@@ -242,4 +242,4 @@ class LabelledBlock:
     segments: I64 | None = None
     """(lines, M) int64, segment id R_b (Lehtola et al. 2019, II-E); 0 = none."""
     stages: StageLabels | None = None
-    """What the sequential-angle classifier found on the way."""
+    """Intermediate results of the sequential-angle classifier."""

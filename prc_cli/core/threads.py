@@ -1,7 +1,7 @@
-"""Work in threads whose results come out in order, and queues between threads that hold little.
+"""Worker threads with results in order, and bounded queues between threads.
 
-Compiled loops, decompression and file access release the interpreter's lock, so threads are enough. Nothing here
-changes a result: what comes out, and in which order, does not depend on the number of threads.
+Compiled loops, decompression and file access release the interpreter's lock, so threads are enough. Results and their
+order do not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _A = TypeVar("_A")
 _B = TypeVar("_B")
 
 TICK_S = 0.2
-"""Longest wait before signals are handled [s]; where the system interrupts waits (POSIX) they are handled at once."""
+"""Longest wait before signals are handled [s]; on POSIX, where signals interrupt waits, they are handled at once."""
 PATIENCE_S = 5.0
-"""How long a reader thread that is not needed any more may take to end [s]."""
+"""How long closing waits for a reader thread to end [s]."""
 _CGROUP = Path("/sys/fs/cgroup")
 
 
 def default_threads() -> int:
-    """Return the number of cores this process may use, at least 1: its affinity, and the quota of its container."""
+    """Return the number of cores this process may use, at least 1, by its affinity and its container's quota."""
     try:
         cores = len(os.sched_getaffinity(0))
     except AttributeError:  # not on this system
@@ -41,7 +41,7 @@ def default_threads() -> int:
 
 
 def _quota(folder: Path) -> float | None:
-    """Read the cores that a control group (version 2, then 1) allows, None where it sets no limit."""
+    """Read the cores that a control group (version 2, then 1) allows; None = no limit."""
     try:
         share, period = (folder / "cpu.max").read_text(encoding="ascii").split()
     except (OSError, ValueError):
@@ -59,24 +59,24 @@ def _quota(folder: Path) -> float | None:
 def ordered(
     function: Callable[[_A], _B], items: Iterable[_A], *, threads: int, ahead: int | None = None
 ) -> Iterator[_B]:
-    """Apply a function to items in worker threads; the results come in the order of the items.
+    """Apply a function to items in worker threads; yield the results in the order of the items.
 
     Parameters
     ----------
     function : callable
-        Called once for every item. Items begin in order: when one begins, all before it have begun or ended.
+        Called once per item. Calls start in the order of the items.
     items : iterable
-        Run in the caller's thread, and closed at the end if it can be.
+        Iterated in the caller's thread; closed at the end if it has ``close``.
     threads : int
-        Worker threads; with 1 or fewer there are none, and an item is taken when its result is asked for.
+        Worker threads; with 1 or fewer, items are processed in the caller's thread on demand.
     ahead : int, optional
-        Items that may be taken and not yet given back as results; default twice the threads.
+        Most items taken but not yet returned as results; default: twice the threads.
 
     Yields
     ------
     result
-        Of every item. What ``function`` or ``items`` raise is raised at its place in the order; afterwards nothing
-        more begins. Closing the generator cancels what has not begun and waits for what has.
+        Of every item. An error of ``function`` or ``items`` is raised at its place in the order; no further calls
+        start. Closing the generator cancels calls that have not started and waits for those that have.
 
     Examples
     --------
@@ -121,7 +121,7 @@ def _in_threads(function: Callable[[_A], _B], items: Iterator[_A], threads: int,
 
 
 def _wait(future: Future[_B]) -> _B:
-    """Wait for a result; signals are handled meanwhile on every system."""
+    """Wait for a result, handling signals meanwhile on every system."""
     while not future.done():
         try:
             return future.result(TICK_S)
@@ -131,10 +131,10 @@ def _wait(future: Future[_B]) -> _B:
 
 
 class Relay(Generic[_A]):
-    """A value that jobs in several threads pass on in a fixed order, such as the state between blocks.
+    """A value passed from job to job in a fixed order across threads, such as the state between blocks.
 
-    Jobs have turns 0, 1, 2 ... and must begin in that order, as :func:`ordered` begins them. So the job that all others
-    wait for is always running.
+    Jobs have turns 0, 1, 2 ... and must start in that order, as :func:`ordered` starts them; then the job that the
+    others wait for is always running.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class Relay(Generic[_A]):
         self._changed = threading.Condition()
 
     def take_turn(self, turn: int, function: Callable[[_A], tuple[_B, _A]]) -> tuple[_B, _A]:
-        """Wait for a turn; call the function with the value, which returns a result and the value of the next turn.
+        """Wait for a turn, then call the function with the value; it returns a result and the value for the next turn.
 
         Returns
         -------
@@ -178,7 +178,7 @@ class Relay(Generic[_A]):
         return result, value
 
     def give_up(self, turn: int) -> None:
-        """Let all later turns fail with RelayBrokenError; to be called by a job that fails at any point."""
+        """Make all later turns fail with RelayBrokenError; to be called by a job that fails."""
         with self._changed:
             self._broken_at = turn if self._broken_at is None else min(turn, self._broken_at)
             self._changed.notify_all()
@@ -192,7 +192,7 @@ class RelayBrokenError(Exception):
 
 
 class _Channel(Generic[_A]):
-    """A short queue between two threads; the sender may end it, the receiver may cancel it."""
+    """A bounded queue between two threads; the sender may end it, the receiver may cancel it."""
 
     def __init__(self, depth: int) -> None:
         self._items: deque[_A] = deque()
@@ -203,7 +203,7 @@ class _Channel(Generic[_A]):
         self._error: BaseException | None = None
 
     def put(self, item: _A) -> bool:
-        """Append an item when there is room; False, at once, when the receiver has cancelled."""
+        """Append an item when there is room; return False at once when the receiver has cancelled."""
         with self._changed:
             while len(self._items) >= self._depth and not self._cancelled:
                 self._changed.wait(TICK_S)
@@ -220,7 +220,7 @@ class _Channel(Generic[_A]):
             self._changed.notify_all()
 
     def cancel(self) -> None:
-        """Cancel the queue: items that wait are dropped, and no more are accepted."""
+        """Cancel the queue: waiting items are dropped, and no more are accepted."""
         with self._changed:
             self._cancelled = True
             self._items.clear()
@@ -242,21 +242,21 @@ class _Channel(Generic[_A]):
 
 
 def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIENCE_S) -> Iterator[_A]:
-    """Run an iterator in a thread of its own, a few items ahead of who takes them.
+    """Run an iterator in its own thread, a few items ahead of the consumer.
 
     Parameters
     ----------
     items : iterable
-        Run, and closed at the end if it can be, in the other thread.
+        Iterated in the other thread, and closed there at the end if it has ``close``.
     depth : int
-        Items that may be ready; one more is being made.
+        Most items that wait ready; one more is in progress.
     patience_s : float, seconds
-        How long closing waits for an item that is being made; after that the thread ends by itself, later.
+        How long closing waits for an item in progress; after that the thread ends on its own later.
 
     Yields
     ------
     item
-        In order; an error comes at its place. The thread begins when the first item is asked for.
+        In order; an error is raised at its place. The thread starts when the first item is requested.
 
     Examples
     --------
@@ -274,11 +274,11 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
                     break
                 del item
             close_items(source)
-        except BaseException as raised:  # whatever it is, it belongs to who takes the items
+        except BaseException as raised:  # raised again in the consumer's thread
             error = raised
         channel.end(error)
 
-    # a daemon: a read from a pipe that never comes back must not keep the program from ending
+    # a daemon, so that a blocked read from a pipe cannot keep the program from ending
     thread = threading.Thread(target=run, name="read-ahead", daemon=True)
     thread.start()
     try:
@@ -289,14 +289,14 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
 
 
 class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
-    """Hand items to a sink that runs in a thread of its own.
+    """Pass items to a sink that runs in its own thread.
 
     Parameters
     ----------
     sink : callable
         Called with every item, in order, in the other thread.
     depth : int
-        Items that may wait; :meth:`put` blocks while there are so many.
+        Most waiting items; :meth:`put` blocks while the queue is full.
 
     Examples
     --------
@@ -320,19 +320,19 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
             for item in self._channel:
                 self._sink(item)
                 del item
-        except BaseException as raised:  # raised again where the items come from
+        except BaseException as raised:  # raised again by put() or close()
             self._error = raised
             self._channel.cancel()
 
     def put(self, item: _A) -> None:
-        """Pass an item on; raises what the sink raised for an earlier one."""
+        """Queue an item; raises the sink's error for an earlier one."""
         if not self._channel.put(item):
             self.close()
             msg = "put() after abort()"
             raise RuntimeError(msg)
 
     def close(self) -> None:
-        """Wait until all items are written; raises what the sink raised."""
+        """Wait until all items are written; raises the sink's error."""
         self._channel.end()
         self._join()
         if self._error is not None:
@@ -340,7 +340,7 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
             raise error
 
     def abort(self) -> None:
-        """Drop the items that wait, and wait for the one that is being written; its error is not raised."""
+        """Drop the waiting items and wait for the one in progress; its error is not raised."""
         self._channel.cancel()
         self._join()
 
@@ -359,7 +359,7 @@ class write_behind(Generic[_A]):  # noqa: N801  it is used like a function
 
 
 def drain(messages: queue.SimpleQueue[_A]) -> list[_A]:
-    """Take all messages out of a queue; wait for the first :data:`TICK_S` seconds at most; empty if none came.
+    """Take all messages from a queue; wait at most :data:`TICK_S` for the first; empty if none came.
 
     >>> messages: queue.SimpleQueue[int] = queue.SimpleQueue()
     >>> messages.put(1)
@@ -376,7 +376,7 @@ def drain(messages: queue.SimpleQueue[_A]) -> list[_A]:
 
 
 def close_items(items: Iterator[object]) -> None:
-    """Close a generator now, not when it is garbage-collected."""
+    """Close a generator now instead of when it is garbage-collected."""
     close = getattr(items, "close", None)
     if close is not None:
         close()

@@ -1,4 +1,4 @@
-"""Array types by dtype; shapes and units stand in the docstrings that use them."""
+"""Array types by dtype; shapes and units are given in the docstrings that use them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Curves as inline SVG: a score of every class over the parts of a split; axes, marks, no scripts.
+"""Line charts as inline SVG, without scripts: a score of every class over the parts of a split.
 
-Colours are those of the classes in the whole program. Every class has a mark of its own as well, and a rim that takes
-the colour of the text, so that black noise and yellow curbs are seen on dark and on light pages.
+Classes have the program's colours, and each its own mark with an outline in the colour of the text, so that black
+(noise) and yellow (curb) are visible on dark and on light pages.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, Label
 from prc_cli.evaluation.mapping import OTHER
 
 _MORE_COLOURS = ((51, 34, 136), (136, 34, 85), (68, 170, 153), (153, 153, 51), (170, 68, 153), (221, 204, 119))
-"""For classes that this program does not know (Paul Tol's muted scheme)."""
+"""Colours of other classes (Paul Tol's muted scheme)."""
 _OTHER_COLOUR = (108, 108, 108)
 
 _WIDTH, _LEFT, _RIGHT, _TOP = 560, 40, 12, 12
@@ -25,7 +25,7 @@ _HEIGHT = _TOP + _PLOT_HEIGHT + _GAP + _BAR_HEIGHT + _LABEL_HEIGHT
 _LETTER = 6.4
 """Width of a letter of the labels [units of the drawing]."""
 _MAX_MARKS = 80
-"""Parts beyond which the marks would be a band."""
+"""Number of parts above which marks are omitted, because they would overlap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,13 +34,13 @@ class Curve:
 
     name: str
     values: tuple[float, ...]
-    """One a part, 0 to 1; NaN = undefined, where the curve is broken."""
+    """One value per part, 0 to 1; NaN = undefined, the curve is interrupted."""
     place: int
-    """Number of the class among all that are shown; chooses its mark."""
+    """Index of the class among those shown; selects its mark."""
 
 
 def class_colour(name: str) -> str:
-    """Return the colour of a class as CSS has it; a class that the program does not know has the same on every page.
+    """Return the colour of a class for CSS; that of an unknown class depends only on its name.
 
     >>> class_colour("ground")
     '#0072b2'
@@ -76,12 +76,12 @@ def line_chart(
     ticks: Sequence[str],
     breaks: Collection[int] = (),
 ) -> str:
-    """Draw curves over the parts of a split, and bars of how many records each part has.
+    """Draw curves over the parts of a split, and bars for the number of records in each part.
 
     Parameters
     ----------
     title : str
-        What is drawn, read aloud to those who cannot see it.
+        Description for screen readers.
     axis : str
         Title of the horizontal axis.
     names : sequence of str
@@ -91,14 +91,14 @@ def line_chart(
     curves : sequence of Curve
         From back to front.
     ticks : sequence of str
-        Labels of the parts on the axis; left out where they would touch.
+        Labels of the parts on the axis; omitted where they would touch.
     breaks : collection of int
-        Parts before which something new begins, such as the next file: curves are not drawn across.
+        Parts that begin something new, such as the next file: curves are interrupted before them.
 
     Returns
     -------
     str
-        An ``svg`` element; its colours of text, grid and rim are left to the page.
+        An ``svg`` element; the page sets the colours of text, grid and outlines.
     """
     n = len(names)
     parts = [
@@ -174,7 +174,7 @@ def _break_lines(breaks: Collection[int], n: int) -> list[str]:
 
 
 def _runs(points: Sequence[tuple[float, float]], breaks: Collection[int]) -> list[list[tuple[float, float]]]:
-    """Points that are joined by a line: those without an undefined one or a break between them."""
+    """Return the points in runs to be joined by lines, split at undefined points and breaks."""
     runs: list[list[tuple[float, float]]] = [[]]
     for i, point in enumerate(points):
         if i in breaks or math.isnan(point[1]):

@@ -16,7 +16,7 @@ from prc_cli.evaluation.mapping import OTHER, ClassMapping, scored_names
 class ConfusionMatrix:
     """Counts of records by reference class (rows) and predicted class (columns).
 
-    Rows and columns need not be the same classes: those of one side only are kept, and never agree.
+    Rows and columns may differ: classes of one side only are kept, and never agree.
     """
 
     reference_names: tuple[str, ...]
@@ -26,7 +26,7 @@ class ConfusionMatrix:
     counts: I64
     """(rows, columns) int64, scored records."""
     n_ignored: int = 0
-    """Records that were compared but not scored."""
+    """Records compared but not scored."""
 
     @classmethod
     def empty(cls, mapping: ClassMapping) -> ConfusionMatrix:
@@ -60,7 +60,7 @@ class ConfusionMatrix:
         return ConfusionMatrix(*names, self.counts + other.counts, self.n_ignored + other.n_ignored)
 
     def row_shares(self) -> F64:
-        """Divide every row by its sum: what became of a reference class, recall on the diagonal.
+        """Divide every row by its sum: shares of a reference class, with recall on the diagonal.
 
         Returns
         -------
@@ -70,7 +70,7 @@ class ConfusionMatrix:
         return shares(self.counts, self.counts.sum(axis=1, keepdims=True))
 
     def column_shares(self) -> F64:
-        """Divide every column by its sum: what a predicted class is made of, precision on the diagonal.
+        """Divide every column by its sum: shares of a predicted class, with precision on the diagonal.
 
         Returns
         -------
@@ -90,7 +90,7 @@ class ConfusionMatrix:
         """
         rows = dict(zip(self.reference_names, self.counts.sum(axis=1), strict=True))
         columns = dict(zip(self.predicted_names, self.counts.sum(axis=0), strict=True))
-        # a class that either side uses keeps both its row and its column: an empty one says something
+        # a class used by either side keeps its row and its column: an empty one is informative
         keep_row = np.array([bool(count) or _used(columns, name) for name, count in rows.items()], dtype=bool)
         keep_column = np.array([bool(count) or _used(rows, name) for name, count in columns.items()], dtype=bool)
         return ConfusionMatrix(
@@ -112,7 +112,7 @@ def accumulate(
     Parameters
     ----------
     state : ConfusionMatrix
-        What was counted so far, :meth:`ConfusionMatrix.empty` at the start.
+        Counts so far, :meth:`ConfusionMatrix.empty` at the start.
     predicted_codes, reference_codes : (n,) integer
         Class codes of the same records in the same order.
     mapping : ClassMapping
@@ -171,7 +171,7 @@ def refuse_poor_match(
 
 
 def shares(counts: I64, sums: I64) -> F64:
-    """Divide counts by sums; NaN, not 0, where there is nothing to divide by.
+    """Divide counts by sums; NaN, not 0, where the sum is 0.
 
     >>> shares(np.array([1, 0]), np.array([4, 0]))
     array([0.25,  nan])

@@ -1,4 +1,4 @@
-"""Scores that an evaluation must reach, ``recall.ground=0.95``, for unattended runs."""
+"""Gates: minimum scores of an evaluation, such as ``recall.ground=0.95``, for unattended runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prc_cli.evaluation.scores import Scores, gate_value, scores
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """A demand: the score must reach the limit."""
+    """A minimum for a score."""
 
     name: str
     """``accuracy``, ``recall.ground``, ..."""
@@ -23,12 +23,12 @@ class Gate:
 
 @dataclass(frozen=True, slots=True)
 class GateResult:
-    """A demand and the score that was found."""
+    """A gate and the score found."""
 
     name: str
     limit: float
     value: float
-    """NaN where the score is undefined, which reaches no limit."""
+    """NaN if the score is undefined; the gate then fails."""
 
     @property
     def passed(self) -> bool:
@@ -37,7 +37,7 @@ class GateResult:
 
 
 def parse_gate(text: str, mapping: ClassMapping) -> Gate:
-    """Read a demand, and refuse one that no evaluation with this mapping could answer.
+    """Parse a gate; refuse a score that an evaluation with this mapping cannot have.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def parse_gate(text: str, mapping: ClassMapping) -> Gate:
 
 
 def check_gates(found: Scores, gates: Iterable[Gate]) -> tuple[GateResult, ...]:
-    """Compare scores with what was demanded.
+    """Compare scores with gates.
 
     Raises
     ------
@@ -74,12 +74,12 @@ def check_gates(found: Scores, gates: Iterable[Gate]) -> tuple[GateResult, ...]:
 
 
 def refuse_failed(results: Iterable[GateResult]) -> None:
-    """Raise if any demand was not met, naming all of those.
+    """Raise if any gate failed, naming all failed ones.
 
     Raises
     ------
     GateError
-        The exit code of a failed evaluation.
+        Exit code 3.
     """
     failed = [item for item in results if not item.passed]
     if failed:

@@ -1,4 +1,4 @@
-"""An evaluation as one self-contained HTML page: no network, no scripts, light and dark, printable."""
+"""An evaluation as one self-contained HTML page without scripts; for light, dark and print."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from prc_cli.evaluation.result import Evaluation, SplitPart
 from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, scores
 
 _DEEP = 0.76
-"""Share of the colour in a cell beyond which white text reads better."""
+"""Share of the colour in a cell above which text is white."""
 _LARGEST = 6
 """Rows of the table of the largest differences."""
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -61,7 +61,7 @@ def as_html(
     found : Evaluation or ConfusionMatrix
         What to show.
     gates : sequence of GateResult
-        Demands, shown with what became of them.
+        Gates, shown with their results.
     mapping : ClassMapping, optional
         The mapping of the evaluation; its codes are listed.
     pictures : sequence of (title, PNG)
@@ -96,7 +96,7 @@ def as_html(
         "pictures": [(name, base64.b64encode(content).decode("ascii")) for name, content in pictures],
         "mapping": mapping,
         "mapped_names": () if mapping is None else tuple(dict.fromkeys((*mapping.reference, *mapping.predicted))),
-        # "<" as an escape: no text of users can end the element
+        # "<" is escaped, so that user text cannot end the element
         "data": json.dumps(as_dict(found, gates), allow_nan=False).replace("<", "\\u003c"),
         **(_of_evaluation(evaluation, shown) if evaluation is not None else {"doubts": (), "splits": ()}),
     }
@@ -155,7 +155,7 @@ def _view(shown: ConfusionMatrix, key: str, name: str, words: str) -> dict[str, 
 
 
 def _largest(shown: ConfusionMatrix) -> list[tuple[int, str, str]]:
-    """Return the cells with most records where both sides differ: records, reference class, predicted class."""
+    """Return the largest off-diagonal cells: records, reference class, predicted class."""
     cells = [
         (count, name, other)
         for name, counts in zip(shown.reference_names, shown.counts.tolist(), strict=True)
@@ -185,7 +185,7 @@ def _split(split: str, parts: Sequence[SplitPart], shown: ConfusionMatrix) -> di
     """Return the table of a split and the charts of its parts."""
     drawn = [part for part in parts if part.name != NOT_SPLIT]
     names = shown.scored_names
-    # the lines of every file begin at 0, and parts may have been left out
+    # lines of every file begin at 0, and parts may be missing
     breaks = {i + 1 for i, (part, after) in enumerate(pairwise(drawn)) if after.low != part.high}
     places = {name: (*shown.reference_names, *shown.predicted_names).index(name) for name in names}
     return {
@@ -203,7 +203,7 @@ def _charts(
     """Yield scores and their charts, as SVG."""
     found = [{item.name: item for item in scores(part.matrix).classes} for part in parts]
     counts = [part.matrix.n_scored for part in parts]
-    # short where the title of the axis says the rest
+    # short, since the axis title gives the rest
     ticks = [f"{part.low:g}" if split == "lines" else part.name.removesuffix(" m") for part in parts]
     for score in ("recall", "precision"):
         curves = [

@@ -1,7 +1,7 @@
 """Confidence intervals of the scores from blocks of the stream.
 
-Neighbouring shots hit the same wall and err together, so that shots are no independent trials: what is left out or
-drawn anew is a block of scan lines as a whole (block jackknife, block bootstrap; Künsch 1989).
+Neighbouring shots hit the same wall and have correlated errors, so shots are not independent trials. Therefore whole
+blocks of scan lines are left out or resampled (block jackknife, block bootstrap; Künsch 1989).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from prc_cli.evaluation.result import Interval
 IntervalMethod: TypeAlias = Literal["jackknife", "bootstrap"]
 METHODS: tuple[str, ...] = get_args(IntervalMethod)
 LEVEL = 0.95
-"""Share of intervals that should hold the true score."""
+"""Confidence level."""
 N_DRAWS = 1000
 """Draws of the bootstrap."""
 FEW_BLOCKS = 20
-"""With fewer blocks than this intervals are rough themselves."""
+"""With fewer blocks, intervals are unreliable."""
 _AT_ONCE = 1 << 22
 
 
@@ -39,15 +39,15 @@ def block_intervals(
     names : (row names, column names)
         Classes.
     method : {"jackknife", "bootstrap"}
-        Leave out one block after the other, and take the spread of the scores times Student's t; or draw as many
-        blocks with replacement, :data:`N_DRAWS` times, and take percentiles of the scores.
+        Jackknife: leave out one block at a time; the interval is the spread of the scores times Student's t.
+        Bootstrap: draw as many blocks with replacement, :data:`N_DRAWS` times; percentiles of the scores.
     seed : int
         Of the bootstrap.
 
     Returns
     -------
     dict of Interval
-        By the name that ``--fail-under`` takes, within what the score can be.
+        By the score's name as in ``--fail-under``; clipped to the possible values of the score.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def _jackknife(
     found = {}
     for name, value in centre.items():
         left_out = np.concatenate([part[name] for part in parts])
-        # a score that depends on a single block is undefined without it, and so is its interval
+        # a score that depends on a single block is undefined without it: no interval
         n = len(left_out)
         error = float(np.sqrt((n - 1) / n * np.sum((left_out - left_out.mean()) ** 2)))
         half = float(stdtrit(n - 1, (1 + LEVEL) / 2)) * error
@@ -103,7 +103,7 @@ def _bootstrap(
     tails = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
     found = {}
     for name, values in all_scores(drawn.reshape(N_DRAWS, *blocks.shape[1:]), *names).items():
-        # draws without a record of a class say nothing of it
+        # ignore draws without records of a class
         defined = values[~np.isnan(values)]
         if not np.isnan(centre[name]) and len(defined) > N_DRAWS // 2:
             low, high = np.quantile(defined, tails)

@@ -96,7 +96,7 @@ def _scores(shown: ConfusionMatrix, evaluation: Evaluation | None) -> str:
 
 
 def _splits(found: Evaluation, shown: ConfusionMatrix) -> Iterator[str]:
-    """Recall and precision apart: side by side they are wider than a page."""
+    """Yield recall and precision as separate tables: side by side they are wider than a page."""
     for number, (split, parts) in enumerate(found.splits.items()):
         header, rows = split_table(parts, shown)
         for score in ("recall", "precision"):

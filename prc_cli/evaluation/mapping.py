@@ -26,7 +26,7 @@ OTHER = "other"
 
 MAX_CODE = 2**32 - 1
 NO_CODE = -1
-"""What label files give for a record without a code, such as an empty cell."""
+"""Value of a record without a code, such as an empty cell."""
 IGNORED = -1
 _UNLISTED = -2
 _TABLE_SIZE = 2**16
@@ -100,7 +100,7 @@ class ClassMapping(Params):
         Parameters
         ----------
         codes : (n,) integer
-            Class codes as stored in a file; :data:`NO_CODE` = the record has none, never scored.
+            Class codes as stored in a file; :data:`NO_CODE` = none, never scored.
         side : {"predicted", "reference"}
             Whose lists to use.
 
@@ -142,7 +142,7 @@ class ClassMapping(Params):
 
     @cached_property
     def _tables(self) -> dict[Side, I64]:
-        """Class index of every code below 65536, by side: one lookup instead of a search."""
+        """Class index of every code below 65536, by side, for fast lookup."""
         every = np.arange(_TABLE_SIZE, dtype=np.int64)
         return {"predicted": self._search(every, "predicted"), "reference": self._search(every, "reference")}
 
@@ -171,7 +171,7 @@ class ClassMapping(Params):
 
 
 def scored_names(reference: tuple[str, ...], predicted: tuple[str, ...]) -> tuple[str, ...]:
-    """Names that both sides know, in the order of the reference; ``other`` is no class.
+    """Names on both sides, in the order of the reference, without ``other``.
 
     >>> scored_names(("ground", "car", "other"), ("noise", "ground", "other"))
     ('ground',)
@@ -236,7 +236,7 @@ def _span(code: int | str) -> tuple[int, int]:
 
 
 def _listed_twice(spans: list[tuple[int, int, str]]) -> Iterator[tuple[int, str, str]]:
-    """First shared code and both names wherever one span runs into the next."""
+    """Yield the first shared code and both names of overlapping spans."""
     ordered = sorted(spans)
     for (_, end, name), (low, _, other) in pairwise(ordered):
         if low <= end:

@@ -1,7 +1,7 @@
-"""An evaluation as a dictionary, JSON, CSV or Markdown; plain strings, nothing printed.
+"""An evaluation as a dictionary, JSON, CSV or Markdown.
 
-Each takes a whole :class:`~prc_cli.evaluation.result.Evaluation` or a confusion matrix alone, which has neither
-matching, nor parts, nor intervals.
+Each function takes an :class:`~prc_cli.evaluation.result.Evaluation`, or a confusion matrix, which has no matching,
+parts and intervals.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from prc_cli.evaluation.scores import CLASS_SCORES, OVERALL_SCORES, ClassScores,
 Found: TypeAlias = ConfusionMatrix | Evaluation
 
 NOT_SPLIT = "unknown"
-"""Name of the part that holds the pairs of which nothing is known to split by."""
+"""Name of the part for pairs whose split value is unknown."""
 NO_INTERVALS: Mapping[str, Interval] = {}
 
 _CHANCE = 0.05
@@ -78,7 +78,7 @@ def as_json(found: Found, gates: Iterable[GateResult] = ()) -> str:
 
 
 def as_csv(found: Found) -> str:
-    """Return one row a class: name, counts, scores, and its row of the matrix; undefined scores are empty.
+    """Return one row per class: name, counts, scores, and its row of the matrix; undefined scores are empty.
 
     A last row, ``(overall)``, holds the number of scored records and the overall accuracy, balanced accuracy
     and kappa in columns of their own. Intervals come as columns ``recall_low``, ``recall_high`` and so on. Parts
@@ -139,7 +139,7 @@ def matrix_of(found: Found) -> ConfusionMatrix:
 
 
 def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS) -> str:
-    """Return the overall scores as a piece of a sentence.
+    """Return the overall scores as part of a sentence.
 
     >>> import numpy as np
     >>> overall_line(scores(ConfusionMatrix(("a", "b"), ("a", "b"), np.array([[4, 1], [1, 4]]))))
@@ -152,7 +152,7 @@ def overall_line(found: Scores, intervals: Mapping[str, Interval] = NO_INTERVALS
 
 
 def match_line(match: MatchReport) -> str:
-    """Return how the records were matched, and how many of each side found a partner, as a sentence.
+    """Return how the records were matched, and how many of each side, as a sentence.
 
     >>> match_line(MatchReport("time", 1000, 900, 880, tolerance=1e-6))
     'Matched by time within 1e-06 s: 880 pairs of 1,000 predicted and 900 reference records.'
@@ -166,10 +166,10 @@ def match_line(match: MatchReport) -> str:
 
 
 def doubts(found: Evaluation) -> tuple[str, ...]:
-    """Return what speaks against the evaluation itself, a sentence each; none is the rule.
+    """Return reasons to doubt the evaluation itself, one sentence each; usually none.
 
-    Equal numbers of records in another order, or a mapping of other codes, give figures that look like any others but
-    for the agreement, which is that of chance.
+    Files with equal numbers of records in different order, or a wrong mapping, give plausible reports whose agreement
+    is only that of chance.
     """
     result = scores(found.matrix)
     names = [item for item in result.classes if item.recall + item.precision >= 0]
@@ -187,7 +187,7 @@ def split_table(parts: Sequence[SplitPart], shown: ConfusionMatrix) -> tuple[lis
     parts : sequence of SplitPart
         The parts of one split.
     shown : ConfusionMatrix
-        The whole matrix without the classes that have no records; those on both sides get columns.
+        The whole matrix without empty classes; classes on both sides get columns.
     """
     names = shown.scored_names
     header = [
@@ -273,7 +273,7 @@ def _csv_rows(
 
 
 def _limits(intervals: Mapping[str, Interval], names: Iterable[str]) -> list[str]:
-    """Low and high of every name; empty where there is no interval."""
+    """Return low and high of every name; empty where there is no interval."""
     undefined = Interval(math.nan, math.nan)
     return [_cell(end) for name in names for item in (intervals.get(name, undefined),) for end in (item.low, item.high)]
 
@@ -301,7 +301,7 @@ def _score_row(item: ClassScores, intervals: Mapping[str, Interval]) -> list[str
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Markdown table, first column to the left, numbers to the right, padded so that it reads as plain text."""
+    """Return a Markdown table, first column left-aligned, numbers right-aligned, padded for reading as plain text."""
     header, rows = [_plain(cell) for cell in header], [[_plain(cell) for cell in row] for row in rows]
     widths = [max(4, *(len(row[i]) for row in (header, *rows))) for i in range(len(header))]
     pad = [(cell_width, "<" if i == 0 else ">") for i, cell_width in enumerate(widths)]

@@ -1,4 +1,4 @@
-"""What an evaluation finds, as the reports take it: one matrix, how the records were matched, and its parts."""
+"""Result of an evaluation, input of the reports: confusion matrix, matching, parts and intervals."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from prc_cli.evaluation.confusion import ConfusionMatrix
 
 @dataclass(frozen=True, slots=True)
 class MatchReport:
-    """How records of the two sides were paired, and how many of each found a partner."""
+    """How the records of both sides were matched, and how many."""
 
     method: str
     """``order``, ``time``, ``dimension:NAME`` or ``nearest``."""
     n_predicted: int
     n_reference: int
     n_matched: int
-    """Pairs; every record is in one pair at most, unless a reference may serve several (``nearest``, on request)."""
+    """Pairs; every record is in at most one, except reference records with several partners (``nearest``, optional)."""
     tolerance: float | None = None
     """Largest difference of a pair: seconds for ``time``, metres for ``nearest``."""
     notes: tuple[str, ...] = ()
-    """What the reader should know, a plain sentence each."""
+    """Remarks for the reader, one sentence each."""
     n_reference_matched: int | None = None
-    """Reference records in at least one pair; None = ``n_matched``, for each is in one."""
+    """Reference records in at least one pair; None = ``n_matched``, as each is in one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +30,11 @@ class SplitPart:
     """The pairs of one part of a split, for example ranges of 10 to 20 m."""
 
     name: str
-    """As it is shown, ``10-20 m``."""
+    """Displayed name, such as ``10-20 m``."""
     low: float
-    """Where the part begins: range [m], first scan line, scanner id."""
+    """Lower bound: range [m], first scan line, scanner id."""
     high: float
-    """Where it ends (not included), inf = open."""
+    """Upper bound, exclusive; inf = open."""
     matrix: ConfusionMatrix
 
 
@@ -48,7 +48,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Everything that ``prc evaluate`` prints."""
+    """Result of ``prc evaluate``."""
 
     predicted: tuple[str, ...]
     """Files."""
@@ -63,6 +63,6 @@ class Evaluation:
     or scanner is not known are a part of their own named ``unknown``. The counts add up to those of ``matrix``; parts
     without scored records are left out, and the ignored records with them."""
     intervals: dict[str, Interval]
-    """By the name that ``--fail-under`` takes, ``recall.ground``; empty where they were not asked for."""
+    """Intervals by the score's name as in ``--fail-under``, such as ``recall.ground``; empty unless requested."""
     interval_method: str = ""
     """For example ``block jackknife, 120 blocks of 99 lines, 95 %``."""

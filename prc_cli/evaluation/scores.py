@@ -35,7 +35,7 @@ class ClassScores:
     iou: float
     """n_agreed / (n_reference + n_predicted - n_agreed), intersection over union."""
     accuracy: float
-    """One against the rest: share of all scored records that both sides put in, or both out of, this class."""
+    """One against the rest: share of scored records that both sides assign to this class, or both do not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Scores:
     """Scores of a confusion matrix."""
 
     classes: tuple[ClassScores, ...]
-    """Every class of either side: rows first, then columns that are no rows."""
+    """Classes of either side: rows first, then columns that are not rows."""
     scored: tuple[str, ...]
     """Names of the classes on both sides, which have scores."""
     n_scored: int
@@ -98,7 +98,7 @@ def scores(matrix: ConfusionMatrix) -> Scores:
 
 
 def gate_value(found: Scores, name: str) -> float:
-    """Look up one score by the name that ``--fail-under`` takes.
+    """Look up one score by its name as in ``--fail-under``.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def gate_value(found: Scores, name: str) -> float:
     Raises
     ------
     ConfigError
-        Unknown score or class, or a class of one side only, which has no scores; those that exist are named.
+        Unknown score or class, or a class of one side only, which has no scores; the message lists valid names.
 
     Examples
     --------

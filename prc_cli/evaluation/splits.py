@@ -1,4 +1,4 @@
-"""Confusion counts of many groups of pairs at once: parts of a split, blocks of the intervals."""
+"""Confusion counts by group of pairs: parts of a split, blocks of the intervals."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from prc_cli.evaluation.confusion import ConfusionMatrix, refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping
 
 UNKNOWN = -1
-"""Group of the pairs whose range, line or scanner is not known."""
+"""Group of pairs whose range, line or scanner is unknown."""
 MAX_BYTES = 64 << 20
-"""Counts of all groups together."""
+"""Most counts in all groups together."""
 _MAX_FILES, _MAX_INDEX = 1 << 20, 1 << 40
 
 
@@ -28,7 +28,7 @@ class GroupedCounts:
     mapping : ClassMapping
         Of the codes.
     what : str
-        What the groups are, for messages.
+        Name of the groups, for messages.
     """
 
     def __init__(self, mapping: ClassMapping, what: str) -> None:
@@ -50,7 +50,7 @@ class GroupedCounts:
         groups : (n,) int64
             Group of every pair.
         cells : (n,) int64
-            Out of :func:`cells_of`.
+            From :func:`cells_of`.
 
         Raises
         ------
@@ -189,7 +189,7 @@ def block_groups(file: I64, index: I64, per_block: int) -> I64:
 
 
 def file_and_block(group: int) -> tuple[int, int]:
-    """Take a number of :func:`block_groups` apart.
+    """Return file and block of a number from :func:`block_groups`.
 
     >>> file_and_block(int(block_groups(np.array([2]), np.array([250]), 100)[0]))
     (2, 2)

@@ -1,7 +1,7 @@
-"""Clouds as pictures: points are splatted into a depth buffer, gaps closed, edges shaded by depth.
+"""Pictures of point clouds: points are splatted into a depth buffer, gaps closed, edges shaded by depth.
 
-The buffer holds one number a pixel, depth in its upper and colour in its lower half, so that the nearest point wins by
-a single minimum: what is drawn does not depend on the order of the points or on how they were cut into chunks.
+The buffer holds one integer per pixel, depth in the upper and colour in the lower half, so that a minimum selects the
+nearest point. The picture does not depend on the order of the points or on how they were cut into chunks.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ EMPTY = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 FIELD_OF_VIEW_DEG = 38.0
 """Horizontal angle of the perspective."""
 FRAMED = (0.05, 99.95)
-"""Percentiles of the points that a view must hold."""
+"""Percentiles of the points that a view must contain."""
 MARGIN = 0.03
-"""Share of a view that stays free on every side."""
+"""Free margin on every side, as a share of the view."""
 NARROWEST = 0.35
-"""Least width by height, and height by width, of a view from above: what is narrower has free room beside it."""
+"""Least ratio of width to height, and of height to width, of a view from above; narrower clouds get wider margins."""
 SHADE = 26.0
 """How strongly steps in depth darken."""
 SAMPLE = 1 << 17
@@ -31,7 +31,7 @@ SAMPLE = 1 << 17
 
 
 class Sample:
-    """Every n-th point of a cloud of unknown size, n doubling so that memory stays bounded."""
+    """Every n-th point of a cloud of unknown size; n doubles when the sample is full."""
 
     def __init__(self, width: int, most: int = 2 * SAMPLE) -> None:
         self._rows: list[F64] = []
@@ -39,7 +39,7 @@ class Sample:
         self._step, self._seen, self._n = 1, 0, 0
 
     def add(self, rows: F64) -> None:
-        """Offer rows, (n, width) float64."""
+        """Add rows, (n, width) float64."""
         taken = rows[(-self._seen) % self._step :: self._step]
         self._seen += len(rows)
         self._rows.append(np.array(taken))
@@ -50,16 +50,16 @@ class Sample:
 
     @property
     def n_seen(self) -> int:
-        """Rows offered so far."""
+        """Rows added so far."""
         return self._seen
 
     def rows(self) -> F64:
-        """Return what was kept, (n, width) float64."""
+        """Return the sample, (n, width) float64."""
         return np.concatenate(self._rows) if self._rows else np.empty((0, self._width))
 
 
 class Camera(Protocol):
-    """Where points fall in a picture."""
+    """Projection of points into a picture."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -92,7 +92,7 @@ class FromAbove:
         middle, half = (low + high) / 2, np.maximum((high - low) / 2, 0.05) * (1 + 2 * MARGIN)
         half[:2] = np.maximum(half[:2], NARROWEST * half[1::-1])
         metres = float(max(2 * half[0] / width, 2 * half[1] / height))
-        # pixels of a round size are easier to reckon with, but the view should fill the picture
+        # a round pixel size is convenient, but the view should fill the picture
         size = max(1, math.ceil(2 * half[0] / metres - 1e-9)), max(1, math.ceil(2 * half[1] / metres - 1e-9))
         left, top = middle[0] - size[0] * metres / 2, middle[1] + size[1] * metres / 2
         return cls(float(left), float(top), float(sample[:, 2].max()) + 1.0, metres, size)
@@ -129,7 +129,7 @@ class Perspective:
         sample : (n, 3) float64
             Points [m].
         azimuth_deg, elevation_deg : float
-            Where the eye stands, seen from the points: clockwise from north (+y), and above the horizontal [deg].
+            Direction of the viewpoint from the points: clockwise from north (+y), and above the horizontal [deg].
         width, height : int
             Largest picture [pixels].
         """
@@ -145,7 +145,7 @@ class Perspective:
         axes = np.stack([right, np.cross(-out, right), -out])
         seen = (inside - target) @ axes.T
         slope = math.tan(math.radians(FIELD_OF_VIEW_DEG / 2)) * (1 - 2 * MARGIN)
-        # the nearest distance from which every point lies within the horizontal angle and within the picture's shape
+        # the smallest distance at which all points are within the horizontal angle and the picture's aspect ratio
         away = float(np.max(np.abs(seen[:, 0]) / slope - seen[:, 2], initial=1.0))
         away = max(away, float(np.max(np.abs(seen[:, 1]) / (slope * height / width) - seen[:, 2], initial=1.0)))
         away = max(away, float(-seen[:, 2].min()) * 1.05 + 0.1)
@@ -172,12 +172,12 @@ class Perspective:
 
 
 class DepthBuffer:
-    """A picture that grows point by point.
+    """A picture of points with depth test.
 
     Parameters
     ----------
     camera : Camera
-        Where points fall.
+        The projection.
     splat : int
         Width of a point [pixels].
     """
@@ -203,7 +203,7 @@ class DepthBuffer:
             inside = (right >= 0) & (right < width) & (down >= 0) & (down < height) & (depth > 0)
         self.n_inside += int(np.count_nonzero(inside))
         column, row = right[inside].astype(np.int64), down[inside].astype(np.int64)
-        # positive floats have the order of their bits
+        # positive floats sort like their bit patterns
         bits = depth[inside].astype(np.float32).view(np.uint32).astype(np.uint64)
         chosen = colours[inside].astype(np.uint64)
         keys = bits << np.uint64(32) | chosen[:, 0] << np.uint64(16) | chosen[:, 1] << np.uint64(8) | chosen[:, 2]
@@ -220,10 +220,9 @@ class DepthBuffer:
         Parameters
         ----------
         close : int
-            Times that gaps in surfaces are closed by their nearest neighbour.
+            Passes that fill gaps in surfaces from their nearest neighbour.
         shade : bool
-            Darken points that lie behind their neighbours, so that edges and shapes are seen (eye-dome lighting,
-            Boucheny 2009).
+            Darken points behind their neighbours to show edges and shapes (eye-dome lighting, Boucheny 2009).
         """
         width, height = self._size
         keys = self._keys.reshape(height, width)
@@ -251,7 +250,7 @@ def _neighbours(image: NDArray[Any], fill: object, reach: int = 1) -> list[NDArr
 def _close_gaps(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Fill pixels that are empty, or seen through a gap, among at least five nearer neighbours."""
     near = np.zeros(keys.shape, np.uint8)
-    # a neighbour counts as nearer when it is so by 2 %: floats of 2 % more have at least 2^17 more in their bits
+    # nearer means by 2 % or more: that is at least 2^17 in the bits of a float32
     limit = keys - np.minimum(keys, np.uint64((1 << 17) << 32))
     best = np.full(keys.shape, EMPTY, np.uint64)
     for one in _neighbours(keys, EMPTY):
@@ -262,13 +261,13 @@ def _close_gaps(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _shading(relief: F32) -> F32:
-    """Return brightness from 0 to 1: lower where neighbours stand in front."""
+    """Return brightness from 0 to 1: lower where neighbours are in front."""
     total = np.zeros(relief.shape, np.float32)
     for reach, weight in ((1, 1.0), (2, 0.5), (4, 0.25)):
         for one in _neighbours(relief, np.inf, reach):
             with np.errstate(invalid="ignore"):
                 step = relief - one
-            # one deep step is an edge, not a hole: it must not turn its neighbourhood black
+            # limit the effect of one deep step, which is an edge and must not turn its surroundings black
             total += np.float32(weight) * np.clip(np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0), 0.0, 0.06)
     return np.asarray(np.maximum(np.exp(-SHADE * total / 14.0), 0.25), np.float32)
 

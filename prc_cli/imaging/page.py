@@ -1,4 +1,4 @@
-"""One page of HTML that holds all its pictures."""
+"""A self-contained HTML page of pictures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from prc_cli.imaging.sheet import Key, Panel, draw_panel
 
 
 def html_page(title: str, head: str, sections: Iterable[tuple[str, Sequence[Panel]]], key: Key, foot: str) -> str:
-    """Return a page of HTML: pictures with captions under headings, nothing outside the file.
+    """Return an HTML page of pictures with captions under headings, without external files.
 
     Parameters
     ----------

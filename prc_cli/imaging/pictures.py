@@ -1,7 +1,6 @@
-"""Pictures of range images, labels, segments and masks: numbers in, colours out.
+"""Converts range images, labels, segments and masks to colours.
 
-Pillow and NumPy draw everything; matplotlib stays out on purpose: these are pictures of pixels, not plots, and it
-would be the largest dependency of the package.
+Drawn with Pillow and NumPy only: these are pixel images, not plots, and matplotlib would be the largest dependency.
 """
 
 from __future__ import annotations
@@ -32,22 +31,22 @@ class Bar:
 
 
 def range_limits(range_m: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the ranges at the ends of the colour scale [m]: 2nd and 98th percentile of what was returned."""
+    """Return the ranges at the ends of the colour scale [m]: 2nd and 98th percentile of the returns."""
     seen = range_m[np.isfinite(range_m) & (range_m > 0)]
     near, far = (float(v) for v in np.percentile(seen, (2, 98))) if seen.size else (1.0, 2.0)
     return near, max(far, near * 1.01)
 
 
 def range_picture(range_m: NDArray[np.floating], limits_m: tuple[float, float] | None = None) -> U8:
-    """Colour ranges from near (bright yellow) to far (dark blue), evenly in steps of the logarithm.
+    """Colour ranges from near (bright yellow) to far (dark blue) on a logarithmic scale.
 
     Parameters
     ----------
     range_m : (lines, M) float
         Range [m]; NaN = missing, drawn white.
     limits_m : (near, far), optional
-        Ranges at the ends of the colour scale [m]; default: :func:`range_limits`. Give them for pictures that
-        are to be compared.
+        Ranges at the ends of the colour scale [m]; default: :func:`range_limits`. Use the same limits for pictures
+        to compare.
 
     Returns
     -------
@@ -79,7 +78,7 @@ def range_bar(limits_m: tuple[float, float]) -> Bar:
     near, far = limits_m
     powers = range(math.floor(math.log10(near)), math.ceil(math.log10(far)) + 1)
     values = [factor * 10.0**power for power in powers for factor in (1, 2, 5)]
-    if sum(near <= value <= far for value in values) < 3:  # a narrow scale has too few of these inside
+    if sum(near <= value <= far for value in values) < 3:  # too few of these on a narrow scale
         values = _even_values(near, far)
     inside = [value for value in values if near <= value * (1 + 1e-9) and value <= far * (1 + 1e-9)]
     ticks = tuple((math.log(value / near) / math.log(far / near), f"{value:.3g}") for value in inside)
@@ -87,14 +86,14 @@ def range_bar(limits_m: tuple[float, float]) -> Bar:
 
 
 def value_limits(values: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the ends of an even colour scale: 1st and 99th percentile of what is finite."""
+    """Return the ends of a linear colour scale: 1st and 99th percentile of the finite values."""
     seen = values[np.isfinite(values)]
     low, high = (float(v) for v in np.percentile(seen, (1, 99))) if seen.size else (0.0, 1.0)
     return low, high if high > low else low + 1.0
 
 
 def value_picture(values: NDArray[np.floating], limits: tuple[float, float]) -> U8:
-    """Colour any quantity evenly from low (dark blue) to high (bright yellow); NaN = white.
+    """Colour any quantity linearly from low (dark blue) to high (bright yellow); NaN = white.
 
     Parameters
     ----------
@@ -134,15 +133,15 @@ def _even_values(low: float, high: float) -> list[float]:
 
 
 def class_picture(classes: NDArray[np.integer], colours: U8) -> U8:
-    """Colour classes by their place in a table, (...) integer and (n, 3) uint8 to (..., 3) uint8."""
+    """Colour class indices by a table of colours, (...) integer and (n, 3) uint8 to (..., 3) uint8."""
     picture: U8 = colours[classes]
     return picture
 
 
 AGREE_COLOUR = (222, 222, 222)
-"""Where predicted and reference class are the same."""
+"""Colour where predicted and reference class are equal."""
 NOT_SCORED_COLOUR = (196, 180, 224)
-"""Returns whose class is not compared."""
+"""Colour of returns whose class is not compared."""
 
 
 def difference_picture(predicted: U8, reference: U8, colours: U8, unscored: int | None = None) -> U8:
@@ -199,7 +198,7 @@ def label_picture(labels: NDArray[np.integer]) -> U8:
 
 
 def segment_picture(segments: NDArray[np.integer]) -> U8:
-    """Give every segment a colour of its own, the same in every picture; 0 = none is black.
+    """Colour segments by id, the same in every picture; 0 = none is black.
 
     Parameters
     ----------
@@ -211,7 +210,7 @@ def segment_picture(segments: NDArray[np.integer]) -> U8:
     (lines, M, 3) uint8
         sRGB, never darker than a third of full brightness.
     """
-    # golden-ratio steps keep the hues of consecutive ids far apart; two more sequences vary the rest
+    # golden-ratio steps separate the hues of consecutive ids; two more sequences vary saturation and value
     hue, saturation, value = (np.mod(segments * step, 1.0) for step in (0.6180339887, 0.7548776662, 0.5698402910))
     picture = _from_hsv(hue, 0.45 + 0.5 * saturation, 0.6 + 0.4 * value)
     picture[segments == 0] = 0
@@ -227,8 +226,8 @@ def mask_picture(mask: Mask) -> U8:
 def colour_map() -> U8:
     """Return 256 colours from dark blue over green to bright yellow whose lightness rises evenly.
 
-    Equal steps of lightness in the OKLab space (Ottosson 2020), hue turning at constant speed, so that order is
-    seen without a legend and by colour-blind readers.
+    Equal steps of lightness in the OKLab space (Ottosson 2020) and a constant change of hue, so that the order is
+    visible without a legend and to colour-blind readers.
 
     Returns
     -------

@@ -1,6 +1,6 @@
-"""Sheets: pictures under each other with titles, axes, colour bars and a key.
+"""Sheets of pictures with titles, axes, colour bars and a key.
 
-A sheet never mixes colours: pictures are enlarged by whole factors and thinned before they come here.
+Colours are never interpolated: pictures are enlarged by integer factors, and thinned before they come here.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ Key: TypeAlias = tuple[tuple[str, Colour], ...]
 """Texts and colours of a key."""
 
 MARGIN, LEFT, RIGHT = 18, 96, 126
-"""Room around a picture [pixels]: everywhere, for the numbers on its left, for the colour bar on its right."""
+"""Margins of a picture [pixels]: on all sides, left for the axis numbers, right for the colour bar."""
 TITLE_HEIGHT, AXIS_HEIGHT, KEY_HEIGHT, HEAD_HEIGHT = 40, 34, 36, 52
 FRAME_HEIGHT = TITLE_HEIGHT + AXIS_HEIGHT
-"""What a picture needs beside its own height [pixels]."""
+"""Height of a panel in addition to its picture [pixels]."""
 INK, PALE_INK = (20, 20, 20), (110, 110, 110)
 _TICK = 6
 _TITLE, _SMALL, _KEY = 24, 18, 21
@@ -36,7 +36,7 @@ _TITLE, _SMALL, _KEY = 24, 18, 21
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What the pixels of a picture are counted in along one side."""
+    """Scale along one side of a picture."""
 
     name: str
     first: float
@@ -44,7 +44,7 @@ class Axis:
     stop: float
     """Value at the right or lower edge; smaller than ``first`` where the axis runs backwards."""
     cells: bool = True
-    """Whether whole numbers stand for cells, whose middle is marked, rather than for places."""
+    """Whether integers denote cells, marked at their middle, rather than positions."""
 
     def ticks(self, length: int, apart: int) -> list[tuple[int, str]]:
         """Return pixel and text of round numbers, at least ``apart`` pixels from each other.
@@ -70,7 +70,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Panel:
-    """One picture and all that explains it."""
+    """One picture with its title, axes, colour bar and key."""
 
     title: str
     picture: U8
@@ -85,7 +85,7 @@ class Panel:
     caption: str = ""
     """A sentence or two for pages with text."""
     zoom: tuple[int, int] = (1, 1)
-    """Whole factors the picture is enlarged by, across and down."""
+    """Integer enlargement factors, across and down."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -109,7 +109,7 @@ def round_step(least: float, *, whole: bool = False) -> float:
 
 
 def number_text(value: float, step: float = 1.0) -> str:
-    """Write a number with as many decimals as its step has, thousands apart.
+    """Format a number with the decimals of its step and thousands separators.
 
     >>> number_text(12000.0, 500), number_text(0.25, 0.05)
     ('12,000', '0.25')
@@ -120,9 +120,9 @@ def number_text(value: float, step: float = 1.0) -> str:
 
 
 def zoom_for(width: int, height: int, least: tuple[int, int] = (1000, 180), most: int = 2200) -> tuple[int, int]:
-    """Return whole factors that bring a picture to a size that can be looked at.
+    """Return integer factors that enlarge a small picture to a readable size.
 
-    A picture that is small in both directions keeps its shape.
+    A picture that is small in both directions keeps its aspect ratio.
 
     >>> zoom_for(229, 389), zoom_for(2154, 99), zoom_for(2083, 64)
     ((5, 1), (1, 2), (1, 3))
@@ -150,7 +150,7 @@ def draw_panel(panel: Panel, *, with_title: bool = True) -> Image.Image:
         raise InputError(panel.title, problem)
     width, height = panel.size
     top = TITLE_HEIGHT if with_title else MARGIN // 2
-    # pages with text write the key below the picture themselves
+    # HTML pages write the key below the picture themselves
     rows = key_rows(panel.key, width + RIGHT - MARGIN) if with_title else []
     needed = font(_TITLE).getlength(panel.title) + 16 + font(_SMALL).getlength(panel.note)
     wrapped = with_title and bool(panel.note) and needed > width + RIGHT  # no room beside the title
@@ -189,7 +189,7 @@ def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, he
     room = width - math.ceil(draw.textlength(panel.x.name, font=small)) - 60
     for place, text in panel.x.ticks(width, 120):
         draw.line((LEFT + place, bottom + 1, LEFT + place, bottom + _TICK), fill=PALE_INK)
-        if place < room:  # the name of the axis stands at its end
+        if place < room:  # keep the end free for the axis name
             draw.text((LEFT + place, bottom + _TICK + 3), text, fill=PALE_INK, font=small, anchor="ma")
     draw.text((LEFT + width, bottom + _TICK + 3), panel.x.name, fill=PALE_INK, font=small, anchor="ra")
     marks = panel.y.ticks(height, max(48, height // 24))
@@ -197,7 +197,7 @@ def _draw_axes(draw: ImageDraw.ImageDraw, panel: Panel, top: int, width: int, he
         draw.line((LEFT - _TICK - 1, top + place, LEFT - 2, top + place), fill=PALE_INK)
         draw.text((LEFT - _TICK - 5, top + place), text, fill=PALE_INK, font=small, anchor="rm")
     if max((draw.textlength(text, font=small) for _, text in marks), default=0) > LEFT - _TICK - 32:
-        # long numbers leave no room beside them
+        # long numbers leave no space beside them
         draw.text((LEFT - _TICK - 5, top - 14), panel.y.name, fill=PALE_INK, font=small, anchor="rs")
         return
     side = Image.new("L", (max(1, math.ceil(draw.textlength(panel.y.name, font=small)) + 2), 24), 0)
@@ -249,7 +249,7 @@ def draw_sheet(head: str, panels: Sequence[Panel], key: Key = (), *, columns: in
     Raises
     ------
     InputError
-        When there is no picture, or one of them is none.
+        When there is no picture, or one is invalid.
     """
     if not panels:
         where = "pictures"
@@ -278,7 +278,7 @@ def draw_sheet(head: str, panels: Sequence[Panel], key: Key = (), *, columns: in
 
 
 def choose_columns(panels: Sequence[Panel], max_height: int) -> int:
-    """Return how many pictures to put beside each other so that a sheet is about as wide as high."""
+    """Return the number of pictures per row that makes a sheet about as wide as high."""
 
     def size(columns: int) -> tuple[int, int]:
         rows = -(-len(panels) // columns)

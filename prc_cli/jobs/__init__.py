@@ -1,1 +1,1 @@
-"""What the commands do, under the commands' names: one job reads, calls the layers below, and writes."""
+"""One module per command, under the command's name: it reads, calls the layers below, and writes."""

@@ -1,7 +1,7 @@
-"""Joins reader, classifier and writer for one file; the functions the commands call.
+"""Classifies one file: connects reader, classifier and writer.
 
-The data flows one way: ``open_stream`` → blocks of k lines → ``label_blocks`` → writer. :func:`classify` gives each of
-the three its own threads, with short queues between them; which thread does what never changes a byte.
+Data flow: ``open_stream`` → blocks of k lines → ``label_blocks`` → writer. :func:`classify` runs each of the three in
+its own threads, with short queues between them; the output does not depend on the threads.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ from prc_cli.kernels import load_kernels
 from prc_cli.streams.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
-"""Called with the number of scan lines that were just finished."""
+"""Called with the number of scan lines just finished."""
 
 AHEAD = 1
-"""Blocks that wait between reader and classifier, and between classifier and writer: each side makes one meanwhile."""
+"""Blocks waiting between reader and classifier, and between classifier and writer; each side works on one more."""
 OFF_M = 0.1
-"""Coordinates relative to the scanner are as far from it as their range says, but for rounding [m]."""
+"""Largest difference between a range and the length of its coordinates relative to the scanner: rounding [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """Running counts of a stream, passed along with it."""
+    """Running counts of a stream."""
 
     n_lines: int
     n_shots: int
     n_far: int
-    """Ranges beyond :data:`FAR_M`: no laser scanner on a vehicle or in a forest measures so far."""
+    """Ranges beyond :data:`FAR_M`, implausible for a terrestrial scanner."""
     labels: I64
     """(number of labels,) int64, records by :class:`~prc_cli.core.classes.Label`; MISSING counts shots."""
     tally: ReadTally
@@ -83,11 +83,11 @@ class Counts:
 
 @dataclass(frozen=True, slots=True)
 class RunSummary:
-    """What a run did."""
+    """Summary of a run."""
 
     output: Path
     record: RunRecord
-    """Provenance and what was written, as stored in the output; ``.notices`` is what the user should know."""
+    """Provenance and what was written, as stored in the output; ``.notices`` holds warnings for the user."""
     counts: Counts
     """Lines, shots and labels of the stream."""
 
@@ -100,18 +100,18 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     path : path
         Raw binary, text, LAS/LAZ or array file.
     config : LoadedConfig or RunConfig, optional
-        How lines, columns and ranges are found (``[input]``, ``[layout]``).
+        Rules for lines, columns and ranges (``[input]``, ``[layout]``).
 
     Returns
     -------
     ScanStream
-        ``.info`` says what is known before reading, ``.blocks()`` reads from the start. For all
-        classifiers but PRC the blocks know where down is.
+        ``.info`` holds what is known before reading, ``.blocks()`` reads from the start. For all classifiers but PRC
+        the blocks hold beam angles.
 
     Raises
     ------
     InputError
-        When the file is damaged, or holds nothing that a range can be taken from.
+        When the file is damaged, or ranges cannot be computed from it.
     """
     return _open(Path(path), _loaded(config).config, geometry=True)
 
@@ -119,8 +119,8 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
 def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False) -> ScanStream:
     """Open an input.
 
-    ``geometry``: angles are looked for though the classifier does not need them; ``only_ranges``: times and
-    intensities may be left out.
+    ``geometry``: find angles even if the classifier does not need them; ``only_ranges``: times and intensities may be
+    left out.
     """
     stream = open_input(
         path, config.input, config.layout, lines_at_once=config.classifier.method().needs.lines_per_block or 1,
@@ -128,7 +128,7 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     )  # fmt: skip
     if not config.needs_beams:
         return stream
-    # not at the top: PRC needs no beams, and starts sooner without what finds them
+    # imported here: PRC needs no beams, and starts sooner without this module
     from prc_cli.streams.beams import with_beams
 
     return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
@@ -143,22 +143,22 @@ def label_blocks(
     stages: bool = False,
     shots_at_once: int = SHOTS_AT_ONCE,
 ) -> Iterator[LabelledBlock]:
-    """Classify a stream block by block; what crosses blocks is one state a scanner.
+    """Classify a stream block by block, with one state per scanner.
 
     Parameters
     ----------
     blocks : iterator of ScanBlock
         Blocks of any number of lines; with ``beam_rad`` for all classifiers but PRC.
     params : MethodParams
-        Parameters of the classifier, which say which one it is.
+        Parameters of a classifier; their class decides which one runs.
     threads : int
-        Threads that classify; results do not depend on it. At most one block more is held at a time.
+        Classifying threads; results do not depend on it. At most one more block than threads is held at a time.
     segments : bool
-        Find the segment ids too, where the method has any.
+        Also compute segment ids, where the method has them.
     stages : bool
-        Give what was found on the way too, where the method has any.
+        Also return intermediate results, where the method has them.
     shots_at_once : int
-        Sequential-angle: about as many shots, whole lines, are taken at a time; labels do not depend on it.
+        Sequential-angle: approximate shots per block, in whole lines; labels do not depend on it.
 
     Yields
     ------
@@ -170,7 +170,7 @@ def label_blocks(
 
 
 def load_classifier(config: LoadedConfig | RunConfig | None = None) -> None:
-    """Load the compiled loops of the classifier; after installation they are compiled once, which takes a while."""
+    """Load the compiled loops of the classifier; the first time after installation compiles them, which takes long."""
     load_kernels(_loaded(config).config.classifier.method().needs.kernels)
 
 
@@ -183,7 +183,7 @@ def classify(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> RunSummary:
-    """Classify one file and write its labels; the output exists whole or not at all.
+    """Classify one file and write its labels; the output is complete or absent.
 
     Parameters
     ----------
@@ -196,10 +196,10 @@ def classify(
     overwrite : bool
         Replace an existing output.
     progress : callable, optional
-        Called with the number of lines that were just finished.
+        Called with the number of lines just finished.
     threads : int, optional
-        Threads that classify; default: one for every core. With more than one, reading, writing and the fingerprint of
-        the input have a thread each beside them; with one, all is done in this one. The output does not depend on it.
+        Classifying threads; default: one per core. With more than one, reading, writing and hashing the input have a
+        thread each in addition; with one, everything runs in the caller's thread. The output does not depend on it.
 
     Returns
     -------
@@ -214,7 +214,7 @@ def classify(
     loaded = _loaded(config)
     source, output = Path(source), Path(output)
     trajectory = loaded.trajectory
-    keep_memory()  # before any thread
+    keep_memory()  # must precede the first thread
     threads = default_threads() if threads is None else threads
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
     for path in (output, record_path(output)):
@@ -223,7 +223,7 @@ def classify(
     check_input(source)
     before = source.stat()
     with timed("opening"):
-        # times and intensities are asked for only by who makes a point cloud of something else
+        # times and intensities are needed only where a point cloud is made from another kind of input
         only_ranges = suffix_of(output) not in LAS_SUFFIXES or suffix_of(source) in LAS_SUFFIXES
         stream = _open(source, loaded.config, geometry=False, only_ranges=only_ranges)
     with (
@@ -256,9 +256,9 @@ def classify(
 def _write_labels(
     stream: ScanStream, writer: LabelWriter, config: RunConfig, threads: int, progress: Progress | None
 ) -> Counts:
-    """Read, classify and write at the same time; with one thread one after the other.
+    """Read, classify and write in parallel; with one thread one after the other.
 
-    However it ends, every thread is at rest when it has: what the writer holds may be removed.
+    All threads have stopped when this returns or raises, so that the writer's temporary file can be removed.
     """
     counts = Counts.none()
 
@@ -304,12 +304,12 @@ def classify_ranges(
     config : LoadedConfig or RunConfig, optional
         Default: the published urban parameters.
     beam_rad : (M,) float, radians, optional
-        Angle of every column's beam from straight down, its sign the side of the scan plane; needed by all
+        Angle of every column's beam from straight down; the sign is the side of the scan plane. Required by all
         classifiers but PRC.
     xyz_m : (lines, M, 3) float, metres, optional
-        Relative to the scanner, z up; without it the sequential-angle classifier takes range and beam angle.
+        Relative to the scanner, z up; without it the sequential-angle classifier uses range and beam angle.
     threads : int, optional
-        Threads that classify; default: one for every core. The labels do not depend on it.
+        Classifying threads; default: one per core. The labels do not depend on it.
 
     Returns
     -------
@@ -319,7 +319,7 @@ def classify_ranges(
     Raises
     ------
     InputError
-        When an array has another shape than it should have, or beam angles are needed and not given.
+        When an array has the wrong shape, or required beam angles are missing.
 
     Examples
     --------
@@ -352,7 +352,7 @@ def classify_ranges(
 
 
 def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
-    """Check beam angles; those of a circle from 0 to two pi are turned to -pi to pi."""
+    """Check beam angles; angles from 0 to 2 pi are converted to (-pi, pi]."""
     beams = np.asarray(beam_rad, np.float64)
     if beams.shape != (points_per_line,):
         raise InputError("beam_rad", f"found an array of shape {beams.shape}, expected ({points_per_line},)")
@@ -385,7 +385,7 @@ def _coordinates(xyz_m: ArrayLike, range_m: F32) -> F32:
 def run_record(
     info: StreamInfo, counts: Counts, loaded: LoadedConfig, input_print: Fingerprint | None = None
 ) -> RunRecord:
-    """Return the provenance of a finished run; reads the input once more where its fingerprint is not given."""
+    """Return the provenance of a finished run; reads the input again if its hash is not given."""
     config, trajectory = loaded.config, loaded.trajectory
     return RunRecord(
         config=config.of_run(),

@@ -1,8 +1,7 @@
-"""Any readable input to any writable output: ``prc convert``.
+"""Converts any readable input to any writable format: ``prc convert``.
 
-LAS and LAZ files become each other byte for byte but for the compression. Everything else goes through the stream:
-reader → blocks → writer, with the classes and the registered coordinates of the input beside it. What an output cannot
-hold is said, never dropped in silence.
+Between LAS and LAZ only the compression changes. Everything else goes through the stream: reader → blocks → writer,
+with the classes and the registered coordinates of the input. Whatever the output format cannot hold is reported.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ XYZ = ("x", "y", "z")
 _LAS = (".las", ".laz")
 _TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet")
 NOT_READ = "not read: "
-"""Starts the assumptions of readers about what they pass over."""
+"""Prefix of the assumptions in which readers report what they skip."""
 _STREAM_NAMES = frozenset(
     ("range", "scan_line", "column", "angle", "time", *XYZ, "intensity", "return_number", "number_of_returns")
 )
@@ -50,13 +49,13 @@ _STREAM_NAMES = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class ConversionSummary:
-    """What a conversion did."""
+    """Summary of a conversion."""
 
     output: Path
     record: RunRecord
-    """Provenance, as stored beside the output; its notices hold the losses as well."""
+    """Provenance, as stored beside the output; its notices include the losses."""
     losses: tuple[str, ...]
-    """What the input has and the output cannot hold, one sentence each."""
+    """What the output format cannot hold of the input, one sentence each."""
     n_lines: int
     n_shots: int
     n_returned: int
@@ -69,7 +68,7 @@ class ConversionSummary:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a stream turned out to have."""
+    """Contents of a stream, found while reading it."""
 
     counts: Counts
     n_returned: int = 0
@@ -102,7 +101,7 @@ def convert(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ConversionSummary:
-    """Write a file in another format; the output exists whole or not at all.
+    """Write a file in another format; the output is complete or absent.
 
     Parameters
     ----------
@@ -151,14 +150,14 @@ def convert(
 
 
 def record_of_scanners(record: RunRecord, facts: Facts) -> RunRecord:
-    """Leave M out of a record that it does not hold for: scanners with lines of different lengths."""
+    """Remove M from a run record if scanners have lines of different lengths."""
     return replace(record, points_per_line=0) if len(set(facts.scanners.values())) > 1 else record
 
 
 def prepare_output(
     source: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool, more: tuple[Path, ...] = ()
 ) -> None:
-    """Refuse what cannot work before anything is read, and remove what dead runs left behind."""
+    """Refuse an impossible output before reading, and remove temporary files of dead runs."""
     trajectory = loaded.trajectory
     inputs = (source, *loaded.files, *more, *([] if trajectory is None else [trajectory]))
     stream_suffix(output)
@@ -196,7 +195,7 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
 
 @dataclass(frozen=True, slots=True)
 class OpenedItems:
-    """A stream with what its records carry."""
+    """A stream, and which further values its records have."""
 
     info: StreamInfo
     shape: StreamShape
@@ -204,11 +203,11 @@ class OpenedItems:
     source: RecordSource | None
     stream: ScanStream
     n_odd_codes: int = 0
-    """Class codes that are no whole numbers, or of more than 32 bits."""
+    """Number of class codes that are not integers of at most 32 bits."""
 
     @property
     def grid(self) -> GridStream | None:
-        """The stream where its cells were found by rules; None for range images, organised scans and rings."""
+        """The stream if lines and columns were found by rules; None for range images, organised scans and rings."""
         return self.stream if isinstance(self.stream, GridStream) else None
 
 
@@ -222,18 +221,18 @@ def open_items(
     codes: bool = True,
     xyz: bool = True,
 ) -> Iterator[OpenedItems]:
-    """Open a stream whose blocks bring along the classes and registered coordinates of their records.
+    """Open a stream whose blocks come with the classes and registered coordinates of their records.
 
-    What blocks do not hold is read once more and kept in a temporary file beside ``output``.
+    Values that blocks do not hold are read separately and kept in a temporary file beside ``output``.
 
     Parameters
     ----------
     source, output : Path
     loaded : LoadedConfig
     blocks_of : callable, optional
-        Gives the blocks of the stream; default: as they are.
+        Returns the blocks of the stream; default: its own.
     codes, xyz : bool
-        Whether the classes and the registered coordinates of the input are wanted.
+        Whether to include the classes and the registered coordinates of the input.
     """
     stream = open_input(source, loaded.config.input, loaded.config.layout)
     blocks = stream.blocks() if blocks_of is None else blocks_of(stream)
@@ -267,7 +266,7 @@ def open_items(
 def _carry(
     records: RecordSource, class_name: str | None, xyz: tuple[str, ...], output: Path, stack: contextlib.ExitStack
 ) -> tuple[RecordValues, int]:
-    """Put classes and coordinates of all records into a temporary file; also count the codes that are no codes."""
+    """Write classes and coordinates of all records to a temporary file; also count invalid codes."""
     n_odd = 0
     fields = [*((name, "<f8") for name in xyz), *([("code", "<i4")] if class_name is not None else [])]
     path = temporary_name(output)
@@ -290,7 +289,7 @@ def _carry(
 
 
 def _carry_array(source: Path, info: StreamInfo, output: Path, stack: contextlib.ExitStack) -> RecordValues | None:
-    """Put the class codes of a range image into a temporary file; None where it has none."""
+    """Write the class codes of a range image to a temporary file; None if it has none."""
     if CLASS not in ArrayFile(source).headers:
         return None
     found = open_codes(source, CLASS)
@@ -325,7 +324,7 @@ def _item(block: ScanBlock, carried: RecordValues | None) -> StreamItem:
 
 
 def find_losses(output: Path, opened: OpenedItems, facts: Facts, written: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Say what the input has and the output does not hold, one sentence each, those of the writer first."""
+    """Return what the output does not hold of the input, one sentence each, those of the writer first."""
     n_odd = opened.n_odd_codes
     odd = (f"{n_odd} class codes that are no whole numbers of 32 bits: written as none",) if n_odd else ()
     return (*written, *odd, *_losses(stream_suffix(output), opened, facts))
@@ -378,9 +377,9 @@ def _las_losses(shape: StreamShape, facts: Facts, n_missing: int) -> Iterator[st
 
 
 def _record_losses(opened: OpenedItems) -> Iterator[str]:
-    """Name the dimensions of the input that the stream knows nothing of."""
+    """Name the dimensions of the input that the stream does not carry."""
     for assumption in opened.info.assumptions:
-        # readers of organised scans and arrays say there what they pass over
+        # readers of organised scans and arrays report there what they skip
         if assumption.value.startswith(NOT_READ):
             yield f"{assumption.value.removeprefix(NOT_READ)}, which the stream does not hold"
     records = opened.source
@@ -401,7 +400,7 @@ def _record_losses(opened: OpenedItems) -> Iterator[str]:
 
 
 def how_to_read(output: Path, opened: OpenedItems, facts: Facts) -> tuple[str, ...]:
-    """Say what has to be given to read the output as the same stream, where its names do not say it all."""
+    """Return the options needed to read the output as the same stream, unless its names suffice."""
     suffix, shape = stream_suffix(output), opened.shape
     told = []
     if suffix == ".parquet":

@@ -1,4 +1,4 @@
-"""The main job on simulated data, once for every method: simulate, classify, evaluate, draw."""
+"""``prc demo``: simulate, classify, evaluate and draw a scan for every method."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from prc_cli.simulation.settings import Kind, load_settings
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A scan of the demo, and what is done with it."""
+    """A scan of the demo, and how it is processed."""
 
     kind: Kind
     """What is simulated."""
     stem: str
-    """What its files begin with."""
+    """Prefix of its file names."""
     preset: str
     """Parameters of the classifier."""
     mapping: str
-    """Which classes are compared."""
+    """Class mapping of the evaluation."""
     picture: RenderOptions
     options: Mapping[str, Any]
-    """Of the simulation, but for the seed."""
+    """Options of the simulation, without the seed."""
     scan_of: str = ""
-    """Name of the part before whose scan it is; else it has its own."""
+    """Name of an earlier part whose scan is used; empty = its own scan."""
 
 
 PARTS: dict[str, Part] = {
@@ -72,7 +72,7 @@ sequential-angle classifier."""
 
 @dataclass(frozen=True, slots=True)
 class DemoPart:
-    """What came out of one part."""
+    """Results of one part."""
 
     summary: RunSummary
     """The run that wrote the LAZ file, or the labels where there is none."""
@@ -82,7 +82,7 @@ class DemoPart:
 
 @dataclass(frozen=True, slots=True)
 class DemoResult:
-    """What the demo made."""
+    """Results of the demo."""
 
     parts: Mapping[str, DemoPart]
     """By the names of :data:`PARTS`."""
@@ -97,14 +97,14 @@ def run_demo(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> DemoResult:
-    """Simulate the scans of :data:`PARTS` and take them through the whole program.
+    """Simulate the scans of :data:`PARTS`, then classify, evaluate and draw them.
 
     Parameters
     ----------
     folder : Path
-        Where the files go; created if it does not exist.
+        Output folder; created if it does not exist.
     seed : int
-        Another seed, another world.
+        Seed of the simulated scenes.
     lines : int, optional
         Scan lines of the drive.
     overwrite : bool
@@ -132,7 +132,7 @@ def run_demo(
 def _run(folder: Path, part: Part, options: Mapping[str, Any], overwrite: bool, progress: Progress | None) -> DemoPart:
     """Simulate, classify into LAZ and labels, compare the labels with the simulator's, draw.
 
-    The scan of another part is there already, and its LAZ file is not written again.
+    The scan of an earlier part exists already, and its LAZ file is not written again.
     """
     scan = PARTS[part.scan_of] if part.scan_of else part
     stream, reference = folder / f"{scan.stem}.npz", folder / f"{scan.stem}_reference.npy"

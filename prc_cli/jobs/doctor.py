@@ -1,7 +1,7 @@
 """Checks of an installation and of a folder for outputs: ``prc doctor``.
 
-Nothing is changed: what is written for a check is removed again. A check that finds something wrong says what to do.
-What a check needs of this program is loaded by the check itself, so that a broken package ends that check alone.
+Nothing is changed: files written for a check are removed again. A failed check says what to do. Every check imports
+what it needs itself, so that a broken package makes only that check fail.
 """
 
 from __future__ import annotations
@@ -32,51 +32,51 @@ Status: TypeAlias = Literal["ok", "warn", "bad"]
 
 DISTRIBUTION = "prc-cli"
 DEVELOPERS = ("test", "docs")
-"""Extras that nobody needs who only uses the program."""
+"""Extras for development only."""
 MEMORY_BYTES = 1 << 30
-"""Free memory from which on a file a core is no question."""
+"""Free memory above which one file per core is always possible."""
 DISK_BYTES = 2 << 30
-"""Free disk below which an archive does not get far."""
+"""Free disk space below which a warning is given."""
 CACHE_BYTES = 300 << 20
-"""What the cache of compiled code needs, with room for the next version."""
+"""Space for the cache of compiled code, including the next version."""
 CLOCK_S = 5.0
-"""Difference of the clocks of a file server and of this machine that is worth a word [s]."""
+"""Clock difference between a file server and this machine above which a warning is given [s]."""
 LINES = 200
-"""Scan lines of the run from end to end."""
+"""Scan lines of the end-to-end run."""
 LEAST_SCORE = 0.9
-"""Of ground that is found, and of building that is right, in that run; they are 0.99 and 0.97."""
+"""Required recall of ground and precision of building in that run; expected are 0.99 and 0.97."""
 _NETWORK = ("nfs", "cifs", "smb", "fuse", "9p", "lustre", "gpfs", "beegfs", "ceph", "afs", "glusterfs", "virtiofs")
-"""File systems where several machines may meet."""
+"""File systems that several machines may share."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     name: str
     status: Status
     found: str
     """What was found, in a sentence."""
     hint: str = ""
-    """What to do; empty where all is well."""
+    """What to do; empty if all is well."""
     details: Mapping[str, Any] = field(default_factory=dict)
     """The same as plain values."""
 
 
 def examine(out: Path | None = None, *, run: bool = True) -> Iterator[Check]:
-    """Look at everything, one check after the other.
+    """Run all checks, one after the other.
 
     Parameters
     ----------
     out : Path, optional
-        Folder for outputs, there or not yet: it is asked for what a batch run needs of it.
+        Folder for outputs, existing or not; checked for the needs of a batch run.
     run : bool
         Simulate, classify and evaluate a small scan at the end.
 
     Yields
     ------
     Check
-        As soon as it is known. A check that breaks down is a bad one, and the others go on.
+        As soon as it is finished. A check that raises counts as bad, and the others go on.
     """
     checks: list[tuple[str, Callable[[], Iterator[Check]]]] = [
         ("python", _python),
@@ -95,7 +95,7 @@ def examine(out: Path | None = None, *, run: bool = True) -> Iterator[Check]:
     for name, check in checks:
         try:
             yield from check()
-        except Exception as error:  # whatever is broken here: that is what is looked for
+        except Exception as error:  # finding what is broken is the purpose
             yield _broken(name, error)
 
 
@@ -128,7 +128,7 @@ def _python() -> Iterator[Check]:
 
 
 def _packages() -> Iterator[Check]:
-    """Compare what is installed with the lower bounds of the distribution itself."""
+    """Compare installed versions with the lower bounds in the distribution's metadata."""
     required = [item for item in _requirements() if not item.extra]
     if not required:
         hint = "install it, so that its dependencies are known: pip install prc-cli"
@@ -151,7 +151,7 @@ def _packages() -> Iterator[Check]:
 
 
 def _broken_packages(names: Iterable[str]) -> dict[str, str]:
-    """Load packages; return those that are there and do not load, and why."""
+    """Import packages; return those that are installed but fail to import, and why."""
     modules: dict[str, set[str]] = {}
     for module, distributions in metadata.packages_distributions().items():
         for distribution in distributions:
@@ -160,19 +160,19 @@ def _broken_packages(names: Iterable[str]) -> dict[str, str]:
     broken = {}
     for name in names:
         found = modules.get(name.lower(), set())
-        # tests and examples may lie beside a package's own module
+        # a distribution may also install tests and examples as top-level modules
         module = name if name in found or len(found) != 1 else next(iter(found))
         if module not in found:
             continue
         try:
             importlib.import_module(module)
-        except Exception as error:  # whatever is wrong with it
+        except Exception as error:  # an import may raise anything
             broken[name] = f"{type(error).__name__}: {error}"
     return broken
 
 
 def _extras() -> Iterator[Check]:
-    """Say which optional parts are there."""
+    """Report which optional parts are installed."""
     by_extra: dict[str, list[_Requirement]] = {}
     for item in _requirements():
         if item.extra and item.extra not in DEVELOPERS:
@@ -199,7 +199,7 @@ class _Requirement:
     at_least: str
     extra: str
     found: str
-    """Version that is installed, empty if none is."""
+    """Installed version, empty if none."""
 
     @property
     def is_met(self) -> bool:
@@ -237,7 +237,7 @@ def _metadata_value(key: str) -> str:
 
 
 def _release(version: str) -> tuple[int, ...]:
-    """Return the numbers of a version, without zeros at its end; what follows them (rc1, .dev0) does not count."""
+    """Return the numbers of a version, without trailing zeros and suffixes (rc1, .dev0)."""
     numbers = [int(part) for part in re.findall(r"\d+", re.match(r"[\d.]*", version.split("+")[0])[0])]  # type: ignore[index]
     while numbers and not numbers[-1]:
         numbers.pop()
@@ -328,7 +328,7 @@ def _memory() -> Iterator[Check]:
 
 
 def _free_memory() -> int | None:
-    """Return what may still be taken [bytes]: of the machine, and of its container (control groups version 2, 1)."""
+    """Return the memory still available [bytes], to the machine and its container (control groups version 2, 1)."""
     found = []
     with contextlib.suppress(OSError, ValueError, IndexError):
         text = Path("/proc/meminfo").read_text(encoding="ascii")
@@ -365,7 +365,7 @@ def _temporary() -> Iterator[Check]:
 
 
 def _output(out: Path) -> Iterator[Check]:
-    """Ask a folder for what a batch run needs of it."""
+    """Check a folder for the needs of a batch run."""
     from prc_cli.jobs.batch.types import OWN_FOLDER
 
     folder = out
@@ -394,7 +394,7 @@ def _output(out: Path) -> Iterator[Check]:
 
 
 def _runs(folder: Path) -> Check:
-    """Look at what earlier runs left: damage raises, and is told by who called."""
+    """Check the journal of earlier runs; raises if it is damaged."""
     from prc_cli.jobs.batch.journal import read_entries
     from prc_cli.jobs.batch.lock import holders
 
@@ -429,7 +429,7 @@ def _space(out: Path, folder: Path) -> Check:
 
 
 def _links(trial: Path) -> Check:
-    """Try what the lock of a batch run and atomic outputs are made of."""
+    """Try the file operations that the lock of a batch run and atomic outputs use."""
     from prc_cli.jobs.batch.lock import has_locks
 
     name = "locks in it"
@@ -468,7 +468,7 @@ def _links(trial: Path) -> Check:
 
 
 def _sqlite(trial: Path) -> Check:
-    """Try the journal's way of writing, with a second connection that reads meanwhile."""
+    """Write like the journal, while a second connection reads."""
     name, path = "journal in it", trial / "journal.sqlite"
     kind = file_system(trial)
     with contextlib.closing(sqlite3.connect(path, timeout=2.0, isolation_level=None)) as one:
@@ -496,7 +496,7 @@ def _sqlite(trial: Path) -> Check:
 
 
 def _names(trial: Path) -> Check:
-    """Try names as archives have them."""
+    """Try file names as they occur in archives."""
     name = "file names in it"
     tried = {"Latin-1": b"stra\xdfe", "a line feed": b"a\nb", "a colon": b"a:b", "200 bytes": b"n" * 200}
     refused = []
@@ -519,7 +519,7 @@ def _names(trial: Path) -> Check:
 
 
 def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
-    """Return the kind of file system that a folder is on, empty where the system does not tell."""
+    """Return the type of a folder's file system, empty where the system does not report it."""
     try:
         lines = mounts.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:
@@ -529,7 +529,7 @@ def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
         fields = line.split(" ")
         if len(fields) < 3:
             continue
-        # blanks in names are octal there; what is mounted last lies on top
+        # blanks in names are octal escapes there; the last mount of a folder hides earlier ones
         point = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), fields[1]))
         if len(point.parts) >= longest and place.is_relative_to(point):
             longest, found = len(point.parts), fields[2]
@@ -537,7 +537,7 @@ def file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> str:
 
 
 def _end_to_end() -> Iterator[Check]:
-    """Simulate a street, classify it from LAZ to LAZ, evaluate it, and let another library read the classes."""
+    """Simulate a street, classify it from LAZ to LAZ, evaluate it, and read the classes with another library."""
     from prc_cli.config import load_config
     from prc_cli.evaluation.scores import gate_value, scores
     from prc_cli.formats.las.check import classes_by_laspy

@@ -1,4 +1,4 @@
-"""What a file holds and whether the chosen classifier can take it: everything measured, nothing guessed."""
+"""``prc info``: the contents of a file, and whether the chosen classifier can process it."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch
 
 SAMPLE_SHOTS = 4_000_000
-"""Ranges kept from the start of a file for the median, the correlation and the estimate of M."""
+"""Number of ranges kept from the start of a file, for the median, the correlation and the estimate of M."""
 
 RANDOM_ORDER = 0.7
-"""Ratio of neighbouring to random range steps from which on the order carries no spatial correlation."""
+"""Ratio of neighbouring to random range steps above which the order shows no spatial correlation."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamFacts:
-    """What was counted while the stream was read."""
+    """Counts and statistics of a stream."""
 
     n_lines: int
     n_shots: int
@@ -67,16 +67,16 @@ class Inspection:
     period: PeriodEstimate | None
     """Estimate of M from the ranges; None if ranges are not known."""
     order: OrderEvidence | None
-    """Evidence from the times; None without times."""
+    """Order of the records by their times; None without times."""
     facts: StreamFacts | None
     assumptions: tuple[Assumption, ...] = ()
     header: dict[str, Any] = field(default_factory=dict)
-    """What the file's header says (LAS, LAZ)."""
+    """Values of the file's header (LAS, LAZ)."""
     notes: tuple[str, ...] = ()
     method: str = "prc"
-    """The classifier that was asked about."""
+    """The chosen classifier."""
     problem: str = ""
-    """Why it cannot classify the file as it is; empty if it can."""
+    """Why it cannot classify the file; empty if it can."""
     hint: str = ""
 
     def as_dict(self) -> dict[str, Any]:
@@ -89,19 +89,19 @@ class Inspection:
 
 
 def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
-    """Read a file once or twice and say what it holds.
+    """Read a file once or twice and describe its contents.
 
     Parameters
     ----------
     path : Path
         Any readable input.
     loaded : LoadedConfig
-        How lines, columns and ranges are found, as for ``prc classify``.
+        Rules for lines, columns and ranges, as for ``prc classify``.
 
     Raises
     ------
     InputError
-        When the file is damaged; a file that is merely not fit for the classifier is described instead.
+        When the file is damaged. An intact file that the classifier cannot process is described.
     """
     return replace(_inspect(path, loaded), method=loaded.config.method)
 
@@ -128,7 +128,7 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
     """Open the stream as ``prc classify`` would, but count violations of the order instead of refusing them.
 
-    Where only its directions are refused the stream is there all the same, without them.
+    If only the beam directions are refused, the stream is returned without them.
     """
     inputs = loaded.config.input
     if inputs.order == "require":
@@ -142,7 +142,7 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
     try:
         directed = with_beams(stream, inputs, from_ground=loaded.config.nadir_from_ground)
         if stream.info.facts.has_scans or inputs.scanner != "none":
-            # a scan met late is refused late
+            # the stream may be refused only when a later scan is reached
             for _ in directed.blocks():
                 pass
     except (InputError, ConfigError) as refusal:
@@ -160,13 +160,13 @@ def _describe(
     judged: bool,
     with_ranges: bool = True,
 ) -> Inspection:
-    """Measure a stream; its order is told in any case, and judged where ``prc classify`` would judge it."""
+    """Measure a stream; its order is always reported, and refused where ``prc classify`` would refuse it."""
     facts, sample = None, None
     if stream is not None:
         try:
             facts, sample = _measure(stream, with_ranges=with_ranges)
         except InputError:
-            # records out of order make lines that are not whole: then the order is the news, not the line
+            # records out of order cause incomplete lines: report the order, not the line
             if order is None or order.is_chronological:
                 raise
     problem, hint = _verdict(order, facts, refusal, judged=judged)
@@ -297,7 +297,7 @@ class _UnitRanges(DerivedSource):
 
     @property
     def facts(self) -> SourceFacts:
-        # what is unusual about a file is shown of streams that ranges are known of, and where there is no stream
+        # notices are reported by streams with ranges, and by the caller where there is no stream
         return replace(self.source.facts, notes=())
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
@@ -306,7 +306,7 @@ class _UnitRanges(DerivedSource):
 
 
 def _lines_only(source: RecordSource, inputs: InputConfig) -> ScanStream | None:
-    """Find the lines of an input without ranges; None if its lines cannot be found either."""
+    """Find the lines of an input without ranges; None if they cannot be found."""
     try:
         return open_grid(
             _UnitRanges(source), inputs.model_copy(update={"range": "dimension:range", "order": "trust"})

@@ -1,7 +1,7 @@
 """Whole simulated scans to files: ``prc simulate``.
 
-A scene, a scanner and what carries it become a stream, some lines at a time, and the stream becomes any file that
-``prc convert`` writes, with the reference class of every shot. Memory does not grow with the length of the drive.
+A scene, a scanner and its platform produce a stream, some lines at a time; the stream is written to any format of
+``prc convert``, with the reference class of every shot. Memory does not grow with the length of the drive.
 """
 
 from __future__ import annotations
@@ -39,32 +39,32 @@ from prc_cli.simulation.trajectory import Trajectory
 from prc_cli.simulation.trajectory_files import WORLD, Frame, check_frame, write_trajectory
 
 _BESIDE = (".npy", ".bin", ".e57")
-"""Outputs whose classes cannot be held, or not compared: they stand in a file beside."""
+"""Formats that cannot hold classes, or not comparably: the classes go to a separate file."""
 _LAS = (".las", ".laz")
 _REGISTERED = (*_LAS, ".csv", ".csv.gz", ".csv.zst", ".parquet")
 """Outputs that hold registered coordinates beside the ranges."""
 _ONE_RETURN = (".npy", ".npz", ".bin")
 _SBET = (".sbet", ".out")
 _SUFFIXES: dict[str, tuple[str, ...]] = {"trajectory": (".csv", *_SBET), "labels": (".npy",), "stems": (".csv",)}
-"""What files beside the stream may end in."""
+"""Suffixes of the additional files."""
 TRAJECTORY_HZ = 200.0
-"""Positions a second of trajectories that are written."""
+"""Positions per second in trajectory files."""
 STEM_MARGIN_M = 30.0
-"""Trees so far from the way are listed."""
+"""Greatest distance from the path of trees that are listed [m]."""
 STEM_STEP_M = 10.0
-"""They are looked for from places so far apart [m]."""
+"""Spacing of the places along the path from which trees are searched [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class SimulationSummary:
-    """What a simulation wrote."""
+    """Summary of a simulation."""
 
     output: Path
     record: RunRecord
     """Provenance, as stored beside the output: parameters, seed, version, classes."""
     counts: Counts
     files: tuple[Path, ...]
-    """Everything that was written, the run record included."""
+    """All files written, including the run record."""
 
     def as_dict(self) -> dict[str, object]:
         """Return the run record with the names of the files, for JSON."""
@@ -73,14 +73,14 @@ class SimulationSummary:
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """Files that are written beside the stream, each only if it has a name."""
+    """Additional output files, each written only if it has a name."""
 
     trajectory: Path | None = None
-    """Where the scanner was: ``.sbet`` or ``.out`` for SBET, ``.csv``."""
+    """Trajectory of the scanner: ``.sbet`` or ``.out`` for SBET, ``.csv``."""
     labels: Path | None = None
-    """``.npy``: the reference class of every record of the output; there by itself where the output holds none."""
+    """``.npy``: the reference class of every record; written without being asked for if the output holds no classes."""
     stems: Path | None = None
-    """``.csv``: the trees beside the way."""
+    """``.csv``: the trees beside the path."""
 
     def paths(self) -> tuple[Path, ...]:
         """Return those that have a name."""
@@ -98,7 +98,7 @@ def simulate(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> SimulationSummary:
-    """Simulate a scan into a file, with the reference class of every shot; all files exist whole or not at all.
+    """Simulate a scan into a file, with the reference class of every shot; all files are complete or absent.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def simulate(
     reference : {"truth", "cylinders"}
         As :func:`open_simulation`.
     threads : int, optional
-        Default: as many as there are cores. They do not change a byte.
+        Default: one per core. The output does not depend on it.
     overwrite : bool
         Replace existing outputs.
     progress : callable, optional
@@ -235,7 +235,7 @@ def codes_in_order(item: StreamItem, suffix: str) -> U8:
     if suffix in _ONE_RETURN or not len(extra):
         found = codes if suffix not in _LAS else codes[~np.isnan(block.range_m.ravel())]
         return found.astype(np.uint8)
-    # every return stands behind the one that stands for its shot, nearer ones first
+    # further returns follow the main return of their shot, nearer ones first
     cell = extra.line.astype(np.int64) * block.points_per_line + extra.column
     own = np.flatnonzero(~np.isnan(block.range_m.ravel())) if suffix in _LAS else np.arange(len(codes))
     owner = np.concatenate([own, cell])
@@ -256,7 +256,7 @@ def _record(simulation: Simulation, counts: Counts) -> RunRecord:
     )
     return RunRecord(
         config={"simulation": table},
-        # there is no file: the parameters are what the output was made from
+        # there is no input file: the record's input is the simulation's parameters
         input=Fingerprint(scan.name, len(text), hashlib.sha256(text).hexdigest()),
         format="simulation",
         points_per_line=scan.scanner.points_per_line,
@@ -269,7 +269,7 @@ def _record(simulation: Simulation, counts: Counts) -> RunRecord:
 
 
 def _frame(settings: Settings, beside: Beside) -> Frame:
-    """Return where the world lies on earth: as it is asked for, or where an SBET needs it."""
+    """Return the coordinate frame: as configured, or the default one if an SBET is written."""
     asked = None if isinstance(settings, StationSettings) else settings.frame
     if asked is not None:
         return Frame(**asked.model_dump())
@@ -283,7 +283,7 @@ def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, 
     Returns
     -------
     Beside
-        What is written beside the stream; the file of labels has a name where one is needed.
+        The additional files; the label file has a name where one is needed.
 
     Raises
     ------
@@ -311,7 +311,7 @@ def check_simulation(kind: Kind, output: Path, beside: Beside | None = None, *, 
 
 
 def reference_path(output: Path) -> Path:
-    """Return where the reference classes of an output stand that holds none.
+    """Return the file for the reference classes of an output that cannot hold them.
 
     >>> reference_path(Path("drive.e57")).name
     'drive_reference.npy'
@@ -320,7 +320,7 @@ def reference_path(output: Path) -> Path:
 
 
 def _stem_rows(simulation: Simulation) -> Iterator[str]:
-    """Yield the trees beside the way, each once, as lines of CSV."""
+    """Yield the trees beside the path, each once, as lines of CSV."""
     scene, platform = simulation.scene, simulation.scan.platform
     assert isinstance(scene, ForestScene)
     assert isinstance(platform, Trajectory)

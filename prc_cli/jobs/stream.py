@@ -1,7 +1,7 @@
-"""Classification of a live stream: ranges come in through a pipe, one class code a shot goes out.
+"""Classification of a live stream: ranges from a pipe, one class code per shot out.
 
-A block leaves as soon as the shots are there that it needs; nothing waits in between, and nothing is read before it
-can be dealt with, so that a slow reader of the labels slows the writer of the ranges down (back-pressure).
+A block is written as soon as the shots it needs have arrived. Nothing is queued, and nothing is read ahead, so a slow
+reader of the labels slows down the writer of the ranges (back-pressure).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from prc_cli.streams.pipe import ByteStream, open_pipe
 
 
 class ByteSink(Protocol):
-    """What labels are written to: an unbuffered file object, such as ``sys.stdout.buffer.raw``."""
+    """Output of the labels: an unbuffered file object, such as ``sys.stdout.buffer.raw``."""
 
     def write(self, data: memoryview, /) -> int | None:
         """Write some of the bytes; return how many."""
@@ -33,25 +33,26 @@ class ByteSink(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """How a stream went so far."""
+    """Progress of a stream."""
 
     n_lines: int
-    """Lines whose labels have left."""
+    """Lines whose labels were written."""
     n_shots: int
     seconds: float
-    """Since the stream was opened [s]."""
+    """Time since the stream was opened [s]."""
     line_hz: float | None
-    """Lines that the scanner makes a second [Hz], None = not known."""
+    """Lines per second of the scanner [Hz], None = unknown."""
     latency_s: float
-    """From the arrival of the last bytes that labels waited for until these labels had left, longest so far [s]."""
+    """Latency: time from the arrival of the last bytes needed for some labels until these were written; maximum so
+    far [s]."""
 
     def real_time(self, line_hz: float | None = None) -> float | None:
-        """Return how many times faster than the scanner lines came through.
+        """Return the throughput as a multiple of the scanner's line rate.
 
         Parameters
         ----------
         line_hz : float, optional
-            Lines a second [Hz], instead of what the stream says.
+            Lines per second [Hz]; replaces the value of the stream.
 
         Returns
         -------
@@ -64,7 +65,7 @@ class Rate:
 
 @dataclass(frozen=True, slots=True)
 class StreamSummary:
-    """What a finished stream held."""
+    """Summary of a finished stream."""
 
     rate: Rate
     counts: Counts
@@ -79,21 +80,21 @@ def stream(
     hop: int | None = None,
     report: Callable[[Rate], None] | None = None,
 ) -> StreamSummary:
-    """Label a stream while it arrives.
+    """Label a live stream.
 
     Parameters
     ----------
     source : ByteStream
-        Records of ``config.layout`` (default: float32 ranges alone, ``input.points_per_line`` a line), unbuffered.
+        Records of ``config.layout`` (default: float32 ranges only, ``input.points_per_line`` per line), unbuffered.
     sink : ByteSink
-        Takes one byte a shot, its class code, chronological; 0 = no return.
+        Receives one byte per shot, its class code, in chronological order; 0 = no return.
     config : LoadedConfig or RunConfig, optional
-        Default: the published urban parameters. A last line that is not whole is padded, and cut again.
+        Default: the published urban parameters. An incomplete last line is padded for processing, and cut again.
     hop : int, optional
-        PRC: lines that leave together, 1 to k (:func:`prc_cli.classifiers.prc.continuous.classify_lines`); default: the
-        blocks of k lines of the paper, which give the bytes of ``prc classify``.
+        PRC: lines labelled together, 1 to k (:func:`prc_cli.classifiers.prc.continuous.classify_lines`); default: the
+        paper's blocks of k lines, with the same labels as ``prc classify``.
     report : callable, optional
-        Called with the :class:`Rate` whenever labels have left.
+        Called with the :class:`Rate` whenever labels were written.
 
     Returns
     -------
@@ -102,11 +103,11 @@ def stream(
     Raises
     ------
     InputError
-        When the stream is damaged or ends inside a record; the labels of all whole lines before have left then.
+        When the stream is damaged or ends inside a record; the labels of all complete lines were written before.
     OutputError
         When the reader of the labels has gone.
     ConfigError
-        When the stream cannot be classified so, such as several scanners in it.
+        When the stream cannot be classified live, for example with several scanners.
     """
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
     chosen = loaded.config
@@ -130,7 +131,7 @@ def stream(
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
         counts = counts.add(item)
         codes = lookup[item.labels]
-        # in a dense stream only a last line that was padded has cells without a record
+        # in a dense stream only a padded last line has cells without a record
         whole = codes if not is_dense or item.block.record is None else codes[item.block.record >= 0]
         _write(sink, whole)
         latency = max(latency, time.perf_counter() - pipe.arrived_s)
@@ -146,7 +147,7 @@ def _rate(counts: Counts, start: float, info: StreamInfo, latency: float) -> Rat
 
 
 class _UntilError:
-    """The blocks up to what is wrong with the input, so that those before it are labelled all the same."""
+    """Yields blocks until the input raises, keeping the error, so that the blocks before it are labelled."""
 
     def __init__(self, stream: ScanStream) -> None:
         self._stream = stream

@@ -38,7 +38,7 @@ class MotionParams(Params):
     """How the platform moves along its path and wobbles while it does."""
 
     speed_m_s: float = Field(8.33, gt=0, le=60, description="cruising speed [m/s]; 8.33 = 30 km/h")
-    speed_variation: float = Field(0.1, ge=0, le=0.5, description="share by which the cruising speed wavers")
+    speed_variation: float = Field(0.1, ge=0, le=0.5, description="variation of the cruising speed, as a share")
     stop_every_m: float = Field(400.0, ge=0, le=10**6, description="mean way from stop to stop [m]; 0 = none")
     stop_s: float = Field(5.0, ge=0, le=600, description="mean time of a stop [s]")
     brake_m_s2: float = Field(1.5, gt=0, le=10, description="hardest braking, and acceleration [m/s²]")

@@ -1,1 +1,1 @@
-"""One classifier out of both papers and what the scan plane tells beside them; needs range, angle and time alone."""
+"""Our own combination of both papers, working in the scan plane; needs only range, angle and time."""

@@ -1,4 +1,4 @@
-"""The decision: the label of every shot, by questions in a fixed order."""
+"""The label of every shot, by a decision list (tests in a fixed order)."""
 
 from __future__ import annotations
 
@@ -16,67 +16,71 @@ from prc_cli.core.thresholds.fused import DecisionThresholds, typed
 from prc_cli.core.types import F32, U8
 
 NEVER = 1e9
-"""A limit that nothing reaches, for steps that are switched off."""
+"""A limit that no value reaches, for steps that are switched off."""
 
 
 class NoiseParams(Params):
-    """What is noise beside what is alone (``[fused.noise]``)."""
+    """Noise other than isolated shots, and isolated shots that are kept (``[fused.noise]``)."""
 
-    spikes: bool = Field(True, description="whether a rough shot amid smooth ones is noise")
-    spike_share: float = Field(
-        0.65, ge=0, le=1, description="how smooth its surroundings are then, 0 = all rough, 1 = all smooth"
-    )
-    leaves: bool = Field(True, description="whether a lonely shot among rough ones is a leaf")
+    spikes: bool = Field(True, description="whether a rough shot among smooth ones is noise")
+    spike_share: float = Field(0.65, ge=0, le=1, description="least share of smooth pairs around it")
+    leaves: bool = Field(True, description="whether an isolated shot among rough ones is a leaf")
     leaf_slots: int = Field(
-        4, ge=1, le=9, description="slots of 0.25 m around it, of 9, with rough shots in its strip and those beside"
+        4, ge=1, le=9, description="least number of cells of 0.25 m around it, of 9, that hold rough shots"
     )
     held: bool = Field(
         True, description="whether a lonely shot with a smooth pair, in a wall or level with the ground is part of it"
     )
-    ghosts: bool = Field(True, description="whether lonely rough shots far behind a wall, seen through it, are noise")
-    ghost_m: float = Field(5.0, ge=0, le=100, description="they are farther behind it than this [m] ...")
-    ghost_near: int = Field(6, ge=0, le=28, description="... and have fewer near neighbours, of 28")
+    ghosts: bool = Field(True, description="whether rough shots with few neighbours, seen far behind a wall, are noise")
+    ghost_m: float = Field(5.0, ge=0, le=100, description="least distance behind the wall [m] ...")
+    ghost_near: int = Field(
+        6, ge=0, le=28, description="... and such shots have fewer near neighbours than this, of 28"
+    )
 
 
 class LeavesParams(Params):
-    """What foliage is (``[fused.leaves]``)."""
+    """Foliage: rough surroundings (``[fused.leaves]``)."""
 
-    half_width_m: float = Field(0.35, gt=0, le=100, description="half width of the place whose smoothness counts [m]")
-    share: float = Field(0.4, ge=0, le=1, description="places less smooth than this are foliage")
-    share_before_walls: float = Field(0.2, ge=0, le=1, description="the same close before a wall")
+    half_width_m: float = Field(0.35, gt=0, le=100, description="half width of the surroundings that are averaged [m]")
+    share: float = Field(0.4, ge=0, le=1, description="surroundings with a smaller share of smooth pairs are foliage")
+    share_before_walls: float = Field(0.2, ge=0, le=1, description="the same close in front of a wall")
 
 
 class CarParams(Params):
-    """Low things with level surfaces, that have no class (``[fused.cars]``)."""
+    """Cars: low objects with level surfaces; they stay unclassified (``[fused.cars]``)."""
 
-    enabled: bool = Field(True, description="whether they are told from walls and hedges")
-    top_m: float = Field(3.75, ge=0, le=15, description="what reaches above this is no car, in the scan plane [m]")
-    level_bins: int = Field(3, ge=1, le=13, description="width of level surface within 1.5 m of it, of smooth things")
-    level_bins_rough: int = Field(6, ge=1, le=13, description="the same of rough ones, as behind panes")
+    enabled: bool = Field(True, description="whether to separate them from walls and hedges")
+    top_m: float = Field(3.75, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
+    level_bins: int = Field(3, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
+    level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
 
 
 class PoleParams(Params):
-    """Thin upright things: trunks below crowns, and poles, that have no class (``[fused.poles]``)."""
+    """Thin upright objects: trunks below crowns, and poles, which stay unclassified (``[fused.poles]``)."""
 
-    enabled: bool = Field(True, description="whether they are told from walls")
-    height_m: float = Field(1.0, gt=0, le=100, description="their part of a line is less high than this [m]")
-    jump_m: float = Field(0.5, gt=0, le=100, description="range at which it ends [m]")
-    far_m: float = Field(1.0, ge=0, le=100, description="what is seen beside them is so much farther, or nothing [m]")
-    crown_slots: int = Field(5, ge=1, le=64, description="slots of 0.25 m with rough shots above them make them trunks")
-    foot_m: float = Field(0.3, ge=0, le=10, description="lower shots, and lonely leaves, are not looked at [m]")
+    enabled: bool = Field(True, description="whether to separate them from walls")
+    height_m: float = Field(1.0, gt=0, le=100, description="their runs of a line are less high than this [m]")
+    jump_m: float = Field(0.5, gt=0, le=100, description="difference in range that ends a run [m]")
+    far_m: float = Field(
+        1.0, ge=0, le=100, description="shots beside them are farther by more than this, or missing [m]"
+    )
+    crown_slots: int = Field(
+        5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
+    )
+    foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
 
 
 class VoteParams(Params):
-    """The last word of the neighbours (``[fused.votes]``)."""
+    """Final majority vote among neighbouring shots (``[fused.votes]``)."""
 
-    enabled: bool = Field(True, description="whether shots take the label of most shots around them")
-    half_width_m: float = Field(1.0, gt=0, le=100, description="half width of the place that votes [m]")
-    near_m: float = Field(1.5, gt=0, le=100, description="its shots vote if this near to the side and in height [m]")
+    enabled: bool = Field(True, description="whether shots take the majority label around them")
+    half_width_m: float = Field(1.0, gt=0, le=100, description="half width of the voting surroundings [m]")
+    near_m: float = Field(1.5, gt=0, le=100, description="shots vote if this near to the side and in height [m]")
 
 
 @stage("texture")
 def texture_of(range_m: F32, seen: Neighbours, plane: ScanPlane, least_near: int, params: LeavesParams) -> F32:
-    """Average the smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
+    """Return the mean smoothness around every shot; see :func:`prc_cli.kernels.fused.classes.mean_smoothness`."""
     texture: F32 = kernels.mean_smoothness(
         range_m, seen.near, seen.smooth, plane.step_rad, np.float32(least_near), np.float32(params.half_width_m)
     )
@@ -95,10 +99,17 @@ def decide(
 ) -> U8:
     """Label every shot of the lines; see :func:`prc_cli.kernels.fused.classes.fused_labels`.
 
-    In this order: alone, unless a leaf or part of a surface: noise. A spike: noise. Rough and far below the ground:
-    noise. On the ground: ground. Lonely, rough and far behind a wall: noise. Low with level surfaces: no class. Thin
-    and upright: vegetation below a crown, else no class. Rough place, and neither in a wall nor behind its windows:
-    vegetation. All else: building.
+    The first test that applies decides:
+
+    1. isolated, and neither a leaf nor part of a surface: noise;
+    2. a spike: noise;
+    3. rough and far below the ground: noise;
+    4. on the ground: ground;
+    5. few near neighbours, rough and far behind a wall: noise;
+    6. part of a low object with level surfaces (a car): unclassified;
+    7. thin and upright: vegetation below a crown (a trunk), otherwise unclassified (a pole);
+    8. in rough surroundings, and neither in a wall nor seen through its windows: vegetation;
+    9. otherwise: building.
     """
     labels: U8 = kernels.fused_labels(
         window_m, ground.above_m, seen.counts, ground.walked, texture, standing.slots, standing.walls,
@@ -116,7 +127,7 @@ def decision_thresholds(
     cars: CarParams,
     poles: PoleParams,
 ) -> DecisionThresholds:
-    """Return the limits of the decision; steps that are switched off get limits that nothing reaches."""
+    """Return the thresholds of the decision; steps that are switched off get limits that no value reaches."""
     return typed(
         DecisionThresholds,
         least_near=least_near,
@@ -148,7 +159,7 @@ def decision_thresholds(
 
 @stage("votes")
 def vote(labels: U8, range_m: F32, plane: ScanPlane, params: VoteParams) -> U8:
-    """Give every shot the label of most shots around it; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
+    """Give every shot the majority label of its surroundings; see :func:`prc_cli.kernels.fused.classes.vote_labels`."""
     if not params.enabled:
         return labels[VOTE_LINES:-VOTE_LINES]
     voted: U8 = kernels.vote_labels(

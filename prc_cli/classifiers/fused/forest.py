@@ -1,8 +1,7 @@
-"""Classes in the forest from the scan plane: ground, stems, other vegetation, noise.
+"""Classes in forest, in the scan plane: ground, stems, other vegetation, noise.
 
-Needs range, angle and time of the stream, as PRC does (Lehtola et al. 2019), and the vertical direction in the scan
-plane; no pose. Blocks are independent of each other: the ground is found anew every few lines, and a few lines are
-enough to find a stem.
+Needs the ranges, as PRC does (Lehtola et al. 2019), and the vertical direction in the scan plane; no pose. Blocks are
+independent: the ground is estimated anew every few lines, and a few lines are enough to find a stem.
 """
 
 from __future__ import annotations
@@ -22,16 +21,16 @@ from prc_cli.core.thresholds.fused import ForestThresholds, typed
 from prc_cli.core.types import F32, U8, Mask
 
 LEAST_COLUMNS, MOST_COLUMNS = 2, 8
-"""Limits of the columns on either side in which near shots are looked for; more would be slow."""
+"""Limits of the columns searched for near shots on either side; more would be slow."""
 
 
 class FlatParams(Params):
-    """Ground that is rougher than its profile (``[fused.forest.flat]``)."""
+    """Flat places, where the ground may lie higher above its profile (``[fused.forest.flat]``)."""
 
-    enabled: bool = Field(True, description="whether flat places are ground up to a greater height than others")
+    enabled: bool = Field(True, description="whether flat places are ground up to a greater height")
     cover_m: float = Field(0.15, ge=0, le=10, description="height over the ground up to which flat places are ground")
     step_m: float = Field(
-        0.04, ge=0, le=10, description="shots on flat places are less higher or lower than both their neighbours [m]"
+        0.04, ge=0, le=10, description="greatest step in height to both neighbours of a shot on a flat place [m]"
     )
 
 
@@ -39,23 +38,25 @@ class TouchingParams(Params):
     """Single shots of a stem between leaves and at its edges (``[fused.forest.touching]``)."""
 
     enabled: bool = Field(True, description="whether a shot beside a stem's is of the stem where it is as far")
-    range_m: float = Field(0.05, ge=0, le=10, description="as far means within this much [m]")
+    range_m: float = Field(0.05, ge=0, le=10, description="greatest difference in range to the stem shot [m]")
 
 
-class CompanyParams(Params):
-    """Noise is alone (``[fused.forest.company]``)."""
+class IsolationParams(Params):
+    """Isolated shots are noise (``[fused.forest.company]``)."""
 
-    enabled: bool = Field(True, description="whether shots alone in the air are noise")
-    range_m: float = Field(0.3, ge=0, le=100, description="company is within so much in range [m] ...")
+    enabled: bool = Field(True, description="whether isolated shots are noise")
+    range_m: float = Field(
+        0.3, ge=0, le=100, description="a shot is isolated without another one within this range difference [m] ..."
+    )
     angle_deg: float = Field(
-        0.3, ge=0, le=90, description="... and so much of the line on either side [degrees], 2 to 8 columns"
+        0.3, ge=0, le=90, description="... and this angle along the line on either side [degrees], 2 to 8 columns"
     )
 
 
 class ForestParams(Params):
     """The forest, in the scan plane (``[fused.forest]``)."""
 
-    soil_m: float = Field(0.04, ge=0, le=10, description="height over the ground up to which all is ground [m]")
+    soil_m: float = Field(0.04, ge=0, le=10, description="returns up to this height above the ground are ground [m]")
     below_m: float = Field(0.2, ge=0, le=100, description="what is farther below the ground is noise [m]")
     stem_top_m: float = Field(
         1000.0,
@@ -68,10 +69,10 @@ class ForestParams(Params):
     stems: StemsParams = StemsParams()
     flat: FlatParams = FlatParams()
     touching: TouchingParams = TouchingParams()
-    company: CompanyParams = CompanyParams()
+    company: IsolationParams = IsolationParams()
 
     def thresholds(self) -> ForestThresholds:
-        """Return what the loop of the labels is given; steps that are off get limits that change nothing."""
+        """Return the thresholds of the labelling loop; steps that are off get limits without effect."""
         flat, touching, company = self.flat, self.touching, self.company
         return typed(
             ForestThresholds,
@@ -104,7 +105,7 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
 
     Examples
     --------
-    Ground, a stem and a stray shot before the sky:
+    Ground, a stem, and a stray shot in front of the sky:
 
     >>> from prc_cli.core.classes import Label
     >>> beam = np.deg2rad(np.linspace(45, 110, 651))
@@ -124,7 +125,7 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
 
 @stage("classes")
 def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, params: ForestParams) -> U8:
-    """Label ground and stems; other shots are vegetation, or noise without a near shot."""
+    """Label ground and stems; other shots are vegetation, or noise if no shot is near."""
     columns = round(math.radians(params.company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
     return kernels.forest_labels(range_m, heights_m, stems, around, params.thresholds())

@@ -1,4 +1,4 @@
-"""The ground: a walk outwards along every line, from level shot to level shot, with a memory of earlier lines."""
+"""Ground: followed outwards along every line, from level shot to level shot, with heights kept from earlier lines."""
 
 from __future__ import annotations
 
@@ -16,39 +16,53 @@ from prc_cli.core.thresholds.fused import WalkThresholds, typed
 from prc_cli.core.types import F32, I32, Mask
 
 BINS = 320
-"""Places on either side at which the ground is remembered, 0.25 m wide."""
+"""Number of 0.25 m bins on either side for which a ground height is kept."""
 NEVER = 1 << 20
-"""Age of a place that was never seen, in lines."""
+"""Age of a bin that was never seen [lines]."""
 DEEPEST_M = 100.0
 """Greatest height of a scanner above the ground [m]."""
 HEIGHT_STEP_M = 0.1
-"""Step of the heights among which the first one is chosen [m]."""
+"""Bin width of the histogram for the start height [m]."""
 
 
 class GroundParams(Params):
     """How the ground is followed (``[fused.ground]``)."""
 
     step_m: float = Field(
-        0.14, ge=0, le=10, description="the ground rises or falls by less than this from shot to shot, as at a curb [m]"
+        0.14,
+        ge=0,
+        le=10,
+        description="greatest step in height from one shot of the ground to the next, as at a curb [m]",
     )
-    slope: float = Field(0.3, ge=0, le=10, description="and by so much more for every metre between the two ...")
-    slope_reach_m: float = Field(0.5, ge=0, le=100, description="... up to so many metres [m]")
-    gap_slope: float = Field(0.08, ge=0, le=10, description="and so much for every metre, where nothing lies between")
-    known_m: float = Field(0.15, ge=0, le=10, description="what is this near to the lines before is ground as well [m]")
-    memory_lines: int = Field(60, ge=0, le=100_000, description="lines that a place is remembered for; 0 = none")
-    follow: float = Field(0.4, gt=0, le=1, description="share of what is new in the memory of a place")
+    slope: float = Field(0.3, ge=0, le=10, description="added to the step per metre between the two shots ...")
+    slope_reach_m: float = Field(0.5, ge=0, le=100, description="... up to this distance [m]")
+    gap_slope: float = Field(0.08, ge=0, le=10, description="added to the step per metre of a gap, at any distance")
+    known_m: float = Field(
+        0.15, ge=0, le=10, description="shots this near to the ground height of earlier lines are ground too [m]"
+    )
+    memory_lines: int = Field(
+        60, ge=0, le=100_000, description="lines for which the height of a place is kept; 0 = none"
+    )
+    follow: float = Field(0.4, gt=0, le=1, description="weight of a new height in the kept height of a place")
     walked_m: float = Field(
-        0.3, ge=0, le=10, description="shots of the walk are ground if this near to the profile of the ground [m]"
+        0.3, ge=0, le=10, description="shots followed as ground are ground if this near to the ground profile [m]"
     )
-    level_m: float = Field(0.12, ge=0, le=10, description="so are others that are more level than upright, within [m]")
-    soil_m: float = Field(0.06, ge=0, le=10, description="and all that is not upright, within [m]")
-    below_m: float = Field(0.3, ge=0, le=1e9, description="what is rough and farther below than this is noise [m]")
+    level_m: float = Field(
+        0.12, ge=0, le=10, description="other shots, more level than upright, are ground if this near to it [m]"
+    )
+    soil_m: float = Field(
+        0.06, ge=0, le=10, description="all shots that are not upright are ground if this near to it [m]"
+    )
+    below_m: float = Field(0.3, ge=0, le=1e9, description="rough shots farther below the ground are noise [m]")
     start_reach_m: float = Field(
-        4.0, gt=0, le=100, description="where nothing is remembered, the ground this far to the side is the start [m]"
+        4.0,
+        gt=0,
+        le=100,
+        description="without heights of earlier lines, start from the ground within this distance [m]",
     )
 
     def thresholds(self, least_near: int) -> WalkThresholds:
-        """Return what the loop is given; shots with fewer near neighbours do not count."""
+        """Return the thresholds of the loop; shots with fewer than ``least_near`` near neighbours do not count."""
         return typed(
             WalkThresholds,
             least_near=least_near,
@@ -64,12 +78,12 @@ class GroundParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundMemory:
-    """The ground as earlier lines saw it."""
+    """Ground heights from earlier lines."""
 
     height_m: F32
-    """(2, BINS) float32, height of the ground at every place, left and right [m]."""
+    """(2, BINS) float32, ground height by bin, left and right [m]."""
     age: I32
-    """(2, BINS) int32, lines since it was seen."""
+    """(2, BINS) int32, lines since the bin was last seen."""
 
     @classmethod
     def none(cls) -> GroundMemory:
@@ -77,10 +91,10 @@ class GroundMemory:
         return cls(np.zeros((2, BINS), np.float32), np.full((2, BINS), NEVER, np.int32))
 
     def nearest_m(self, lines: int) -> float | None:
-        """Return the height of the place nearest to the scanner that was seen within so many lines; None = nowhere.
+        """Return the height of the bin nearest to the scanner that was seen within ``lines`` lines; None = no bin.
 
-        The walk starts there on a side where the ground was hidden for longer, by a lorry for instance, and after a
-        gap in the stream: from the height of the scanner it would not reach the ground in small steps.
+        On a side where the ground was hidden for longer (by a lorry, or a gap in the stream) the search starts at
+        this height: starting at the scanner's height, it would not reach the ground in small steps.
 
         >>> GroundMemory.none().nearest_m(60) is None
         True
@@ -92,12 +106,12 @@ class GroundMemory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ground:
-    """The ground under the lines of a window."""
+    """Ground of the lines of a window."""
 
     above_m: F32
     """(lines, M) float32, height of every shot above it [m]; NaN = missing."""
     walked: Mask
-    """(lines, M) bool, shots that the walk went over."""
+    """(lines, M) bool, shots that were followed as ground."""
 
 
 @stage("ground")
@@ -123,7 +137,7 @@ def follow_ground(
     least_near : int
         Shots with fewer near neighbours do not count.
     keep : int
-        The memory before this line is given back.
+        Line of the window before which the memory is returned, for the next block.
     params : GroundParams
 
     Returns
@@ -141,10 +155,10 @@ def follow_ground(
 
 
 def start_height(side_m: F32, height_m: F32, seen: Neighbours, params: GroundParams) -> float:
-    """Return the height of the ground around the scanner: the lowest at which much is smooth and level.
+    """Return the ground height around the scanner: the lowest height with many smooth, level shots.
 
-    Much is at least a quarter of the most at any height. Where nothing is smooth below the scanner near to it, all that
-    is lower than the scanner counts; 0 where there is nothing at all.
+    "Many" is at least a quarter of the largest count at any height. Without smooth shots near and below the scanner,
+    all shots below the scanner count; 0 without any.
     """
     low = (seen.smooth > 0) & (seen.level > seen.upright) & (height_m < 0) & (height_m > -DEEPEST_M)
     near = low & (np.abs(side_m) < params.start_reach_m)

@@ -1,4 +1,4 @@
-"""Neighbours of a shot: whether it is lonely, lies on a smooth surface, and the direction of that surface."""
+"""Neighbourhood of a shot: number of near neighbours, smoothness, and direction of the surface."""
 
 from __future__ import annotations
 
@@ -14,18 +14,20 @@ from prc_cli.core.thresholds.fused import ChordThresholds, NearThresholds, Smoot
 from prc_cli.core.types import F32, U8
 
 
-class CompanyParams(Params):
-    """When a neighbour is near (``[fused.company]``)."""
+class NeighbourhoodParams(Params):
+    """Distance limits for near neighbours (``[fused.company]``)."""
 
-    near_m: float = Field(0.4, ge=0, le=100, description="near to the side and in height, each, is within this [m] ...")
-    near_steps: float = Field(3.0, ge=0, le=1000, description="... or so many distances of two columns")
-    thin_m: float = Field(
-        0.1, ge=0, le=100, description="on one level, or upright above each other, is within this [m] ..."
+    near_m: float = Field(
+        0.4, ge=0, le=100, description="greatest distance of near neighbours, to the side and in height [m] ..."
     )
-    along_m: float = Field(1.0, ge=0, le=100, description="... and within this in the other direction [m] ...")
-    along_steps: float = Field(8.0, ge=0, le=1000, description="... or so many distances of two columns")
+    near_steps: float = Field(3.0, ge=0, le=1000, description="... or this many column spacings, if more")
+    thin_m: float = Field(
+        0.1, ge=0, le=100, description="on one level or upright surface: greatest distance across it [m] ..."
+    )
+    along_m: float = Field(1.0, ge=0, le=100, description="... and along it [m] ...")
+    along_steps: float = Field(8.0, ge=0, le=1000, description="... or this many column spacings, if more")
     least: int = Field(
-        3, ge=0, le=28, description="shots with fewer near neighbours, of 28, are alone; 0 = none is alone"
+        3, ge=0, le=28, description="shots with fewer near neighbours, of 28, are isolated; 0 = none is isolated"
     )
 
     def thresholds(self) -> NearThresholds:
@@ -45,10 +47,12 @@ class SmoothnessParams(Params):
 
     noise_sigmas: float = Field(2.25, ge=0, le=100, description="tolerance, in standard deviations of the range noise")
     least_m: float = Field(0.006, ge=0, le=10, description="least tolerance [m]")
-    per_metre: float = Field(0.0006, ge=0, le=1, description="what is added to it for every metre of range [m]")
-    per_step: float = Field(0.1, ge=0, le=10, description="and the share of the distance of two columns")
-    gap_m: float = Field(0.4, gt=0, le=100, description="pairs in a line are less apart than this [m] ...")
-    gap_steps: float = Field(16.0, gt=0, le=1000, description="... or so many distances of two columns")
+    per_metre: float = Field(0.0006, ge=0, le=1, description="added to the tolerance per metre of range [m]")
+    per_step: float = Field(0.1, ge=0, le=10, description="added to the tolerance, as a share of the column spacing")
+    gap_m: float = Field(
+        0.4, gt=0, le=100, description="greatest distance between the two of a pair within a line [m] ..."
+    )
+    gap_steps: float = Field(16.0, gt=0, le=1000, description="... or this many column spacings, if more")
 
     def thresholds(self, noise_m: float, step_rad: float) -> SmoothThresholds:
         """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
@@ -62,12 +66,12 @@ class SmoothnessParams(Params):
 
 
 class DirectionParams(Params):
-    """Which way a surface goes (``[fused.directions]``)."""
+    """Direction of a surface, from chords (``[fused.directions]``)."""
 
-    chord_m: float = Field(0.15, gt=0, le=100, description="reach of a chord to either side [m]")
-    slope: float = Field(0.4, ge=0, le=1, description="an upright chord leans less than this, a level one rises less")
-    slack_m: float = Field(0.02, ge=0, le=10, description="and by no more than this beside [m]")
-    longest_m: float = Field(2.0, gt=0, le=1000, description="longer chords say nothing [m]")
+    chord_m: float = Field(0.15, gt=0, le=100, description="half length of a chord [m]")
+    slope: float = Field(0.4, ge=0, le=1, description="greatest slope of a level chord, and lean of an upright one")
+    slack_m: float = Field(0.02, ge=0, le=10, description="added to that limit [m]")
+    longest_m: float = Field(2.0, gt=0, le=1000, description="longer chords do not count [m]")
 
     def thresholds(self) -> ChordThresholds:
         """Return what the loop is given."""
@@ -78,29 +82,29 @@ class DirectionParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbours:
-    """Counts of neighbours, for the inner lines of a window."""
+    """Neighbourhood counts of every shot, for the inner lines of a window."""
 
     near: U8
-    """(lines, M) uint8, neighbours close in space, of 28."""
+    """(lines, M) uint8, near neighbours, of 28."""
     smooth: U8
-    """(lines, M) uint8, pairs of neighbours on a smooth surface with the shot, of 10."""
+    """(lines, M) uint8, pairs of neighbours that lie on a smooth surface with the shot, of 10."""
     upright: U8
-    """(lines, M) uint8, upright chords, of 3."""
+    """(lines, M) uint8, upright chords through the shot, of 3."""
     level: U8
-    """(lines, M) uint8, level chords, of 3."""
+    """(lines, M) uint8, level chords through the shot, of 3."""
 
     @property
     def counts(self) -> tuple[U8, U8, U8, U8]:
-        """All four."""
+        """Return all four."""
         return self.near, self.smooth, self.upright, self.level
 
 
 @stage("company")
-def near_neighbours(window_m: F32, plane: ScanPlane, params: CompanyParams) -> U8:
+def near_neighbours(window_m: F32, plane: ScanPlane, params: NeighbourhoodParams) -> U8:
     """Count the near neighbours of every shot, in its own line and two lines before and after.
 
-    Near in space, not in range: on a surface at grazing incidence ranges differ by metres from shot to shot, but the
-    shots are on one level, or above each other.
+    Nearness is measured in the scan plane, not in range: at grazing incidence the ranges on one surface differ by
+    metres from shot to shot.
     """
     counts: U8 = kernels.near_counts(window_m, plane.sine, plane.cosine, plane.step_rad, params.thresholds())
     return counts
@@ -108,7 +112,7 @@ def near_neighbours(window_m: F32, plane: ScanPlane, params: CompanyParams) -> U
 
 @stage("smoothness")
 def smooth_pairs(window_m: F32, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
-    """Count the pairs of neighbours that every shot is on a smooth surface with, in its line and across lines."""
+    """Count, for every shot, the pairs of neighbours on a smooth surface with it, within its line and across lines."""
     thresholds = params.thresholds(noise_m, float(plane.step_rad))
     counts: U8 = kernels.smooth_counts(window_m, plane.sine, plane.cosine, plane.step_rad, thresholds)
     return counts

@@ -1,11 +1,11 @@
-"""The fused classifier: its stages in their order, and the state between blocks.
+"""The fused classifier: its stages in order, and the state between blocks.
 
-Of both papers: noise is what is alone (Lehtola et al. 2019, II-B), but in space instead of range; and a surface is told
-by its direction in the scan plane (Stamos et al. 2012, sec. 4), but over a chord instead of from shot to shot.
-docs/fused.md has the equations and the reasons.
+From Lehtola et al. (2019, II-B): shots without support of their neighbours are noise; here neighbours are compared in
+the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces are classified by their direction in
+the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
 
-Of the stages only the range noise and the walk along the ground depend on the blocks before; both are short, and taken
-in turns. All others need the block and five lines before and after it.
+Only the range noise and the ground depend on earlier blocks; both steps are short, and run block after block. All
+others need the block and five lines before and after it.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from prc_cli.classifiers.fused.classes import (
 from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
 from prc_cli.classifiers.fused.neighbours import (
-    CompanyParams,
     DirectionParams,
+    NeighbourhoodParams,
     Neighbours,
     SmoothnessParams,
     chords,
@@ -70,7 +70,7 @@ class FusedParams(MethodParams):
         0.3, ge=0, le=100, description="further returns take the label of a shot around that is this near in range [m]"
     )
     sensor: SensorParams = SensorParams()
-    company: CompanyParams = CompanyParams()
+    company: NeighbourhoodParams = NeighbourhoodParams()
     smoothness: SmoothnessParams = SmoothnessParams()
     directions: DirectionParams = DirectionParams()
     ground: GroundParams = GroundParams()
@@ -90,14 +90,14 @@ class FusedParams(MethodParams):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedState:
-    """All that a block leaves to the next one; its size depends on M alone."""
+    """State handed to the next block; its size depends only on M."""
 
     tail: F32
     """(5, M) float32, the last lines [m]; NaN = missing, or before the stream."""
     noise: Noise
-    """What was measured of the range noise."""
+    """Range noise measured so far."""
     memory: GroundMemory
-    """The ground before the last three lines of the tail."""
+    """Ground heights before the last three lines of the tail."""
 
 
 TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
@@ -105,18 +105,18 @@ TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What a block and three lines before and after it show by themselves."""
+    """Neighbourhoods in a block and three lines before and after it; independent of earlier blocks."""
 
     window: F32
     """(lines + 10, M) float32, ranges [m]."""
     range_m: F32
-    """(lines + 6, M) float32, those of the lines that are looked at."""
+    """(lines + 6, M) float32, ranges of the lines that ``neighbours`` covers."""
     neighbours: Neighbours
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedScanner:
-    """Where the beams of a scanner point."""
+    """Beam directions of a scanner."""
 
     plane: Plane
     scan_plane: ScanPlane
@@ -140,19 +140,19 @@ class FusedScanner:
 
 @dataclass(frozen=True, slots=True)
 class Fused(Classifier[FusedScanner, FusedState]):
-    """The fused classifier; what it knows of a scanner are its beams."""
+    """The fused classifier; its constants per scanner are the beam directions."""
 
     params: FusedParams
 
     @property
     def needs(self) -> Needs:
-        """Blocks with beams, and as many lines around them as labels depend on."""
+        """Blocks with beam angles, and look-ahead for all lines that labels depend on."""
         is_forest = self.params.environment == "forest"
         kernels = FOREST_KERNELS if is_forest else KERNELS
         return Needs(kernels, self.params.lines_per_block, AROUND_LINES, nadir_from_ground=not is_forest)
 
     def scanner(self, first: ScanBlock) -> FusedScanner:
-        """Return where the beams point."""
+        """Return the beam directions."""
         return FusedScanner.of(beams_of(first))
 
     def initial_state(self, scanner: FusedScanner) -> FusedState:
@@ -160,7 +160,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         return initial_state(scanner)
 
     def label(self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
-        """Label a block, and its further returns by the shots around that are near in range."""
+        """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
         labels = classify_block(block.range_m, block.next_m, scanner, turn, self.params)
         further, limit_m = block.extra, self.params.extra_return_m
@@ -168,7 +168,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         return (LabelledBlock(block, labels, extra),)
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
-        """Say that there are no segments."""
+        """Report that this method has no segments."""
         return ("the fused method has no segments: every segment id is 0",) if segments else ()
 
 
@@ -230,7 +230,7 @@ def _measure(window: F32, plane: ScanPlane, known: Noise, params: SensorParams) 
 
 
 def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> _Seen:
-    """Ask the neighbours: is a shot alone, on something smooth, and which way does that go."""
+    """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface."""
     near = near_neighbours(window, plane, params.company)
     smooth = smooth_pairs(window, plane, noise_m, params.smoothness)
     range_m = window[INNER_LINES:-INNER_LINES]
@@ -239,13 +239,13 @@ def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> 
 
 
 def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedParams) -> tuple[Ground, GroundMemory]:
-    """Follow the ground; what is handed on is the memory before the last three lines of the block."""
+    """Follow the ground; return it, and the memory before the last three lines of the block for the next one."""
     n_lines = len(seen.window) - 2 * AROUND_LINES
     return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
 
 
 def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) -> U8:
-    """Put together what stands above the ground, and label every shot."""
+    """Find walls and cars above the ground, and label every shot."""
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
     standing = stand(
@@ -259,13 +259,13 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
 
 
 def _last_lines(tail: F32, range_m: F32) -> F32:
-    """Return the last five lines of a stream; a copy, which keeps no block in memory."""
+    """Return the last five lines of the stream so far, as a copy, so that the block is not kept in memory."""
     last: F32 = np.concatenate([tail, range_m[-AROUND_LINES:]])[-AROUND_LINES:].copy()
     return last
 
 
 def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
-    """Put the five lines before and after a block around it, NaN where there are none."""
+    """Return a block with the five lines before and after it, NaN beyond the stream."""
     width = range_m.shape[1]
     following = np.full((AROUND_LINES, width), np.nan, np.float32)
     if next_m is not None:
@@ -275,6 +275,6 @@ def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
 
 
 def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: FusedParams) -> None:
-    """Refuse what cannot be the next block of the stream."""
+    """Refuse arrays that cannot be the next block of the stream."""
     key = "fused.lines_per_block"
     check_block(range_m, next_m, width, params.lines_per_block, columns=", one column a beam", key=key)

@@ -1,4 +1,4 @@
-"""The scan plane: directions of the beams, points of the shots, and the range noise of the scanner."""
+"""The scan plane: beam directions, coordinates of the shots, and the scanner's range noise."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from prc_cli.core.types import F32, F64, I32
 AROUND_LINES = 5
 """Lines before and after a block that its labels depend on."""
 INNER_LINES = 2
-"""Outermost of them, whose neighbours are not known."""
+"""Outermost of these lines, whose neighbours are unknown."""
 WIDE_LINES = 2
-"""Lines before and after a line whose strips and texture are combined with it."""
+"""Lines before and after a line whose strips and smoothness are combined with its own."""
 VOTE_LINES = 1
-"""Lines before and after a block whose labels vote."""
+"""Lines before and after a block whose labels take part in the vote."""
 NORMAL_QUARTILE = 0.6745
-"""Half of a normal distribution is within this many standard deviations."""
+"""Half of a normal distribution lies within this many standard deviations."""
 MIDDLE_OF_THREE = 1.5
-"""Variance of a point's distance from the middle of its neighbours, in variances of one range."""
+"""Variance of a range's deviation from the mean of its two neighbours, in variances of one range."""
 EVERY_LINE = 4
 """The noise is measured on every fourth line."""
 LEAST_TRIPLES = 100
-"""Fewest shots that the noise is measured from."""
+"""Fewest shots to measure the noise from."""
 _TURN = 2 * np.pi
 
 
@@ -39,18 +39,18 @@ class SensorParams(Params):
     range_noise_m: Annotated[float, Field(ge=0, le=1)] | Literal["auto"] = Field(
         "auto", description='standard deviation of ranges on smooth surfaces [m]; "auto" = measured'
     )
-    default_noise_m: float = Field(0.005, gt=0, le=1, description="the same until a block tells it [m]")
-    again: bool = Field(True, description="whether it is measured again in later blocks, and the least taken")
+    default_noise_m: float = Field(0.005, gt=0, le=1, description="range noise used until it could be measured [m]")
+    again: bool = Field(True, description="whether to measure it again in later blocks and use the smallest value")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """Where the beams of a scanner point within its scan plane."""
+    """Beam directions within the scan plane."""
 
     sine: F64
-    """(M,) float64, metres to the side for every metre of range."""
+    """(M,) float64, metres to the side per metre of range."""
     cosine: F64
-    """(M,) float64, metres down for every metre of range."""
+    """(M,) float64, metres down per metre of range."""
     step_rad: float
     """Angle between neighbouring columns, in the middle [rad]."""
 
@@ -68,22 +68,22 @@ class Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPlane:
-    """Where the beams of a scanner point, in float32 for the loops."""
+    """Beam directions in float32, for the loops."""
 
     sine: F32
-    """(M,) float32, metres to the side for every metre of range; its sign is the side."""
+    """(M,) float32, metres to the side per metre of range; the sign is the side."""
     cosine: F32
-    """(M,) float32, metres down for every metre of range."""
+    """(M,) float32, metres down per metre of range."""
     step_rad: np.float32
     """Angle between neighbouring columns, in the middle [rad]."""
     left: I32
-    """(n,) int32, columns of the side that counts as positive, from straight down to straight up."""
+    """(n,) int32, columns of the positive side, from straight down to straight up."""
     right: I32
-    """(n,) int32, those of the other side."""
+    """(n,) int32, columns of the negative side."""
 
     @property
     def beams(self) -> tuple[F32, F32]:
-        """Sine and cosine."""
+        """Return sine and cosine."""
         return self.sine, self.cosine
 
     @classmethod
@@ -107,7 +107,7 @@ class ScanPlane:
 
 @stage("scan plane")
 def points_of(range_m: F32, plane: ScanPlane) -> tuple[F32, F32]:
-    """Return where shots are in the scan plane: to the side, and above the scanner.
+    """Return the coordinates of shots in the scan plane: to the side, and above the scanner.
 
     Parameters
     ----------
@@ -129,16 +129,16 @@ class Noise:
     """Range noise measured so far."""
 
     least_m: float = math.inf
-    """Least of the measurements [m]."""
+    """Smallest measurement [m]."""
     blocks: int = 0
     """Blocks so far."""
 
     def after(self, window_m: F32, plane: ScanPlane, params: SensorParams) -> Noise:
-        """Look at another block, given by its ranges, (lines, M) float32 [m].
+        """Add a block, given by its ranges, (lines, M) float32 [m].
 
-        Rough surfaces add to the measured noise, so the least measurement is the best one: a drive may begin beneath
-        trees. The noise is a property of the scanner, so blocks 0, 1, 2, 4, 8 and so on are enough, after all blocks up
-        to the first measurement: a stream may begin indoors, under open sky, or without returns.
+        Rough surfaces add to the measured noise, so the smallest measurement is the best one: a drive may begin
+        beneath trees. The noise is a property of the scanner, so it is measured on every block up to the first
+        success (a stream may begin without usable returns), then only on blocks 1, 2, 4, 8 and so on.
 
         >>> Noise(0.003, 3).after(np.empty((0, 0), np.float32), ScanPlane.of(np.zeros(0)), SensorParams())
         Noise(least_m=0.003, blocks=4)
@@ -162,10 +162,10 @@ class Noise:
 
 @stage("range noise")
 def range_noise(side_m: F32, height_m: F32) -> float | None:
-    """Return the standard deviation of ranges on smooth surfaces [m]; None where too little is seen.
+    """Return the standard deviation of ranges on smooth surfaces [m]; None with too few shots.
 
-    Computed from the median distance of a shot from the straight line through its two neighbours, which on smooth
-    surfaces is noise alone; most surfaces along a road are smooth.
+    Computed from the median distance of a shot from the straight line through its two neighbours. On smooth surfaces
+    this is noise alone, and most surfaces along a road are smooth.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def range_noise(side_m: F32, height_m: F32) -> float | None:
 
 
 def _middle(values: F32) -> float:
-    """Return the median of finite values, which are put in another order; three times as fast as np.median."""
+    """Return the median of finite values; reorders them in place; three times as fast as np.median."""
     half = len(values) // 2
     values.partition(half)
     if len(values) % 2:

@@ -1,4 +1,4 @@
-"""Labels of further returns: that of a near shot; those of a leaf are leaves."""
+"""Labels of further returns: that of a shot at a similar range; behind a leaf, vegetation."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from prc_cli.core.types import F32, I32, U8
 def label_further_returns(range_m: F32, labels: U8, line: I32, column: I32, range_m_extra: F32, limit_m: float) -> U8:
     """Label the returns of a shot other than its main one.
 
-    Light that passes a leaf meets other leaves, which may be single: they are no noise.
+    Light that passes a leaf meets other leaves, which may be isolated; such returns are vegetation, not noise.
 
     Parameters
     ----------
     range_m, labels, line, column, range_m_extra
         As for :func:`prc_cli.classifiers.returns.label_extra_returns`.
     limit_m : float, metres
-        The shot that a return takes its label from is as near in range, in its line and in those around.
+        Greatest range difference to the shot whose label a return takes, within its line and in adjacent lines.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """Stems: upright, opaque, and continuous from line to line.
 
-A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's thickness over the sine of the
+A tilted scan plane cuts a stem in a narrow upright ellipse, whose length is the stem's diameter over the sine of the
 tilt; an upright plane cuts it from foot to crown. So every line has a run of returns one above the other. Crowns have
-such runs by chance, but these are short, other returns pass through them, and the next line has none at the same place.
+such runs by chance, but these are short, have returns from behind, and do not continue in the next line.
 """
 
 from __future__ import annotations
@@ -20,30 +20,32 @@ from prc_cli.core.types import F32, Mask
 
 
 class GapParams(Params):
-    """Stems that go on behind what hides them (``[fused.forest.stems.gaps]``)."""
+    """Stems partly hidden by leaves (``[fused.forest.stems.gaps]``)."""
 
-    enabled: bool = Field(True, description="whether a run goes on behind leaves")
+    enabled: bool = Field(True, description="whether a run may continue behind leaves")
     longest_m: float = Field(0.3, ge=0, le=100, description="longest gap of a run [m]")
     steep: float = Field(0.1, ge=0, le=100, description="metres to the side, at most, for every metre of a gap")
 
 
 class OpacityParams(Params):
-    """Nothing is seen through a stem (``[fused.forest.stems.opacity]``)."""
+    """Stems are opaque: few returns come from behind them (``[fused.forest.stems.opacity]``)."""
 
     enabled: bool = Field(True, description="whether returns from behind count against a stem")
-    behind_m: float = Field(0.15, ge=0, le=100, description="how much farther than the stem such returns are [m]")
-    share: float = Field(0.1, ge=0, le=1, description="stems have this share of them at most")
+    behind_m: float = Field(
+        0.15, ge=0, le=100, description="such returns are farther than the stem by more than this [m]"
+    )
+    share: float = Field(0.1, ge=0, le=1, description="greatest share of such returns")
 
 
 class JoiningParams(Params):
-    """Stems go on from line to line (``[fused.forest.stems.joining]``)."""
+    """Stems continue from line to line (``[fused.forest.stems.joining]``)."""
 
     enabled: bool = Field(True, description="whether runs of successive lines are judged together")
     near_m: float = Field(
         0.05, ge=0, le=10, description="runs with shots of one column this near to each other belong together [m] ..."
     )
     near_share: float = Field(0.005, ge=0, le=1, description="... plus this share of the range")
-    runs: int = Field(3, ge=1, le=1000, description="runs that a stem has at least")
+    runs: int = Field(3, ge=1, le=1000, description="least number of runs of a stem")
 
 
 class StemsParams(Params):
@@ -56,17 +58,19 @@ class StemsParams(Params):
     tolerance_share: float = Field(0.0003, ge=0, le=0.1, description="... plus this share of the range")
     steep: float = Field(1.0, gt=0, le=100, description="... plus so many metres for every metre up or down")
     lean: float = Field(0.7, gt=0, le=100, description="metres that a run goes to the side for every metre up, at most")
-    short_m: float = Field(0.03, ge=0, le=10, description="shorter runs are none [m]")
-    shots: int = Field(12, ge=3, le=100_000, description="shots that a stem has at least")
-    extent_m: float = Field(0.5, ge=0, le=100, description="from the lowest to the highest of a stem, at least [m]")
-    total_m: float = Field(1.0, ge=0, le=10_000, description="length of all runs of a stem, at least [m]")
-    mean_m: float = Field(0.12, ge=0, le=100, description="length of the runs of a stem, on average, at least [m]")
+    short_m: float = Field(0.03, ge=0, le=10, description="shorter runs do not count [m]")
+    shots: int = Field(12, ge=3, le=100_000, description="least number of shots of a stem")
+    extent_m: float = Field(
+        0.5, ge=0, le=100, description="least height from the lowest to the highest end of a stem [m]"
+    )
+    total_m: float = Field(1.0, ge=0, le=10_000, description="least total length of the runs of a stem [m]")
+    mean_m: float = Field(0.12, ge=0, le=100, description="least mean length of the runs of a stem [m]")
     gaps: GapParams = GapParams()
     opacity: OpacityParams = OpacityParams()
     joining: JoiningParams = JoiningParams()
 
     def run_thresholds(self, step_rad: float) -> RunThresholds:
-        """Return what the loop over the runs of a line is given; steps that are off get limits that change nothing."""
+        """Return the thresholds of the loop over the runs of a line; steps that are off get limits without effect."""
         gaps, opacity = self.gaps, self.opacity
         return typed(
             RunThresholds,
@@ -76,7 +80,7 @@ class StemsParams(Params):
             tolerance_share=self.tolerance_share,
             steep=self.steep,
             gap_m=gaps.longest_m if gaps.enabled else math.inf,
-            # no return is near enough beyond the spacing of shots on a wall
+            # excludes every return farther than the shot spacing on a wall
             gap_steep=gaps.steep if gaps.enabled else -math.inf,
             behind_m=opacity.behind_m if opacity.enabled else math.inf,
             lean=self.lean,
@@ -84,7 +88,7 @@ class StemsParams(Params):
         )
 
     def stem_thresholds(self) -> StemThresholds:
-        """Return what the loop over the runs of a block is given."""
+        """Return the thresholds of the loop over the runs of a block."""
         joining = self.joining
         return typed(
             StemThresholds,
@@ -119,7 +123,7 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) 
 
     Examples
     --------
-    A stem 4 m to the side and ground, four times the same line:
+    A stem 4 m to the side, and ground; the same line four times:
 
     >>> import numpy as np
     >>> beam = np.deg2rad(np.linspace(45, 100, 551))

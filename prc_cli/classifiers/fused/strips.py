@@ -1,4 +1,4 @@
-"""Things above the ground in narrow strips beside the scanner: their heights, and which are walls."""
+"""Objects above the ground in narrow strips beside the scanner: occupied heights, walls, low level surfaces."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ NEVER_M = 1e9
 class StripsParams(Params):
     """What counts in a strip (``[fused.strips]``)."""
 
-    foot_m: float = Field(0.15, ge=0, le=10, description="what is lower above the ground is left out [m]")
-    rough: int = Field(2, ge=0, le=10, description="shots with so many smooth pairs, of 10, or fewer are rough")
-    smooth: int = Field(3, ge=0, le=11, description="shots with so many or more are smooth")
+    foot_m: float = Field(0.15, ge=0, le=10, description="lower shots above the ground are ignored [m]")
+    rough: int = Field(2, ge=0, le=10, description="most smooth pairs, of 10, of a rough shot")
+    smooth: int = Field(3, ge=0, le=11, description="fewest smooth pairs of a smooth shot")
     level_smooth: int = Field(
-        6, ge=0, le=11, description="level surfaces of cars have so many or more; the tops of hedges are rougher"
+        6, ge=0, le=11, description="fewest smooth pairs on the level surface of a car; tops of hedges are rougher"
     )
-    jump_m: float = Field(1.0, ge=0, le=100, description="a level surface goes on to a neighbour that is nearer [m]")
+    jump_m: float = Field(
+        1.0, ge=0, le=100, description="a level surface continues to neighbouring shots within this distance [m]"
+    )
 
     def thresholds(self, least_near: int, level_top_m: float) -> StripThresholds:
-        """Return what the loop is given; level surfaces above ``level_top_m`` [m] do not count."""
+        """Return the thresholds of the loop; level surfaces above ``level_top_m`` [m] do not count."""
         return typed(
             StripThresholds,
             least_near=least_near,
@@ -46,22 +48,27 @@ class StripsParams(Params):
 
 
 class WallParams(Params):
-    """What a wall is, and what is seen through it (``[fused.walls]``)."""
+    """Walls, and returns from behind their windows (``[fused.walls]``)."""
 
     enabled: bool = Field(True, description="whether rough shots in walls and behind their windows are building")
     height_m: float = Field(
-        1.5, gt=0, le=1000, description="smooth upright surface that it shows at least, in the mean of five lines [m]"
+        1.5, gt=0, le=1000, description="least height of its smooth upright surface, mean of five lines [m]"
     )
-    share: float = Field(0.3, ge=0, le=1, description="its share of all that stands there")
-    front_m: float = Field(0.4, ge=0, le=10, description="what is this close before a wall belongs to it [m]")
-    behind_m: float = Field(1.0, ge=0, le=100, description="so does what is seen through it, up to so far behind [m]")
-    over_m: float = Field(0.3, ge=0, le=10, description="by lines of sight up to so much above its top [m]")
+    share: float = Field(0.3, ge=0, le=1, description="least share of that surface in everything in the strip")
+    front_m: float = Field(0.4, ge=0, le=10, description="shots up to this far in front of a wall are part of it [m]")
+    behind_m: float = Field(1.0, ge=0, le=100, description="so are shots seen through it, up to this far behind [m]")
+    over_m: float = Field(
+        0.3, ge=0, le=10, description="lines of sight up to this far above its top count as through it [m]"
+    )
     before_m: float = Field(
-        2.0, ge=0, le=100, description="before a wall, up to so far, leaves must be rougher: balconies are there [m]"
+        2.0,
+        ge=0,
+        le=100,
+        description="up to this far in front of a wall, foliage must be rougher, because of balconies [m]",
     )
 
     def thresholds(self) -> WallThresholds:
-        """Return what the loop is given."""
+        """Return the thresholds of the loop."""
         return typed(
             WallThresholds,
             height_m=self.height_m if self.enabled else NEVER_M,
@@ -72,14 +79,14 @@ class WallParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Standing:
-    """Things beside the lines of a block."""
+    """Objects above the ground beside the lines of a block."""
 
     slots: tuple[NDArray[np.uint64], NDArray[np.uint64]]
-    """(lines, strips) uint64, heights with shots and with rough ones, a bit for every 0.25 m."""
+    """(lines, strips) uint64, occupied heights by all shots and by rough shots, one bit per 0.25 m."""
     walls: tuple[F32, F32, F32]
-    """(lines, strips) float32, side and top of the wall in or before a strip, and side of the wall in or behind it."""
+    """(lines, strips) float32, distance and top of the wall in or before a strip; distance of the wall in or behind."""
     levels: U8
-    """(lines, 2 strips) uint8, 1 where a low level surface is."""
+    """(lines, 2 strips) uint8, 1 = a low level surface."""
 
 
 @stage("strips")

@@ -1,4 +1,4 @@
-"""The ground of a forest: the lowest returns to the left and right of the scanner, a few lines at a time."""
+"""Ground in forest: the lowest returns to the left and right of the scanner, a few lines at a time."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ class TerrainParams(Params):
     """How the height of the ground is found (``[fused.forest.terrain]``)."""
 
     lines_together: int = Field(4, ge=1, le=1000, description="successive lines that share a profile of the ground")
-    bin_m: float = Field(0.25, gt=0, le=10, description="width of a step of the profile [m]")
+    bin_m: float = Field(0.25, gt=0, le=10, description="width of a bin of the profile [m]")
     reach_m: float = Field(80.0, gt=0, le=1000, description="how far to either side the profile goes [m]")
-    slope: float = Field(
-        0.5, ge=0, le=10, description="what is higher over the ground beside it than this for every metre is a plant"
-    )
+    slope: float = Field(0.5, ge=0, le=10, description="greatest slope of the ground; higher bins are plants")
     near_m: float = Field(
-        0.1, ge=0, le=10, description="returns this near to the one before them in the line make the ground [m] ..."
+        0.1,
+        ge=0,
+        le=10,
+        description="ground returns differ from the previous return in the line by at most this [m] ...",
     )
     near_share: float = Field(0.05, ge=0, le=1, description="... plus this share of the range; the rest may be noise")
 
     def thresholds(self) -> TerrainThresholds:
-        """Return what the loop is given."""
+        """Return the thresholds of the loop."""
         return typed(
             TerrainThresholds, bin_m=self.bin_m, slope=self.slope, near_m=self.near_m, near_share=self.near_share
         )
@@ -36,10 +37,10 @@ class TerrainParams(Params):
 
 @stage("ground")
 def heights_over_ground(range_m: F32, plane: Plane, params: TerrainParams) -> F32:
-    """Return how far above the ground every return is.
+    """Return the height of every return above the ground.
 
-    The ground of a bin to the side is its third-lowest return. Where the ground is hidden that is a plant, and the bin
-    is higher than its neighbours by more than the ground rises; such bins are interpolated.
+    The ground height of a bin is its third-lowest return. Where plants hide the ground, the bin rises above its
+    neighbours by more than the terrain slope allows; such bins are interpolated.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def heights_over_ground(range_m: F32, plane: Plane, params: TerrainParams) -> F3
 
     Examples
     --------
-    Flat ground 2 m below the scanner, and something 1 m high on it:
+    Flat ground 2 m below the scanner, and an object 1 m high on it:
 
     >>> beam = np.deg2rad(np.linspace(-60, 60, 241))
     >>> lines = np.tile(2 / np.cos(beam), (4, 1)).astype(np.float32)

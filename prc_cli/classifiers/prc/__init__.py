@@ -1,1 +1,1 @@
-"""PRC, classification of a raw range stream (Lehtola et al. 2019): a file a stage, in the order of :mod:`.pipeline`."""
+"""PRC, classification of a raw range stream (Lehtola et al. 2019): one file per stage; order in :mod:`.pipeline`."""

@@ -12,7 +12,7 @@ from prc_cli.core.profile import stage
 from prc_cli.core.types import F32, Mask
 
 FORMS = {"centred": 0, "literal": 1, "abs": 2, "guard": 3}
-"""Readings of eq. 9, and their numbers in the kernel."""
+"""Interpretations of eq. 9, and their numbers in the kernel."""
 
 
 class BackgroundParams(Params):
@@ -39,9 +39,9 @@ def background(window: F32, supported: Mask, params: BackgroundParams) -> Mask:
     """Mark supported shots that become background for the segmentation (eq. 9).
 
     The default reads eq. 9 as centred: with neighbours a and b, a shot r is marked when
-    ``|r - (a + b) / 2| >= (1/2 - alpha) * max(|b - a|, d_c)``. Where |b - a| is d_c or more this is eq. 9 itself, in
-    both directions; where it is less, a flat stays unmarked. Computed in float64. A shot beside a missing or absent
-    one is not marked: it borders on background already. Ranges of unsupported neighbours are used.
+    ``|r - (a + b) / 2| >= (1/2 - alpha) * max(|b - a|, d_c)``. For |b - a| >= d_c this is eq. 9 itself, in both
+    directions; below d_c, flat surfaces stay unmarked. Computed in float64. A shot beside a missing or absent one is
+    not marked: it borders on background already. Ranges of unsupported neighbours are used.
 
     Parameters
     ----------

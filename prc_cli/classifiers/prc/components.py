@@ -23,7 +23,7 @@ class ComponentsParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joined:
-    """Components of a block after hole filling, before they get the labels of the block before."""
+    """Components of a block after hole filling, before they take over labels of the previous block."""
 
     image: I32
     """(lines, M) int32, component of every shot, 0 = none; numbered in the order of their first shots."""
@@ -42,7 +42,7 @@ class Components:
     ids: I64
     """(n + 1,) int64, segment id of every component; ``ids[0]`` is 0. Several components may share an id."""
     first_new_id: int
-    """Ids below this one come from the block before; only they can be shared."""
+    """Ids below this one come from the previous block; only these can be shared."""
     next_id: int
     """First segment id that is still free."""
 
@@ -52,7 +52,7 @@ class Components:
         return segments
 
     def sum_by_id(self, counts: I64) -> I64:
-        """Add up (n + 1,) counts per component by segment id; return (n + 1,) sums, of each component's segment."""
+        """Sum (n + 1,) counts of components by segment id; return for each component the sum of its segment."""
         sums = counts.copy()
         shared = np.flatnonzero((self.ids > 0) & (self.ids < self.first_new_id))
         _, position = np.unique(self.ids[shared], return_inverse=True)
@@ -64,7 +64,7 @@ class Components:
 
 @stage("components")
 def join(supported: Mask, background: Mask) -> Joined:
-    """Connect the shots of S without G, 4-connected, then fill the holes that G left (II-D.1).
+    """Find the 4-connected components of S without G, then fill the holes that G left (II-D.1).
 
     Parameters
     ----------
@@ -74,8 +74,8 @@ def join(supported: Mask, background: Mask) -> Joined:
     Returns
     -------
     Joined
-        A shot of G has the most frequent component of its 8 neighbours, of equals the one whose first shot comes
-        first; without one it has none.
+        A shot of G takes the most frequent component of its 8 neighbours, on ties the one whose first shot is
+        earliest; none if no neighbour has one.
 
     Examples
     --------
@@ -87,10 +87,10 @@ def join(supported: Mask, background: Mask) -> Joined:
 
 @stage("votes")
 def identify(joined: Joined, last_line: I64, next_id: int, params: ComponentsParams) -> Components:
-    """Let the last line before a block vote for the labels of its components (II-D.2); the others get new ones.
+    """Give components the segment ids of the last line before the block, by vote (II-D.2); others get new ids.
 
-    Every column where both lines hold a label is a vote. A component takes the label that most of its shots vote for,
-    given enough of them; of equals the oldest. Several components may take the same label.
+    Every column where both lines hold a label is one vote. A component takes the label with most votes, if there are
+    enough; on ties the oldest. Several components may take the same label.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def identify(joined: Joined, last_line: I64, next_id: int, params: ComponentsPar
 
     Examples
     --------
-    A wall keeps the id 7 that it had in the block before, what is new gets 8:
+    A wall keeps the id 7 of the previous block, a new component gets 8:
 
     >>> wall_and_pole = np.array([[1, 1, 1, 0, 1], [1, 1, 1, 0, 1]], dtype=bool)
     >>> before = np.array([7, 7, 7, 7, 0])

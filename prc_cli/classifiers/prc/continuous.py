@@ -1,10 +1,10 @@
-"""Continuous processing: every few lines a block that ends there (Lehtola et al. 2019, V).
+"""Continuous processing: a sliding block of k lines, labels every few lines (Lehtola et al. 2019, V).
 
-The paper suggests it for a higher update rate, without saying how. Here the block of k lines moves on by ``hop``
-lines, and the new ones are labelled in it. What lies before the block plays the part that the block before plays in
-Algorithm 1: its last line votes for labels, and its smooth shots count for the ground. With ``hop = k`` that is
-Algorithm 1 itself, but for a last block that is cut short, which takes lines before it in. Support and background
-know no blocks, so noise is the same for every hop, but for the noise that forest.py counts as ground in its columns.
+The paper suggests it for a higher update rate, without details. Here the block of k lines moves on by ``hop`` lines,
+and the new lines are labelled within it. The lines before the block take the role of the previous block in
+Algorithm 1: the last one votes for labels, and their smooth shots count for the ground. With ``hop = k`` this is
+Algorithm 1, except that a shorter last block is filled up with lines before it. Support and background do not depend
+on blocks, so noise is the same for every hop, except in forest, where ground columns include noise.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from prc_cli.core.types import F32, I64, U8, Mask
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContinuousState:
-    """All that is left of the lines so far; its size depends on k and M alone."""
+    """State after the lines so far; its size depends only on k and M."""
 
     range_m: F32
     """(lines <= k, M) float32, the block that ends at the newest line [m]."""
@@ -43,19 +43,19 @@ class ContinuousState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Before:
-    """What the lines before a block leave to it."""
+    """What a block needs of the lines before it."""
 
     last_line: I64
     """(M,) int64, segment ids of the line before the block where it is smooth, 0 elsewhere."""
     totals: Totals
-    """Smooth shots before the block of the segments on that line (urban)."""
+    """Smooth shots before the block, by segment on that line (urban)."""
     next_id: int
     """First segment id that is still free."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SoFar:
-    """The state of :class:`ContinuousPrc`, in one part: every step needs the lines before."""
+    """State of :class:`ContinuousPrc`, in one part: every step depends on earlier lines."""
 
     lines: ContinuousState
 
@@ -65,15 +65,15 @@ LINES = Part[ContinuousState]("lines")
 
 @dataclass(frozen=True, slots=True)
 class ContinuousPrc(Classifier[int, SoFar]):
-    """PRC that labels a few lines at a time; what it knows of a scanner is M."""
+    """PRC that labels a few lines at a time; its only constant per scanner is M."""
 
     params: PrcParams
     hop: int
-    """Lines that leave together, 1 to k."""
+    """Lines labelled together, 1 to k."""
 
     @property
     def needs(self) -> Needs:
-        """Return blocks of ``hop`` lines, and nothing but ranges."""
+        """Blocks of ``hop`` lines; only ranges are used."""
         return Needs(KERNELS, self.hop, beams=False)
 
     def scanner(self, first: ScanBlock) -> int:
@@ -131,7 +131,7 @@ def classify_lines(
     ('GROUND', 6)
     """
     n_new, points_per_line = range_m.shape
-    # S and G of the new lines alone: they know no blocks
+    # S and G of the new lines only: they do not depend on blocks
     window = stream_window(state.tail, range_m, next_m)
     seen = support(window, points_per_line, params.support)
     apart = background(window, seen, params.background)
@@ -150,7 +150,7 @@ def classify_lines(
 
 
 def _leave(state: ContinuousState, n_leaving: int, params: PrcParams) -> Before:
-    """Take the first lines out of the block; return what they leave to the lines after them."""
+    """Remove the first lines from the block; return what the lines after them need."""
     before, v = state.before, state.surfaces
     if v is None or not n_leaving:
         return before
@@ -171,6 +171,6 @@ def _draw(range_m: F32, v: Surfaces, before: Before, params: PrcParams) -> U8:
     window = stream_window(np.full(window_reach(points_per_line), np.nan, dtype=np.float32), range_m, None)
     if params.environment == "forest":
         return forest(window, v, params.forest)
-    nothing = np.zeros(points_per_line, np.int64)  # nobody asks for totals, and the line before may hold other segments
+    nothing = np.zeros(points_per_line, np.int64)  # totals are not needed, and the line before may hold other segments
     ground, _ = find_ground(v.components, count_smooth(v), nothing, before.totals, params.urban)
     return urban(window, v, ground)

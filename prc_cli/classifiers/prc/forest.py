@@ -14,7 +14,7 @@ from prc_cli.core.types import F32, U8, Mask
 
 
 class ForestParams(Params):
-    """Which columns of a block look at the ground (``[prc.forest]``)."""
+    """Which columns of a block are ground (``[prc.forest]``)."""
 
     column_step: int = Field(
         10, ge=1, le=1_000_000, description="columns that are ground, or not, together; the first one of them decides"
@@ -54,7 +54,7 @@ def forest(window: F32, surfaces: Surfaces, params: ForestParams) -> U8:
 
 
 def is_dense(smooth: Mask, params: ForestParams) -> Mask:
-    """Return for every group of columns whether its first one is smooth often enough (eq. 12).
+    """Return for every group of columns whether its first column is dense: smooth often enough (eq. 12).
 
     Noise and missing shots count in the denominator.
 

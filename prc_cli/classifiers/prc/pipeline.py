@@ -53,7 +53,7 @@ class PrcParams(MethodParams):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """What a block leaves to the votes and the numbering of the next one."""
+    """State for the label votes and segment numbers of the next block."""
 
     last_line: I64
     """(M,) int64, segment ids of the last line where they are smooth, 0 elsewhere."""
@@ -63,14 +63,14 @@ class Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrcState:
-    """All that a block leaves to the next one; its size depends on M alone."""
+    """State handed to the next block; its size depends only on M."""
 
     tail: F32
     """(max(M + 1, 4),) float32, last ranges seen [m]; NaN = missing, or before the stream."""
     link: Link
-    """Labels of the last line."""
+    """Segment ids of the last line."""
     totals: Totals
-    """Smooth shots so far of the segments on the last line (urban)."""
+    """Smooth shots so far, by segment on the last line (urban)."""
 
 
 TAIL, LINK, TOTALS = Part[F32]("tail"), Part[Link]("link"), Part[Totals]("totals")
@@ -78,7 +78,7 @@ TAIL, LINK, TOTALS = Part[F32]("tail"), Part[Link]("link"), Part[Totals]("totals
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PrcTrace:
-    """A classified block with the images on the way (the paper's Fig. 1)."""
+    """A classified block with its intermediate images (the paper's Fig. 1)."""
 
     supported: Mask
     """(lines, M) bool, S."""
@@ -91,18 +91,18 @@ class PrcTrace:
     labels: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
     segments: I64 | None
-    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere; None where nobody asks."""
+    """(lines, M) int64, R: segment id of every supported shot, 0 elsewhere; None unless requested."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prc(Classifier[int, PrcState]):
-    """PRC; what it knows of a scanner is M."""
+    """PRC; its only constant per scanner is M."""
 
     params: PrcParams
 
     @property
     def needs(self) -> Needs:
-        """Blocks of k lines, and nothing but ranges."""
+        """Blocks of k lines; only ranges are used."""
         return Needs(KERNELS, self.params.lines_per_block, beams=False)
 
     def scanner(self, first: ScanBlock) -> int:
@@ -114,7 +114,7 @@ class Prc(Classifier[int, PrcState]):
         return initial_state(scanner)
 
     def label(self, block: ScanBlock, scanner: int, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
-        """Label a block, and its further returns by the limits of the support."""
+        """Label a block, and its further returns by the support thresholds."""
         _check_shapes(block.range_m, block.next_m, scanner, self.params)
         found = classify_block(block.range_m, block.next_m, turn, self.params, segments=wanted.segments)
         further, limits = block.extra, self.params.support
@@ -124,7 +124,7 @@ class Prc(Classifier[int, PrcState]):
         return (LabelledBlock(block, found.labels, extra, found.segments),)
 
     def hopping(self, hop: int) -> Classifier[Any, Any]:
-        """Return PRC that labels ``hop`` lines at a time, each in the k lines up to it."""
+        """Return PRC that labels ``hop`` lines at a time, within the block of k lines that ends with them."""
         from prc_cli.classifiers.prc.continuous import ContinuousPrc
 
         if not 1 <= hop <= self.params.lines_per_block:
@@ -155,7 +155,7 @@ def classify_block(
         Hands on the fields of :class:`PrcState`.
     params : PrcParams
     segments : bool
-        Give segment ids too. The numbers differ if this changes within a stream, the labels do not.
+        Also compute segment ids. Changing this within a stream changes the ids, not the labels.
 
     Returns
     -------
@@ -174,11 +174,11 @@ def classify_block(
     ('NOISE', 'GROUND')
     """
     tail = turn.hand_on(TAIL, lambda before: (before, tail_after(before, range_m)))
-    # steps 1 to 3: the block between the shots before and after it, S, G, and components of S without G
+    # steps 1 to 3: the block with the shots before and after it, S, G, and components of S without G
     seen = see(stream_window(tail, range_m, next_m), range_m.shape[1], params)
-    # step 3: H, components with the labels of the block before; only smooth shots vote in the next one
+    # step 3: H, components with the labels of the previous block; only smooth shots vote in the next one
     connected = turn.hand_on(LINK, lambda before: connect(seen, before, params, segments=segments))
-    # steps 4 and 5: V, what is too small in H, grown together; R, both of them
+    # steps 4 and 5: V, the small segments of H, dilated and connected; R, H and V together
     v = grow(seen, connected, params)
     # step 6: classes
     smooth = count(v, params)
@@ -190,7 +190,7 @@ def classify_block(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a block shows without the blocks before it but for their last shots."""
+    """Results that need no state, only the last shots before the block."""
 
     window: F32
     supported: Mask
@@ -200,15 +200,15 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Connected:
-    """A block with the labels of the blocks before it."""
+    """A block whose components have taken over the labels of earlier blocks."""
 
     components: Components
     small: Mask
     """(n + 1,) bool, components that are non-smooth."""
     surfaces: Surfaces | None
-    """Found early where segments are asked for, because the numbers of the next block follow them."""
+    """Computed early if segments are requested, because the ids of the next block continue after them."""
     last_line: I64
-    """(M,) int64, as the next block gets it (:class:`Link`)."""
+    """(M,) int64, as handed to the next block (:class:`Link`)."""
 
 
 def see(window: F32, points_per_line: int, params: PrcParams) -> Seen:
@@ -219,7 +219,7 @@ def see(window: F32, points_per_line: int, params: PrcParams) -> Seen:
 
 
 def connect(seen: Seen, before: Link, params: PrcParams, *, segments: bool) -> tuple[Connected, Link]:
-    """Give components the labels of the blocks before; return what the next block needs."""
+    """Give components the labels of earlier blocks; also return the state for the next block."""
     s = seen.supported
     n_lines, points_per_line = s.shape
     h = identify(seen.joined, before.last_line, before.next_id, params.components)
@@ -237,26 +237,26 @@ def grow(seen: Seen, connected: Connected, params: PrcParams) -> Surfaces:
 
 
 def count(v: Surfaces, params: PrcParams) -> I64:
-    """Count the smooth shots of every component, where the environment asks for them."""
+    """Count the smooth shots of every component, in environments that need them."""
     return count_smooth(v) if params.environment == "urban" else np.empty(0, np.int64)
 
 
 def choose_ground(connected: Connected, smooth: I64, totals: Totals, params: PrcParams) -> tuple[int, Totals]:
-    """Find the segment that is ground; return the totals that the next block needs."""
+    """Find the ground segment; also return the totals for the next block."""
     if params.environment == "forest":
         return 0, totals
     return find_ground(connected.components, smooth, connected.last_line, totals, params.urban)
 
 
 def draw(seen: Seen, v: Surfaces, ground: int, params: PrcParams) -> U8:
-    """Give the shots of a block their labels."""
+    """Label the shots of a block."""
     if params.environment == "forest":
         return forest(seen.window, v, params.forest)
     return urban(seen.window, v, ground)
 
 
 def _check_shapes(range_m: F32, next_m: F32 | None, width: int, params: PrcParams) -> None:
-    """Refuse what cannot be the next block of the stream."""
+    """Refuse arrays that cannot be the next block of the stream."""
     key = "prc.lines_per_block"
     check_block(range_m, next_m, width, params.lines_per_block, columns=" as the stream began", key=key)
     if range_m.size >= 2**31:

@@ -63,16 +63,16 @@ def window_reach(points_per_line: int) -> int:
 
 
 def stream_window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
-    """Return a block between the shots before and after it.
+    """Return a block with the shots before and after it, as one flat array.
 
     Parameters
     ----------
     tail : (reach,) float32, metres
-        Shots before the block, NaN where the stream had not begun.
+        Shots before the block, NaN before the stream.
     range_m : (lines, M) float32, metres
         The block.
     next_m : (any number of lines, M) float32, metres
-        Lines after the block; shots beyond the end of the stream are taken as missing, which never support.
+        Lines after the block; shots beyond the end of the stream are missing, and never support.
 
     Returns
     -------
@@ -99,8 +99,8 @@ def tail_after(tail: F32, range_m: F32) -> F32:
 def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
     """Mark supported shots (eqs. 4 to 8).
 
-    Neighbours go by flat index, so the first shots of a line see the last ones of the line before. Missing and absent
-    neighbours do not agree with anything and leave the required counts as they are.
+    Neighbours are taken by flat index, so the first shots of a line are neighbours of the last ones of the line
+    before. Missing and absent neighbours never agree, and do not lower the required counts.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def support(window: F32, points_per_line: int, params: SupportParams) -> Mask:
 
     Examples
     --------
-    A lone shot at 9 m in front of a wall at 20 m is noise, the wall is not:
+    An isolated shot at 9 m in front of a wall at 20 m is noise, the wall is not:
 
     >>> image = np.full((3, 6), 20.0, dtype=np.float32)
     >>> image[1, 2] = 9.0

@@ -21,7 +21,7 @@ PUBLISHED_BLOCK = 99 * 2154
 
 
 def _area(value: Any) -> Any:
-    """Say what an area may be in one message rather than one for each kind of value."""
+    """Give one message for a wrong area instead of one per allowed type."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if value != "auto" and not (is_number and 0 < value < float("inf")):
         msg = f'a positive number of pixels or "auto", found {value!r}'
@@ -30,7 +30,7 @@ def _area(value: Any) -> Any:
 
 
 class SurfacesParams(Params):
-    """What is large enough to be a surface, and how far the rest grows together (``[prc.surfaces]``)."""
+    """Size limit of smooth segments, and dilation of the others (``[prc.surfaces]``)."""
 
     area: Annotated[Annotated[float, Field(gt=0)] | Literal["auto"], BeforeValidator(_area)] = Field(
         30.0,
@@ -44,18 +44,18 @@ class SurfacesParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """Smooth and non-smooth shots of a block, and the segmentation R made of both."""
+    """Smooth and non-smooth shots of a block, and their segmentation R."""
 
     supported: Mask
     """(lines, M) bool, S."""
     components: Components
     """H."""
     covered: Mask
-    """(lines, M) bool, the dilated non-smooth image; covers noise and missing shots too."""
+    """(lines, M) bool, the dilated non-smooth image; also covers noise and missing shots."""
     patches: I32 | None
-    """(lines, M) int32, components of ``covered``, 0 = none; None if segments are not wanted."""
+    """(lines, M) int32, components of ``covered``, 0 = none; None unless segments are requested."""
     n_patches: int
-    """Number of patches, which follow the components of H in the numbering; 0 if segments are not wanted."""
+    """Number of patches, numbered after the components of H; 0 unless segments are requested."""
 
     @property
     def smooth(self) -> Mask:
@@ -74,7 +74,7 @@ class Surfaces:
         Raises
         ------
         ValueError
-            When patches were not asked for.
+            When patches were not requested.
         """
         if self.patches is None:
             msg = "surfaces were found without patches"
@@ -90,10 +90,10 @@ class Surfaces:
 
 
 def area_threshold(params: SurfacesParams, n_lines: int, lines_per_block: int, points_per_line: int) -> float:
-    """Return the pixels that make a segment smooth in a block of ``n_lines`` lines.
+    """Return the least number of pixels of a smooth segment in a block of ``n_lines`` lines.
 
-    A block that the end of the stream cuts short asks for proportionally less. The division comes last, so that
-    whole results are exact.
+    A shorter block at the end of the stream needs proportionally fewer. The division comes last, so that whole
+    results are exact.
 
     >>> area_threshold(SurfacesParams(), 33, 99, 2154)
     10.0
@@ -111,8 +111,8 @@ def area_threshold(params: SurfacesParams, n_lines: int, lines_per_block: int, p
 def find_small(components: Components, threshold: float) -> Mask:
     """Return which components are non-smooth, (n + 1,) bool.
 
-    A segment is measured as a whole, all components of its id together. Entry 0 stands for supported shots in no
-    component, background that no neighbour took back: they are non-smooth as well.
+    The size of a segment is that of all its components together. Entry 0 is for supported shots without component
+    (background that hole filling did not assign): they are non-smooth as well.
     """
     small: Mask = components.sum_by_id(components.pixels) < threshold
     small[0] = True
@@ -125,8 +125,8 @@ def surfaces(
 ) -> Surfaces:
     """Split a block into smooth and non-smooth surfaces.
 
-    Small segments and background shots that no component took back form the non-smooth image; dilated and connected,
-    it covers what it touches: smooth shots under it become non-smooth, noise stays noise.
+    Small segments and background shots without component form the non-smooth image, which is dilated and connected.
+    Smooth shots under it become non-smooth, noise stays noise.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def surfaces(
         From :func:`find_small`.
     params : SurfacesParams
     with_patches : bool
-        Number what is non-smooth too, for segment ids; no class depends on it.
+        Also number the non-smooth components, for segment ids; no class depends on it.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def surfaces(
 
     Examples
     --------
-    A segment of 8 pixels stays smooth but for the pixels that the lone one on its right grows over:
+    A segment of 8 pixels stays smooth, except where the dilated single pixel on its right covers it:
 
     >>> image = np.array([[1, 1, 1, 1, 0, 2], [1, 1, 1, 1, 0, 0]], dtype=np.int32)
     >>> h = Components(image, np.array([0, 8, 1]), ids=np.array([0, 1, 2]), first_new_id=1, next_id=3)
@@ -163,7 +163,7 @@ def surfaces(
 def smooth_last_line(supported: Mask, components: Components, small: Mask, params: SurfacesParams) -> I64:
     """Return the segment ids of a block's last line where it is smooth, 0 elsewhere, (M,) int64.
 
-    The same as from :func:`surfaces`, from the few lines that the dilation can reach the last one from.
+    The same as from :func:`surfaces`, computed only from the lines within reach of the dilation.
     """
     reach = slice(-min(params.gamma + 1, len(supported)), None)
     image = components.image[reach]

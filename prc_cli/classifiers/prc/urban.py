@@ -31,7 +31,7 @@ class UrbanParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Totals:
-    """Smooth shots so far of the segments that may continue; others cannot come back."""
+    """Smooth shots so far, by segment that may continue in the next block; ended segments are dropped."""
 
     ids: I64
     """(n,) int64, segment ids, ascending."""
@@ -65,7 +65,7 @@ def count_smooth(surfaces: Surfaces) -> I64:
 def find_ground(
     components: Components, smooth: I64, last_line: I64, totals: Totals, params: UrbanParams
 ) -> tuple[int, Totals]:
-    """Find the smooth segment with most shots so far, of equals the oldest.
+    """Find the smooth segment with most shots so far, on ties the oldest.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def find_ground(
     here = np.zeros(len(ids), dtype=np.int64)
     np.add.at(here, position, smooth[present])
     running = here + totals.of(ids)
-    ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # of equals the first: oldest
+    ground = ids[np.argmax(running if params.ground == "running-total" else here)]  # on ties the first: oldest
     here_last = last_line[np.flatnonzero(last_line[1:] != last_line[:-1])]  # all but the last shot's, once a stretch
     may_go_on = np.zeros(len(ids), dtype=bool)
     may_go_on[np.searchsorted(ids, here_last[here_last > 0])] = True

@@ -1,8 +1,8 @@
-"""Signed angles and line angles (Stamos et al. 2012, sec. 3), what all later stages decide by.
+"""Signed angles and line angles (Stamos et al. 2012, sec. 3), the basis of all later stages.
 
-The signed angle of a shot is the angle of the chord to a later shot with the vertical: 0 deg up a wall, 90 deg along
-the ground, 180 deg down; negative where the line turns back on itself, as it does in foliage. The line angle of a
-shot is the angle of the chord with the beam, plus the beam's angle, and stays the same along a straight line.
+The signed angle of a shot is the angle between the vertical and the chord to a later shot: 0 deg up a wall, 90 deg
+along the ground, 180 deg down; negative where the line turns back on itself, as in foliage. The line angle of a shot
+is the angle between the chord and the beam, plus the beam's angle; it is constant along a straight line.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from prc_cli.core.types import F32, I32, U8
 
 
 class AnglesParams(Params):
-    """Which shots are joined by the chords that angles are measured on (``[sequential_angle.angles]``)."""
+    """Chords between shots, on which angles are measured (``[sequential_angle.angles]``)."""
 
     range_noise_m: float = Field(
         0.005, ge=0, le=10, description="standard deviation of the range noise of the scanner [m] (published)"
@@ -53,7 +53,7 @@ class AnglesParams(Params):
         return self.min_chord_sigmas * self.range_noise_m
 
     def thresholds(self) -> ChordThresholds:
-        """Return what the kernel is given."""
+        """Return the thresholds of the kernel."""
         return ChordThresholds(
             min_chord_m=self.min_chord_m,
             depth_m=self.chord_depth_sigmas * self.range_noise_m,
@@ -75,11 +75,11 @@ class SignedAngles:
 def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
     """Measure the signed angle of every shot.
 
-    The chord of a shot goes to the first later valid shot that is at least the shortest chord away, where differences
-    of range that noise may be do not count; missing shots between them are bridged, crowns being full of gaps. The
-    chord before a shot comes from the last earlier valid shot as far away. Where the two point against each other the
-    angle is negative; where there is none before, as at the first shots of a line, it is positive. Shots at the very
-    same place never make a chord, which has no angle.
+    The chord of a shot goes to the first later valid shot at a distance of at least ``min_chord_m``; range differences
+    within the noise do not count towards that distance. Missing shots in between are bridged, as crowns are full of
+    gaps. The chord before a shot comes from the last earlier valid shot at that distance. Where the two chords point
+    against each other the angle is negative; without a chord before, as at the start of a line, it is positive. Shots
+    at the same place never make a chord.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def signed_angles(lines: VerticalLines, params: AnglesParams) -> SignedAngles:
 
     Examples
     --------
-    Two shots on the ground, then up a wall; the last one has nothing to be joined with:
+    Two shots on the ground, then up a wall; the last one begins no chord:
 
     >>> import numpy as np
     >>> xyz = np.array([[[4, 0, -2], [5, 0, -2], [6, 0, -2], [6, 0, -1], [6, 0, 0]]], np.float32)
@@ -128,10 +128,10 @@ def angle_differences(signed_deg: F32) -> F32:
 def line_angles(lines: VerticalLines, ahead: I32, surface: U8) -> F32:
     """Measure the line angle of every horizontal shot (eq. 2).
 
-    With beams an angle ``a`` apart and ranges r and r', the angle of the chord with the beam to its first shot is
-    ``atan2(sin a, cos a - r / r')``: the arc tangent of eq. 2 with its quadrant, without which every chord that comes
-    towards the scanner would be wrong. The angle of the beam is added, so that level ground gives 90 deg whatever its
-    height, ground that rises by 3 deg gives 93 deg, and a wall 180 deg. It sees slope, not height.
+    For beams an angle ``a`` apart and ranges r and r', the angle between the chord and the beam to its first shot is
+    ``atan2(sin a, cos a - r / r')``: the arc tangent of eq. 2 with its quadrant, which chords towards the scanner
+    need. The angle of the beam is added, so that level ground gives 90 deg at any height, ground that rises by 3 deg
+    gives 93 deg, and a wall 180 deg. It depends on slope, not on height.
 
     Parameters
     ----------

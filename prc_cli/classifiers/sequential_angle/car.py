@@ -1,4 +1,4 @@
-"""Cars (Stamos et al. 2012, sec. 7): suspicious lines, their intervals, and what keeps an interval from being a car."""
+"""Cars (Stamos et al. 2012, sec. 7): suspicious lines, their intervals, and the tests that reject intervals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,9 @@ class CarParams(Params):
 
     suspicious: SuspiciousParams = Field(SuspiciousParams(), description="which lines may hold a car")
     dividers: DividersParams = Field(DividersParams(), description="where on a line a car may be")
-    high_verticals: HighVerticalsParams = Field(HighVerticalsParams(), description="what no car lies behind")
+    high_verticals: HighVerticalsParams = Field(
+        HighVerticalsParams(), description="high vertical surfaces, behind which no cars are accepted"
+    )
     fourier: FourierParams = Field(FourierParams(), description="car or vegetation")
     ground_layer_m: float = Field(
         0.3,
@@ -47,9 +49,9 @@ def cars(
     ----------
     lines : VerticalLines
     surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`, the coarse layer of T, H and V; high verticals are sought in it.
+        :class:`prc_cli.core.classes.Surface`, the coarse layer of T, H and V; used for high verticals only.
     car_surface : (R, n) uint8
-        The layer of T', H and V; everything else works on it.
+        The layer of T', H and V; used for everything else.
     signed_deg : (R, n) float32, degrees
         Signed angles.
     z_g : (R,) float32, metres
@@ -61,14 +63,14 @@ def cars(
     Returns
     -------
     (R, n) bool
-        C: returns of the intervals that pass, not farther than the first high vertical, and not on the ground; none
+        C: returns of the accepted intervals, no farther than the first high vertical, and not on the ground. None are
         of T', since intervals end before it.
 
     Notes
     -----
-    Intervals hold road or sidewalk where less than a long flat stretch of it shows behind a car, and its first
-    point where one does. Horizontal points next to the ground are taken out for that; what it is worth is a row of
-    the table of readings that ``python -m benchmarks.sequential_angle readings`` prints.
+    Intervals may include road or sidewalk behind a car: all of a short stretch, and the first point of a long flat
+    one. Therefore horizontal points next to the ground are removed. ``python -m benchmarks.sequential_angle readings``
+    prints the effect.
     """
     trigger = suspicious(car_surface, lines.n_beams, params.suspicious)
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, params.dividers, range_noise_m=range_noise_m)

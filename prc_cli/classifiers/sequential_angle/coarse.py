@@ -1,8 +1,8 @@
 """Coarse classification of every line: vegetation, horizontal, vertical (Stamos et al. 2012, sec. 4).
 
-The paper leaves it to Hadjiliadis and Stamos (2010). Vegetation comes first, by the test between hidden Markov
-models; what is left falls into runs, and within a run a CUSUM test for a change of the mean angle by 90 deg, one for
-each direction, tells horizontal from vertical.
+The paper refers to Hadjiliadis and Stamos (2010). Vegetation is detected first, by the test between hidden Markov
+models. The rest of a line falls into runs; within a run, CUSUM tests for a change of the mean angle by 90 deg, one per
+direction, separate horizontal from vertical.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class TiltParams(Params):
     )
 
     def thresholds(self) -> SurfaceThresholds:
-        """Return what the kernel is given."""
+        """Return the thresholds of the kernel."""
         return SurfaceThresholds(
             drift_vertical_deg=self.drift_vertical_deg,
             threshold_vertical_deg=self.threshold_vertical_deg,
@@ -88,7 +88,7 @@ def coarse(signed_deg: F32, lines: VerticalLines, params: CoarseParams) -> U8:
 
     Examples
     --------
-    Ground (2) and a wall (3), one shot of which is missing:
+    Ground (2) and a wall (3) with one missing shot:
 
     >>> import numpy as np
     >>> x = np.array([4, 4.5, 5, 5.5, 6, 6, 6, np.nan, 6, 6])
@@ -106,14 +106,14 @@ def coarse(signed_deg: F32, lines: VerticalLines, params: CoarseParams) -> U8:
 def surface_image(signed_deg: F32, vegetation: Mask, lines: VerticalLines, params: TiltParams) -> U8:
     """Label the runs between vegetation as horizontal or vertical.
 
-    A run is a maximal stretch of shots with an angle that are not vegetation; missing shots do not end it. Every run
-    is judged by itself.
+    A run is a maximal stretch of shots with an angle that are not vegetation; missing shots do not end it. Runs are
+    independent of each other.
 
     Parameters
     ----------
     signed_deg : (R, n) float32, degrees
     vegetation : (R, n) bool
-        Looked at where there is an angle only.
+        Used only where there is an angle.
     lines : VerticalLines
     params : TiltParams
 

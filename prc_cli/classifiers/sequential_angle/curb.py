@@ -1,17 +1,17 @@
-"""Curbs: where one may begin in a row, and their proof across lines (Stamos et al. 2012, sec. 6).
+"""Curbs: possible curb points in a row, and verification across lines (Stamos et al. 2012, sec. 6).
 
-The first vertical point after the ground that nothing lies under is a possible curb point. Vertical points that are
-neighbours on the grid of lines and beams and close in space form regions. A region that is complete, has a possible
-curb point and is low is a curb when it spans three lines, or when it is straight.
+A possible curb point is the first vertical point after the ground with nothing under it. Vertical points that are
+neighbours on the grid of lines and beams and close in space form regions. A complete, low region with a possible curb
+point is a curb if it spans three lines, or if it is straight.
 
-Readings where the text is silent or can be read in two ways:
+Interpretations where the text is silent or ambiguous:
 
 - Neighbours are the eight around a point, closer than 0.3 m.
-- A region is complete when a line of its side adds nothing to it. One that goes on for very many lines is decided as
-  it is, which bounds the memory; what follows it is a new region.
+- A region is complete when the next line of its side adds nothing to it. A region of very many lines is decided and
+  closed early, which bounds the memory; points that follow begin a new region.
 - "Vertical curvature" is the change of the signed angle between neighbouring points of the region in a line. A region
-  without such a pair is not shown to be straight.
-- What lies behind a curb is measured horizontally.
+  without such a pair does not count as straight.
+- "Behind a curb" is decided by horizontal distance.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from prc_cli.core.types import F32, I32, U8, Mask
 
 
 class CurbParams(Params):
-    """How curbs are found and proven (``[sequential_angle.curb]``)."""
+    """How curbs are found and verified (``[sequential_angle.curb]``)."""
 
     under_points: int = Field(
         30, ge=1, le=100_000, description="points before a point that are looked at for something under it (published)"
@@ -71,7 +71,7 @@ class CurbParams(Params):
     )
 
     def thresholds(self, range_noise_m: float = 0.0) -> CurbThresholds:
-        """Return what the kernels are given, for a standard deviation of the range [m]."""
+        """Return the thresholds of the kernels, for a standard deviation of the range [m]."""
         return CurbThresholds(
             under_points=self.under_points,
             under_m=max(self.under_m, self.under_sigmas * range_noise_m),
@@ -94,10 +94,10 @@ class CurbParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurbState:
-    """The regions that are not decided, between two calls; P lines at most ``max_lines``."""
+    """Undecided regions between two calls; P lines, at most ``max_lines``."""
 
     regions: OpenRegions
-    """In the lines that are not final, at least the last one."""
+    """Regions in the lines that are not final, at least the last line."""
     xyz_m: F32
     """(n_sides, n, 3) float32, points of the last line [m]."""
     signed_deg: F32
@@ -131,7 +131,7 @@ class CurbState:
 
     @property
     def n_waiting(self) -> int:
-        """Lines that were taken but not returned yet."""
+        """Lines taken but not yet returned."""
         return len(self.regions.labels) // len(self.xyz_m) - self.regions.n_given
 
 
@@ -140,8 +140,9 @@ def possible_curbs(
 ) -> I32:
     """Find the possible curb point of every row.
 
-    The first vertical point after the last ground point where nothing lies under it: none of the points before it is
-    farther from the scanner, as the road under a car would be. The search ends at the first point 2 m above the ground.
+    This is the first vertical point after the last ground point with nothing under it: none of the points before it
+    is farther from the scanner, as the road under a car would be. The search ends at the first point 2 m above the
+    ground.
 
     Parameters
     ----------
@@ -179,28 +180,28 @@ def curbs(
     *,
     last: bool,
 ) -> tuple[Mask, CurbState]:
-    """Connect vertical points to regions, and return the rows whose regions are all decided.
+    """Connect vertical points into regions, and return the rows whose regions are all decided.
 
     Parameters
     ----------
     lines : VerticalLines
-        R rows of n beams, whole lines, following those before; may be none.
+        R rows of n beams, whole lines that follow the previous ones; may be empty.
     surface : (R, n) uint8
         :class:`prc_cli.core.classes.Surface`.
     signed_deg : (R, n) float32
         Signed angles [deg], NaN where there is none.
     possible : (R,) int32
-        Of :func:`possible_curbs`.
+        From :func:`possible_curbs`.
     state : CurbState
     params : CurbParams
     last : bool
-        No more lines will come: everything is decided.
+        No more lines follow: everything is decided.
 
     Returns
     -------
     curb : (F, n) bool
-        Curb points of the rows that became final, in order, whole lines; how the rows were cut into calls changes
-        which call returns them and nothing else.
+        Curb points of the rows that became final, in order, whole lines. The points do not depend on how the rows
+        were cut into calls.
     state : CurbState
     """
     curb, regions = kernels.connect_verticals(

@@ -1,4 +1,4 @@
-"""Intervals of a line that may be cars (Stamos et al. 2012, sec. 7.3)."""
+"""Intervals of a line that may be cars, cut at dividers (Stamos et al. 2012, sec. 7.3)."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class DividersParams(Params):
     )
 
     def thresholds(self, range_noise_m: float) -> DividerThresholds:
-        """Return what the kernels are given, for a standard deviation of the range [m]."""
+        """Return the thresholds of the kernels, for a standard deviation of the range [m]."""
         return DividerThresholds(
             height_m=self.height_m,
             sudden_from_deg=self.sudden_from_deg,
@@ -124,25 +124,26 @@ def dividers(
 ) -> I32:
     """Cut suspicious lines into intervals that may be cars.
 
-    The search goes through the whole line, not only from the trigger on: the trigger often comes late on the car. It
-    ends before the first point of T' (or without an angle), before the first one that is too high, or with the line.
+    The search covers the whole line, not only the part from the trigger on, because the trigger often comes late on
+    the car. It ends before the first point of T' (or without an angle), before the first point that is too high, or
+    at the end of the line.
 
     1. An interval begins at the first change from H to V that is gradual (a tyre), or sudden with something farther
        away under it (bumper, side; not a wall, curb or pole that stands on the ground).
-    2. A jump of more than ``separation_m`` away from the scanner ends it, and begins the next one behind.
-    3. If a long flat stretch lies in an interval, within one run of H, the interval ends at its first point instead,
-       and the next one is sought as in 1. after its last point. A stretch is flat if a straight line fits its heights,
-       so that ground on a slope counts, and the line is not steep, so that a roof and the ground behind it do not count
-       as one. It may be a part of the run, since nothing but a jump divides that roof from that ground.
-    4. Runs of V that are as high as ``vertical_extent_m`` are cut out. Their height counts as far as they go on above
-       the end of the search: of a wall behind a car the interval holds but what shows between roof and ``height_m``. A
-       run ends where the distance changes: the side of a car and the wall behind it are not one surface.
+    2. A jump of more than ``separation_m`` away from the scanner ends it; the next interval begins behind the jump.
+    3. If an interval contains a long flat stretch within one run of H, it ends at the first point of the stretch
+       instead, and the search goes on as in 1. after its last point. A stretch is flat if a straight line fits its
+       heights (so sloping ground counts) and the line is not steep (so a roof and the ground behind it are not one
+       stretch). It may be part of a run, since only a jump separates such a roof from such ground.
+    4. Runs of V with a height of ``vertical_extent_m`` or more are cut out. The height includes the part above the end
+       of the search, as the interval holds only what is visible of a wall between the car's roof and ``height_m``. A
+       run ends where the distance changes: the side of a car and the wall behind it are two surfaces.
 
     Parameters
     ----------
     lines : VerticalLines
     car_surface : (R, n) uint8
-        :class:`prc_cli.core.classes.Surface`, the layer of T', H and V, changes dated back to where they began.
+        :class:`prc_cli.core.classes.Surface`, the layer of T', H and V, with changes dated back to their onset.
     signed_deg : (R, n) float32, degrees
         Signed angles.
     trigger : (R,) int32
@@ -160,11 +161,11 @@ def dividers(
 
     Notes
     -----
-    Measured on simulated lines, scanner 1.8 m up, noise 5 mm, steps of 0.06 to 0.2 deg, objects at 3 to 13 m, labels
-    exact. Something under a point is found under 100 % of the sides of cars for limits from 1 to 6 cm, but before up to
-    32 % of walls and curbs for 1 cm, 3 % for 2 cm, none for 3 cm: within 5 m the ranges of successive ground points
-    differ by little more than the noise. Chords of 8, 10, 12 cm call .87, .92, .95 of walls sudden, and .03, .04, .11
-    of tyres; longer ones overlook curbs.
+    Measured on simulated lines with exact labels: scanner 1.8 m above the ground, noise 5 mm, steps of 0.06 to
+    0.2 deg, objects at 3 to 13 m. The test for something under a point succeeds for 100 % of the sides of cars with
+    limits from 1 to 6 cm, and wrongly for up to 32 % of walls and curbs with 1 cm, 3 % with 2 cm, none with 3 cm:
+    within 5 m the ranges of successive ground points differ by little more than the noise. Chords of 8, 10, 12 cm
+    make .87, .92, .95 of walls sudden, and .03, .04, .11 of tyres; longer chords miss curbs.
     """
     thresholds = params.thresholds(range_noise_m)
     intervals = kernels.car_intervals(

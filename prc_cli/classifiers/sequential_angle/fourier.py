@@ -40,7 +40,7 @@ class FourierParams(Params):
     )
 
     def thresholds(self) -> FourierThresholds:
-        """Return what the kernel is given."""
+        """Return the thresholds of the kernel."""
         return FourierThresholds(
             band=self.band,
             ratio=self.ratio,
@@ -50,7 +50,7 @@ class FourierParams(Params):
 
 
 def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
-    """Tell cars from vegetation.
+    """Classify intervals as car or vegetation.
 
     The N angles of an interval, missing ones left out, are transformed: F_k, 0 <= k <= N/2, the mean included. An
     interval is a car if no magnitude of F_k with k >= N/8 is above half of the largest one.
@@ -70,15 +70,15 @@ def fourier(signed_deg: F32, intervals: I32, params: FourierParams) -> Mask:
 
     Notes
     -----
-    In dense vegetation two of three signs are negative, so that the mean is not zero and F_0 grows with N, the other
-    frequencies with its square root only: by its whole spectrum foliage is told in .92 of intervals of 32 angles, .65
-    of 128, .20 of 256, and in none of 512. In windows of 64 angles all but .16 of 256 and .03 of 512 are told. Some
-    cars are lost either way: along a vertical side the mean is hardly above the noise. What windows are worth in
-    simulated streets, and the test itself, are rows of the table that
-    ``python -m benchmarks.sequential_angle readings`` prints.
+    In dense vegetation two of three signs are negative, so the mean is not zero: F_0 grows with N, the other
+    frequencies only with its square root. The whole spectrum therefore recognises foliage in .92 of intervals of 32
+    angles, .65 of 128, .20 of 256, and none of 512; windows of 64 angles miss only .16 of 256 and .03 of 512. Some
+    cars are lost either way: along a vertical side the mean is hardly above the noise.
+    ``python -m benchmarks.sequential_angle readings`` prints the effect of the windows, and of the test, in simulated
+    streets.
 
-    The cost of a spectrum grows with the square of its angles, which ``max_points`` bounds.
-    Frequencies that differ by less than 1e-9 of their size are taken as equal: no transform is more exact.
+    The cost of a spectrum grows with the square of the number of angles, which ``max_points`` limits. Magnitudes that
+    differ by less than 1e-9 of their size are taken as equal: no transform is more exact.
 
     Examples
     --------

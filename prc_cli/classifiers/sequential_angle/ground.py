@@ -1,36 +1,37 @@
 """Ground points and the height of the ground (Stamos et al. 2012, sec. 5).
 
-Part a looks at one row alone: the first horizontal points in succession whose line angles have one mode, so that they
-lie on one straight line, are potential ground. Part b runs across rows: potential ground whose height agrees with the
-dominant height so far is ground, and grows over the horizontal points that follow; otherwise the row is searched on.
+Part a works within one row: potential ground is the first succession of horizontal points whose line angles have one
+mode, so that they lie on one straight line. Part b works across rows: potential ground whose height agrees with the
+dominant height so far is ground, and grows over the horizontal points that follow; otherwise the search goes on in the
+row.
 
-Readings where the text is silent or can be read in two ways:
+Interpretations where the text is silent or ambiguous:
 
-- The line angles of ten points and more are taken as one set; a mode counts when it has two samples, so that a single
-  outlier ends nothing. Where the first ten points have several modes, the search goes one point on instead of taking
-  eight of them.
+- The line angles of ten or more points are taken as one set. A mode counts when it has two samples, so that a single
+  outlier does not end the ground. Where the first ten points have several modes, the search moves on by one point
+  instead of taking eight of them.
 - The bandwidth of the line angles follows their noise, three standard deviations in the middle of the set, but at
-  least 5 degrees: with a fixed bandwidth the noise near the scanner would part the ground in pieces. It is renewed
-  whenever the set has grown by a half, so that the work stays proportional to the number of points.
-- "Almost collinear" takes a limit in height as well as one in angle, since the line angle sees the slope of a surface
-  and not its height: without it ground would climb a curb that one shot alone shows. The local line is drawn level
-  where its points span less than that limit, where a slope would be that of the noise.
-- For the same reason a jump in height ends potential ground: a hedge top or a car roof before the road has the line
-  angle of the road, and but one angle at its edge tells them apart.
-- Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points can part them early.
-  So that such a line does not lose the rest of the road, the search resumes within the same run of horizontal points.
-- The height of a row is that of the points next to the scanner: over a whole slope the lowest points would be those at
-  its far end, metres below.
-- A noisy shot or two must not end the ground of a line. Few points that are neither horizontal nor missing are passed
-  over where the next horizontal ones continue the local line within less than the height of a curb.
-- For the same reason ground that is sought on in a row is known by the local line, not by the height of its points.
-- The dominant height is the main mode of the heights of all rows, whether they were accepted or not (an option), and
-  is computed anew after each of them: after accepted ones alone a first estimate that is wrong would stay for ever.
-  The oldest heights are forgotten, so that it follows a long street.
-- A row where no potential ground is accepted counts with its first one, the nearest to the scanner.
-- A few heights among many rows without one are no ground; it stays unknown until there are enough.
-- Where the first estimate had to be made from less than the wanted number of heights, the missing ones count as they
-  come, and the dominant height follows at once.
+  least 5 degrees: with a fixed bandwidth, noise near the scanner would split the ground. It is recomputed whenever the
+  set has grown by a half, so that the work stays proportional to the number of points.
+- "Almost collinear" has a limit in height as well as in angle, since the line angle measures slope and not height:
+  without it, ground would climb a curb that is visible in one shot only. The local line is level where its points span
+  less than that limit, because a fitted slope would be noise.
+- For the same reason a jump in height ends potential ground: a hedge top or a car roof in front of the road has the
+  line angle of the road, and only one angle at its edge differs.
+- Near the scanner neighbouring shots are closer than their noise, and a few angles of ten points can end the set early.
+  To keep the rest of the road, the search resumes within the same run of horizontal points.
+- The height of a row is that of the points next to the scanner: on a slope the lowest points would be those at the far
+  end, metres below.
+- One or two noisy shots must not end the ground of a line. A few points that are neither horizontal nor missing are
+  skipped where the next horizontal ones continue the local line within less than the height of a curb.
+- For the same reason ground found later in a row is accepted by the local line, not by the height of its points.
+- The dominant height is the main mode of the heights of all rows, accepted or not (an option), and is recomputed after
+  each of them: with accepted rows only, a wrong first estimate would never be corrected. The oldest heights are
+  dropped, so that it follows a long street.
+- A row without accepted ground contributes the height of its first potential ground, the nearest to the scanner.
+- The ground stays unknown while only a few of many rows have a height.
+- If the first estimate was made from fewer heights than wanted, the next heights count as they come, and the dominant
+  height follows at once.
 """
 
 from __future__ import annotations
@@ -151,16 +152,16 @@ class GroundParams(Params):
 
     @property
     def least(self) -> int:
-        """Heights without which the ground stays unknown."""
+        """Least number of heights; with fewer, the ground stays unknown."""
         return min(self.least_heights, self.start_heights)
 
     @property
     def memory(self) -> int:
-        """Heights to be remembered, 0 = all."""
+        """Number of heights kept, 0 = all."""
         return max(self.memory_heights, self.start_heights) if self.memory_heights else 0
 
     def thresholds(self, range_noise_m: float) -> GroundThresholds:
-        """Return what the kernels are given, for a standard deviation of the range [m]."""
+        """Return the thresholds of the kernels, for a standard deviation of the range [m]."""
         return GroundThresholds(
             first_run=self.first_run,
             lowest_points=self.lowest_points,
@@ -200,7 +201,7 @@ def potential_ground(
     phihat : (R, n) float32
         Line angles [deg], NaN where there is none.
     ahead : (R, n) int32
-        Beam that every line angle was measured to.
+        Beam at the other end of the chord of every line angle.
     params : GroundParams
     range_noise_m : float
         Standard deviation of a range, for the noise of line angles [m].
@@ -217,14 +218,14 @@ def initial_ground(heights_m: F64, params: GroundParams) -> GroundState:
     Parameters
     ----------
     heights_m : (R,) float64
-        z_i of the rows from the first one on, NaN = none [m].
+        z_i of the first rows, NaN = none [m].
     params : GroundParams
 
     Returns
     -------
     GroundState
-        From the first 50 heights, or from what there is; with unknown height if they are fewer than 10 and fewer than
-        half of the rows. The rows they come from are the first ones that :func:`ground` has to be given.
+        From the first 50 heights, or all if fewer; height unknown if they are fewer than 10 and fewer than half of
+        the rows. :func:`ground` must be called for these rows first.
 
     Examples
     --------
@@ -259,7 +260,7 @@ def ground(
     potential : PotentialGround
         Of the same rows.
     state : GroundState
-        After the rows before, or of :func:`initial_ground` for the first rows.
+        After the previous rows; for the first rows from :func:`initial_ground`.
     params : GroundParams
     range_noise_m : float
         Standard deviation of a range, for the noise of line angles [m].

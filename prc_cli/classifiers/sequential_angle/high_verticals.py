@@ -1,4 +1,4 @@
-"""High verticals, which no car lies behind (Stamos et al. 2012, sec. 7.4)."""
+"""High vertical surfaces, behind which no cars are accepted (Stamos et al. 2012, sec. 7.4)."""
 
 from __future__ import annotations
 
@@ -25,9 +25,8 @@ class HighVerticalsParams(Params):
 def high_verticals(lines: VerticalLines, surface: U8, z_g: F32, params: HighVerticalsParams) -> F32:
     """Find the horizontal distance beyond which there is no car.
 
-    It is that of the last point of the first sequence of vertical points that ends higher above the ground than the
-    limit. A sequence is of successive shots: a missing one ends it, so that a tower seen far behind a wall, over it,
-    does not prolong the wall.
+    This is the distance of the last point of the first sequence of vertical points that ends higher above the ground
+    than the limit. A missing shot ends a sequence, so that a tower seen over a wall does not extend the wall.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Vertical scan lines from low to high, which all stages work on (Stamos et al. 2012, sec. 3).
+"""Vertical scan lines, beams from low to high: the input of all stages (Stamos et al. 2012, sec. 3).
 
-A line of a static scanner is one vertical line. A line of a profiler that sees the whole circle is split at nadir and
-zenith into two half-lines, one a side. Rows are half-lines: ``row = line * n_sides + side``.
+A line of a static scanner is one vertical line. A line of a profiler with a full circle is split at nadir and zenith
+into two half-lines, one per side. Rows are half-lines: ``row = line * n_sides + side``.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from prc_cli.core.types import F32, F64, I32
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sides:
-    """Which columns of a scan line are the beams of its half-lines, from low to high."""
+    """Columns of a scan line that make up its half-lines, from low to high."""
 
     columns: I32
-    """(n_sides, n) int32, column of every beam; -1 fills the shorter side up."""
+    """(n_sides, n) int32, column of every beam; -1 = fill of the shorter side."""
     n_beams: I32
     """(n_sides,) int32, beams of every side."""
     beam_rad: F64
@@ -45,7 +45,7 @@ class VerticalLines:
     horizontal_m: F32
     """(R, n) float32, horizontal distance from the scanner [m]; NaN = missing."""
     n_beams: I32
-    """(R,) int32, beams of every row; what comes after them is fill, not missing."""
+    """(R,) int32, beams of every row; entries after them are fill, not missing shots."""
     beam_rad: F64
     """(n_sides, n) float64, angle of every beam from straight down [rad], rising; NaN = fill."""
 
@@ -75,7 +75,7 @@ def split_sides(beam_rad: F64) -> Sides:
            [ 1,  0, -1]], dtype=int32)
     """
     along = np.unwrap(beam_rad)
-    # columns in the order in which the beam turns towards growing angles, so that equal angles keep their order
+    # columns in the direction of growing angles, so that equal angles keep their order
     turning = np.arange(len(beam_rad)) if along[-1] >= along[0] else np.arange(len(beam_rad))[::-1]
     angle = beam_rad[turning]
     halves = (turning[angle >= 0], turning[angle < 0][::-1])
@@ -104,7 +104,7 @@ def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides,
     sides : Sides
         From :func:`split_sides`.
     max_range_m : float
-        What lies beyond is missing [m].
+        Ranges beyond this are missing [m].
     """
     if xyz_m is None:
         across, up = np.sin(beam_rad), -np.cos(beam_rad)
@@ -115,7 +115,7 @@ def vertical_lines(range_m: F32, xyz_m: F32 | None, beam_rad: F64, sides: Sides,
 
 
 def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArray[Any]:
-    """Bring a value per beam back to the columns of the scan lines.
+    """Map values per beam back to the columns of the scan lines.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def to_columns(rows: NDArray[Any], sides: Sides, points_per_line: int) -> NDArra
         n = int(sides.n_beams[side])
         columns = sides.columns[side, :n]
         step = int(columns[1] - columns[0]) if n > 1 else 1
-        if abs(step) == 1 and (np.diff(columns) == step).all():  # neighbours: many times faster than one by one
+        if abs(step) == 1 and (np.diff(columns) == step).all():  # contiguous: a slice is many times faster
             low, high = sorted((int(columns[0]), int(columns[-1])))
             image[:, low : high + 1] = by_side[:, side, :n][:, ::step]
         else:

@@ -1,8 +1,8 @@
-"""Sequential test between two hidden Markov models: where a sequence begins and ends to fluctuate.
+"""Sequential test between two hidden Markov models: where a sequence starts and stops fluctuating.
 
-The paper takes it from Chen and Willett (2000, eqs. 23 to 28): the likelihoods of both models are followed by the
-forward recursion; the logarithm S of their ratio starts anew whenever it falls below zero, and raises an alarm when
-it exceeds a threshold. The first sample after the last start estimates the onset of the change.
+The paper takes it from Chen and Willett (2000, eqs. 23 to 28). The forward recursion gives the likelihoods of both
+models; the logarithm S of their ratio is reset whenever it falls below zero, and raises an alarm when it exceeds a
+threshold. The first sample after the last reset estimates the onset of the change.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Spreads = tuple[
 ]
 
 UNIFORM: Row = (1 / 3, 1 / 3, 1 / 3)
-"""All states alike."""
+"""Uniform probabilities of the states."""
 
 
 class HmmParams(Params):
@@ -75,7 +75,7 @@ class HmmParams(Params):
     )
 
     def thresholds(self) -> MarkovThresholds:
-        """Return what the kernel is given."""
+        """Return the thresholds of the kernel."""
         return MarkovThresholds(
             threshold=self.threshold,
             threshold_back=self.threshold_back,
@@ -100,16 +100,15 @@ class HmmParams(Params):
 def hmm_cusum(values: F32, params: HmmParams) -> Mask:
     """Mark the samples of every row that belong to model 1.
 
-    Rows are independent. After an alarm the test goes on at the next sample, with the models exchanged; when that
-    raises an alarm, the region ends just before the onset of the return, and the search for the next region begins
-    after that alarm: every sample is used once in either direction. The end of a row closes an open region; with
-    ``end = "sprt"`` a row that ends before a region is confirmed has none there. A sample that neither model can
-    explain (zero probability in both) restarts the test.
+    Rows are independent. After an alarm the test continues at the next sample with the models exchanged. When that
+    raises an alarm, the region ends just before the onset of the change back, and the search for the next region
+    begins after that alarm: every sample is used once in either direction. The end of a row closes an open region;
+    with ``end = "sprt"``, an unconfirmed region at the end of a row is dropped. A sample with zero probability in both
+    models restarts the test.
 
-    Every start forgets the state before it, so that the first sample of a start is judged by the initial
-    probabilities alone. With the stationary ones of both models (Chen and Willett) it counts like any other; a change
-    from 0 to 90 deg, as on stairs, then begins no region, but counts within one. With equal ones in both models it is
-    neutral.
+    After a reset the first sample depends only on the initial probabilities. With the stationary probabilities of
+    each model (Chen and Willett) it counts like any other; a change from 0 to 90 deg, as on stairs, then begins no
+    region, but counts within one. With the same probabilities in both models it is neutral.
 
     Parameters
     ----------
@@ -143,5 +142,5 @@ def hmm_cusum(values: F32, params: HmmParams) -> Mask:
 
 
 def _array(numbers: Row | Matrix) -> F64:
-    """Turn a vector or a matrix of parameters into float64."""
+    """Convert a vector or a matrix of parameters to float64."""
     return np.array(numbers, np.float64)

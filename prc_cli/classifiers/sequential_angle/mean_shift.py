@@ -1,9 +1,9 @@
-"""Modes of samples on a line by mean shift (Comaniciu and Meer 2002), as the ground algorithm needs them.
+"""Modes of one-dimensional samples by mean shift (Comaniciu and Meer 2002), for the ground algorithm.
 
-Mean shift with a Gaussian kernel climbs the density of the samples from every sample; samples that end at one place
-belong to one mode. On a line the places are the maxima of the density and the samples of a maximum are those between
-the minima around it, so that nothing has to climb. The density is computed on a grid of an eighth of a bandwidth, in
-whole numbers: the result does not depend on the order of the samples.
+Mean shift with a Gaussian kernel moves every sample uphill in the density of the samples; samples that arrive at the
+same place belong to one mode. In one dimension the modes are the maxima of the density, and the samples of a mode are
+those between the minima on either side, so no iteration is needed. The density is computed on a grid of an eighth of a
+bandwidth, in integers: the result does not depend on the order of the samples.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from prc_cli.core.errors import PrcError
 from prc_cli.core.types import F64, I64
 
 MOST_BANDWIDTHS = 1_000_000
-"""Samples may lie this far apart."""
+"""Largest span of the samples [bandwidths]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
-    """Modes of a set of samples, rising."""
+    """Modes of a set of samples, ascending."""
 
     places: F64
     """(m,) float64, maxima of the density, to an eighth of a bandwidth."""
     counts: I64
-    """(m,) int64, samples that belong to each."""
+    """(m,) int64, number of samples of each mode."""
 
     def main(self) -> float:
-        """Return the mode with most samples, of equals the lowest; NaN without samples."""
+        """Return the mode with most samples, on ties the lowest; NaN without samples."""
         return float(self.places[np.argmax(self.counts)]) if len(self.places) else float("nan")
 
 
 def mean_shift(values: F64, bandwidth: float) -> Modes:
-    """Find the modes of samples; modes closer than half a bandwidth are one.
+    """Find the modes of samples; modes closer than half a bandwidth are merged.
 
     Parameters
     ----------

@@ -1,12 +1,11 @@
-"""The order of the algorithms in a line and across lines (Stamos et al. 2012, sec. 8), and the state between blocks.
+"""Order of the algorithms within a line and across lines (Stamos et al. 2012, sec. 8), and the state between blocks.
 
-Everything is online. The stages of a line need that line alone, but for the height of the ground, which needs the lines
-before it, and for curbs, which need the lines that their component touches. So a line is final, and leaves, once the
-ground's height is known and every component of vertical points on it is decided. Labels do not depend on how the
-stream was cut into blocks.
+All processing is online. Most stages need only their own line. The ground height needs the lines before it, and curbs
+need all lines of their component. So a line becomes final once the ground height is known and all components of
+vertical points on it are decided. Labels do not depend on how the stream was cut into blocks.
 
-:func:`classify_block` is the whole. Two of its steps (:func:`follow_ground` and :func:`decide_curbs`) hand a state on
-from block to block, the others need their own block alone.
+:func:`classify_block` is the whole method. Two of its steps (:func:`follow_ground` and :func:`decide_curbs`) hand a
+state from block to block, the others need only their own block.
 """
 
 from __future__ import annotations
@@ -89,13 +88,13 @@ class SequentialAngleParams(MethodParams):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Within:
-    """What is known of half-lines without looking at others; R rows of n beams."""
+    """Results that depend on single half-lines only; R rows of n beams."""
 
     lines: VerticalLines
     signed_deg: F32
     """(R, n) float32, signed angle [deg]."""
     ahead: I32
-    """(R, n) int32, beam of the chord's other end, -1 = none."""
+    """(R, n) int32, beam at the other end of the chord, -1 = none."""
     surface: U8
     """(R, n) uint8, coarse layer {T, H, V}."""
     car_surface: U8
@@ -127,7 +126,7 @@ class Undecided:
     ground: Mask
     """(R, n) bool, G."""
     car: Mask
-    """(R, n) bool, C before the curbs' say."""
+    """(R, n) bool, C before cars behind curbs are removed."""
     horizontal_m: F32
     """(R, n) float32, horizontal distance [m]."""
     ground_height_m: F32
@@ -148,35 +147,35 @@ class WithCars:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundSoFar:
-    """What the lines before say of the ground."""
+    """State of the ground estimate after the lines so far."""
 
     waiting: tuple[Within, ...]
-    """Rows that wait for the first height of the ground, in order."""
+    """Rows waiting for the first ground height, in order."""
     heights_m: F64
-    """(rows that wait,) float64, their z_i [m], NaN = none."""
+    """(waiting rows,) float64, their z_i [m], NaN = none."""
     n_most: int
-    """Rows that wait at most."""
+    """Largest number of waiting rows."""
     known: GroundState | None
-    """None until the ground's height is known."""
+    """None until the ground height is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurbsSoFar:
-    """What the lines before leave open."""
+    """State of the curb search after the lines so far."""
 
     regions: CurbState
     undecided: tuple[Undecided, ...]
-    """Rows that wait for their curbs, in order."""
+    """Rows waiting for their curbs, in order."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequentialAngleState:
-    """All that a block leaves to the next one; bounded by M, ``start_lines`` and ``curb.max_lines``."""
+    """State handed to the next block; size limited by M, ``start_lines`` and ``curb.max_lines``."""
 
     ground: GroundSoFar
     curbs: CurbsSoFar
     waiting: tuple[ScanBlock, ...] = ()
-    """Lines that wait for their labels, in order."""
+    """Lines waiting for their labels, in order."""
 
 
 GROUND, CURBS = Part[GroundSoFar]("ground"), Part[CurbsSoFar]("curbs")
@@ -185,42 +184,42 @@ WAITING = Part[tuple[ScanBlock, ...]]("waiting")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """Where the beams of a scanner point."""
+    """Beam directions of a scanner."""
 
     beam_rad: F64
-    """(M,) float64, angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane
-    [rad]."""
+    """(M,) float64, angle of every column's beam from straight down, in (-pi, pi]; the sign is the side of the scan
+    plane [rad]."""
     sides: Sides
 
     @classmethod
     def of(cls, beam_rad: F64) -> Beams:
-        """Split the beams of a scan line, (M,) float64 [rad], into those of its half-lines."""
+        """Split the beams of a scan line, (M,) float64 [rad], into half-lines."""
         return cls(beam_rad, split_sides(beam_rad))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Final:
-    """Lines that became final, in order; there may be none."""
+    """Lines that became final, in order; may be empty."""
 
     labels: U8
     """(lines, M) uint8, :class:`prc_cli.core.classes.Label`."""
     rows: Sequence[Undecided]
-    """What was found on the way, for :func:`stages_in_columns`."""
+    """Intermediate results, for :func:`stages_in_columns`."""
 
 
 @dataclass(frozen=True, slots=True)
 class SequentialAngle(Classifier[Beams, SequentialAngleState]):
-    """The sequential-angle classifier; what it knows of a scanner are its beams."""
+    """The sequential-angle classifier; its constants per scanner are the beam directions."""
 
     params: SequentialAngleParams
 
     @property
     def needs(self) -> Needs:
-        """Any number of lines, with beams."""
+        """Blocks of any number of lines, with beam angles."""
         return Needs(KERNELS)
 
     def scanner(self, first: ScanBlock) -> Beams:
-        """Return where the beams point."""
+        """Return the beam directions."""
         return Beams.of(beams_of(first))
 
     def initial_state(self, scanner: Beams) -> SequentialAngleState:
@@ -228,7 +227,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         return initial_state(scanner, self.params)
 
     def label(self, block: ScanBlock, scanner: Beams, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
-        """Take the next lines, and label those that thereby become final."""
+        """Add the next lines, and label those that become final."""
         _check_shape(block.range_m, block.xyz_m, scanner)
         found = classify_block(block.range_m, block.xyz_m, scanner, turn, self.params, last=block.is_last)
         stages = stages_in_columns(found.rows, scanner) if wanted.stages else None
@@ -242,7 +241,7 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         return labelled
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
-        """Say what was not looked for, and why."""
+        """Report what was not searched for, and why."""
         said: list[str] = []
         if not labels[Label.GROUND]:
             said.append("no ground was found, and without its height neither curbs nor cars are looked for")
@@ -268,20 +267,20 @@ def initial_state(beams: Beams, params: SequentialAngleParams) -> SequentialAngl
 def classify_block(
     range_m: F32, xyz_m: F32 | None, beams: Beams, turn: Turn, params: SequentialAngleParams, *, last: bool = False
 ) -> Final:
-    """Take the next lines of a stream, of any number, and label those that thereby become final.
+    """Add the next lines of a stream, any number, and label those that become final.
 
     Parameters
     ----------
     range_m : (lines, M) float32
         Slant range [m]; NaN = missing.
     xyz_m : (lines, M, 3) float32 or None
-        Relative to the scanner, z up [m]; None = taken from range and beam angle, in the scan plane.
+        Relative to the scanner, z up [m]; None = computed from range and beam angle, in the scan plane.
     beams : Beams
     turn : Turn
         Hands on ``ground`` and ``curbs`` of :class:`SequentialAngleState`.
     params : SequentialAngleParams
     last : bool
-        No lines follow: all that waits becomes final.
+        No lines follow: all waiting lines become final.
     """
     rows = within_lines(range_m, xyz_m, beams, params)
     ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, params, last=last))
@@ -291,7 +290,7 @@ def classify_block(
 
 
 def _take_lines(waiting: tuple[ScanBlock, ...], n_lines: int) -> tuple[list[ScanBlock], tuple[ScanBlock, ...]]:
-    """Take the first lines of those that wait; return them and the others."""
+    """Return the first ``n_lines`` waiting lines, and the rest."""
     buffer = LineBuffer()
     for block in waiting:
         buffer.add(block)
@@ -299,11 +298,11 @@ def _take_lines(waiting: tuple[ScanBlock, ...], n_lines: int) -> tuple[list[Scan
 
 
 def _labelled(block: ScanBlock, labels: U8, stages: StageLabels | None, params: SequentialAngleParams) -> LabelledBlock:
-    """Put final lines and their labels together, and label their further returns."""
-    # what lies beyond the scanner's reach is missing to the method, but it is a return
+    """Combine final lines with their labels, and label their further returns."""
+    # ranges beyond the scanner's reach are missing to the method, but they are returns
     labels, n_beyond = kernels.mark_beyond(block.range_m, labels)
     block = replace(block, next_m=None, tally=block.tally + ReadTally(n_beyond=n_beyond))
-    # lines leave alone or together, as it happens: only the shot's own line may have a say
+    # which lines become final together depends on the blocks: only the shot's own line may be used
     further, limit_m = block.extra, params.extra_return_m
     extra = label_extra_returns(
         block.range_m, labels, further.line, further.column, further.range_m, limit_m, 0.0, alone=Label.UNCLASSIFIED
@@ -313,7 +312,7 @@ def _labelled(block: ScanBlock, labels: U8, stages: StageLabels | None, params: 
 
 @stage("angles")
 def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, params: SequentialAngleParams) -> Within:
-    """Run what needs a half-line alone: the coarse layer, the car layer, potential ground."""
+    """Run the stages that need only one half-line: coarse layer, car layer, potential ground."""
     lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, params.max_range_m)
     angles = signed_angles(lines, params.angles)
     surface = coarse(angles.signed_deg, lines, params.coarse)
@@ -336,7 +335,7 @@ def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, params: Sequenti
 def follow_ground(
     rows: Within, state: GroundSoFar, params: SequentialAngleParams, *, last: bool
 ) -> tuple[list[OnGround], GroundSoFar]:
-    """Find the ground of the next rows, in order (sec. 5); the first ones are held back until its height is known."""
+    """Find the ground of the next rows, in order (sec. 5); the first rows wait until its height is known."""
     ready, state = _start_ground(rows, state, params.ground, last=last)
     found = []
     for part in ready:
@@ -353,7 +352,7 @@ def follow_ground(
 def _start_ground(
     rows: Within, state: GroundSoFar, params: GroundParams, *, last: bool
 ) -> tuple[list[Within], GroundSoFar]:
-    """Hold rows back until the first height of the ground is known (part b of the ground algorithm, sec. 5)."""
+    """Keep rows waiting until the first ground height is known (part b of the ground algorithm, sec. 5)."""
     if state.known is not None:
         return [rows], state
     waiting, heights = (*state.waiting, rows), np.concatenate([state.heights_m, rows.potential.height_m])
@@ -366,7 +365,7 @@ def _start_ground(
 
 @stage("cars")
 def find_cars(part: OnGround, params: SequentialAngleParams) -> WithCars:
-    """Find the cars of rows, and where a curb may be, which need nothing but the height of the ground."""
+    """Find cars and possible curb points, which need only the ground height."""
     rows, z_g, noise = part.rows, part.height_m, params.angles.range_noise_m
     lines, surface = rows.lines, rows.surface
     possible = possible_curbs(lines, surface, part.ground, z_g, params.curb, range_noise_m=noise)
@@ -379,7 +378,7 @@ def find_cars(part: OnGround, params: SequentialAngleParams) -> WithCars:
 def decide_curbs(
     parts: Sequence[WithCars], state: CurbsSoFar, params: SequentialAngleParams, *, last: bool
 ) -> tuple[tuple[list[Undecided], list[Mask]], CurbsSoFar]:
-    """Prove curbs across the next rows, in order (sec. 6); return the rows that became final, and their curbs."""
+    """Verify curbs across the next rows, in order (sec. 6); return the rows that became final, and their curbs."""
     done: list[Undecided] = []
     masks: list[Mask] = []
     for number, part in enumerate(parts):
@@ -417,7 +416,7 @@ def combine(rows: Undecided, curb: Mask) -> U8:
 
 @stage("classes")
 def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams) -> U8:
-    """Label final rows, and bring them back to the columns of their scan lines."""
+    """Label final rows, and map them back to the columns of their scan lines."""
     sides, m = beams.sides, len(beams.beam_rad)
     if not done:
         return np.empty((0, m), np.uint8)
@@ -432,7 +431,7 @@ def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams) ->
 
 @stage("stages")
 def stages_in_columns(done: Sequence[Undecided], beams: Beams) -> StageLabels:
-    """Bring what was found on the way of final rows back to the columns of their scan lines."""
+    """Map the intermediate results of final rows back to the columns of their scan lines."""
     sides, m = beams.sides, len(beams.beam_rad)
     if not done:
         none = np.empty((0, m), np.uint8)
@@ -444,7 +443,7 @@ def stages_in_columns(done: Sequence[Undecided], beams: Beams) -> StageLabels:
 
 
 def _split(parts: tuple[Undecided, ...], n_rows: int) -> tuple[list[Undecided], tuple[Undecided, ...]]:
-    """Cut the first rows off a queue."""
+    """Split off the first rows of a queue."""
     taken: list[Undecided] = []
     for number, part in enumerate(parts):
         n = len(part.surface)
@@ -470,7 +469,7 @@ def _join(parts: Sequence[Undecided]) -> Undecided:
 
 
 def _check_shape(range_m: F32, xyz_m: F32 | None, beams: Beams) -> None:
-    """Refuse what cannot be the next lines of the stream."""
+    """Refuse arrays that cannot be the next lines of the stream."""
     width = len(beams.beam_rad)
     if range_m.ndim != 2 or range_m.shape[1] != width:
         problem = f"found an array of shape {range_m.shape}, expected (lines, {width}) as the stream began"

@@ -1,4 +1,4 @@
-"""Lines that may hold a car (Stamos et al. 2012, sec. 7.2): a CUSUM of the chain of H, V and M along the line."""
+"""Lines that may hold a car (Stamos et al. 2012, sec. 7.2): a CUSUM test on the chain of H, V and M along the line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Matrix = tuple[Row, Row, Row]
 
 
 class SuspiciousParams(Params):
-    """What a regular surface and a car look like as chains of H, V and M (``[sequential_angle.car.suspicious]``)."""
+    """Markov chains of H, V and M on a regular surface and on a car (``[sequential_angle.car.suspicious]``)."""
 
     h0: Matrix = Field(
         ((0.8, 0.1, 0.1), (0.09, 0.9, 0.01), (0.6, 0.3, 0.1)),
@@ -53,10 +53,10 @@ def suspicious(car_surface: U8, n_beams: I32, params: SuspiciousParams) -> I32:
     """Find the beam at which every line becomes suspicious.
 
     ``S <- max(0, S + ln(H1/H0))`` over the transitions from the first return on; the first state adds nothing. Points
-    of T', and points of lines without an angle, end it. With the published numbers every change from V to H or M
-    and any two missing shots in a row trigger at once; ground alone, one missing shot in the ground, or a wall up to
-    the end of the line do not. On a regular surface there is a trigger every 18 beams, and every line that ends in the
-    sky has one: this is a screen, not a test.
+    of T', and points of lines without an angle, end it. With the published numbers every change from V to H or M and
+    any two successive missing shots trigger at once; ground alone, one missing shot in the ground, or a wall up to the
+    end of the line do not. On a regular surface there is a trigger every 18 beams, and every line that ends in the sky
+    has one: this is a pre-selection, not a decision.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def suspicious(car_surface: U8, n_beams: I32, params: SuspiciousParams) -> I32:
 
     Examples
     --------
-    Ground and one missing shot, then ground and two of them:
+    Ground with one missing shot, then ground with two:
 
     >>> lines = np.array([[2, 2, 0, 2, 2], [2, 2, 0, 0, 2]], dtype=np.uint8)
     >>> suspicious(lines, np.array([5, 5], dtype=np.int32), SuspiciousParams())

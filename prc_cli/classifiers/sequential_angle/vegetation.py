@@ -1,8 +1,9 @@
 """Vegetation for the car algorithm, T', by a less sensitive test (Stamos et al. 2012, sec. 7.1).
 
-It is the test of the coarse classification on the differences of successive signed angles. The rows of both its
-matrices are alike, so that the models have no memory and the test is Page's on a mixture of Gaussians: a difference
-clearly above 75 deg counts +1.204, one clearly below -0.875. It misses much vegetation and takes little else for it.
+It is the test of the coarse classification, applied to the differences of successive signed angles. All rows of each
+transition matrix are equal, so the models have no memory and this is Page's test on a mixture of Gaussians: a
+difference clearly above 75 deg counts +1.204, one clearly below -0.875. It misses much vegetation, but has few false
+alarms.
 """
 
 from __future__ import annotations
@@ -54,9 +55,9 @@ def dense_vegetation(differences_deg: F32, params: DenseVegetationParams) -> Mas
 
 
 def car_surface(signed_deg: F32, dense: Mask, lines: VerticalLines, params: TiltParams) -> U8:
-    """Classify every shot for the car algorithm: as the coarse classification does, with T' as the vegetation.
+    """Classify every shot for the car algorithm: like the coarse classification, with T' as vegetation.
 
-    Shots of T that are not T' thus carry a label of their own, horizontal or vertical.
+    Shots of T that are not T' are thus labelled horizontal or vertical.
 
     Parameters
     ----------

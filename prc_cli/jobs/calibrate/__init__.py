@@ -1,4 +1,4 @@
-"""Calibration: what a stream says about its sensor, and the parameters that follow from it.
+"""Calibration: estimates the sensor's properties from a stream, and derives parameters from them.
 
 :mod:`.curves` counts support and background at all thresholds, :mod:`.sensor` measures noise and steps, :mod:`.implied`
 turns both into parameters, :mod:`.search` tries parameters against a reference, :mod:`.calibrate` joins them.

@@ -1,4 +1,4 @@
-"""Joins the parts: one pass for curves and sensor, a second one for the search, a configuration as the result."""
+"""The whole calibration: one pass for curves and sensor, a second for the search; the result is a configuration."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import Progress, open_stream
 
 SHOTS_AT_ONCE = 1 << 18
-"""Shots measured at a time; results do not depend on it, but for the few pairs of lines across two of them."""
+"""Shots measured at a time; affects results only through the few pairs of lines across two chunks."""
 LEAST_LINES = 3
 """Scan lines that a support decision needs: the shot's own and both neighbours."""
 GROUPS = 40
-"""Groups of lines that a stream is cut into for training and held-out lines, if they are not too large."""
+"""Number of line groups for training and held-out lines, unless they become too large."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchOptions:
-    """How the search is done."""
+    """Options of the search."""
 
     reference: Path
     mapping: ClassMapping | str | Path = "prc"
@@ -57,26 +57,26 @@ class SearchOptions:
     """Column or dimension that holds the reference codes."""
     objective: str = MEAN_F1
     training_share: float = 0.6
-    """Share of the groups of lines that the search sees."""
+    """Share of the line groups used for training."""
     budget: int = 300
-    """Sets of parameters tried at most."""
+    """Largest number of parameter sets tried."""
     seed: int = 0
-    """Draws which lines are for training."""
+    """Seed for drawing the training lines."""
     max_shots: int = 4_000_000
-    """Shots kept in memory for training and held-out lines together; longer streams are sampled by groups."""
+    """Most shots kept in memory, training and held-out together; longer streams are sampled by groups."""
     keep: tuple[str, ...] = ()
-    """Keys that are not searched: they take what the sensor implies."""
+    """Keys that are not searched; they take the value implied by the sensor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """Everything ``prc calibrate`` prints and writes."""
+    """Result of a calibration."""
 
     path: str
     sensor: SensorEstimate
     curves: Curves
     advice: tuple[Advice, ...]
-    """What is written, with the reasons."""
+    """Values to write, with reasons."""
     config: LoadedConfig
     """The calibrated configuration; its sources hold the reasons."""
     search: SearchResult | None = None
@@ -85,7 +85,7 @@ class Calibration:
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values for JSON."""
         support = self.config.config.prc.support
-        # the published figure fixes either at 1 m
+        # the published figure fixes the other threshold at 1 m
         table: dict[str, Any] = {
             "path": self.path,
             "sensor": self.sensor.as_dict(),
@@ -119,16 +119,16 @@ def calibrate(
     progress: Progress | None = None,
     tried: Tried | None = None,
 ) -> Calibration:
-    """Derive parameters from a stream, and from a reference if there is one.
+    """Derive parameters from a stream, and from a reference if given.
 
     Parameters
     ----------
     source : path
         Any readable input.
     config : LoadedConfig, optional
-        How the stream is found, and the parameters to start from. Default: the published urban ones.
+        How the stream is read, and the initial parameters. Default: the published urban ones.
     search : SearchOptions, optional
-        Reference and how the search is done; without it the parameters are those that the sensor implies.
+        Reference and options of the search; without it, parameters are those implied by the sensor.
     progress : callable, optional
         Called with the number of lines that were just read.
     tried : callable, optional
@@ -144,7 +144,7 @@ def calibrate(
         When the stream is damaged, has fewer than three lines or no range; when the reference holds another number of
         records, codes that the mapping does not list, or no scored record.
     ConfigError
-        When the objective or a value of the search makes no sense.
+        When the objective or an option of the search is invalid.
     """
     loaded = config if config is not None else LoadedConfig(RunConfig())
     run = loaded.config
@@ -167,7 +167,7 @@ def calibrate(
 
 
 def _prepare(search: SearchOptions, config: RunConfig) -> tuple[ClassMapping, CodeSource]:
-    """Check all that can be checked before the stream is read."""
+    """Check everything that can be checked before reading the stream."""
     mapping = search.mapping if isinstance(search.mapping, ClassMapping) else load_mapping(search.mapping)
     check_objective(search.objective, mapping)
     axes_of(config, search.keep)
@@ -210,11 +210,11 @@ def _groups(
     n_records: int,
     progress: Progress | None,
 ) -> tuple[tuple[Group, ...], tuple[Group, ...]]:
-    """Read the stream again and keep the groups of lines that were drawn, training and held-out ones."""
+    """Read the stream again and keep the drawn line groups, training and held-out."""
     k, m = config.prc.lines_per_block, stream.info.points_per_line
     wanted = -(-sum(lines.values()) // (GROUPS * k)) * k
     length = max(k, min(wanted, search.max_shots // 10 // m // k * k))
-    # a rest of less than half a group is left out
+    # a remainder of less than half a group is left out
     n_groups = sum(n // length + (2 * (n % length) >= length) for n in lines.values())
     order = np.random.default_rng(search.seed).permutation(n_groups)
     kept = sorted(order[: max(2, search.max_shots // (length * m))].tolist())
@@ -231,7 +231,7 @@ def _groups(
             if at in kept:
                 record = block.records().ravel()
                 truth: I64 = np.where(record >= 0, classes[np.maximum(record, 0)], -1).astype(np.int64)
-                # what the classifiers do not look at need not stay in memory
+                # drop what the classifiers do not use, to save memory
                 light = replace(
                     block, record=None, time_s=None, intensity=None, extra=type(block.extra).none(), next_m=None,
                     first_line=0, scanner=0, is_last=True,
@@ -243,7 +243,7 @@ def _groups(
 
 
 def _spool(codes: CodeSource, mapping: ClassMapping, spool: Any, n_records: int, path: str) -> Any:
-    """Write the reference class of every record to a temporary file, and give it as an array on disk."""
+    """Write the reference class of every record to a temporary file; return it as a memory-mapped array."""
     n = n_scored = 0
     for chunk in codes.chunks():
         found = mapping.class_indices(chunk, "reference").astype("<i2")
@@ -311,7 +311,7 @@ def _configured(config: RunConfig, key: str, points_per_line: int) -> float:
 
 
 def _found_advice(advice: tuple[Advice, ...], found: SearchResult, config: RunConfig) -> tuple[Advice, ...]:
-    """Let what the search found take the place of what the sensor implies."""
+    """Replace values implied by the sensor with those of the search."""
     by_key = {item.key: item for item in advice}
     rest = tuple(item for item in advice if item.key not in found.values)
     new = []
@@ -339,7 +339,7 @@ def _notes(sensor: SensorEstimate) -> tuple[str, ...]:
 
 
 def _blind(found: SearchResult) -> tuple[str, ...]:
-    """Say that nothing punishes wide thresholds where the reference knows no noise."""
+    """Warn that wide thresholds are not penalised if the reference has no noise class."""
     counts = {item.name: item.n_reference for item in found.judged[0].training.classes}
     if any(key.startswith("prc.support.") for key in found.values) and not counts.get("noise", 0):
         return (
@@ -350,7 +350,7 @@ def _blind(found: SearchResult) -> tuple[str, ...]:
 
 
 def _doubts(found: SearchResult) -> tuple[str, ...]:
-    """Say when the search did worse on held-out lines than what it started from."""
+    """Warn if the result of the search is worse on held-out lines than its start."""
     value = {item.name: objective_value(item.held_out, found.objective) for item in found.judged}
     return tuple(
         f"on the held-out lines the values {'as configured' if name == 'configured' else name} reach "

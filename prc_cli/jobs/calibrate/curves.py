@@ -17,13 +17,13 @@ from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, I64
 
 DECADES = (-3, 2)
-"""Powers of ten that the thresholds are swept over [m] (Fig. 4)."""
+"""Range of the threshold sweep, as powers of ten [m] (Fig. 4)."""
 PER_DECADE = 10
-"""Thresholds in a decade."""
+"""Thresholds per decade."""
 
 
 def thresholds(*also: float) -> F64:
-    """Return ascending thresholds from 1 mm to 100 m, evenly in the logarithm, with the given ones among them [m].
+    """Return ascending thresholds from 1 mm to 100 m, logarithmically spaced, including the given ones [m].
 
     >>> thresholds(0.7)[[0, -1]], 0.7 in thresholds(0.7)
     (array([1.e-03, 1.e+02]), True)
@@ -38,7 +38,7 @@ def thresholds(*also: float) -> F64:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """How many returns are supported, and how many are background, at which thresholds."""
+    """Numbers of supported and of background returns by threshold."""
 
     zetas_p: F64
     """(P,) float64, thresholds in the line [m]."""
@@ -104,7 +104,7 @@ class Curves:
 
 @dataclass(slots=True)
 class CurveCounter:
-    """Adds blocks up; what it keeps does not grow with the stream.
+    """Accumulates the counts over blocks, in bounded memory.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class CurveCounter:
 
     def __post_init__(self) -> None:
         support = self.params.support
-        # the fixed value of either curve is 1 m as published
+        # either curve is taken with the other threshold at 1 m, as published
         self.zetas_p = thresholds(1.0, support.zeta_p)
         self.zetas_s = thresholds(1.0, support.zeta_s)
         self.lengths = thresholds(self.params.background.d_c)
@@ -131,7 +131,7 @@ class CurveCounter:
         self._bend = np.zeros(len(self.lengths) + 1, np.int64)
 
     def add(self, block: ScanBlock) -> None:
-        """Count a block; its ``next_m`` must hold the lines that follow, blocks of a scanner come in order."""
+        """Count a block with look-ahead (``next_m``); blocks of a scanner must come in order."""
         m = block.points_per_line
         tail = self._tails.get(block.scanner)
         if tail is None:

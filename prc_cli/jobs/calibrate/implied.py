@@ -1,4 +1,4 @@
-"""The parameters that follow from the sensor and its stream, each with its reason in words."""
+"""Parameters derived from the sensor and its stream, each with the reason in words."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from prc_cli.jobs.calibrate.curves import Curves
 from prc_cli.jobs.calibrate.sensor import SensorEstimate
 
 D_C_SIGMAS = 17.0
-"""d_c in standard deviations of the noise: the bend of a flat has 1.22 of them, and 0.2 d_c should be 2.8 bends."""
+"""d_c in standard deviations of the noise: the deviation in eq. 9 on a flat has 1.22 of them, 0.2 d_c should be 2.8
+times that."""
 D_C_STEPS = 2.0
 """d_c in distances between successive shots: eq. 9 compares three of them."""
 ZETA_SIGMAS = 6.0
-"""Least zeta in standard deviations: the difference of two shots has 1.41 of them and must agree nearly always."""
+"""Least zeta in standard deviations: the difference of two ranges has 1.41 of them, and must nearly always agree."""
 PLATEAU_M = 10.0
-"""Threshold beyond which the share of supported shots has stopped to rise (Fig. 4, upper end of both ranges)."""
+"""Threshold beyond which the supported share no longer rises (Fig. 4, upper end of both ranges)."""
 PLATEAU_SHARE = {"urban": 0.95, "forest": 0.5}
-"""Part of the share at :data:`PLATEAU_M` that a threshold has to reach. In forest thresholds are tight on purpose."""
+"""Part of the share at :data:`PLATEAU_M` that a threshold must reach; in forest, thresholds are narrow on purpose."""
 LEAST_PLATEAU = 0.2
-"""Share of the returns that :data:`PLATEAU_M` has to support for a curve to say anything about its threshold."""
+"""Least supported share at :data:`PLATEAU_M` for a curve to be usable."""
 LEAST_AREA = 12.0
-"""Pixels of the smallest patch that is a surface: three lines of four shots, in which the middle line is supported."""
+"""Pixels of the smallest surface: three lines of four shots, of which the middle line is supported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ def imply(sensor: SensorEstimate, curves: Curves, params: PrcParams, range_noise
     curves : Curves
         With the thresholds of ``params`` on their grids.
     params : PrcParams
-        What is configured; values that agree with the stream stay.
+        Configured parameters; values that agree with the stream stay.
     range_noise_m : float
         ``sequential_angle.angles.range_noise_m`` as configured [m].
     """
@@ -79,7 +80,7 @@ def _block(sensor: SensorEstimate, params: PrcParams) -> Advice:
 def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[Advice, Advice]:
     support, need = params.support, PLATEAU_SHARE[params.environment]
     noise = sensor.noise_at(sensor.range_quantiles_m["75%"]) or 0.0
-    # either is judged with the other one wide open, so that one tight threshold does not hide the other
+    # each threshold is examined with the other at its widest, so that a narrow one does not hide the other
     rows = (
         ("zeta_s", support.zeta_s, curves.zetas_s, curves.over_zeta_s(PLATEAU_M)),
         ("zeta_p", support.zeta_p, curves.zetas_p, curves.over_zeta_p(PLATEAU_M)),
@@ -111,7 +112,7 @@ def _zetas(sensor: SensorEstimate, curves: Curves, params: PrcParams) -> tuple[A
 
 
 def _on(grid: F64, value: float) -> float:
-    """Return a value that is on the grid; thresholds of zero are not."""
+    """Return a value on the grid; zero is not on it."""
     return value if value in grid else float(grid[0])
 
 
@@ -169,5 +170,5 @@ def round_up(value: float, digits: int) -> float:
     if value <= 0:
         return value
     unit = digits - 1 - math.floor(math.log10(value))
-    # a value that has no more digits stays as it is, whatever the last bit says
+    # a value with no more digits stays as it is, despite rounding errors in the last bit
     return round(math.ceil(round(value * 10.0**unit, 6)) / 10.0**unit, max(0, unit))

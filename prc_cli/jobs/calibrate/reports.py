@@ -26,7 +26,7 @@ def as_json(found: Calibration) -> str:
 
 
 def as_toml(found: Calibration) -> str:
-    """Return the calibrated configuration with the reason of every value that was looked at."""
+    """Return the calibrated configuration as TOML, with the reason of every examined value."""
     lines = [
         f"# Calibrated by prc {__version__} on {_plain(found.path)}",
         *(f"#   {name}: {value}" for name, value in sensor_rows(found.sensor)),
@@ -47,7 +47,7 @@ def as_toml(found: Calibration) -> str:
 
 
 def sensor_rows(sensor: SensorEstimate) -> Iterator[tuple[str, str]]:
-    """Yield what was measured, in words and with units."""
+    """Yield the measurements, in words and with units."""
     ranges = sensor.range_quantiles_m
     yield "shots", f"{sensor.n_shots:,} in {sensor.n_lines:,} lines of {sensor.points_per_line:,}"
     yield "missing", f"{sensor.missing_share:.1%}"
@@ -96,10 +96,10 @@ def judged_rows(found: Calibration) -> tuple[tuple[str, ...], list[tuple[str, ..
 
 
 def curve_rows(found: Calibration) -> Iterator[tuple[str, str, str, str]]:
-    """Yield threshold, share over zeta_p, share over zeta_s and share of background over d_c, three a decade."""
+    """Yield threshold, share over zeta_p, share over zeta_s and share of background over d_c, three per decade."""
     curves = found.curves
     wanted = {float(f"{factor}e{power}") for power in range(-3, 2) for factor in (1, 2, 5)} | {100.0}
-    # thresholds are a tenth of a decade apart: the nearest one stands for 2 and 5
+    # thresholds are a tenth of a decade apart: the nearest ones are shown for 2 and 5
     for target in sorted(wanted):
         cells = []
         for grid, shares in (
@@ -203,14 +203,14 @@ def as_svg(found: Calibration) -> str:
 
 
 def _chosen(key: str, value: float, at: float, place: int, colour: str, dash: str, *, inside: bool) -> list[str]:
-    """Mark the chosen threshold of a curve by an upright line; off the scale it is at the edge and says so."""
+    """Mark the chosen threshold of a curve by a vertical line; off the scale it is drawn at the edge, with a note."""
     anchor, gap = ("end", -5) if at > WIDTH - 180 else ("start", 5)
     half = (_TOP + HEIGHT - _BOTTOM) // 2
     told = f"{key} = {value:g} m" + ("" if inside else " (off the scale)")
     return [
         f'<line class="chosen" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP}" y2="{HEIGHT - _BOTTOM}" '
         f'stroke="{colour}"{dash}/>',
-        # at half height, where curves are steep or far; one below the other, since thresholds often are the same
+        # at half height, away from the curves; below each other, since thresholds are often equal
         f'<text x="{at + gap:.1f}" y="{half + 16 * place}" text-anchor="{anchor}" fill="{colour}" '
         f'stroke="white" stroke-width="3" paint-order="stroke">{told}</text>',
     ]
@@ -227,7 +227,7 @@ def _value(value: float | int | str) -> str:
 
 
 def _plain(text: str) -> str:
-    """Keep a file name from ending a comment or a cell."""
+    """Escape a file name so that it cannot end a comment or a table cell."""
     return "".join(character if character.isprintable() else ascii(character)[1:-1] for character in text)
 
 

@@ -1,6 +1,6 @@
-"""Search for parameters that agree best with a reference, and the honest figure on lines that had no say.
+"""Search for the parameters that agree best with a reference; scores on held-out lines.
 
-Training and held-out lines are contiguous groups, so that neighbours of a training shot are not held out beside it.
+Training and held-out lines are contiguous groups, so that neighbouring shots are not split between the two.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from prc_cli.jobs.classify import label_blocks
 MEAN_F1 = "mean_f1"
 """Objective: mean F1 over the classes that the reference holds."""
 LEAST_GAIN = 1e-4
-"""Gain from which on a set of parameters replaces the best one: less is chance, and would depend on rounding."""
+"""Least gain for a new best set of parameters: less is chance, and would depend on rounding."""
 REFINEMENTS = 2
-"""Times that the steps of the grid are halved after nothing is gained at the coarse ones."""
+"""How often the grid steps are halved once the coarse ones gain nothing."""
 
 Tried = Callable[[int, float], None]
 """Called after every trial with the number of trials and the best objective so far."""
@@ -36,20 +36,20 @@ Tried = Callable[[int, float], None]
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """One parameter that is searched."""
+    """One searched parameter."""
 
     key: str
     grid: tuple[float, ...]
     """Coarse values, ascending."""
     bounds: tuple[float, float]
-    """Least and greatest value that the refinement goes to."""
+    """Bounds of the refinement."""
     whole: bool = False
     """Whole numbers only."""
 
 
 ZETA_BOUNDS = (0.01, 10.0)
-"""Thresholds between which the method is stable in the paper (IV-A); a reference without noise would widen them for
-ever."""
+"""Bounds between which the method is stable in the paper (IV-A); a reference without noise would widen thresholds
+without limit."""
 
 PRC_AXES = (
     Axis("prc.background.d_c", (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6), (0.005, 10.0)),
@@ -94,7 +94,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """What the search found."""
+    """Result of the search."""
 
     objective: str
     values: dict[str, float | int]
@@ -105,9 +105,9 @@ class SearchResult:
     n_training_groups: int
     n_held_out_groups: int
     judged: tuple[Judged, ...]
-    """As configured, as implied by the sensor, as found."""
+    """Scores as configured, as implied by the sensor, as found."""
     history: tuple[tuple[int, float], ...] = ()
-    """Trials that gained, and the objective they reached."""
+    """Number of each improving trial, and its objective."""
 
 
 @dataclass(slots=True)
@@ -117,7 +117,7 @@ class Searcher:
     Parameters
     ----------
     config : RunConfig
-        All that is not searched.
+        Values of all keys that are not searched.
     mapping : ClassMapping
         Which codes mean which class.
     training : tuple of Group
@@ -128,7 +128,7 @@ class Searcher:
     axes : tuple of Axis
         From :func:`axes_of`.
     tried : callable, optional
-        Told after every trial.
+        Called after every trial.
     """
 
     config: RunConfig
@@ -145,12 +145,12 @@ class Searcher:
     def run(self, starts: tuple[dict[str, float], ...]) -> dict[str, float | int]:
         """Search from the best of the starts, one parameter after the other, on finer and finer steps.
 
-        d_c and A work on the same shots, so that first all their pairs are tried.
+        d_c and A affect the same shots, so all their pairs are tried first.
 
         Returns
         -------
         dict
-            Best value of every key. Of equals the one that was tried first.
+            Best value of every key; on ties the one tried first.
         """
         axes = self.axes
         best = max(starts, key=lambda values: self._try(axes, values))
@@ -171,7 +171,7 @@ class Searcher:
         grids: dict[str, tuple[float, ...]] | None,
         factor: float,
     ) -> dict[str, float]:
-        """Change one parameter at a time until a whole round gains nothing."""
+        """Change one parameter at a time until a full round gains nothing."""
         while True:
             before = best
             for axis in axes:
@@ -208,12 +208,12 @@ class Searcher:
 
 
 def axes_of(config: RunConfig, keep: tuple[str, ...] = ()) -> tuple[Axis, ...]:
-    """Return what is searched for the configured classifier, without the keys that keep their value.
+    """Return the parameters to search for the configured classifier, without the keys to keep.
 
     Raises
     ------
     ConfigError
-        When a key that is kept is not searched anyway, or nothing is left.
+        When a key to keep is not a searched one, or nothing is left.
 
     Examples
     --------
@@ -287,7 +287,7 @@ def objective_value(found: Scores, objective: str) -> float:
 
 
 def check_objective(objective: str, mapping: ClassMapping) -> None:
-    """Refuse an objective that no evaluation with this mapping can answer.
+    """Refuse an objective that an evaluation with this mapping cannot have.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def figures(found: Scores, objective: str) -> dict[str, float | None]:
 
 
 def _scored(found: Scores) -> set[str]:
-    # classes of one side only have no F1
+    # classes on one side only have no F1
     return {item.name for item in found.classes if not math.isnan(item.f1)}
 
 
@@ -332,7 +332,7 @@ def _neighbours(axis: Axis, value: float, factor: float) -> tuple[float, ...]:
 
 
 def _round(value: float) -> float:
-    """Keep three significant digits: more are not worth writing down."""
+    """Round to three significant digits."""
     return float(f"{value:.3g}")
 
 

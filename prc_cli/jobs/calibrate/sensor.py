@@ -1,6 +1,6 @@
-"""What a stream of ranges says about the sensor that made it: noise, angular step, rounding, missing shots.
+"""Estimates sensor properties from a stream of ranges: noise, angular step, rounding, missing shots.
 
-Everything is measured on counts that are added up block by block, so that what is kept does not grow with the stream.
+All estimates use histograms accumulated block by block, in bounded memory.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
 
 STRETCH = 9
-"""Successive shots that are tested for flatness together."""
+"""Successive shots in a stretch that is tested for flatness."""
 MAX_SPREAD = 1.3
-"""Greatest ratio of ranges in a stretch: beyond it the beam grazes, and the noise of its shots differs too much."""
+"""Greatest ratio of ranges in a stretch: beyond it incidence is grazing, and the noise of the shots differs."""
 MIN_STRETCHES = 50
-"""Stretches that a range bin needs before it has a say."""
+"""Least number of stretches in a usable range bin."""
 FLAT_M = 0.1
-"""Deviation [m] from which on what was measured is no longer a flat stretch: foliage, not noise."""
+"""Deviation above which a stretch is foliage, not a noisy flat surface [m]."""
 MAX_GROWTH = 2.0
 """A range bin whose deviation exceeds that of the nearest flat bin, scaled by range, by this factor is not flat."""
 
 ALL_SHOTS = 2_000_000
-"""Shots from the start of which everything is measured; of what follows ..."""
+"""Shots from the start that are all measured; after that ..."""
 EVERY = 8
-"""... every eighth block, which is evidence enough. Shots and missing ones are counted throughout."""
+"""... every eighth block. Shots and missing shots are counted throughout."""
 
 _RANGE_EDGES: F64 = np.geomspace(0.25, 512.0, 45)
-"""Range bins for the noise, four an octave [m]."""
+"""Range bins for the noise, four per octave [m]."""
 _NOISE_EDGES: F64 = np.geomspace(1e-6, 10.0, 281)
-"""Deviation bins, forty a decade [m]."""
+"""Deviation bins, forty per decade [m]."""
 _LENGTH_EDGES: F64 = np.geomspace(1e-9, 1e39, 4801)
-"""Bins for ranges and range differences, a hundred a decade [m]."""
+"""Bins for ranges and range differences, a hundred per decade [m]."""
 _STEP_EDGES: F64 = np.geomspace(1e-5, 0.2, 861)
-"""Bins for the angular step, two hundred a decade [rad]."""
+"""Bins for the angular step, two hundred per decade [rad]."""
 _STEP_SPANS = (8, 16, 32, 64, 128, 256, 512)
 """Shots on either side that the angular step is measured over."""
 _STEP_AGREEMENT = 0.1
@@ -46,12 +46,12 @@ _STEP_AGREEMENT = 0.1
 _SPAN_AGREEMENT = 0.15
 """Relative difference up to which the steps over a span and over the next shorter one agree."""
 _MIN_BEND = 0.003
-"""Least 1 - cos of the angle of a span; below it the step drowns in the noise."""
+"""Least 1 - cos of the angle of a span; below it noise dominates the step."""
 _ROUNDINGS = tuple(sorted((factor * 10.0**power for power in range(-4, 1) for factor in (1, 2, 2.5, 5)), reverse=True))
-"""Roundings of stored ranges that are looked for [m], coarse ones first."""
+"""Candidate roundings of stored ranges, coarse ones first [m]."""
 _ROUNDED_SHARE = 0.99
 _SAMPLE_STEP = 37
-"""Every n-th shot is looked at for rounding."""
+"""Every n-th shot is tested for rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +64,12 @@ class NoiseBin:
     """Most frequent standard deviation about a plane [m]."""
     n_stretches: int
     flat: bool
-    """Whether it took part in the fit; foliage does not."""
+    """Whether it is used in the fit; foliage is not."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorEstimate:
-    """What was measured; None where the stream does not tell."""
+    """Estimated properties; None = cannot be estimated from the stream."""
 
     points_per_line: int
     n_lines: int
@@ -79,13 +79,13 @@ class SensorEstimate:
     """Ranges below which 5, 25, 50, 75 and 95 % of the returns lie [m]."""
     noise: tuple[NoiseBin, ...]
     sigma_m: float | None
-    """Part of the noise that does not depend on range [m]."""
+    """Range-independent part of the noise [m]."""
     sigma_per_m: float | None
-    """Part that grows with range [m per m]; surface relief under wider steps is in it."""
+    """Part proportional to range [m per m]; includes surface relief under wider steps."""
     step_rad: float | None
     """Angle between successive shots [rad]."""
     step_source: str
-    """Where the step comes from, in words."""
+    """How the step was obtained, in words."""
     rounding_m: float | None
     """Stored ranges are multiples of this [m]."""
     line_hz: float | None
@@ -130,7 +130,7 @@ class SensorEstimate:
 
 @dataclass(slots=True)
 class SensorMeter:
-    """Adds blocks up."""
+    """Accumulates measurements over blocks."""
 
     info: StreamInfo
     n_lines: int = 0
@@ -199,7 +199,7 @@ class SensorMeter:
             for place, counts in enumerate(self._steps)
             if counts.sum() >= MIN_STRETCHES
         }
-        # noise matters least over the longest span; in foliage the step that is found falls with the span
+        # the longest span suffers least from noise; in foliage the estimated step falls with the span
         for place in sorted(modes, reverse=True):
             if place - 1 in modes and abs(modes[place - 1] / modes[place] - 1) < _SPAN_AGREEMENT:
                 return modes[place], f"straight lines in the ranges, over {2 * _STEP_SPANS[place]} shots"
@@ -213,7 +213,7 @@ class SensorMeter:
         slack = np.spacing(values).astype(np.float64)
         for place, unit in enumerate(_ROUNDINGS):
             off = np.abs(exact - np.round(exact / unit) * unit)
-            # where float32 itself is coarser than the unit, everything would look rounded
+            # where float32 is coarser than the unit, every value would look rounded
             self._rounded[place] += np.count_nonzero((off <= slack) & (slack < unit / 16))
 
     def _rounding(self) -> float | None:
@@ -224,10 +224,10 @@ class SensorMeter:
 
 
 def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
-    """Measure how far stretches of successive shots are from flat, whatever their slope and the angular step.
+    """Measure the deviation of stretches of successive shots from a plane, for any slope and angular step.
 
-    On a plane the reciprocal of the range is a cosine of the scan angle, which a parabola follows over a few shots.
-    The residual of the reciprocals about it, times range squared, is the range noise.
+    On a plane the reciprocal of the range is a cosine of the scan angle, approximated by a parabola over a few shots.
+    The residual of the reciprocals, times range squared, is the range noise.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def stretch_deviations(ranges: F32) -> tuple[F64, F64]:
 
 
 def angular_steps(ranges: F32, span: int) -> F64:
-    """Measure the angle between successive shots where the line is straight.
+    """Measure the angle between successive shots where the surface is straight.
 
     Of three shots on a straight line, ``span`` shots apart, the reciprocals of the ranges satisfy
     ``1/a + 1/b = 2 cos(span * step) / r``. Half the span must give the same step.
@@ -299,7 +299,7 @@ def angular_steps(ranges: F32, span: int) -> F64:
 
 
 def _log_counts(values: F32 | F64, edges: F64) -> I64:
-    """Count values in bins that are even in the logarithm; what lies outside, and NaN, is left out."""
+    """Count values in logarithmic bins, without NaN and values outside."""
     flat = values.ravel()
     with np.errstate(divide="ignore", invalid="ignore"):
         place = np.log(flat / edges[0]) * ((len(edges) - 1) / math.log(edges[-1] / edges[0]))
@@ -309,7 +309,7 @@ def _log_counts(values: F32 | F64, edges: F64) -> I64:
 
 
 def _quantile(counts: I64, edges: F64, share: float) -> float | None:
-    """Return a quantile of binned values, the middle of its bin; None without values."""
+    """Return a quantile of binned values as the middle of its bin; None without values."""
     total = int(counts.sum())
     if not total:
         return None
@@ -318,17 +318,17 @@ def _quantile(counts: I64, edges: F64, share: float) -> float | None:
 
 
 def _log_mode(counts: I64, edges: F64, smooth: int) -> float:
-    """Return the most frequent value of bins that are even in the logarithm, over a running triangle."""
+    """Return the most frequent value of logarithmic bins, after smoothing with a triangle."""
     weights = np.bartlett(smooth + 2)[1:-1]
     place = int(np.argmax(np.convolve(counts, weights, mode="same")))
     return float(math.sqrt(edges[place] * edges[place + 1]))
 
 
 def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
-    """Return the most frequent deviation by range, and where it is that of a flat surface.
+    """Return the most frequent deviation by range, and whether it is that of a flat surface.
 
-    The most frequent logarithm of a sample's standard deviation is that of its population, however few make the
-    sample; foliage and edges are many, but spread over decades.
+    The mode of the logarithm of sample standard deviations is that of the population, even for small samples. Foliage
+    and edges are frequent, but spread over decades.
     """
     found: list[tuple[float, float, int]] = []
     for low, high, row in zip(_RANGE_EDGES[:-1], _RANGE_EDGES[1:], counts, strict=True):
@@ -337,7 +337,7 @@ def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
             found.append((math.sqrt(low * high), _log_mode(row, _NOISE_EDGES, smooth=11), n))
     if not found:
         return ()
-    # the flattest bin for its range, of the well filled ones, is flat; from there outwards on either side
+    # start at the flattest well-filled bin relative to its range, then go outwards on either side
     most = max(n for _, _, n in found)
     start = min((place for place, (_, _, n) in enumerate(found) if n >= most / 10), key=lambda i: found[i][1])
     flat = {start} if found[start][1] < FLAT_M else set()
@@ -352,7 +352,7 @@ def _noise_bins(counts: I64) -> tuple[NoiseBin, ...]:
 
 
 def _fit_noise(bins: tuple[NoiseBin, ...]) -> tuple[float | None, float | None]:
-    """Fit ``sigma**2 = a**2 + (b * range)**2`` to the flat bins, every bin by its relative error."""
+    """Fit ``sigma**2 = a**2 + (b * range)**2`` to the flat bins, minimising relative errors."""
     flat = [item for item in bins if item.flat]
     if not flat:
         return None, None

@@ -57,22 +57,22 @@ def evaluate_all(
     ----------
     predicted, reference : sequence of path
         As many on either side: the k-th of one is compared with the k-th of the other. Two folders: the files of one
-        name (except the suffix). A file against a folder, folders whose names differ, different numbers, or
-        ``pool``, where the match is not by order: all files of a side are one, for example the tiles of a reference.
+        name (except the suffix). With ``pool``, or where files cannot be paired (a file and a folder, different names
+        or numbers) and the match is not by order, all files of a side are compared as one, for example tiles.
     mapping : ClassMapping, name or path
         Which codes mean which class on either side: a preset name, a TOML file or a mapping.
     options : EvaluateOptions, optional
-        How records find their partner, what is split, and how intervals are found.
+        How records are matched, which splits are computed, and how intervals are computed.
 
     Returns
     -------
     Evaluation
-        The matrix of all pairs, how many records of either side found a partner, parts and intervals.
+        Matrix of all pairs, number of matched records on either side, parts and intervals.
 
     Raises
     ------
     ConfigError
-        Options that make no sense, or ask for what no file has.
+        Invalid options, or options that need what the files do not hold.
     InputError
         A damaged file; different counts (``order``), too few records with a partner, or different coordinate systems
         (``nearest``).
@@ -92,7 +92,7 @@ def evaluate_all(
     paths = [Path(path) for path in predicted], [Path(path) for path in reference]
     pools = open_pools(*paths, options)
     counts = Counts(found, {name: GroupedCounts(found, name) for name in ("all", *asked_parts(options))})
-    # blocks are counted in lines only if every pool knows its lines
+    # blocks are counted in lines only if the lines of every pool are known
     by_lines = all(LINE in (*left.dimensions, *right.dimensions) for left, right in pools)
     names: list[str] = []
     for left, right in pools:
@@ -148,7 +148,7 @@ def evaluate(
 
 
 def _note_missing(paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, Side]], counts: Counts) -> None:
-    """Name the files that were left out because they have no partner."""
+    """Report the files left out because they have no partner."""
     for k, side in enumerate(paths):
         used = {file.codes.path for pool in pools for file in pool[k].files}
         missing = [path.name for path in files_of(side) if str(path) not in used]
@@ -182,7 +182,7 @@ def _compare(
                     beside[FILE] = beside[FILE] + first_file
                 count_pairs(found, beside, cells_of(mapping, one[CODE], other[CODE]), options, by_lines=by_lines)
         except UnsortedError as error:
-            # most streams are sorted already; one that is not is sorted on disk, and the match starts again
+            # most streams are sorted; if not, sort on disk and start the match again
             on_disk[error.side] = True
             continue
         break
@@ -224,7 +224,7 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
 def _pairs(
     left: Side, right: Side, plan: _Plan, tally: JoinTally, on_disk: Sequence[bool], options: EvaluateOptions
 ) -> Iterator[tuple[Columns, Columns]]:
-    """Yield pairs of records as options ask."""
+    """Yield matched pairs of records."""
     columns = (CODE, *plan.keys, *plan.predicted), (CODE, *plan.keys, *plan.reference)
     one, other = (
         columns_of(side, names, sort=sort, with_record=False)
@@ -244,7 +244,7 @@ def _pairs(
 
 
 def _report(left: Side, right: Side, tally: JoinTally, counts: Counts, options: EvaluateOptions) -> None:
-    """Add up who found a partner, say what was left out, and refuse a poor match."""
+    """Add up the match counts, report what was left out, and refuse a poor match."""
     counts.n_predicted += left.tally.n_records
     counts.n_reference += right.tally.n_records
     counts.n_matched += tally.n_pairs

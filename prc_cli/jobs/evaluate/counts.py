@@ -1,4 +1,4 @@
-"""Counts of an evaluation: all pairs, the parts of its splits, the blocks of its intervals."""
+"""Confusion counts of an evaluation: all pairs, the parts of its splits, the blocks of its intervals."""
 
 from __future__ import annotations
 
@@ -36,32 +36,32 @@ from prc_cli.matching.sides import (
 )
 
 RECORDS_PER_LINE = 1000
-"""Records taken as one scan line in the blocks of an input without known lines."""
+"""Records that count as one scan line in the blocks of an input without known lines."""
 SPLITS = {RANGE: "range", LINE: "lines", SCANNER: "scanner"}
 
 
 @dataclass(slots=True)
 class Counts:
-    """Everything that is counted over all pairs of files."""
+    """All counts, summed over all pairs of files."""
 
     mapping: ClassMapping
     parts: dict[str, GroupedCounts]
-    """By split; ``all`` holds the one group of all pairs, ``blocks`` those of the intervals."""
+    """Grouped counts by split; ``all`` holds one group of all pairs, ``blocks`` those of the intervals."""
     n_predicted: int = 0
     n_reference: int = 0
     n_matched: int = 0
     n_reference_matched: int = 0
     notes: dict[str, int] = field(default_factory=dict)
-    """Sentences with ``{n}``, and how many records each is about; 0 for those without a number."""
+    """Sentences with ``{n}``, and the number of records of each; 0 for those without a number."""
 
     def note(self, sentence: str, n: int = 0) -> None:
-        """Keep a sentence; the numbers of the same one add up."""
+        """Add a sentence; numbers of equal sentences are added."""
         if n or "{n}" not in sentence:
             self.notes[sentence] = self.notes.get(sentence, 0) + n
 
 
 def asked_parts(options: EvaluateOptions) -> tuple[str, ...]:
-    """Return the splits, and ``blocks`` of intervals, that the options ask for."""
+    """Return the requested splits, and ``blocks`` if intervals are requested."""
     asked = {
         RANGE: bool(options.split_range_m),
         LINE: options.split_lines is not None,
@@ -89,7 +89,7 @@ def count_pairs(
 
 
 def scored_parts(counts: Counts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:
-    """Return the parts of a split that have scored records, and note how many records the others ignore."""
+    """Return the parts of a split that have scored records, and note the number of ignored records in the others."""
     parts = _parts(counts.parts[name], name, files, options)
     empty = [part for part in parts if not part.matrix.n_scored]
     if empty:
@@ -102,7 +102,7 @@ def scored_parts(counts: Counts, name: str, files: Sequence[str], options: Evalu
 
 
 def _parts(counts: GroupedCounts, name: str, files: Sequence[str], options: EvaluateOptions) -> tuple[SplitPart, ...]:
-    """Return the parts of a split in order, those of unknown place last."""
+    """Return the parts of a split in order, unknown ones last."""
     parts = []
     edges = check_edges(options.split_range_m)
     groups = [group for group in counts.groups if group != UNKNOWN]
@@ -129,7 +129,7 @@ def _parts(counts: GroupedCounts, name: str, files: Sequence[str], options: Eval
 def intervals_of(
     counts: Counts, matrix: ConfusionMatrix, options: EvaluateOptions, *, by_lines: bool
 ) -> tuple[dict[str, Interval], str]:
-    """Return intervals of all scores and how they were found."""
+    """Return intervals of all scores, and how they were computed."""
     if options.intervals is None:
         return {}, ""
     blocks = counts.parts["blocks"].scored()

@@ -13,10 +13,10 @@ from prc_cli.evaluation.splits import (
 )
 
 TIME_TOLERANCE_S = 6e-7
-"""Half a microsecond, as times in text are rounded, and the step of float64 at a thousand million seconds. Shots of a
-scanner of up to 1 MHz lie further apart, so none is paired with its neighbour."""
+"""Half a microsecond (the rounding of times in text) plus the step of float64 at 1e9 s. Shots of scanners up to 1 MHz
+are further apart, so none is paired with its neighbour."""
 NEAREST_TOLERANCE_M = 0.05
-"""A few times the rounding of registered clouds. Pairs are nearest to each other, so that it may exceed the spacing."""
+"""A few times the rounding of registered clouds. May exceed the point spacing, since pairs are mutually nearest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,19 +30,19 @@ class EvaluateOptions:
     """Largest difference of a pair: seconds for ``time``, metres for ``nearest``; None = :data:`TIME_TOLERANCE_S`,
     :data:`NEAREST_TOLERANCE_M`."""
     min_matched: float = 0.5
-    """Least share of the smaller side that must find a partner."""
+    """Least share of the smaller side that must be matched."""
     predicted_dimension: str | None = None
     """Column or dimension with the predicted codes; None = found by name."""
     reference_dimension: str | None = None
     """Column or dimension with the reference codes; None = found by name."""
     predicted_points: Path | None = None
-    """The points that predicted labels alone belong to, record by record: the input of the run; or their folder."""
+    """Points of predicted labels that have no coordinates, record by record: the input of the run; or their folder."""
     reference_points: Path | None = None
-    """The points that reference labels alone belong to, or their folder."""
+    """Points of reference labels that have no coordinates, or their folder."""
     split_range_m: tuple[float, ...] = ()
     """Edges of range bins [m]; empty = not split."""
     split_lines: int | None = None
-    """Scan lines of a part; None = not split."""
+    """Scan lines per part; None = not split."""
     split_scanner: bool = False
     """Whether every scanner is a part."""
     points_per_line: int | None = None
@@ -50,19 +50,19 @@ class EvaluateOptions:
     intervals: str | None = None
     """``jackknife`` or ``bootstrap``; None = no intervals."""
     interval_lines: int = 99
-    """Scan lines of a block that is left out or drawn as a whole."""
+    """Scan lines per block that is left out or drawn as a whole."""
     seed: int = 1
-    """Of the bootstrap."""
+    """Seed of the bootstrap."""
     one_to_one: bool = True
-    """``nearest``: only pairs that are nearest to each other; else a reference record may serve several."""
+    """``nearest``: only mutually nearest pairs; otherwise a reference record may have several partners."""
     allow_missing: bool = False
-    """Whether files of a folder that have no partner in the other one are left out instead of refused."""
+    """Whether files without partner in the other folder are left out instead of refused."""
     pool: bool = False
-    """Whether all files of a side are compared as one: for tiles of the same names with different bounds."""
+    """Whether all files of a side are compared as one, for example tiles with equal names but different bounds."""
 
 
 def check_options(options: EvaluateOptions) -> None:
-    """Refuse options that make no sense."""
+    """Refuse invalid options."""
     kind, _, name = options.match.partition(":")
     if options.match not in ("order", "time", "nearest") and not (kind == "dimension" and name):
         problem = f"found {options.match!r}, expected one of: order, time, dimension:NAME, nearest"

@@ -41,22 +41,22 @@ def class_pictures(
 ) -> tuple[tuple[str, bytes], ...]:
     """Draw the first scan lines of a dense stream as predicted, as in the reference, and where they differ.
 
-    Time runs to the right. As in ``prc render``, the sky is at the top if one of the files, or its points,
-    holds the direction down; else column 0 is. Of long lines every so many shots are drawn.
+    Time runs to the right. As in ``prc render``, the sky is at the top if one of the files, or its points, holds the
+    vertical direction; otherwise column 0 is at the top. Long lines are thinned.
 
     Parameters
     ----------
     predicted, reference : Path
         Label files with one code per shot, missing shots included, in the same order.
     mapping : ClassMapping
-        Whose classes are drawn, in the colours of the whole program.
+        Classes to draw, in the program's colours.
     points_per_line : int, optional
         M; the line of record i is i // M. None = found where either file numbers its scan lines and they are equally
         long.
     dimensions : (predicted, reference)
         Columns with the codes; None = found by name.
     points : (predicted, reference)
-        The points that labels alone belong to, files or folders.
+        Points of labels that have no coordinates, files or folders.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def class_pictures(
 
 
 def _points_of(labels: Path, where: Path) -> Path:
-    """Return the file of the points that a file of labels belongs to."""
+    """Return the point file of a label file."""
     return next((path for path in files_of([where]) if stem_of(path) == stem_of(labels)), where)
 
 
@@ -112,7 +112,7 @@ def _rows(paths: Iterable[Path], points_per_line: int, every: int) -> NDArray[np
     for path in paths:
         if path.suffix.lower() in _LABELS_ALONE:
             continue
-        # a file that cannot be read as a stream holds no direction down
+        # a file that cannot be read as a stream has no vertical direction
         with suppress(PrcError):
             block = next(iter(open_for_pictures(config, path).blocks()), None)
             if block is None or block.beam_rad is None or block.points_per_line != points_per_line:
@@ -152,7 +152,7 @@ def _png(places: U8, names: tuple[str, ...]) -> bytes:
     colours = [_NONE, *(bytes.fromhex(class_colour(name)[1:]) for name in names), _AGREE]
     height, width = places.shape
     across, down = max(1, _WIDTH // width), max(1, _HEIGHT // height)
-    # a picture that is small in both directions keeps its shape
+    # a small picture keeps its aspect ratio
     across, down = min(across, 4 * down), min(down, 4 * across)
     image = Image.fromarray(np.ascontiguousarray(places))
     image.putpalette([value for colour in colours for value in colour])

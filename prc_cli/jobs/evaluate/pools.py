@@ -1,4 +1,4 @@
-"""Files of both sides, opened and grouped into what is compared with each other."""
+"""Opens the files of both sides and groups them into pools that are compared with each other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from prc_cli.matching.sides import (
 
 
 def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOptions) -> list[tuple[Side, Side]]:
-    """Return the sides that are compared with each other."""
+    """Return the pairs of sides to compare."""
     if not predicted or not reference:
         raise ConfigError("files", "found none on one side, expected predicted and reference files")
     for path in (*predicted, *reference):
@@ -49,7 +49,7 @@ def open_pools(predicted: list[Path], reference: list[Path], options: EvaluateOp
 
 
 def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[Path], list[Path]]]:
-    """Return the pairs of two files or folders, or one pool of all files if names do not pair and keys can."""
+    """Return pairs of files, or one pool of all files if names do not pair and records are matched by a key."""
     try:
         return [([a], [b]) for a, b in pair_files(one, other, allow_missing=options.allow_missing)]
     except InputError:
@@ -59,7 +59,7 @@ def _pair(one: Path, other: Path, options: EvaluateOptions) -> list[tuple[list[P
 
 
 def _keys(options: EvaluateOptions) -> tuple[KeyRule | None, KeyRule | None]:
-    """Return what either side is read by; for ``nearest`` the axis is chosen later."""
+    """Return the key of either side; for ``nearest`` the axis is chosen later."""
     if options.match.startswith("dimension:"):
         left, _, right = options.match.removeprefix("dimension:").partition("=")
         return KeyRule("dimension", left), KeyRule("dimension", right or left)
@@ -68,7 +68,7 @@ def _keys(options: EvaluateOptions) -> tuple[KeyRule | None, KeyRule | None]:
 
 
 def _open(files: list[Path], dimension: str | None, points: Path | None) -> list[SideFile]:
-    """Open the files of one side with the points that their labels belong to."""
+    """Open the files of one side, with the points of their labels."""
     if points is None:
         return [SideFile.open(path, dimension, None) for path in files]
     if not points.is_dir():

@@ -1,4 +1,4 @@
-"""Pictures of a scan or a cloud, joined from reader, classifier and imaging; what ``prc render`` calls."""
+"""``prc render``: pictures of a scan or a point cloud."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def render(
     source : path
         Any readable input.
     output : path
-        ``.png`` (further pages as ``NAME_2.png`` and so on) or ``.html`` (one file that holds all pictures).
+        ``.png`` (further pages as ``NAME_2.png`` and so on) or ``.html`` (one file with all pictures).
     config : LoadedConfig
         How the input is read and classified.
     options : RenderOptions, optional
@@ -94,7 +94,7 @@ def render(
 
 
 def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:
-    """Put the strips on pages, each with its heading."""
+    """Distribute the strips over pages, each with its heading."""
     pages = []
     for first in range(0, len(drawing.strips), drawing.strips_per_page):
         strips = drawing.strips[first : first + drawing.strips_per_page]
@@ -118,7 +118,7 @@ def _write(
     overwrite: bool,
     inputs: tuple[Path, ...],
 ) -> RenderResult:
-    """Write the pages; all of them or none."""
+    """Write all pages or none."""
     if output.suffix.lower() == ".html":
         text = html_page(name, result.drawn, pages, key, f"prc {__version__}")
         with atomic_output(output) as temporary:

@@ -1,4 +1,4 @@
-"""Classes of records out of label files, one byte a record, on the disk: any record can be asked for at any time."""
+"""Classes of records from label files, cached on disk as one byte per record for random access."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ MAX_CLASSES = 250
 
 @dataclass(frozen=True, slots=True)
 class ClassTable:
-    """Names and colours of classes; place 0 means none."""
+    """Names and colours of classes; index 0 means none."""
 
     names: tuple[str, ...]
     colours: U8
     """(n, 3) uint8."""
 
     def key(self, counts: I64) -> tuple[tuple[str, tuple[int, int, int]], ...]:
-        """Return the names and colours of the classes that occur, with their shares of all but the first."""
+        """Return names and colours of the classes that occur, with their shares of all classified records."""
         total = max(int(counts[1:].sum()), 1)
         return tuple(
             (f"{name} {share_text(int(count), total)}", (int(colour[0]), int(colour[1]), int(colour[2])))
@@ -51,19 +51,19 @@ def share_text(count: int, total: int) -> str:
 
 
 LABEL_TABLE = ClassTable(LABEL_NAMES, np.array([LABEL_COLOURS[label] for label in Label], np.uint8))
-"""The classes of the program itself, in the order of :class:`~prc_cli.core.classes.Label`."""
+"""The program's own classes, in the order of :class:`~prc_cli.core.classes.Label`."""
 
 
 ASPRS = {
     3: Label.VEGETATION, 4: Label.VEGETATION, 5: Label.VEGETATION, 2: Label.GROUND, 6: Label.BUILDING, 7: Label.NOISE,
     11: Label.GROUND, 18: Label.NOISE,
 }  # fmt: skip
-"""Codes of LAS 1.4, table 17, that have a counterpart here."""
+"""Codes of LAS 1.4, table 17, that have a counterpart among the program's classes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Vocabulary:
-    """The classes that two sides are shown and compared in."""
+    """The classes used to show and compare two sides."""
 
     table: ClassTable
     mapping: ClassMapping | None
@@ -71,20 +71,20 @@ class Vocabulary:
 
     @property
     def unscored(self) -> int:
-        """Place of what has a return but no class, the last one of the table."""
+        """Index of returns without a class, the last one of the table."""
         return len(self.table.names) - 1
 
     def mark_unscored(self, places: U8, seen: Mask) -> U8:
-        """Tell returns without a class from shots without a return, (...) uint8 and (...) bool to (...) uint8."""
+        """Give returns without a class their own index, (...) uint8 and (...) bool to (...) uint8."""
         return np.where((places == 0) & seen, np.uint8(self.unscored), places)
 
     def turn(self, codes: I64, side: Side) -> U8:
-        """Turn class codes of a side into places in the table.
+        """Convert class codes of a side to indices of the table.
 
         Raises
         ------
         InputError
-            When a code is in no list.
+            When a code is not listed.
         """
         if self.mapping is None:
             return self._own(codes, side)
@@ -110,7 +110,7 @@ class Vocabulary:
         return found
 
     def turn_las(self, codes: I64) -> U8:
-        """Turn the classes that stand in a LAS file: the program's own codes, then ASPRS, the rest is unclassified."""
+        """Convert classes of a LAS file: the program's own codes first, then ASPRS codes; others are unclassified."""
         if self.mapping is not None:
             return self.turn(codes, "predicted")
         table = np.full(256, Label.UNCLASSIFIED, np.uint8)
@@ -122,12 +122,12 @@ class Vocabulary:
         return found
 
     def turn_labels(self, labels: U8) -> U8:
-        """Turn labels of the program into places in the table, as the predicted side has them.
+        """Convert labels of the program to indices of the table, as on the predicted side.
 
         Raises
         ------
         InputError
-            When a label's code is in no list.
+            When a label's code is not listed.
         """
         if self.mapping is None:
             return labels
@@ -141,7 +141,7 @@ class Vocabulary:
 
 
 def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
-    """Return the classes of a run: the program's own, or those that a mapping names."""
+    """Return the classes of a run: the program's own, or those of a mapping."""
     if options.mapping is None:
         return Vocabulary(
             ClassTable(
@@ -152,7 +152,7 @@ def vocabulary(options: RenderOptions, codes: ClassCodes) -> Vocabulary:
         )
     mapping = load_mapping(options.mapping)
     names = dict.fromkeys((*mapping.names("reference"), *mapping.names("predicted")))
-    # in the order of the program's own classes, what it does not know behind them
+    # the program's own classes first, in their order, then unknown ones
     ordered = sorted(names, key=lambda name: LABEL_NAMES.index(name) if name in LABEL_NAMES else len(LABEL_NAMES))
     if len(ordered) > MAX_CLASSES:
         where = "class mapping"
@@ -172,7 +172,7 @@ class RecordClasses:
 
     path: str
     places: NDArray[np.uint8]
-    """(records,) uint8, places in the table of classes; mapped from the disk."""
+    """(records,) uint8, indices of the class table; memory-mapped."""
 
     def look_up(self, record: I64) -> U8:
         """Return the class of records, (...) int64 to (...) uint8; -1 = none.
@@ -180,7 +180,7 @@ class RecordClasses:
         Raises
         ------
         InputError
-            When a record lies behind the last label.
+            When a record index is beyond the last label.
         """
         last = int(record.max(initial=-1))
         if last >= len(self.places):
@@ -207,7 +207,7 @@ _HINT = "give the labels of this very file, in its order of records"
 def read_classes(
     path: Path, dimension: str | None, turn: Callable[[I64], U8], folder: Path, name: str
 ) -> RecordClasses:
-    """Read a label file once and keep its classes in a file of one byte a record.
+    """Read a label file once and keep its classes in a file of one byte per record.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def read_classes(
     dimension : str or None
         Column or dimension that holds them.
     turn : callable
-        Codes to places in the table of classes.
+        Converts codes to indices of the class table.
     folder : Path
         Where the file goes.
     name : str
@@ -225,7 +225,7 @@ def read_classes(
     Raises
     ------
     InputError, ConfigError
-        When the labels cannot be read, or a code means nothing.
+        When the labels cannot be read, or a code is unknown.
     """
     source = open_codes(path, dimension)
     target = folder / name

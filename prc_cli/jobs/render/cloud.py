@@ -1,4 +1,4 @@
-"""Clouds from above and in perspective: points of a stream in its sensor's frame, or of a registered file."""
+"""Point clouds from above and in perspective, in the sensor's frame or as registered."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ from prc_cli.jobs.render.options import ColourBy, RenderOptions, RenderResult
 
 AXES = ("x", "y", "z")
 NO_CLASSES = (0, 1)
-"""Class codes of a LAS file that nobody classified."""
+"""Class codes of an unclassified LAS file."""
 POINTS_AT_ONCE = 1 << 20
 HIGHEST_PERSPECTIVE, HIGHEST_FROM_ABOVE = 0.75, 1.5
-"""Largest height of a picture by its largest width."""
+"""Largest height of a picture, relative to its largest width."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,22 +53,22 @@ class Points:
     values: dict[str, F64]
     """(n,) float64 by name: ``range``, ``intensity``, ``classification``, where the input has them."""
     n_without: int = 0
-    """Further returns and records outside the lines beside them, whose coordinates the stream does not hold."""
+    """Number of further returns and records outside the lines, whose coordinates the stream does not hold."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Where points come from: read as often as asked."""
+    """Source of points; may be read repeatedly."""
 
     source: Path
     loaded: LoadedConfig
     station: int | None
     records: RecordSource | None
-    """Coordinates as they stand in the file; None = those of the stream, relative to the scanner."""
+    """Records with the file's coordinates; None = use those of the stream, relative to the scanner."""
 
     @classmethod
     def open(cls, source: Path, loaded: LoadedConfig, station: int | None) -> Cloud:
-        """Choose the coordinates: those of the file, or, where it is read by sensor coordinates, those of the stream.
+        """Choose the coordinates: those of the file, or of the stream if ranges are read from sensor coordinates.
 
         Raises
         ------
@@ -94,7 +94,7 @@ class Cloud:
         return self.records is not None and self.source.suffix.lower() in LAS_SUFFIXES
 
     def points(self, names: tuple[str, ...]) -> Iterator[Points]:
-        """Read the points, with the named values beside them where the input has them."""
+        """Read the points, with the named values where the input has them."""
         yield from self._of_stream(names) if self.records is None else self._of_records(self.records, names)
 
     def _of_records(self, source: RecordSource, names: tuple[str, ...]) -> Iterator[Points]:
@@ -134,7 +134,7 @@ def draw_cloud(
     source : Path
         Any readable input with coordinates.
     loaded : LoadedConfig
-        How it is read, and classified where it is coloured by class.
+        How it is read, and classified if coloured by class.
     options : RenderOptions
         View, colours, size, labels.
     folder : Path
@@ -145,7 +145,7 @@ def draw_cloud(
     Raises
     ------
     InputError
-        No coordinates, or nothing that the points can be coloured by; labels of another length.
+        No coordinates, or no values to colour the points by; labels of another length.
     ConfigError
         Options that belong to the scan view.
     """
@@ -215,7 +215,7 @@ def _check_options(options: RenderOptions) -> None:
 
 
 def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
-    """Read all points once: a sample for the frame and the scales, whether it was classified, what has no place."""
+    """Read all points once; return a sample, whether the cloud has classes, and how many have no coordinates."""
     sample = Sample(5)
     has_classes, n_without = False, 0
     names = ("range", "intensity", "classification") if cloud.has_own_classes else ("range", "intensity")
@@ -233,7 +233,7 @@ def _look(cloud: Cloud) -> tuple[Sample, bool, int]:
 def _choose_colour(cloud: Cloud, options: RenderOptions, has_classes: bool) -> ColourBy:
     if options.colour is not None:
         return options.colour
-    # what is not LAS is a scan that can be classified on the spot
+    # inputs other than LAS are scans that can be classified now
     given = options.labels is not None or options.reference is not None
     return "class" if given or has_classes or not cloud.has_own_classes else "height"
 
@@ -241,7 +241,7 @@ def _choose_colour(cloud: Cloud, options: RenderOptions, has_classes: bool) -> C
 def _classes(
     cloud: Cloud, options: RenderOptions, words: Vocabulary, folder: Path, progress: Progress | None, *, has_own: bool
 ) -> RecordClasses:  # fmt: skip
-    """Return the class of every record: of the label file, else of the file itself, else classify it now."""
+    """Return the class of every record: from the label file, else from the file itself, else by classifying it."""
     if options.reference is not None:
         return read_classes(
             options.reference,
@@ -261,7 +261,7 @@ def _classes(
 
 @dataclass(frozen=True, slots=True)
 class _Paint:
-    """Gives points their colours."""
+    """Colours points."""
 
     by: ColourBy
     limits: tuple[float, float]
@@ -307,7 +307,7 @@ class _Paint:
 
 
 def _panel(picture: U8, camera: Camera, bar: Bar | None, options: RenderOptions, colour: str) -> Panel:
-    """Frame a picture: coordinates around a view from above, nothing around a perspective."""
+    """Frame a picture: axes around a view from above, none around a perspective."""
     caption = f"Points coloured by {colour}; steps in depth are shaded."
     if isinstance(camera, FromAbove):
         width, height = camera.size

@@ -1,4 +1,4 @@
-"""Images of every step of a stream, block by block."""
+"""Intermediate images of the classification, block by block."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from prc_cli.streams.beams import with_beams
 Plane: TypeAlias = NDArray[Any]
 
 TURN_LINES = 64
-"""Lines in which a rotation is looked for."""
+"""Lines examined for a rotation of the scanner."""
 LEAST_TURN_RAD = 1e-4
-"""Smallest step of azimuth between lines that is a rotation [rad]."""
+"""Smallest azimuth step between lines that counts as a rotation [rad]."""
 SEGMENT_COLOURS = 1 << 30
 """Segment ids are drawn modulo this number."""
 
@@ -42,23 +42,23 @@ class Frame:
 
 
 def open_for_pictures(loaded: LoadedConfig, path: Any) -> ScanStream:
-    """Open a stream; where the input tells where down is its blocks know it, whatever the classifier."""
+    """Open a stream, with beam angles if the input provides them, for any classifier."""
     stream = open_stream(path, loaded)
     if loaded.config.needs_beams:
         return stream
-    # without a vertical direction pictures simply lie on their side; damage is met again when the stream is read
+    # without a vertical direction pictures lie on their side; damage is reported when the stream is read
     with suppress(InputError, ConfigError):
         return with_beams(stream, loaded.config.input)
     return stream
 
 
 def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> Iterator[ScanBlock]:
-    """Keep the blocks of one scanner, by default of the first one met.
+    """Keep the blocks of one scanner, by default the first.
 
     Raises
     ------
     ConfigError
-        When there is no such scanner; the message lists those there are.
+        When there is no such scanner; the message lists all scanners.
     """
     others: set[int] = set()
     chosen, found = station, False
@@ -78,7 +78,7 @@ def of_station(blocks: Iterator[ScanBlock], station: int | None, path: str) -> I
 
 
 def count_lines(stream: ScanStream, station: int | None, loaded: LoadedConfig) -> int:
-    """Return the lines of one scanner; reads the stream where nothing else tells."""
+    """Return the number of lines of one scanner; reads the stream if it is not known otherwise."""
     info = stream.info
     alone = loaded.config.input.scanner == "none" and not info.facts.has_scans and station is None
     if info.n_lines is not None and alone:
@@ -89,7 +89,7 @@ def count_lines(stream: ScanStream, station: int | None, loaded: LoadedConfig) -
 def frames(
     blocks: Iterator[ScanBlock], loaded: LoadedConfig, steps: tuple[str, ...], *, classify: bool
 ) -> Iterator[Frame]:
-    """Classify blocks as far as the steps need it and give the images on the way.
+    """Classify blocks as far as the steps need it; yield the intermediate images.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def frames(
     Yields
     ------
     Frame
-        ``range`` always; ``classes`` (:class:`~prc_cli.core.classes.Label`) and the steps asked for.
+        Always ``range``; ``classes`` (:class:`~prc_cli.core.classes.Label`) and the requested steps.
     """
     config = loaded.config
     if not classify:
@@ -122,7 +122,7 @@ def frames(
 
 
 def trace_blocks(blocks: Iterator[ScanBlock], params: PrcParams) -> Iterator[tuple[ScanBlock, PrcTrace]]:
-    """Run PRC over the blocks of one scanner and keep the images on the way."""
+    """Run PRC over the blocks of one scanner; yield the intermediate images."""
     turn: OneByOne[PrcState] | None = None
     for block in regroup(blocks, params.lines_per_block):
         turn = turn or OneByOne(initial_state(block.points_per_line))
@@ -143,7 +143,7 @@ def _traced(blocks: Iterator[ScanBlock], params: PrcParams, steps: tuple[str, ..
 
 
 def _ids(segments: NDArray[np.int64]) -> Plane:
-    """Segment ids in half the bytes: what has an id keeps one that is not 0."""
+    """Return segment ids as int32, modulo :data:`SEGMENT_COLOURS` plus 1; 0 stays 0."""
     return np.where(segments > 0, segments % SEGMENT_COLOURS + 1, 0).astype(np.int32)
 
 
@@ -170,7 +170,7 @@ def _of_stages(block: ScanBlock, stages: StageLabels, steps: tuple[str, ...]) ->
 
 
 def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
-    """Return the columns of a vertical line from the sky to the ground; None where lines are not such lines.
+    """Return the columns of a vertical line from the sky to the ground; None if lines are not vertical.
 
     >>> upright(np.deg2rad([10.0, 90.0, 140.0])).tolist()
     [2, 1, 0]
@@ -181,13 +181,13 @@ def upright(beam_rad: F64 | None) -> NDArray[np.intp] | None:
 
 
 def turns(block: ScanBlock) -> float:
-    """Tell how a scanner turns from line to line, seen from above.
+    """Return how a scanner turns from line to line, seen from above.
 
     Returns
     -------
     float
-        Azimuth from line to line [rad]: positive anticlockwise, so that a picture begins on its right; negative
-        clockwise; 0 not at all, or not known.
+        Azimuth step per line [rad]: positive = anticlockwise (the picture begins on the right), negative = clockwise,
+        0 = none or unknown.
     """
     if block.xyz_m is None or block.n_lines < 2:
         return 0.0

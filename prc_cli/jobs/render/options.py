@@ -1,4 +1,4 @@
-"""What a picture is to show, and what came out."""
+"""Options and result of ``prc render``."""
 
 from __future__ import annotations
 
@@ -64,28 +64,28 @@ CAPTIONS: dict[str, tuple[str, str]] = {
 """Title and caption of every step."""
 
 LABEL_FILE_STEPS = ("range", "intensity", "classes")
-"""Steps of an existing result: nothing of what led to it is kept in a label file."""
+"""Steps of an existing result: label files hold no intermediate images."""
 REFERENCE_STEPS = ("reference", "difference")
 
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """What is drawn, and how large."""
+    """Contents and size of a picture."""
 
     view: View = "scan"
     """``scan``: lines and columns; ``top``, ``perspective``: the points in space."""
     steps: tuple[str, ...] | None = None
-    """Pictures of the scan view, from top to bottom; None = those that suit the part that is drawn."""
+    """Pictures of the scan view, from top to bottom; None = chosen by the part drawn."""
     block: int | None = None
     """Block of PRC, from 0; None = the whole drive."""
     lines: tuple[int, int] | None = None
-    """First line and the one behind the last, from 0."""
+    """First line, and last line + 1, from 0."""
     figure1: bool = False
     """The sequence of the paper's Fig. 1, for one block (the second one, or the only one, if none is given)."""
     station: int | None = None
     """Scanner, or scan of the file; None = the first one."""
     labels: Path | None = None
-    """Class codes of an existing result, in place of classifying."""
+    """Class codes of an existing result, instead of classifying."""
     labels_dimension: str | None = None
     reference: Path | None = None
     """Class codes to compare with."""
@@ -93,34 +93,34 @@ class RenderOptions:
     mapping: str | Path | None = None
     """Which codes mean which class on either side; None = the codes of ``[classes]`` on both."""
     colour: ColourBy | None = None
-    """What a cloud is coloured by; None = by class where classes are at hand, else by height."""
+    """Value that colours a cloud; None = class if available, else height."""
     azimuth_deg: float = 215.0
-    """Where the eye of the perspective stands, clockwise from north (+y), seen from the points [deg]."""
+    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]."""
     elevation_deg: float = 30.0
-    """How high it stands above them [deg]."""
+    """Elevation of the viewpoint, seen from the points [deg]."""
     width: int = 2200
     """Widest picture [pixels], frame not counted."""
     height: int = 6000
     """Highest page [pixels]."""
     pages: int = 1
-    """Most pages; what does not fit is thinned."""
+    """Most pages; longer scans are thinned."""
 
 
 @dataclass(frozen=True, slots=True)
 class RenderResult:
-    """What was drawn."""
+    """Summary of a picture."""
 
     files: tuple[Path, ...]
     size: tuple[int, int]
     """Width and height of the first page [pixels]."""
     drawn: str
-    """What is shown, in one line, as at the head of the picture."""
+    """Headline of the picture."""
     steps: tuple[str, ...] = ()
     lines: tuple[int, int] | None = None
     thinned_by: tuple[int, int] = (1, 1)
-    """One of so many lines and columns is drawn."""
+    """Every n-th line and column is drawn."""
     counts: dict[str, int] | None = None
-    """Shots by class, over all lines that were read for the picture, thinned out or not."""
+    """Shots by class, over all lines read for the picture, before thinning."""
     n_compared: int = 0
     """Shots with a class on both sides."""
     n_differing: int = 0
@@ -128,7 +128,7 @@ class RenderResult:
     n_points: int = 0
     """Points of a cloud inside the picture."""
     notes: tuple[str, ...] = ()
-    """What a reader of the picture should know."""
+    """Remarks for the reader of the picture."""
 
 
 def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
@@ -145,12 +145,12 @@ def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
 
 
 def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
-    """Return the steps to draw: those asked for, else all for a part and the outcome for a whole drive.
+    """Return the steps to draw: the requested ones, else all for a part, and only the result for a whole drive.
 
     Raises
     ------
     ConfigError
-        When a step is unknown, or is none of the method's; the message lists those there are.
+        When a step is unknown, or not one of the method; the message lists all steps.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Pictures of lines and columns: a block as the paper prints it, a static scan upright, a drive in strips."""
+"""Scan pictures of lines and columns: a block as in the paper, a static scan upright, a drive in strips."""
 
 from __future__ import annotations
 
@@ -55,14 +55,14 @@ from prc_cli.jobs.render.options import CAPTIONS, RenderOptions, choose_steps
 STRIP_HEIGHT, PANEL_HEIGHT, UPRIGHT_HEIGHT = 380, 800, 1100
 """Highest picture of a strip of a folded drive, of a drive that needs no folding, of an upright scan [pixels]."""
 FOLD_FROM = 2
-"""Vertical lines that do not turn are folded from so many widths of a picture on."""
+"""Length, in picture widths, above which vertical lines without rotation are folded into strips."""
 PAGE_ROOM = 140
-"""Room for headline and key of a page [pixels]."""
+"""Space for headline and key of a page [pixels]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Lines that are drawn."""
+    """The lines to draw."""
 
     first: int
     stop: int
@@ -93,11 +93,11 @@ class Drawing:
 
 @dataclass(slots=True)
 class _Kept:
-    """What is kept of the stream while it passes: thinned images, full counts."""
+    """Thinned images and full counts, collected while the stream is read."""
 
     planes: dict[str, list[Plane]] = field(default_factory=dict)
     counts: dict[str, I64] = field(default_factory=dict)
-    """Shots by class of every image of classes, thinned out or not."""
+    """Shots by class of every class image, before thinning."""
     n_compared: int = 0
     n_differing: int = 0
     beam_rad: F64 | None = None
@@ -108,7 +108,7 @@ class _Kept:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """How lines and columns lie on the page."""
+    """Arrangement of lines and columns on the page."""
 
     kind: str
     """``paper``: columns across, lines down; ``upright``: lines across, the sky at the top; ``strips``: lines
@@ -150,7 +150,7 @@ def draw_scan(
     steps = choose_steps(method, options)
     words = vocabulary(options, loaded.config.classes)
     stream = open_for_pictures(loaded, source)
-    # labels are checked first: they are small, and classifying may take long
+    # labels are checked first: they are small, and classifying takes long
     given = _read(options.labels, options.labels_dimension, words, "predicted", folder)
     reference = _read(options.reference, options.reference_dimension, words, "reference", folder)
     for side in (given, reference):
@@ -208,7 +208,7 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, n_lines: int) -> P
     Raises
     ------
     ConfigError
-        When the block or the lines are not in the file; the message says which are.
+        When the block or the lines are not in the file; the message gives the valid range.
     """
     k = loaded.config.prc.lines_per_block
     n_blocks = -(-n_lines // k)
@@ -232,7 +232,7 @@ def choose_part(options: RenderOptions, loaded: LoadedConfig, n_lines: int) -> P
 def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOptions) -> _Layout:
     n, m = part.stop - part.first, first.points_per_line
     width = options.width
-    # a scan that turns is one panorama; a push-broom drive goes on and on and is folded
+    # a rotating scan is one panorama; a long drive is folded into strips
     panorama = n <= FOLD_FROM * width or turns(first) != 0
     if upright(first.beam_rad) is not None and not options.figure1 and panorama:
         return _Layout("upright", -(-n // width), -(-m // UPRIGHT_HEIGHT), n, 1)
@@ -253,7 +253,7 @@ def _choose_layout(first: ScanBlock, part: Part, n_steps: int, options: RenderOp
 def _with_classes(
     frame: Frame, words: Vocabulary, given: RecordClasses | None, reference: RecordClasses | None
 ) -> Frame:
-    """Add the classes of label files, and the classes of the classifier in the words of both sides."""
+    """Add the classes of label files, and the classifier's classes in the vocabulary of both sides."""
     if given is None and reference is None:
         return frame
     planes = dict(frame.planes)
@@ -270,7 +270,7 @@ def _with_classes(
 def _keep(
     kept: _Kept, frame: Frame, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary
 ) -> None:  # fmt: skip
-    """Count what is in the part and keep what is drawn of it."""
+    """Count the part's shots, and keep the lines and columns to draw."""
     block = frame.block
     kept.tally = kept.tally + block.tally
     kept.n_read = max(kept.n_read, int(block.records().max(initial=-1)) + 1)
@@ -322,7 +322,7 @@ def _draw(
 
 
 def _keys(kept: _Kept, words: Vocabulary, own: ClassTable) -> dict[str, Key]:
-    """Return the key of every picture of classes: what occurs in it, with its shares."""
+    """Return the key of every class picture: classes that occur, with shares."""
     tables = {"classes": own, "reference": words.table, "coarse": LABEL_TABLE, "dense": LABEL_TABLE}
     keys: dict[str, Key] = {}
     for step, counts in kept.counts.items():
@@ -342,14 +342,14 @@ _NO_RETURN = "no return"
 
 
 def _names(table: ClassTable, counts: I64) -> Key:
-    """Return the classes that occur, without shares, which would be those of one of several pictures."""
+    """Return the classes that occur, without shares, which differ between pictures."""
     order = [*range(1, len(table.names)), 0]
     found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in order if counts[i]]
     return tuple((name, (int(colour[0]), int(colour[1]), int(colour[2]))) for name, colour in found)
 
 
 def _shared_key(kept: _Kept, steps: tuple[str, ...], words: Vocabulary, own: ClassTable) -> Key:
-    """Return one key for a sheet of strips: with shares where they can be those of one picture only."""
+    """Return one key for a sheet of strips; with shares only if they belong to a single picture."""
     keys = _keys(kept, words, own)
     shown = [step for step in steps if step in keys]
     if len(shown) == 1:
@@ -361,14 +361,14 @@ def _shared_key(kept: _Kept, steps: tuple[str, ...], words: Vocabulary, own: Cla
             entries |= dict.fromkeys(keys[step])
         else:
             entries |= dict.fromkeys(_names(table, kept.counts[step][: len(table.names)]))
-    # what is no class stands at the end
+    # entries that are no class go last
     last = (NOT_SCORED, "both agree", _NO_RETURN)
     return tuple(sorted(entries, key=lambda entry: last.index(entry[0]) if entry[0] in last else -1))
 
 
 @dataclass(slots=True)
 class _Painter:
-    """Colours the images; scales are those of all that is drawn, so that strips and pages can be compared."""
+    """Colours the images, with scales common to all strips and pages."""
 
     planes: dict[str, Plane]
     steps: tuple[str, ...]
@@ -376,7 +376,7 @@ class _Painter:
     own: ClassTable
     notes: dict[str, str] = field(default_factory=dict)
     keys: dict[str, Key] = field(default_factory=dict)
-    """Keys of single pictures, where the sheet has none for all."""
+    """Keys of single pictures, if the sheet has no common key."""
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -427,7 +427,7 @@ def _lines_of(part: Part, layout: _Layout, first: int, stop: int) -> tuple[int, 
 def _panel(
     step: str, picture: U8, bar: Bar | None, painter: _Painter, kept: _Kept, layout: _Layout, lines: tuple[int, int]
 ) -> Panel:  # fmt: skip
-    """Turn a picture as it is looked at and give it its axes."""
+    """Orient a picture for viewing and add its axes."""
     title, caption = CAPTIONS[step]
     n, m = picture.shape[:2]
     along = Axis("line", *lines)
@@ -450,7 +450,7 @@ def _panel(
 
 
 def _shape(kept: _Kept, layout: _Layout) -> float | None:
-    """Return the height of a drawn cell by its width, as angles from the scanner; None = not known."""
+    """Return the ratio of height to width of a drawn cell, as angles from the scanner; None = unknown."""
     if not kept.turn_rad or kept.beam_rad is None or len(kept.beam_rad) < 2:
         return None
     step = float(np.median(np.abs(np.diff(kept.beam_rad))))
@@ -458,7 +458,7 @@ def _shape(kept: _Kept, layout: _Layout) -> float | None:
 
 
 def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
-    """Return factors that keep the shape of things, if it is known, and make few rings high enough to be looked at.
+    """Return enlargement factors that keep the aspect ratio, if known, and make scans of few rings high enough.
 
     >>> _upright_zoom(720, 501, 0.5), _upright_zoom(345, 1074, 0.5), _upright_zoom(2198, 64, 2.4)
     ((2, 1), (2, 1), (1, 4))
@@ -472,7 +472,7 @@ def _upright_zoom(n: int, m: int, shape: float | None) -> tuple[int, int]:
 
 
 def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
-    """Return the axis of an upright picture: elevations where rows are evenly spaced, else columns."""
+    """Return the vertical axis of an upright picture: elevations if rows are evenly spaced, else columns."""
     elevation = np.rad2deg(np.abs(beam_rad[order])) - 90.0
     if len(elevation) > 2:
         step = (elevation[-1] - elevation[0]) / (len(elevation) - 1)
@@ -484,7 +484,7 @@ def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
 
 
 def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, name: str) -> str:
-    """Say in one line what is shown."""
+    """Return the headline of a picture."""
     part, config = drawing.part, loaded.config
     words = [name]
     if options.labels is not None:

@@ -1,7 +1,7 @@
-"""A reduced stream: noise dropped, chosen classes thinned out by line and column or by spacing: ``prc thin``.
+"""``prc thin``: drops noise and thins chosen classes, by line and column or by spacing.
 
-Shots that are dropped become shots without return. LAS and LAZ files lose their records and keep everything else byte
-for byte; other formats are written anew, as :mod:`prc_cli.jobs.convert` does.
+Dropped shots become shots without return. From LAS and LAZ files their records are removed and all else stays byte for
+byte; other formats are written anew, as in :mod:`prc_cli.jobs.convert`.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ from prc_cli.streams.beams import with_beams
 from prc_cli.streams.grid import GridStream
 
 CLASSIFY = "classify"
-"""Labels: those that the classifier gives on the way."""
+"""Value of ``labels`` for classifying the input on the fly."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClassSaving:
-    """What became of one class."""
+    """Result for one class."""
 
     code: int
     """Class code, -1 = returns without one."""
@@ -64,7 +64,7 @@ class ClassSaving:
     """Returns of the class in the input."""
     n_kept: int
     n_bytes: int
-    """Bytes saved: the file's, shared out by the returns that were dropped."""
+    """Bytes saved: the difference of file sizes, in proportion to the dropped returns."""
 
     @property
     def n_dropped(self) -> int:
@@ -74,7 +74,7 @@ class ClassSaving:
 
 @dataclass(frozen=True, slots=True)
 class ThinningSummary:
-    """What thinning did."""
+    """Summary of a thinning."""
 
     output: Path
     record: RunRecord
@@ -119,21 +119,21 @@ def thin(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> ThinningSummary:
-    """Write a reduced stream; the output exists whole or not at all.
+    """Write a reduced stream; the output is complete or absent.
 
     Parameters
     ----------
     source : path
         Any readable input.
     output : path
-        Any writable format. Between LAS and LAZ, records are left out and everything else stays as it is; classes are
-        those of the input, also where others decided what is dropped.
+        Any writable format. Between LAS and LAZ, records are left out and everything else stays as it is; this
+        includes the classes, even if ``labels`` decided what was dropped.
     rules : tuple of ThinRule, optional
-        From :func:`parse_rules`; default: noise is dropped.
+        From :func:`parse_rules`; default: drop noise.
     config : LoadedConfig or RunConfig, optional
-        How the stream is found, and how it is classified under ``labels = "classify"``.
+        How the stream is read, and, with ``labels = "classify"``, classified.
     labels : path or "classify", optional
-        A label file, one code a record; or the classifier. Default: the classes of the input.
+        A label file with one code per record, or the classifier. Default: the classes of the input.
     overwrite : bool
         Replace an existing output.
     progress : callable, optional
@@ -146,7 +146,7 @@ def thin(
     Raises
     ------
     ConfigError
-        When there are no classes, or the lines of a LAS file could not be found again in the output.
+        When there are no classes, or lines could not be found again in a LAS output.
     InputError, OutputError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
@@ -214,7 +214,7 @@ class _Run:
         return record
 
     def write(self, progress: Progress | None, size: int, mtime_ns: int) -> RunRecord:
-        """Write the stream anew without the shots that are dropped."""
+        """Write the stream anew without the dropped shots."""
         with self._open(xyz=True) as (opened, items):
             shape = replace(opened.shape, codes=True)
             with open_stream_writer(self.output, shape, compress=True) as writer:
@@ -233,7 +233,7 @@ class _Run:
                 return writer.finish(record)
 
     def summary(self, record: RunRecord) -> ThinningSummary:
-        """Return what was done, the bytes saved shared out by the returns dropped."""
+        """Return the summary."""
         names = self.loaded.config.classes.names()
         bytes_input = self.source.stat().st_size
         bytes_output = sum(path.stat().st_size for path in outputs_of(self.output)[:-1])
@@ -256,7 +256,7 @@ class _Run:
 
     @contextlib.contextmanager
     def _open(self, *, xyz: bool) -> Iterator[tuple[OpenedItems, Iterator[tuple[StreamItem, I32, I32]]]]:
-        """Open the stream with the class codes of every block, wherever they come from."""
+        """Open the stream with the class codes of every block, from the chosen source."""
         labelled: dict[int, tuple[I32, I32]] = {}
 
         def blocks_of(stream: ScanStream) -> Iterator[ScanBlock]:
@@ -296,7 +296,7 @@ class _Run:
             yield opened, items()
 
     def _read_labels(self, path: Path, stack: contextlib.ExitStack) -> RecordValues:
-        """Put the codes of a label file where they can be asked for by record."""
+        """Load the codes of a label file for access by record."""
         codes = open_codes(path)
         place = temporary_name(self.output)
         stack.callback(lambda: place.unlink(missing_ok=True))
@@ -344,12 +344,12 @@ class _Run:
 
 
 def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
-    """Refuse a LAS file whose cells follow from the order of its records; say what else has to be given to read it.
+    """Refuse a LAS file whose cells depend on the order of its records; return the options needed to read the output.
 
     Raises
     ------
     ConfigError
-        When records cannot be left out without moving others to another cell.
+        When leaving records out would move others to another cell.
     """
     grid = opened.grid
     if grid is None:
@@ -365,7 +365,7 @@ def _check_lines(source: Path, opened: OpenedItems) -> tuple[str, ...]:
 
 
 def _needed(grid: GridStream) -> tuple[str, ...]:
-    """Say which values the reader found in all records have to be given for the thinned ones."""
+    """Return the options that replace values the reader estimated from all records."""
     rules, told = grid.rules, []
     if rules.line_hz is not None and rules.time_origin_s is None:
         first = next(iter(grid.source.chunks(("time",)))).values["time"]

@@ -1,4 +1,4 @@
-"""Which share of which class is kept: what was typed, checked and turned into rules."""
+"""Rules of ``prc thin``: which share of which class is kept."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from prc_cli.core.errors import ConfigError
 from prc_cli.formats.writing.options import HIGH_NOISE_CODE
 
 MAX_DENOMINATOR = 1_000_000
-"""Finest fraction of a class."""
+"""Largest denominator of a fraction."""
 MAX_SPACING_M = 10_000.0
 
 
 @dataclass(frozen=True, slots=True)
 class ThinRule:
-    """What is kept of a class."""
+    """How much of a class is kept."""
 
     name: str
     codes: tuple[int, ...]
-    """Class codes that are meant."""
+    """Class codes of the rule."""
     share: Fraction | None = None
-    """Share of the shots, in a pattern of line and column; 0 = none, 1 = all."""
+    """Share of shots to keep, in a pattern of line and column; 0 = none, 1 = all."""
     spacing_m: float | None = None
     """Least distance between shots of the class in a line [m]."""
 
@@ -36,7 +36,7 @@ class ThinRule:
 def parse_rules(
     keep: Iterable[str] = (), spacing: Iterable[str] = (), drop: Iterable[str] = (), codes: ClassCodes | None = None
 ) -> tuple[ThinRule, ...]:
-    """Turn what was typed into rules; noise is dropped unless a rule names it.
+    """Parse options into rules; noise is dropped unless a rule names it.
 
     Parameters
     ----------

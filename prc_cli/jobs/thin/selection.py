@@ -1,4 +1,4 @@
-"""Which returns of a block stay: by line and column, or by spacing along the line."""
+"""Selects the returns of a block to keep: by line and column, or by spacing along the line."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem
 from prc_cli.jobs.thin.rules import ThinRule
 
 _GOLDEN = 0.618
-"""Shift of the pattern from line to line, as a share of its period: no stripes."""
+"""Shift of the pattern from line to line, as a share of its period, to avoid stripes."""
 
 
 def keep_by_pattern(line: NDArray[np.integer], column: NDArray[np.integer], share: Fraction) -> Mask:
-    """Mark the shots that a share leaves: evenly along a line, shifted from line to line.
+    """Mark a share of the shots, evenly along a line, shifted from line to line.
 
     Examples
     --------
@@ -38,7 +38,7 @@ def keep_by_pattern(line: NDArray[np.integer], column: NDArray[np.integer], shar
 
 
 def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
-    """Mark along every line the first chosen shot and every next one that is far enough from the last one marked.
+    """Mark in every line the first chosen shot, and each next one at least ``spacing_m`` from the last one marked.
 
     Parameters
     ----------
@@ -71,9 +71,9 @@ def keep_by_spacing(position_m: F64, chosen: Mask, spacing_m: float) -> Mask:
 
 
 def choose(item: StreamItem, codes: I32, extra_codes: I32, rules: tuple[ThinRule, ...]) -> tuple[Mask, Mask]:
-    """Mark the returns of a block that stay.
+    """Mark the returns of a block to keep.
 
-    A further return follows the share of its own class in its own cell, or, under a spacing, the return that stands for
+    A further return follows the share of its own class at its own cell; with a spacing, it follows the main return of
     its shot.
 
     Parameters
@@ -127,7 +127,7 @@ def _positions(item: StreamItem) -> F64:
 
 
 def without(item: StreamItem, kept: Mask, kept_extra: Mask) -> StreamItem:
-    """Return a block without the returns that are dropped; where others of a shot stay, the nearest takes its cell."""
+    """Return a block without the dropped returns; if a main return is dropped, the nearest kept one takes its cell."""
     block, extra = item.block, item.block.extra
     range_m = np.where(kept, block.range_m, np.float32(np.nan))
     xyz = None if block.xyz_m is None else np.where(kept[..., None], block.xyz_m, np.float32(np.nan))

@@ -1,7 +1,7 @@
-"""Carries the classes of a raw run onto the registered points of the same drive.
+"""``prc transfer``: copies the classes of a raw run to the registered points of the same drive.
 
-Both sides are surveyed (a damaged side is refused before any work), brought into the order of their keys (sorted on
-disk where they are not), merge-joined, and the classes go back to the registered file's record order through a spool.
+Both sides are read once for a survey (which refuses damaged files), sorted by key (on disk, unless sorted already), and
+merge-joined; a spool brings the classes back to the record order of the registered file.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class TransferRecord(RunRecord):
     labels: Fingerprint | None = None
     """The file with the classes."""
     points: Fingerprint | None = None
-    """The input that the labels belong to, where they have no keys of their own."""
+    """The input of the labels, if these have no keys of their own."""
     counts: TransferCounts | None = None
 
     def as_dict(self) -> dict[str, Any]:
@@ -50,11 +50,11 @@ class TransferRecord(RunRecord):
 
 @dataclass(frozen=True, slots=True)
 class TransferSummary:
-    """What a transfer did."""
+    """Summary of a transfer."""
 
     output: Path
     record: RunRecord
-    """Provenance and what was written, as stored in the output; ``.notices`` is what the user should know."""
+    """Provenance and what was written, as stored in the output; ``.notices`` holds warnings for the user."""
     counts: TransferCounts
 
 
@@ -69,19 +69,19 @@ def transfer(
     overwrite: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> TransferSummary:
-    """Write the registered file again with the classes of a raw run; the output exists whole or not at all.
+    """Write the registered file again with the classes of a raw run; the output is complete or absent.
 
     Parameters
     ----------
     labels : path
         LAS or LAZ with classes, text with classes and times, or labels alone (``.npy``, ``.csv``, ``.parquet``, ...) in
-        the order of ``points``. Label files' code 0 (a shot without return) is left out.
+        the order of ``points``. Code 0 of label files (a shot without return) is left out.
     registered : path
         LAS or LAZ. Points without partner keep their class; all else stays as it is.
     output : path
         ``.las`` or ``.laz``.
     options : TransferOptions, optional
-        How records find each other; default by gps_time and return number.
+        How records are matched; default: by gps_time and return number.
     points : path, optional
         Record input (text, raw dump, LAS) that the labels belong to; must be given with labels alone.
     layout : Layout, optional
@@ -99,8 +99,8 @@ def transfer(
     Raises
     ------
     InputError
-        When a side is damaged or lacks the key, labels and points differ in number, or fewer than
-        ``options.min_match`` of the smaller side find a partner, or more than the rest of those several that differ.
+        When a side is damaged or lacks the key, labels and points differ in number, less than ``options.min_match`` of
+        the smaller side is matched, or more than the rest of the matches are ambiguous (several different labels).
     OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """

@@ -1,4 +1,4 @@
-"""How the records of the two sides of a transfer find each other."""
+"""Options of ``prc transfer``."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from prc_cli.matching.keyed_source import (
 
 @dataclass(frozen=True, slots=True)
 class TransferOptions:
-    """How records of the two sides find each other."""
+    """How the records of the two sides are matched."""
 
     by: str = "time"
     """``time``; ``record`` (equal order), ``record:NAME`` (a dimension of the registered file that holds the index of
     the raw record, from 0); ``dimension:NAME`` (an integer dimension of both sides)."""
     tolerance_s: float = 0.0
-    """Largest difference of times [s]; what float64 rounds at these times is always allowed."""
+    """Largest difference of times [s]; float64 rounding at these times is always allowed in addition."""
     time_offset_s: float = 0.0
     """Added to the times of the labels [s]."""
     ignore_return: bool = False
-    """Match by the key alone, though both sides have return numbers."""
+    """Match by the key only, even if both sides have return numbers."""
     same: tuple[str, ...] = ()
     """Further integer dimensions that must be equal, such as ``scanner_channel``; at most two."""
     dimension: str | None = None
     """Column or dimension with the class codes; default as :func:`~prc_cli.formats.labels.read.open_codes`."""
     carry: tuple[str, ...] = ()
-    """Dimensions of classified LAS labels that go along: ``segment_id``, ``range``, ``surface``, ``dense_vegetation``,
-    ``ground_height``."""
+    """Dimensions of classified LAS labels to copy as well: ``segment_id``, ``range``, ``surface``,
+    ``dense_vegetation``, ``ground_height``."""
     min_match: float = 0.5
-    """Share of the smaller side that must find a partner, and of the points that do that must find a certain one."""
+    """Least share of the smaller side that must be matched, and of matched points whose match must be unambiguous."""
 
     def __post_init__(self) -> None:
         kind, _, name = self.by.partition(":")

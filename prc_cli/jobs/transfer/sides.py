@@ -1,4 +1,4 @@
-"""The two inputs of a transfer: opened, surveyed, and refused where they cannot be matched."""
+"""Opens and surveys the two inputs of a transfer; refuses those that cannot be matched."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _ROUNDING_STEPS = 2.0
 
 @dataclass(slots=True)
 class TransferSides:
-    """The two inputs, and what was assumed about them."""
+    """The two inputs, and the assumptions about them."""
 
     labels: KeyedSource
     points: KeyedSource
@@ -108,7 +108,7 @@ def open_sides(
 
 
 def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, options: TransferOptions) -> RecordSource:
-    """Open the records that the labels belong to."""
+    """Open the records of the labels."""
     if suffix_of(labels) in LAS_SUFFIXES:
         return LasSource(labels)
     if points is not None:
@@ -118,7 +118,7 @@ def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, opt
             raise InputError(str(points), problem, "classify it to .las, and transfer that")
         return source
     if options.by == "record" or options.by.startswith("record:"):
-        # the order is the key, and the labels have that themselves
+        # the order is the key, which the labels have themselves
         return CodesAlone(open_codes(labels, options.dimension))
     if suffix_of(labels) in READERS:
         table = open_source(labels, layout)
@@ -129,7 +129,7 @@ def _open_labelled(labels: Path, points: Path | None, layout: Layout | None, opt
 
 
 def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: TransferOptions) -> KeyedSource:
-    # seconds of week may start again within a drive, while the times of the points do not
+    # seconds of week may wrap within a drive, while the times of the points do not
     source = WeekSource(origin) if abs(options.time_offset_s) > WEEK_S / 2 else origin
     if suffix_of(labels) in LAS_SUFFIXES:
         name = options.dimension or "classification"
@@ -152,7 +152,7 @@ def _refuse_useless(side: KeyedSource, found: Survey, options: TransferOptions) 
 def _same(
     origin: RecordSource, target: LasSource, options: TransferOptions, assumptions: list[Assumption]
 ) -> tuple[str, ...]:
-    """Return what must be equal beside the key."""
+    """Return the dimensions that must be equal in addition to the key."""
     for source in (origin, target):
         _demand_dimensions(source, options.same)
     if options.by != "time" or options.ignore_return:
@@ -194,7 +194,7 @@ def _demand_dimensions(source: RecordSource, names: tuple[str, ...]) -> None:
 def _equal_order(
     left: KeyedSource, right: KeyedSource, found: tuple[Survey, Survey], assumptions: list[Assumption]
 ) -> tuple[KeyedSource, tuple[Survey, Survey]]:
-    """Match by order: of all records, or of those with a return where the registered file has only these."""
+    """Match by order: all records, or only those with a return if the registered file holds only these."""
     labels, points = found
     n_all = left.source.n_records or labels.n_read
     if n_all == points.n_records or labels.n_read == points.n_records:
@@ -211,7 +211,7 @@ def _equal_order(
 
 
 def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse keys that do not overlap, naming the offset between usual time scales that would help."""
+    """Refuse keys that do not overlap; suggest an offset between common time scales if one would help."""
     labels, points = sides.found
     slack = sides.tolerance
     if labels.low <= points.high + slack and points.low <= labels.high + slack:
@@ -226,7 +226,7 @@ def _refuse_apart(sides: TransferSides, options: TransferOptions) -> None:
 
 
 def _scale_offset(labels: Survey, points: Survey) -> tuple[float, str] | None:
-    """Return the offset between two usual time scales that brings the labels to the points, and what it means."""
+    """Return the offset between two common time scales that aligns labels and points, and its meaning."""
     weeks = "the labels look like seconds of the GPS week"
     to_weeks = "the points look like seconds of the GPS week"
     other = "one side looks like GPS time, the other like adjusted standard GPS time"
@@ -245,7 +245,7 @@ def _scale_offset(labels: Survey, points: Survey) -> tuple[float, str] | None:
 
 
 def _crs_notice(origin: LasSource, target: LasSource) -> str | None:
-    """Say that the coordinate systems differ; the match does not use coordinates."""
+    """Warn that the coordinate systems differ; the match does not use coordinates."""
     left, right = origin.crs_wkt, target.crs_wkt
     if left is None or right is None or left == right:
         return None

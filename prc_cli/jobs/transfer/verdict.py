@@ -1,4 +1,4 @@
-"""How many records found a partner, and whether that is enough."""
+"""Match counts of a transfer, and whether they suffice."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from prc_cli.jobs.transfer.sides import TransferSides
 from prc_cli.matching.join import JoinTally
 
 CHANCE = 0.25
-"""Half of all random times lie within this share of the step between the labels from a label."""
+"""Half of random times lie within this share of the label step from the nearest label."""
 
 
 @dataclass(frozen=True, slots=True)
 class TransferCounts:
-    """How many records found a partner."""
+    """Match counts of a transfer."""
 
     n_labels: int
     """Label records with a class (shots without return left out)."""
@@ -25,17 +25,17 @@ class TransferCounts:
     n_points: int
     """Records of the registered file."""
     n_matched: int
-    """Points that got the class of a label; the others keep theirs."""
+    """Points that received the class of a label; the others keep theirs."""
     n_changed: int
-    """Points whose class became another one."""
+    """Points whose class changed."""
     n_repeated: int
-    """Matched points whose key another point has too."""
+    """Matched points that share their key with another point."""
     n_shared: int
     """Matched points whose key several labels have."""
     n_in_order: int
-    """Of these, points that were paired in record order though the labels differ."""
+    """Of these, points paired in record order although the labels differ."""
     n_by_majority: int
-    """Of these, points that got the most frequent of several differing labels."""
+    """Of these, points that received the most frequent of several different labels."""
     n_other_return: int
     """Points without partner whose key has a label of another return (or other ``same``)."""
     largest_difference: float
@@ -43,14 +43,14 @@ class TransferCounts:
 
     @property
     def share(self) -> float:
-        """Share of the smaller side that found a partner."""
+        """Matched share of the smaller side."""
         if self.n_points <= self.n_labels:
             return self.n_matched / self.n_points if self.n_points else 0.0
         return self.n_labels_matched / self.n_labels if self.n_labels else 0.0
 
 
 def counts_of(tally: JoinTally, n_changed: int, sides: TransferSides) -> TransferCounts:
-    """Return what the record of a transfer keeps of the join."""
+    """Return the counts for the run record."""
     return TransferCounts(
         n_labels=sides.found[0].n_records,
         n_labels_matched=tally.n_right,
@@ -67,12 +67,12 @@ def counts_of(tally: JoinTally, n_changed: int, sides: TransferSides) -> Transfe
 
 
 def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferSides, options: TransferOptions) -> None:
-    """Refuse a match of too few records, saying what may help; or one with too many ambiguous keys.
+    """Refuse a match of too few records, with advice, or one with too many ambiguous keys.
 
     Raises
     ------
     InputError
-        When less than ``options.min_match`` of the smaller side found a partner, or too many labels were guessed.
+        When less than ``options.min_match`` of the smaller side is matched, or too many labels are ambiguous.
     """
     if counts.n_matched and counts.share >= options.min_match:
         _refuse_guesses(counts, sides, options)
@@ -103,7 +103,7 @@ def refuse_poor_match(counts: TransferCounts, tally: JoinTally, sides: TransferS
 def _refuse_guesses(counts: TransferCounts, sides: TransferSides, options: TransferOptions) -> None:
     """Refuse matches in which too many points have several labels of different classes."""
     ordered = all(found.in_order for found in sides.found)
-    # records that were moved around do not pair by their order
+    # reordered records do not pair by their order
     n_guessed = counts.n_by_majority + (0 if ordered else counts.n_in_order)
     if n_guessed <= (1 - options.min_match) * counts.n_matched:
         return
@@ -114,7 +114,7 @@ def _refuse_guesses(counts: TransferCounts, sides: TransferSides, options: Trans
 
 
 def notices_of(counts: TransferCounts) -> Iterator[str]:
-    """Yield what the user should know of the match."""
+    """Yield warnings about the match."""
     if counts.n_repeated:
         yield f"{counts.n_repeated:,} points have the key of another point (tiles that overlap, or coarse times)"
     if differ := counts.n_in_order + counts.n_by_majority:

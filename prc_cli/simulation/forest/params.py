@@ -37,7 +37,7 @@ class ForestSceneParams(Params):
 
     row_length_m: float = Field(40.0, ge=5, le=10_000, description="length of the rows that are walked [m]")
     row_spacing_m: float = Field(10.0, ge=2, le=100, description="distance between them [m]")
-    wander_m: float = Field(0.6, ge=0, le=2, description="how far the walker strays from a straight row [m]")
+    wander_m: float = Field(0.6, ge=0, le=2, description="greatest deviation of the walker from a straight row [m]")
     clearance_m: float = Field(1.0, ge=0.1, le=2, description="no stem comes nearer to the path than this [m]")
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ CHARACTERS: tuple[Character, ...] = ("residential", "terraces", "suburb", "boule
 
 
 class StreetSceneParams(Params):
-    """A street without end and what stands along it."""
+    """A street of any length and the objects along it."""
 
     character: Literal["mixed", "residential", "terraces", "suburb", "boulevard"] = Field(
         "mixed", description="what the street is like; mixed = it changes along its length"
