@@ -362,7 +362,7 @@ class _IndexTally:
         self._last = -np.inf
 
     def counts(self) -> I64:
-        """Number of points by column, from the first to the last column with points."""
+        """Return the number of points by column, from the first to the last column with points."""
         return self._counts
 
     def add(self, row: F64, column: F64) -> None:

@@ -1,5 +1,4 @@
-"""Writers of classes into a copy of a LAS or LAZ file; only what the ``[output]`` table asks for changes beside
-them."""
+"""Writes classes into a copy of a LAS or LAZ file; nothing else changes except as ``[output]`` asks."""
 
 from __future__ import annotations
 

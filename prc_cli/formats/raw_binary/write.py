@@ -23,8 +23,7 @@ def config_path(path: Path) -> Path:
 
 
 class RawStream(StagedStreamWriter):
-    """Writer of little-endian records: range, then intensity, time, x, y, z, angle and class where the stream has
-    them."""
+    """Writer of little-endian records: range, then intensity, time, x, y, z, angle, class if present."""
 
     one_scanner = "a raw dump"
 

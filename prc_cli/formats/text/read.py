@@ -296,8 +296,7 @@ def _n_lines(data: bytes) -> int:
 
 
 class _BlankWatch:
-    """Blank lines in a file of one column: ignored at its end, refused between rows, where they may be missing
-    values."""
+    """Blank lines in a file of one column: ignored at its end, refused between rows (missing values?)."""
 
     def __init__(self, path: Path, n_columns: int) -> None:
         self.watches = n_columns == 1

@@ -63,8 +63,7 @@ class Writer(Protocol):
         """Remove every temporary file; without :meth:`finish` no output is left."""
 
     def finish(self, record: RunRecord) -> RunRecord:
-        """Write the output and ``<output>.prc.json`` and rename both to their final names; return the record as
-        written.
+        """Write and rename the output and ``<output>.prc.json``; return the record as written.
 
         Raises
         ------
@@ -324,7 +323,7 @@ class ScatterWriter(StagedWriter):
             self._spools[name].put(record, column if whole else column[keep])
 
     def _total(self, record: RunRecord) -> int:
-        """Number of entries of the output: records read, if known."""
+        """Return the number of entries of the output: records read, if known."""
         n = self._n_records if self._n_records is not None else record.n_records
         if n is None:
             return len(self._code_spool)
