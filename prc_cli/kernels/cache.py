@@ -132,8 +132,7 @@ def inlined(function: FunctionT) -> FunctionT:
 
 @lru_cache(maxsize=1)
 def writable_cache() -> Path | None:
-    """Return the folder for compiled kernels: that of the environment, the user's cache, a private temporary one, or
-    none."""
+    """Return the folder for compiled kernels: as configured, in the user's cache, temporary and private, or none."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
         return Path(given) if _is_writable(Path(given)) else None
