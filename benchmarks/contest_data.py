@@ -58,7 +58,7 @@ class Scan:
     """(lines, M) float64 [s]."""
     intensity: F32 | None = None
     """(lines, M) float32."""
-    fall: float = 1.0
+    cos_tilt: float = 1.0
     """Cosine of the tilt of the scan plane."""
     world_m: F64 | None = None
     """(lines, M, 3) float64, registered, or relative to the scanner of a single frame [m]."""
@@ -189,7 +189,7 @@ def simulated(spec: Simulated) -> Scan:
         "cylinders" if spec.cylinders else "street" if spec.kind == "street" else "forest",
         time_s=np.concatenate([block.time_s for block in blocks if block.time_s is not None]),
         intensity=np.concatenate([block.intensity for block in blocks if block.intensity is not None]),
-        fall=simulation.scan.info.fall,
+        cos_tilt=simulation.scan.info.cos_tilt,
         world_m=np.concatenate(world),
         scanner_m=np.concatenate(scanner_m),
         extra=joined(extras),
@@ -240,7 +240,7 @@ def save(scan: Scan, path: Path) -> None:
         "range_m": scan.range_m,
         "angle_deg": np.rad2deg(scan.angle_rad),
         "class": scan.codes.astype(np.int32),
-        "fall": np.float64(scan.fall) * np.ones(1),
+        "cos_tilt": np.float64(scan.cos_tilt) * np.ones(1),
         "extra_line": scan.extra.line,
         "extra_column": scan.extra.column,
         "extra_range_m": scan.extra.range_m,
@@ -421,7 +421,7 @@ Keys: range_m (lines, M) float32 [m], NaN = no return
         5 vegetation, 6 building, 7 noise, 64 stem, 65 car, 66 curb (judged as ground), 67 vertical, 68 horizontal.
         Oakland: the numbers of the set (mapping `oakland`).
       extra_line, extra_column, extra_range_m, extra_class: further returns (profiler-1mhz), beyond range_m's
-      fall (1,): cosine of the lean of the scan plane (a truth of the simulator; not in a stream)
+      cos_tilt (1,): cosine of the tilt of the scan plane (a truth of the simulator; not in a stream)
       world_m + world_origin_m, scanner_m (lines, 3): registered coordinates. Not for methods of the stream.
 `prc classify X.npz` reads them (ranges, angles, times, intensities alone), `prc evaluate labels.npy X.npz --mapping
 prc` judges. In Python: benchmarks.contest_data.simulated(spec) gives a Scan, .blocks() a stream of ScanBlock with the

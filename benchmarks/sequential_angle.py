@@ -35,11 +35,11 @@ from prc_cli.classifiers.sequential_angle.lines import split_sides, vertical_lin
 from prc_cli.classifiers.sequential_angle.markov import HmmParams
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
 from prc_cli.config import LoadedConfig, load_config
-from prc_cli.core.blocks import cut, join
+from prc_cli.core.blocks import join
 from prc_cli.core.classes import ClassCodes, Label, Surface
 from prc_cli.core.config import merge
 from prc_cli.core.errors import PrcError
-from prc_cli.core.stream import ScanBlock
+from prc_cli.core.stream import ScanBlock, cut
 from prc_cli.core.types import F64, U8
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.reports import as_markdown
