@@ -1,10 +1,10 @@
-"""What `prc batch` costs beside the work itself, and what is done when a worker is killed in mid-run.
+"""Overhead of `prc batch`, and recovery when a worker is killed.
 
     python -m benchmarks.batch
 
-60 small LAZ files (one simulated street, copied). CPU seconds are those of the processes and their children, the least
-of several rounds, in each of which every way has its turn (a process a file only in the first); so is the wall clock,
-which suffers from whatever else the machine does. The files of every way are compared: all have the same bytes.
+60 small LAZ files (one simulated street, copied). CPU seconds (children included) and wall time are the least of
+several rounds, each of which runs every way in turn (one process per file only in the first). The outputs of all ways
+are compared: their bytes are equal.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ for name in sorted(Path(sys.argv[1]).iterdir()):
         classify(name, Path(sys.argv[2]) / name.name, threads=1)
 """
 KILLED_AFTER = 8
-"""Files that are done when a worker is killed."""
+"""Files finished when a worker is killed."""
 
 
 def archive(folder: Path) -> Path:
@@ -69,7 +69,7 @@ def loop(source: Path, out: Path) -> None:
 
 
 def xargs(source: Path, out: Path, jobs: int) -> subprocess.Popen[bytes]:
-    """A process a file."""
+    """One process per file."""
     names = "\0".join(str(path) for path in sorted(source.iterdir())).encode()
     script = f'exec "$@" "$0" "{out}/$(basename "$0")"'
     command = ["sh", "-c", script]
@@ -90,7 +90,7 @@ def batch(source: Path, out: Path, jobs: int) -> None:
 
 @dataclass
 class Way:
-    """A way to classify the files, and what it took."""
+    """A way to classify the files, and its times."""
 
     title: str
     run: Callable[[Path, Path], Any]
@@ -113,7 +113,7 @@ class Way:
 
 
 def cpu_of(before: os.times_result, after: os.times_result) -> float:
-    """CPU seconds of the child processes that ended in between."""
+    """CPU seconds of the child processes that ended meanwhile."""
     return after.children_user + after.children_system - before.children_user - before.children_system
 
 
@@ -145,7 +145,7 @@ def kill_batch(source: Path, out: Path) -> None:
 
 
 def kill_pool(source: Path, out: Path) -> None:
-    """What the standard library's pool does."""
+    """The process pool of the standard library, for comparison."""
     with ProcessPoolExecutor(JOBS) as pool:
         futures = [pool.submit(one, path, out / path.name) for path in sorted(source.iterdir())]
         while sum(future.done() for future in futures) < KILLED_AFTER:

@@ -1,6 +1,6 @@
-"""What a batch run leaves on the disk beside its outputs, for every file: ``python -m benchmarks.batch_disk``.
+"""Disk space per file of a batch run beside its outputs: ``python -m benchmarks.batch_disk``.
 
-The journal, the summary and the log of a run of made-up files, with the real code that writes them.
+Journal, summary and log of a run of invented files, written by the code of the program.
 """
 
 from __future__ import annotations

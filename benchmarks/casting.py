@@ -1,10 +1,10 @@
-"""Rays a second of the simulator's caster, beside Embree on triangles of the same street, in one run.
+"""Rays per second of the simulator, compared with Embree on triangles of the same street.
 
     python -m pip install embreex          # anywhere; left out if missing
     python -m benchmarks.casting
 
-Embree knows triangles of float32 alone: cones become prisms of 8 sides, boxes 12 and ellipsoids 128 triangles, leaves
-closed hulls, and nothing moves. Both are given the same rays of the same 64 lines, in processor time of one thread.
+Embree has only float32 triangles: cones become prisms of 8 sides, boxes 12 and ellipsoids 128 triangles, leaves closed
+hulls, and nothing moves. Both cast the same rays of the same 64 lines; times are processor time of one thread.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CONE_SIDES = 8
 
 
 def fastest(job: Callable[[], object]) -> float:
-    """Least processor time of several runs after one that is not counted [s]."""
+    """Least processor time of several runs after a warm-up [s]."""
     job()
     found = []
     for _ in range(RUNS):
@@ -100,7 +100,7 @@ def embree(triangles: F64, origin: F64, direction: F64) -> tuple[float, float] |
     rays = origin.reshape(-1, 3).astype(np.float32), direction.reshape(-1, 3).astype(np.float32)
     scene.run(rays[0][:10], rays[1][:10])
     built = time.process_time() - start
-    # with the distances, as the simulator needs them
+    # with distances, which the simulator needs
     return built, fastest(lambda: scene.run(*rays, output=True))
 
 

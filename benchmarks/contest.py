@@ -1,11 +1,11 @@
-"""The contest: both papers, the fused method and filters of registered clouds on the same points, side by side.
+"""The contest: both papers, the fused method and filters of registered clouds on the same points.
 
     python -m benchmarks.contest > docs/contest_figures.md    # everything; only what changed is run again
     python -m benchmarks.contest --quick                      # papers and fused on three scans, no filters, no pictures
     python -m benchmarks.contest tables peers                 # some of the parts
 
-Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clouds are run where they are installed
-(``pip install .[peers]``). Results are kept in --cache by the content of scan, configuration and code.
+Reads ../shared/data or $PRC_DATA for the real scans. Filters of registered clouds run if installed (``pip install
+.[peers]``). Results are cached in --cache by the content of scan, configuration and code.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ JUDGED_OF_PEERS = ("ground", "noise")
 SPEED_SHOTS = 8_000_000
 SPEED_RUNS = 3
 PICTURED = (0, 1, 4, 7, 10, "Oakland strip 2", "Oakland strip 3", "KITTI frame", "mixed forest")
-"""Scans of which pictures are drawn: numbers among the streets, or names."""
+"""Scans to draw: numbers among the streets, or names."""
 
 
 @dataclass(slots=True)
 class Contest:
-    """All that the parts of the page are made from."""
+    """Inputs of the parts of the page."""
 
     store: Store
     items: tuple[DataSet, ...]
@@ -84,7 +84,7 @@ def title_of(item: DataSet) -> str:
 
 
 def of_group(runs: dict[str, Run], items: list[DataSet]) -> list[Verdict]:
-    """Return the verdicts of the scans of a group that there are."""
+    """Return the verdicts of the available scans of a group."""
     return [runs[item.how].verdict for item in items if item.how in runs]
 
 
@@ -98,7 +98,7 @@ def mean_f1(verdicts: list[Verdict]) -> dict[str, float]:
 
 
 def summary(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """A row a method, a column a group: mean of the scans' macro F1, then every class."""
+    """One row per method, one column per group: mean macro F1 of the scans, then every class."""
     groups = contest.groups()
     print("## In short\n")
     say(f"""Macro F1: the mean F1 of noise, ground, building and vegetation (in forests noise, ground, stem and
@@ -148,7 +148,7 @@ def print_classes(title: str, items: list[DataSet], runs: dict[str, dict[str, Ru
 
 
 def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """What was aimed at, and what the best method of the stream reaches."""
+    """Targets, and what the best method of the stream reaches."""
     groups = contest.groups()
     print("## Against the goals\n")
     say("""Per method: the mean over the scans of the lowest class, and of ground; stems against the surface that was
@@ -180,7 +180,7 @@ def goals(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 
 
 def print_wins(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """On how many scans a fused method is the best of the stream, as a whole and class by class."""
+    """Number of scans on which a fused method is the best of the stream, overall and by class."""
     for method in fused():
         own = runs.get(method.name, {})
         same = {method.name, *(other.name for other in TO_THE_TOP if other.preset == method.preset)}
@@ -258,7 +258,7 @@ def _low(verdict: Verdict) -> float:
 
 
 def print_scores(name: str, verdict: Verdict) -> None:
-    """A row a class."""
+    """One row per class."""
     intervals = verdict.intervals()
     for each in verdict.present:
         cells = []
@@ -271,7 +271,7 @@ def print_scores(name: str, verdict: Verdict) -> None:
 
 
 def confusion(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Confusion matrices, and what becomes of what is not judged."""
+    """Confusion matrices, and predictions for reference classes that are not judged."""
     print("## Confusion\n\nShare of the reference's row. Rows below the line are not judged.\n")
     for group, items in contest.groups().items():
         for name, own in runs.items():
@@ -281,7 +281,7 @@ def confusion(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 
 
 def shown_in_full(runs: dict[str, dict[str, Run]]) -> set[str]:
-    """Return the methods whose confusion is shown: fused ones, or all while there are none."""
+    """Return the methods whose confusion is shown: fused ones, or all if there are none."""
     own = {method.name for method in fused()} & set(runs)
     return own or set(runs)
 
@@ -357,14 +357,14 @@ def _two_scores(own: dict[str, Run], items: list[DataSet]) -> list[str]:
 
 
 def f1_of(own: dict[str, Run], items: list[DataSet], name: str) -> list[float]:
-    """Return the F1 of a class in the scans that have it; nothing where the method never calls anything so."""
+    """Return the F1 of a class in the scans that have it; empty if the method never predicts it."""
     verdicts = of_group(own, items)
     called = sum(int(verdict.counts[:, verdict.columns.index(name)].sum()) for verdict in verdicts)
     return [float(np.nan_to_num(v.f1()[name])) for v in verdicts if name in v.present] if called else []
 
 
 def print_best(rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]], own: set[str]) -> None:
-    """The best filter of each column beside the best method of the stream that takes all its scans."""
+    """The best filter of each column beside the best method of the stream that runs on all its scans."""
     print("| | best filter of registered clouds | best of the stream |\n|---|---|---|")
     for group, items in groups.items():
         for name in JUDGED_OF_PEERS:
@@ -380,7 +380,7 @@ def print_best(rows: dict[str, dict[str, Run]], groups: dict[str, list[DataSet]]
 
 
 def ablation(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """What every step of the fused method is worth."""
+    """Contribution of every step of the fused method."""
     switched = ablations()
     if not switched or not all(method.name in runs for method in fused()):
         return
@@ -427,7 +427,7 @@ def speed(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 
 
 def repeated(scan: Scan) -> Scan:
-    """Return a scan whose lines come again and again, without what speed does not depend on."""
+    """Return a scan with repeated lines, without fields that do not affect speed."""
     times = max(1, SPEED_SHOTS // scan.n_shots)
     every = np.concatenate([np.arange(len(scan.range_m))] * times)
     time_s = None
@@ -450,7 +450,7 @@ def quickest(scan: Scan, method: Method) -> tuple[float, float]:
 
 
 def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Where the method that is best still fails."""
+    """Where the best method still fails."""
     print("## Where it fails\n")
     say("""Range, reference, prediction, and what is wrong in the colour of the predicted class. Lines downward, shots
     across, from the right side of the car over what the scanner sees to the left. Poles, cars and the like are
@@ -472,7 +472,7 @@ def pictures(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
 
 
 def best(contest: Contest, runs: dict[str, dict[str, Run]], item: DataSet) -> Method:
-    """Return the fused method for a scan, the best of the others while there is none."""
+    """Return the fused method for a scan, the best of the others if there is none."""
     there = [method for method in contest.methods if item.how in runs.get(method.name, {})]
     own = {method.name for method in fused()}
     return max(there, key=lambda m: (m.name in own, runs[m.name][item.how].verdict.macro))
@@ -492,7 +492,7 @@ def worst_confusions(verdict: Verdict) -> str:
 
 
 def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
-    """Data, methods, and when what was run."""
+    """Data, methods, and dates of the runs."""
     print("## Scans\n")
     say("""Simulated scans are drives of 30 to 160 m and walks of 15 m. Noise: the preset's own (phase scanners), or the
     given share of background light; 0 % leaves only mixed ranges at edges. Phase scanners: the simulator's

@@ -1,4 +1,4 @@
-"""Filters of registered clouds that are run: as their authors recommend, and as chosen on the streets for tuning."""
+"""Chains of filters of registered clouds: with parameters of their authors, and tuned on the streets for tuning."""
 
 from __future__ import annotations
 
@@ -33,4 +33,4 @@ CHAINS: dict[str, list[dict[str, Any]]] = {
     "statistical, tuned + Patchwork++, tuned": [_BEST_OUTLIERS, _BEST_PATCHWORK],
     "statistical, tuned + SMRF, recommended": [_BEST_OUTLIERS, _SMRF],
 }
-"""Chains by the name that the table has; the first step of one is run once for all that begin with it."""
+"""Chains by their name in the table; chains with the same first step share its run."""

@@ -1,12 +1,12 @@
-"""Scans of the contest: simulated ones by seed, real ones from ../shared/data or $PRC_DATA, all in one form.
+"""Scans of the contest: simulated by seed, or real ones from ../shared/data or $PRC_DATA, in one form.
 
-Every scan has what a scanner gives (ranges, angles, times, intensities, further returns), the reference class of
-every shot, and registered coordinates for methods that need them. Methods that work on the stream see no coordinates.
+Every scan has the measurements of a scanner (ranges, angles, times, intensities, further returns), the reference class
+of every shot, and registered coordinates. Methods of the stream do not get the coordinates.
 
     python -m benchmarks.contest_data train FOLDER       # streets and forests for tuning, seeds 9001-9199
     python -m benchmarks.contest_data real FOLDER        # the real scans in the same form
 
-Seeds 7001-7199 are what is reported; nothing is tuned on them.
+Seeds 7001-7199 are for reporting; nothing is tuned on them.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ ROOT = Path(__file__).resolve().parent.parent
 DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 
 LINES_AT_ONCE = 256
-"""Lines of a block that the classifiers are given."""
+"""Lines per block for the classifiers."""
 STRAY_SHARE, STRAY_M, FARTHEST_M = 0.25, 0.3, 100.0
-"""Background of pulsed scanners, which the simulator has none of: this share strays around its surface with this
-standard deviation [m], the rest comes from anywhere up to a distance [m]."""
+"""Background light of pulsed scanners, missing in the simulator: this share lies around its surface with this standard
+deviation [m], the rest anywhere up to a distance [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,34 +53,34 @@ class Scan:
     codes: I64
     """(lines, M) int64, reference codes of ``mapping``; 0 = not judged."""
     mapping: str
-    """Of the codes: a key of ``contest_judge.MAPPINGS``."""
+    """Mapping of the codes: a key of ``contest_judge.MAPPINGS``."""
     time_s: F64 | None = None
     """(lines, M) float64 [s]."""
     intensity: F32 | None = None
     """(lines, M) float32."""
-    fall: float = 1.0
-    """Cosine of the lean of the scan plane."""
+    cos_tilt: float = 1.0
+    """Cosine of the tilt of the scan plane."""
     world_m: F64 | None = None
     """(lines, M, 3) float64, registered, or relative to the scanner of a single frame [m]."""
     scanner_m: F64 | None = None
-    """(lines, 3) float64, where the scanner was [m]."""
+    """(lines, 3) float64, position of the scanner [m]."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
     """Further returns; lines count from 0."""
     extra_codes: I64 = field(default_factory=lambda: np.empty(0, np.int64))
     extra_world_m: F64 = field(default_factory=lambda: np.empty((0, 3)))
     is_upright: bool = False
-    """Upright lines of a scanner that turns, not those of a profiler."""
+    """Whether lines are vertical lines of a turning scanner, not of a profiler."""
     height_m: float = 2.0
-    """Of the scanner above the ground [m], for peers that have to be told."""
+    """Height of the scanner above the ground [m], for filters that need it."""
     range_noise_m: float = 0.005
-    """What the sequential-angle classifier is told; its preset says 5 mm."""
+    """Ranging noise for the sequential-angle classifier [m]; its preset has 5 mm."""
 
     @property
     def n_shots(self) -> int:
         return self.range_m.size
 
     def blocks(self, lines: int = LINES_AT_ONCE) -> Iterator[ScanBlock]:
-        """Give the stream as a reader would."""
+        """Return the scan as a stream, as from a reader."""
         m = self.range_m.shape[1]
         for first in range(0, len(self.range_m), lines):
             part = slice(first, first + lines)
@@ -106,7 +106,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """Which scan is simulated."""
+    """Parameters of a simulated scan."""
 
     name: str
     seed: int
@@ -116,14 +116,14 @@ class Simulated:
     mount: dict[str, Any] = field(default_factory=dict)
     """Further keys of ``[scanner]``."""
     noise: float | None = None
-    """Share of noise that is aimed at; None = what the preset makes."""
+    """Target share of noise; None = that of the preset."""
     kind: Kind = "street"
     setback_m: float = 0.0
     cylinders: bool = False
-    """Forests: the paper's reference of cylinders around stems, in place of what was hit."""
+    """Forests: the reference of the paper, cylinders around stems, instead of the surfaces hit."""
 
     def options(self) -> dict[str, Any]:
-        """Return what ``prc simulate`` is told."""
+        """Return the configuration of ``prc simulate``."""
         scene: dict[str, Any] = {"name": self.scene}
         if self.setback_m:
             scene["setback_m"] = self.setback_m
@@ -134,15 +134,15 @@ class Simulated:
 
 PULSED = ("sick-push-broom", "profiler-1mhz")
 DARK: dict[str, Any] = {"pane_share": 1.0, "ghost_share": 0.0}
-"""Panes answer themselves, so that no range comes from a reflection; mixed ranges at edges are left."""
+"""Glass returns the pulse itself, so that no range comes from a reflection; mixed ranges at edges remain."""
 OWN_NOISE = 0.01
-"""Share of mixed ranges and ghosts that a street has without background light."""
+"""Share of mixed ranges and ghosts in a street without background light."""
 PRESET_NOISE = 0.036
 """The same with the background light of the presets."""
 
 
 def background(scanner: str, noise: float | None) -> dict[str, Any]:
-    """Return the simulator's keys for a share of noise, as far as it makes noise of such a scanner."""
+    """Return the options of the simulator for a share of noise, as far as it can simulate it for the scanner."""
     if noise is None:
         return {}
     if noise == 0:
@@ -150,7 +150,7 @@ def background(scanner: str, noise: float | None) -> dict[str, Any]:
         return {**nothing, **DARK}
     if scanner in PULSED:
         return {}
-    # the shares of the presets, times what brings about the share that is asked for
+    # scale the shares of the presets to the requested share
     factor = max(noise - OWN_NOISE, 0.0) / (PRESET_NOISE - OWN_NOISE)
     shares = {"background_share": 0.008, "sky_share": 0.04, "bright_sky_share": 0.4, "cluster_share": 0.01}
     return {key: min(value * factor, 0.5) for key, value in shares.items()}
@@ -189,7 +189,7 @@ def simulated(spec: Simulated) -> Scan:
         "cylinders" if spec.cylinders else "street" if spec.kind == "street" else "forest",
         time_s=np.concatenate([block.time_s for block in blocks if block.time_s is not None]),
         intensity=np.concatenate([block.intensity for block in blocks if block.intensity is not None]),
-        fall=simulation.scan.info.cos_tilt,
+        cos_tilt=simulation.scan.info.cos_tilt,
         world_m=np.concatenate(world),
         scanner_m=np.concatenate(scanner_m),
         extra=joined(extras),
@@ -201,14 +201,14 @@ def simulated(spec: Simulated) -> Scan:
 
 
 def joined(extras: list[ExtraReturns]) -> ExtraReturns:
-    """Join further returns whose lines count from one beginning."""
+    """Join further returns with common line numbers."""
     return ExtraReturns(*[np.concatenate([getattr(each, f.name) for each in extras]) for f in fields(ExtraReturns)])
 
 
 def _with_background(item: SimulatedBlock, scan: SimulatedScan, spec: Simulated) -> tuple[SimulatedBlock, F64]:
-    """Give the ranges of pulsed scanners background, of which their simulation has none; and the scanner's places.
+    """Add background to ranges of pulsed scanners, which the simulation lacks, and positions of the scanner.
 
-    Background comes at random shots, those without return included.
+    Background replaces random shots, including those without return.
     """
     block, labels = item.labelled.block, item.labelled.labels
     shots = aim(scan.platform, scan.scanner, block.first_line, block.n_lines)
@@ -235,12 +235,12 @@ def _with_background(item: SimulatedBlock, scan: SimulatedScan, spec: Simulated)
 
 
 def save(scan: Scan, path: Path) -> None:
-    """Write a scan so that ``prc classify`` reads it; coordinates and further returns stand beside the ranges."""
+    """Write a scan for ``prc classify``, with coordinates and further returns."""
     arrays: dict[str, NDArray[Any]] = {
         "range_m": scan.range_m,
         "angle_deg": np.rad2deg(scan.angle_rad),
         "class": scan.codes.astype(np.int32),
-        "fall": np.float64(scan.fall) * np.ones(1),
+        "cos_tilt": np.float64(scan.cos_tilt) * np.ones(1),
         "extra_line": scan.extra.line,
         "extra_column": scan.extra.column,
         "extra_range_m": scan.extra.range_m,
@@ -277,7 +277,7 @@ TRAIN = (
     Simulated("suburb, photon-80, gap up, heading 45°, 5 %", 9011, 80, "suburb",
               mount={"heading_deg": 45.0, "slant_deg": 20.0}, noise=0.05),
 )  # fmt: skip
-"""What may be tuned on."""
+"""Scans for tuning."""
 TRAIN_FOREST = (
     Simulated("mixed", 9101, 15, "mixed", "focus3d-120", kind="forest"),
     Simulated("pine-heath", 9102, 15, "pine-heath", "focus3d-120", kind="forest"),
@@ -303,23 +303,23 @@ TEST_STREETS = (
     Simulated("mixed, profiler-1mhz, slant 45°, 0 %", 7012, 30, "mixed", "profiler-1mhz",
               mount={"slant_deg": 45.0}, noise=0.0),
 )  # fmt: skip
-"""What is reported of simulated streets; nothing is tuned on them."""
+"""Simulated streets for reporting; nothing is tuned on them."""
 TEST_FORESTS = (
     Simulated("mixed forest", 7101, 15, "mixed", "focus3d-120", kind="forest"),
     Simulated("pine heath", 7102, 15, "pine-heath", "focus3d-120", kind="forest"),
     Simulated("dense spruce", 7103, 15, "dense-spruce", "focus3d-120", kind="forest"),
 )
-"""What is reported of simulated forests."""
+"""Simulated forests for reporting."""
 OAKLAND_NOISE = 0.05
-"""Background that is added to the real strips, so that noise can be judged among real surfaces."""
+"""Background added to the real strips, to judge noise among real surfaces."""
 
 
 FEWEST_RETURNS = 32
-"""Lines with fewer tell no place of the scanner."""
+"""Least returns of a line to estimate the position of the scanner."""
 
 
 def oakland(strip: int) -> Scan:
-    """Return a real push-broom strip; its coordinates are those of the set, registered."""
+    """Return a real push-broom strip with the registered coordinates of the data set."""
     path = DATA / "oakland" / f"oakland_{strip}.csv.gz"
     table: F64 = np.genfromtxt(path, delimiter=",", skip_header=1)
     n_lines = len(np.unique(table[:, 0]))
@@ -357,7 +357,7 @@ def oakland_noisy(strip: int) -> Scan:
 
 
 def kitti() -> Scan:
-    """Return the labelled frame as the vertical lines that the readers make of it."""
+    """Return the labelled frame in vertical lines, as read by the program."""
     source = DATA / "kitti" / "000000.bin"
     config = load_config(ROOT / "sample_configs" / "kitti_frame.toml", preset="street-scan")
     blocks = list(open_stream(source, config).blocks())
@@ -380,10 +380,10 @@ def kitti() -> Scan:
 
 
 def scanner_places(world_m: F64, range_m: F32, angle_rad: F64) -> F64:
-    """Estimate where the scanner was at every line of an upright profiler, (lines, 3) [m].
+    """Estimate the position of the scanner at every line of an upright profiler, (lines, 3) [m].
 
-    In its plane a return lies ``range * sin`` aside and ``range * cos`` below: the offset of the heights is that of
-    the scanner, and a line through the places against what lies aside gives the rest.
+    In the scan plane a return lies ``range * sin`` sideways and ``range * cos`` below the scanner: the offset of
+    heights gives its height, a line fit of positions over the sideways distance the rest.
     """
     places = np.full((len(range_m), 3), np.nan)
     aside, below = range_m * np.sin(angle_rad), range_m * np.cos(angle_rad)
@@ -421,7 +421,7 @@ Keys: range_m (lines, M) float32 [m], NaN = no return
         5 vegetation, 6 building, 7 noise, 64 stem, 65 car, 66 curb (judged as ground), 67 vertical, 68 horizontal.
         Oakland: the numbers of the set (mapping `oakland`).
       extra_line, extra_column, extra_range_m, extra_class: further returns (profiler-1mhz), beyond range_m's
-      fall (1,): cosine of the lean of the scan plane (a truth of the simulator; not in a stream)
+      cos_tilt (1,): cosine of the tilt of the scan plane (a truth of the simulator; not in a stream)
       world_m + world_origin_m, scanner_m (lines, 3): registered coordinates. Not for methods of the stream.
 `prc classify X.npz` reads them (ranges, angles, times, intensities alone), `prc evaluate labels.npy X.npz --mapping
 prc` judges. In Python: benchmarks.contest_data.simulated(spec) gives a Scan, .blocks() a stream of ScanBlock with the
@@ -431,7 +431,7 @@ further returns, for pipeline.label_blocks.
 
 
 def main() -> None:
-    """Write the scans that may be tuned on, or the real ones."""
+    """Write the scans for tuning, or the real ones."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("train", "real"))
     parser.add_argument("folder", type=Path)

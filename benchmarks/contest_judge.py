@@ -1,4 +1,4 @@
-"""How the contest judges: confusion by blocks of lines, scores of the classes that exist, what the others became."""
+"""Scores of the contest: confusion by blocks of lines, F1 of classes that exist in the scan."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAPPINGS = {
     "oakland": FOLDER / "contest_oakland.toml",
     "kitti": FOLDER / "contest_kitti.toml",
 }
-"""File or name of the mapping, as ``prc evaluate --mapping`` takes it."""
+"""File or name of the mapping, as for ``prc evaluate --mapping``."""
 _PROFILE_OTHERS = {"cars": [65], "poles, signs, wires, people": [1]}
 OTHERS: dict[str, dict[str, list[int]]] = {
     "street": _PROFILE_OTHERS,
@@ -41,23 +41,23 @@ OTHERS: dict[str, dict[str, list[int]]] = {
         "poles, signs": [80, 81, 99],
     },
 }
-"""Reference codes that are not judged: what they become is told."""
+"""Reference codes that are not judged; their predictions are reported."""
 BLOCKS = 20
-"""Blocks of lines of a scan for the intervals."""
+"""Number of blocks of lines for the intervals."""
 LEAST_SHARE = 0.005
-"""A class exists in a scan that has this share of its judged returns: below that its score hangs on a few shots."""
+"""Least share of judged returns for a class to exist in a scan: below it, the score depends on a few shots."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How a method did on a scan, or on several."""
+    """Result of a method on one or several scans."""
 
     rows: tuple[str, ...]
     columns: tuple[str, ...]
     blocks: I64
     """(blocks, rows, columns) int64, reference by predicted."""
     others: dict[str, dict[str, int]] = field(default_factory=dict)
-    """By name of what is not judged: how many returns became which class."""
+    """By name of reference codes that are not judged: number of returns per predicted class."""
 
     @property
     def counts(self) -> I64:
@@ -73,7 +73,7 @@ class Verdict:
         return tuple(name for name, n in zip(self.rows, sums.tolist(), strict=True) if n >= least and n)
 
     def score(self, name: str) -> float:
-        """Return a score by the name that ``prc evaluate --fail-under`` takes, ``f1.ground``; NaN if undefined."""
+        """Return a score by its name in ``prc evaluate --fail-under``, such as ``f1.ground``; NaN if undefined."""
         found = all_scores(self.counts[None], self.rows, self.columns)
         return float(found[name][0]) if name in found else float("nan")
 
@@ -108,13 +108,13 @@ class Verdict:
         return Verdict(self.rows, self.columns, np.concatenate([self.blocks, other.blocks]), others)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what JSON can hold."""
+        """Return the verdict as plain values for JSON."""
         table = {"rows": self.rows, "columns": self.columns, "blocks": self.blocks.tolist(), "others": self.others}
         return dict(table)
 
     @classmethod
     def of(cls, table: dict[str, Any]) -> Verdict:
-        """Read :meth:`as_dict` back."""
+        """Inverse of :meth:`as_dict`."""
         blocks = np.array(table["blocks"], np.int64)
         return cls(tuple(table["rows"]), tuple(table["columns"]), blocks, table["others"])
 
@@ -131,7 +131,7 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
     ----------
     scan : Scan
     codes : (lines, M) integer
-        Default codes of this program; what is not read is where there is no return.
+        Default codes of this program; ignored where there is no return.
     extra_codes : (e,) integer
         The same of the further returns.
     """
@@ -140,7 +140,7 @@ def judge(scan: Scan, codes: NDArray[np.integer], extra_codes: NDArray[np.intege
     line = np.concatenate([np.nonzero(there)[0], scan.extra.line])
     predicted = np.concatenate([codes[there], extra_codes]).astype(np.int64)
     reference = np.concatenate([scan.codes[there], scan.extra_codes])
-    # a return that a method leaves out is one that it has not classified
+    # returns left out by a method count as unclassified
     predicted[predicted == 0] = 1
     per_block = max(1, -(-len(scan.range_m) // BLOCKS))
     counts = GroupedCounts(mapping, "blocks")

@@ -1,4 +1,4 @@
-"""Methods of the contest that work on the stream: presets of this program, and switches of the fused one."""
+"""Methods of the contest on the stream: presets of this program, and the fused method without single steps."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FUSED = "fused"
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A configuration, and the scans that it is meant for."""
+    """A configuration, and the scans that it is for."""
 
     name: str
     preset: str | None = None
@@ -48,11 +48,11 @@ class Method:
         return load_config(preset=self.preset, options=options)
 
     def takes(self, scan: Scan) -> bool:
-        """Tell whether the method is meant for such a scan."""
+        """Whether the method is for such a scan."""
         return scan.mapping in self.mappings and self.suits(scan)
 
     def command(self) -> str:
-        """Return what ``prc classify`` is told."""
+        """Return the options of ``prc classify``."""
         chosen = f"--preset {self.preset}" if self.path is None else f"--config {self.path.relative_to(ROOT)}"
         return " ".join([chosen, *(f"--set {key}={value}" for key, value in _flat(self.options))])
 
@@ -85,7 +85,7 @@ PAPERS = (
     Method("PRC forest, ζ 0.01 m, 0.01 m", "forest", _zeta(0.01, 0.01), mappings=FORESTS),
     Method("PRC forest, ζ 1 m, 0.1 m", "forest", _zeta(1.0, 0.1), mappings=FORESTS),
 )
-"""What the two papers give, with published parameters but for the two push-broom ones."""
+"""The methods of both papers, with published parameters except for the two push-broom presets."""
 
 TO_THE_TOP = (
     Method(
@@ -95,8 +95,8 @@ TO_THE_TOP = (
         mappings=frozenset({"cylinders"}),
     ),
 )
-"""The same method told where stems end: the cylinders of the paper's reference end 4.3 m above the ground, that is at
-4.6 m in a plane that leans by 20°. What is farther up the same stem is noise there by definition."""
+"""The same with the height of stems: the cylinders of the reference end 4.3 m above the ground, which is 4.6 m in a
+plane tilted by 20°. Higher parts of a stem are noise in that reference by definition."""
 
 
 def fused() -> tuple[Method, ...]:
@@ -129,7 +129,7 @@ def ablations() -> tuple[Method, ...]:
 
 
 def _switches(params: BaseModel, before: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
-    """Return the keys of everything that is on and can be off."""
+    """Return the keys of all steps that are on and can be switched off."""
     found = []
     for name in type(params).model_fields:
         value = getattr(params, name)
@@ -142,7 +142,7 @@ def _switches(params: BaseModel, before: tuple[str, ...] = ()) -> list[tuple[str
 
 @dataclass(frozen=True, slots=True)
 class Labelled:
-    """What a method of the stream says."""
+    """Labels of a method of the stream."""
 
     codes: U8
     """(lines, M) uint8, default class codes."""

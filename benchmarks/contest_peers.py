@@ -1,8 +1,7 @@
 """Filters of registered clouds, run on the points of the contest with full 3-D coordinates, each in its own process.
 
-None of them is needed by anything else here: ``pip install .[peers]`` brings cloth-simulation-filter, pypatchworkpp and
-open3d; what is missing is said to be so. SMRF is written here by the definition of Pingel et al. (2013), since no
-package of it can be installed by pip.
+Optional: ``pip install .[peers]`` installs cloth-simulation-filter, pypatchworkpp and open3d; missing packages are
+reported. SMRF is implemented here after Pingel et al. (2013), because pip has no package of it.
 
     python -m benchmarks.contest_peers POINTS.npz OUT.npz STEP [STEP ...]     # one chain; a step is JSON
 """
@@ -34,7 +33,7 @@ PACKAGES = {
     "radius": "open3d",
     "smrf": "scipy",
 }
-"""What every filter comes from."""
+"""Package of every filter."""
 
 
 class Points:
@@ -49,7 +48,7 @@ class Points:
 
 
 def installed(name: str) -> str | None:
-    """Return the version of what a filter comes from, None where it is not installed."""
+    """Return the version of the package of a filter, None if not installed."""
     try:
         return version(PACKAGES[name])
     except PackageNotFoundError:
@@ -57,13 +56,14 @@ def installed(name: str) -> str | None:
 
 
 def statistical(points: Points, neighbours: int, sigmas: float) -> Mask:
-    """Statistical outliers: mean distance to the neighbours beyond the mean of all by so many deviations."""
+    """Statistical outliers: mean distance to the neighbours above the overall mean by a number of standard
+    deviations."""
     cloud = _open3d_cloud(points)
     return _left_out(len(points.xyz_m), cloud.remove_statistical_outlier(neighbours, sigmas)[1])
 
 
 def radius(points: Points, least: int, radius_m: float) -> Mask:
-    """Radius outliers: fewer than so many points within a radius."""
+    """Radius outliers: too few points within a radius."""
     cloud = _open3d_cloud(points)
     return _left_out(len(points.xyz_m), cloud.remove_radius_outlier(least, radius_m)[1])
 
@@ -96,16 +96,16 @@ def csf(points: Points, resolution_m: float, threshold_m: float, rigidness: int,
 
 
 def patchwork(points: Points, piece_m: float, distance_m: float, upright: float, reach_m: float) -> Mask:
-    """Patchwork++ (Lee et al. 2022), its authors' package, which takes one cloud around the scanner after the other.
+    """Patchwork++ (Lee et al. 2022), its authors' package, which takes clouds around the scanner one by one.
 
-    A frame is what was measured on a piece of the way, with the scanner in the middle of it at the origin and z up. It
-    is a fair one: the scanner of a drive sees no ground in one line but in the lines of some metres.
+    A frame holds the points of some metres of the drive, with the scanner in its middle at the origin and z up, because
+    a single line of a profiler has too little ground.
     """
     module = import_module("pypatchworkpp")
     params = module.Parameters()
     params.verbose = False
     params.sensor_height = points.height_m
-    params.enable_RNR = False  # it looks for reflections below the ground by intensities of that paper's scanner
+    params.enable_RNR = False  # it finds reflections below the ground by intensities of the scanner of that paper
     params.min_range, params.max_range = 0.0, reach_m
     params.th_dist, params.uprightness_thr = distance_m, upright
     filtered = module.patchworkpp(params)
@@ -192,12 +192,12 @@ NOISE_FILTERS = ("statistical", "radius")
 def run(
     points: Points, steps: list[dict[str, Any]], before: NDArray[np.uint8] | None = None
 ) -> tuple[NDArray[np.uint8], float]:
-    """Run filters one after the other, the first one on the codes that are there before.
+    """Run filters one after the other, starting from the given codes.
 
     Returns
     -------
     (n,) uint8 and float
-        Codes, and the seconds of all cores together that it took.
+        Codes, and CPU seconds of all cores.
     """
     codes = np.full(len(points.xyz_m), OTHER, dtype=np.uint8) if before is None else before.copy()
     start = time.process_time()
@@ -231,7 +231,7 @@ def main() -> None:
 
 
 def _peak_mib() -> float:
-    """Return the most memory that this process ever held [MiB]."""
+    """Return the peak memory of this process [MiB]."""
     try:
         with Path("/proc/self/status").open() as status:
             return next(int(line.split()[1]) for line in status if line.startswith("VmHWM")) / 1024

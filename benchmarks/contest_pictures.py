@@ -1,4 +1,4 @@
-"""Pictures of where a method fails: ranges, reference, prediction, and what of it is wrong."""
+"""Pictures of the errors of a method: ranges, reference, prediction, and wrong returns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs of the contest, kept by content: only what changed since is run again."""
+"""Runs of the contest, cached by content: only changed ones are run again."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _MAKERS = ("simulation", "kernels/simulation")
 
 @dataclass(frozen=True, slots=True)
 class DataSet:
-    """A scan by how it is made."""
+    """A scan, by the parameters that make it."""
 
     name: str
     group: str
     make: Callable[[], Scan]
     how: str
-    """Where it comes from, for the cache and for the reader."""
+    """Its origin, for the cache and for the reader."""
     with_peers: bool = False
 
 
@@ -49,13 +49,13 @@ PHOTON, SICK_GROUP, PROFILER = "streets, photon-80", "streets, sick-push-broom",
 OAKLAND, OAKLAND_NOISY, OAKLAND_TRAIN = "Oakland 2, 3", "Oakland 2, 3, background added", "Oakland 1 (tuned on)"
 KITTI, FOREST, FOREST_CYLINDERS = "KITTI frame", "forests", "forests, reference of cylinders"
 PEER_SEEDS = (7001, 7002, 7005, 7008, 7009, 7010)
-"""Streets that filters of registered clouds are run on: they take minutes for what the others take seconds."""
+"""Streets for the filters of registered clouds, which take minutes instead of seconds."""
 STREET_GROUPS = (PHOTON, SICK_GROUP, PROFILER)
 _GROUP_OF = {"photon-80": PHOTON, "sick-push-broom": SICK_GROUP, "profiler-1mhz": PROFILER}
 
 
 def data_sets() -> tuple[DataSet, ...]:
-    """Return all scans that are reported, real ones as far as they are at hand."""
+    """Return all scans for reporting, real ones if available."""
     found = [
         _simulated(spec, _GROUP_OF[spec.scanner], with_peers=spec.seed in PEER_SEEDS) for spec in data.TEST_STREETS
     ]
@@ -78,7 +78,7 @@ def data_sets() -> tuple[DataSet, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a method did on a scan."""
+    """Result of a method on a scan."""
 
     verdict: Verdict
     shots: int
@@ -98,23 +98,23 @@ class Store:
     scans: dict[str, Scan] = field(default_factory=dict)
     n_new: int = 0
     only_kept: bool = False
-    """Whether scans are left out that not all filters of registered clouds were run on."""
+    """Whether scans without runs of all filters of registered clouds are left out."""
 
     def scan(self, item: DataSet) -> Scan:
-        """Return a scan; they are kept, coordinates only where filters of registered clouds are run on them."""
+        """Return a scan, cached; coordinates only where filters of registered clouds need them."""
         if item.how not in self.scans:
             scan = item.make()
             self.scans[item.how] = scan if item.with_peers else replace(scan, world_m=None)
         return self.scans[item.how]
 
     def content(self, item: DataSet) -> str:
-        """Return the hash of what is in a scan, remembered by the hash of what makes it."""
+        """Return the hash of the content of a scan, cached by the hash of its parameters."""
         key = _digest([item.how, source_hash(_MAKERS), _file_hash(FOLDER / "contest_data.py"), _file_hash_of(item)])
         path = self.folder / f"scan-{key}.txt"
         if not path.exists():
             scan = self.scan(item)
             parts = [scan.range_m, scan.codes, scan.angle_rad, scan.extra.range_m, scan.extra_codes]
-            parts += [] if scan.world_m is None else [scan.world_m]  # filters of registered clouds see nothing else
+            parts += [] if scan.world_m is None else [scan.world_m]  # filters of registered clouds get nothing else
             digest = hashlib.blake2b(digest_size=16)
             for part in parts:
                 digest.update(np.ascontiguousarray(part).data)
@@ -122,7 +122,7 @@ class Store:
         return path.read_text(encoding="utf-8")
 
     def stream_run(self, item: DataSet, method: Method) -> Run:
-        """Return what a method of the stream did, out of the store if nothing of it has changed."""
+        """Return the result of a method of the stream, from the cache if nothing has changed."""
         content = self.content(item)
         scan = self.scan(item)
         config = method.config(scan).config
@@ -138,7 +138,7 @@ class Store:
         return _run(path)
 
     def peer_runs(self, item: DataSet, chains: dict[str, list[dict[str, Any]]]) -> dict[str, Run]:
-        """Return what chains of filters did on the registered points; two run at a time."""
+        """Return the results of chains of filters on the registered points; two run at a time."""
         content = self.content(item)
         paths = {}
         for name, steps in chains.items():
@@ -155,7 +155,7 @@ class Store:
             scan = self.scan(item)
             with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as pool:
                 write_points(points_of(scan), Path(folder) / POINTS)
-                # what several chains begin with is run once, before them
+                # run common first steps of several chains once, before them
                 begin = {json.dumps(chains[name][:-1]): chains[name][:-1] for name in missing}
                 list(pool.map(partial(_run_chain, Path(folder)), [steps for steps in begin.values() if steps]))
 
@@ -188,14 +188,14 @@ def points_of(scan: Scan) -> peers.Points:
 
 
 def write_points(points: peers.Points, path: Path) -> None:
-    """Write points for a process of its own."""
+    """Write points for a separate process."""
     np.savez(
         path, xyz_m=points.xyz_m, line=points.line, scanner_m=points.scanner_m, height_m=points.height_m
     )  # fmt: skip
 
 
 def as_image(scan: Scan, codes: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return codes of points as those of shots, (lines, M), and of further returns, (e,)."""
+    """Split codes of points into those of shots, (lines, M), and of further returns, (e,)."""
     there = ~np.isnan(scan.range_m)
     n = np.count_nonzero(there)
     image = np.zeros(scan.range_m.shape, np.uint8)
@@ -204,7 +204,7 @@ def as_image(scan: Scan, codes: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], N
 
 
 def _run_chain(folder: Path, steps: list[dict[str, Any]]) -> Path:
-    """Run a chain of filters in a process of its own, unless that was done; go on from its beginning if that was."""
+    """Run a chain of filters in a separate process, unless cached; start from its cached first steps if any."""
     output, before = _output_of(folder, steps), _output_of(folder, steps[:-1])
     if output.exists():
         return output
@@ -234,7 +234,7 @@ def _run(path: Path) -> Run:
 
 
 def sources_of(method: str) -> tuple[str, ...]:
-    """Return what a method's labels depend on, as far as it can be told by file."""
+    """Return the source files that the labels of a method depend on."""
     name = method.replace("-", "_")
     return (f"classifiers/{name}", "classifiers/returns.py", f"kernels/{name}")
 

@@ -1,9 +1,9 @@
-"""What the later steps of the fused method are worth on the streets they were chosen on, and on twelve others.
+"""Gain of the later steps of the fused method, on the streets for tuning and on twelve held-out streets.
 
     python -m benchmarks.contest_share
 
-Streets have the scanners, mounts and noises of the contest and other seeds: 9021 to 9092 for tuning, 9121 to 9132 to
-see whether it holds. Reads ../shared/data or $PRC_DATA for the first Oakland strip, which gets background.
+Streets have the scanners, mounts and noise of the contest, but other seeds: 9021 to 9092 for tuning, 9121 to 9132 held
+out. Reads ../shared/data or $PRC_DATA for the first Oakland strip, to which background is added.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ WITHOUT = (
     ("fused.smoothness.noise_sigmas=2.5", "fused.votes.near_m=2.0", "fused.walls.before_m=1.6",
      "fused.noise.leaf_slots=5"),
 )  # fmt: skip
-"""Settings that put each step back to what was before it."""
+"""Settings that undo each step."""
 
 
 def streets(first_seed: int, *, other_scenes: bool = False, whole: bool = False) -> list[Simulated]:
@@ -55,7 +55,7 @@ def streets(first_seed: int, *, other_scenes: bool = False, whole: bool = False)
 
 
 def simulate(specs: Sequence[Simulated]) -> list[Scan]:
-    """Simulate streets, without what is not needed here."""
+    """Simulate streets, without unneeded fields."""
     return [replace(data.simulated(spec), world_m=None, scanner_m=None, time_s=None) for spec in specs]
 
 

@@ -1,10 +1,9 @@
-"""Choose the parameters of the filters of registered clouds on streets for tuning (seeds 9001, 9004 and 9006).
+"""Tunes the filters of registered clouds on streets for tuning (seeds 9001, 9004 and 9006).
 
     python -m benchmarks.contest_tune
 
-Prints the mean F1 over the streets for settings around what the authors recommend: of noise for noise filters, of
-ground for ground filters, which come behind the noise filter that is best. What is best stands in
-``contest_chains.py``.
+Prints the mean F1 over the streets for settings around those of the authors: of noise for noise filters, of ground for
+ground filters, which run after the best noise filter. ``contest_chains.py`` has the best.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from benchmarks.contest_peers import NOISE_FILTERS, run
 from benchmarks.contest_runs import as_image, points_of
 
 SPECS = tuple(replace(spec, length_m=30.0) for spec in data.TRAIN if spec.seed in (9001, 9004, 9006))
-"""The beginnings of three of them: what is chosen does not hang on their length, and radius filters are slow."""
+"""The first parts of three streets: the choice does not depend on length, and radius filters are slow."""
 GRIDS: dict[str, list[dict[str, Any]]] = {
     "statistical": [{"neighbours": n, "sigmas": s} for n, s in ((8, 2.0), (20, 0.25), (20, 0.5), (20, 1.0), (20, 2.0))],
     "radius": [{"least": n, "radius_m": r} for n, r in ((4, 0.2), (4, 0.4), (8, 0.5), (4, 0.6), (8, 0.8))],

@@ -1,4 +1,4 @@
-"""Drives that are timed and weighed: a simulated street of any length, as a raw dump, as text, as LAS or LAZ."""
+"""Inputs of the benchmarks: a simulated street of any length as raw dump, text, LAS or LAZ."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def write_raw(path: Path, n_lines: int) -> None:
 
 
 def write_csv(path: Path, raw: Path) -> None:
-    """Write the ranges of a raw dump as text, one a row; a missing shot is nan."""
+    """Write the ranges of a raw dump as text, one per row; a missing shot is nan."""
     ranges = np.memmap(raw, "<f4", "r")
     with path.open("w", encoding="ascii") as handle:
         handle.write("range\n")
@@ -36,7 +36,7 @@ def write_csv(path: Path, raw: Path) -> None:
 
 
 def write_drive(path: Path, ranges: Path, point_format: int) -> None:
-    """Write the shots with a range of a raw dump as a drive; the suffix decides whether it is compressed."""
+    """Write the returns of a raw dump as LAS or LAZ, by suffix."""
     header = laspy.LasHeader(point_format=point_format, version="1.4")
     header.scales, header.offsets = np.full(3, 0.001), np.array([650_000.0, 6_860_000.0, 0.0])
     for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
@@ -51,7 +51,7 @@ def write_drive(path: Path, ranges: Path, point_format: int) -> None:
 def drive_points(
     image: np.ndarray, first: int, header: laspy.LasHeader, rng: np.random.Generator
 ) -> laspy.ScaleAwarePointRecord:
-    """Records of some scan lines; the car makes 100 lines a second and 5 cm a line."""
+    """Records of some scan lines at 100 lines per second and 5 cm between lines."""
     line, column = np.indices(image.shape).reshape(2, -1)
     found = np.isfinite(image.ravel()) & (image.ravel() > 0)
     line, column, range_m = line[found] + first, column[found], image.ravel()[found]

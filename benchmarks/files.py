@@ -1,11 +1,11 @@
-"""Time of ``classify`` from file to label file, beside what reading and writing take without any classifier.
+"""Time of ``classify`` from file to label file, compared with reading and writing alone.
 
     python -m benchmarks.files                     # 10 million shots, inputs in the system's cache
     python -m benchmarks.files --lines 46426       # 100 million (text stays at 10)
     python -m benchmarks.files --cold              # inputs are dropped from the cache before every run (Linux)
 
-All jobs run in this process, in turn; the least of the runs counts. Every label file is flushed to the disk, those
-beside it too. The last rows tell what the classifier and the fingerprint take alone, which no pipeline can undercut.
+All jobs run in this process, in turn; the least time counts. Every output is flushed to disk. The last rows are
+classifier and fingerprint alone, a lower limit for any pipeline.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ CHUNK_BYTES = 1 << 20
 
 
 def write_labels(output: Path, labels: U8) -> None:
-    """Write labels as plainly as can be, and flush them."""
+    """Write labels in the simplest way, and flush them."""
     np.save(output, labels)
     with output.open("rb+") as handle:
         os.fsync(handle.fileno())
@@ -46,7 +46,7 @@ def read_plainly(source: Path) -> None:
 
 
 def parse(source: Path) -> None:
-    """Parse a column of numbers with the parser that is used, pyarrow's, in its own way: all at once, all cores."""
+    """Parse a column of numbers with pyarrow alone: all at once, on all cores."""
     import pyarrow as pa
     from pyarrow import csv
 
@@ -94,7 +94,7 @@ ROWS = (
     ("npz to labels", "npz: read, write", "2"),
     ("csv to labels", "csv: parse, write", "1.15"),
 )
-"""Work, what it is compared with, and the goal."""
+"""Job, the job to compare it with, and the target."""
 
 
 def main() -> None:

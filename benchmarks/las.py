@@ -1,12 +1,12 @@
-"""Time of ``classify`` on LAS and LAZ beside what reading and writing the same file takes without any classifier.
+"""Time of ``classify`` on LAS and LAZ, compared with reading and writing the same file alone.
 
     python -m benchmarks.las                     # 10 million shots, files in the system's cache
     python -m benchmarks.las --cold              # the input is dropped from the cache before every run (Linux)
     python -m benchmarks.las --format 1          # LAZ of an old point format: every record is compressed again
 
-Every job runs in this process, in turn with the others; the least of the runs counts. The input is a drive past a
+All jobs run in this process, in turn; the least time counts. The input is a drive past a
 simulated street, point format 6 with time, angle, intensity and the dimensions of a scan line, chunks of 50 000
-records. Outputs are new files. What is written by ``classify`` is flushed to the disk, hence the second row of LAS.
+records. Outputs are new files. ``classify`` flushes its output to disk, so LAS has a second row with a flush.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from prc_cli.formats.las.points import set_classes
 from prc_cli.jobs.classify import classify, load_classifier
 
 CHUNK = 1_000_000
-"""Records that laspy is asked for at a time."""
+"""Records per chunk of laspy."""
 
 
 def read_and_write(source: Path, output: Path) -> None:
-    """What laspy takes, decompression and compression on all cores."""
+    """Copy with laspy, decompression and compression on all cores."""
     backend = laspy.LazBackend.LazrsParallel
     with (
         laspy.open(source, laz_backend=backend) as reader,
@@ -43,7 +43,7 @@ def read_and_write(source: Path, output: Path) -> None:
 
 
 def read_fields(source: Path, *, intensity: bool = True) -> None:
-    """Decompress the layers that hold what PRC takes: returns, time, intensity and the extra bytes.
+    """Decompress the layers that PRC uses: returns, time, intensity and the extra bytes.
 
     Intensity decides between the returns of a shot. In a file without further returns, such as this one, ``classify``
     does not decompress it.
@@ -90,7 +90,7 @@ def measure(
     least: dict[str, tuple[float, float]] = {}
     for _ in range(runs):
         for number, (name, (source, job)) in enumerate(jobs.items()):
-            # whoever writes first would pay for memory that the system has not touched yet
+            # touch the memory first, so that the first job does not pay for it
             shutil.copyfile(source, folder / "out")
             for old in folder.glob("out*"):
                 old.unlink()
@@ -133,7 +133,7 @@ ROWS = (
     ("LAS to classified LAS", "copy and patch", "1.25"),
     ("LAS to classified LAS", "copy, patch and flush", ""),
 )
-"""Work, what it is compared with, and the goal."""
+"""Job, the job to compare it with, and the target."""
 
 
 def main() -> None:

@@ -1,9 +1,9 @@
-"""How long a line of a live stream waits for its label: line by line through real pipes, in real order.
+"""Latency of ``prc stream``: line by line through real pipes.
 
     python -m benchmarks.latency
 
-Every line is written when the label of the line before has come back, so that nothing queues: what is measured is the
-time from the last byte of a line until the labels that only waited for it are there.
+Every line is written after the labels of the line before have arrived, so that nothing queues: the latency is the time
+from the last byte of a line to the labels that waited for it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from prc_cli.simulation.simulation import open_simulation
 
 LINES = 900
 WARM = 300
-"""Lines at the start that are not counted: kernels are loaded, the block fills."""
+"""Lines at the start that are not counted, while kernels load and the block fills."""
 JOBS: tuple[tuple[str, Kind, str, tuple[str, ...], int], ...] = (
     ("urban, k 99, M 2154, one line at a time", "street", "photon-80", ("--preset", "urban", "--hop", "1"), 1),
     ("urban, five lines at a time", "street", "photon-80", ("--preset", "urban", "--hop", "5"), 5),
@@ -31,14 +31,14 @@ JOBS: tuple[tuple[str, Kind, str, tuple[str, ...], int], ...] = (
 
 
 def lines_of(kind: Kind, scanner: str, n_lines: int) -> tuple[F32, float]:
-    """Simulated ranges, (lines, M) float32 [m], and the lines that the scanner makes a second [Hz]."""
+    """Simulated ranges, (lines, M) float32 [m], and the line frequency of the scanner [Hz]."""
     settings = load_settings(kind, options={"lines": n_lines, "scanner": {"name": scanner}})
     blocks = open_simulation(kind, settings).scan.blocks()
     return np.concatenate([block.range_m for block in blocks]), settings.scanner.line_hz
 
 
 def waits(ranges: F32, options: tuple[str, ...], hop: int) -> list[float]:
-    """Seconds from the last byte that labels needed until they were there, hop by hop."""
+    """Seconds from the last byte that labels need to their arrival, line by line."""
     n_lines, width = ranges.shape
     command = [sys.executable, "-m", "prc_cli", "stream", "-q", "-M", str(width), *options]
     found: list[float] = []

@@ -1,10 +1,10 @@
-"""Peak resident size of ``prc classify`` and ``prc calibrate`` at two input sizes, each run in a process of its own.
+"""Peak memory of ``prc classify`` and ``prc calibrate`` at two input sizes, each in a separate process.
 
     python -m benchmarks.memory                           # 1.3 and 13 million shots
     python -m benchmarks.memory --full                    # 10 and 100 million shots; takes 10 GB of disk and minutes
     python -m benchmarks.memory --lines 3000 30000
 
-The stream is a tiled simulated street; the table is what the documentation quotes.
+The stream is a tiled simulated street; the documentation quotes the table.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from benchmarks.peak import peak_mib
 
 FULL_LINES = (4643, 46_426)
 LIMIT_MIB = 256
-"""The goal, whatever the size."""
+"""The target for any size [MiB]."""
 WITH_M = ("-M", str(POINTS_PER_LINE))
 
 

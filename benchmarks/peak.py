@@ -1,4 +1,4 @@
-"""Peak resident size of a ``prc`` command, in a process of its own."""
+"""Peak memory of a ``prc`` command in a separate process."""
 
 from __future__ import annotations
 
@@ -25,6 +25,6 @@ sys.exit(code)
 
 
 def peak_mib(arguments: Sequence[str]) -> float:
-    """Run ``prc`` with these arguments; return the most memory that it ever held [MiB]."""
+    """Run ``prc`` with these arguments; return its peak memory [MiB]."""
     command = [sys.executable, "-c", CHILD, *arguments]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)

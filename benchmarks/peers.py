@@ -1,10 +1,9 @@
-"""Connected components and dilation beside those of other packages, on the same binary images, in one run.
+"""Connected components and dilation, compared with other packages on the same binary images.
 
 python -m benchmarks.peers
 
 scikit-image and SciPy come with the development tools. OpenCV (``opencv-python-headless``) and cc3d
-(``connected-components-3d``) are not needed by anything here: install them where you like; a package that is missing
-is said to be so. One thread each.
+(``connected-components-3d``) are optional; missing packages are reported. One thread each.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ def dilations() -> dict[str, Job]:
 
 
 def main() -> None:
-    """Print a table of labelling and one of dilation, nanoseconds a pixel of one core's time."""
+    """Print tables of labelling and dilation, core nanoseconds per pixel."""
     rng = np.random.default_rng(0)
     images = {
         "street": supported_street(),

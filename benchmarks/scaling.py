@@ -2,8 +2,8 @@
 
 python -m benchmarks.scaling [PICTURE.svg]
 
-Time of one core (one thread), the best of several runs. The street is simulated; noise replaces a share of its shots
-by ranges drawn evenly from 1 to 100 m.
+Time of one core (one thread), the best of several runs. The street is simulated; noise replaces a share of its shots by
+uniform random ranges from 1 to 100 m.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Points = list[tuple[float, float]]
 
 
 def best_times(jobs: dict[str, tuple[F32, PrcParams]]) -> dict[str, float]:
-    """Return the best time a shot of every stream [ns]; all run once a round, so that disturbances fall on all."""
+    """Return the best time per shot of every stream [ns]; each round runs all, so that disturbances affect all."""
     best = dict.fromkeys(jobs, float("inf"))
     for _ in range(ROUNDS):
         for name, (ranges, params) in jobs.items():
@@ -53,13 +53,13 @@ def add_noise(ranges: F32, share: float) -> F32:
 
 
 def checkerboard(n_lines: int, n_columns: int) -> Mask:
-    """Every other pixel: as many components as there can be."""
+    """Every other pixel: the most components possible."""
     board: Mask = (np.arange(n_lines)[:, None] + np.arange(n_columns)) % 2 == 0
     return board
 
 
 def spiral(n_lines: int, n_columns: int, width: int, gap: int) -> Mask:
-    """One long component that winds inwards: parts of it meet late."""
+    """One long spiral component, whose parts are joined late."""
     image = np.zeros((n_lines, n_columns), dtype=bool)
     top, left, bottom, right, step = 0, 0, n_lines, n_columns, width + gap
     start = 0
@@ -74,7 +74,7 @@ def spiral(n_lines: int, n_columns: int, width: int, gap: int) -> Mask:
 
 
 def worst_cases() -> dict[str, F32]:
-    """Streams that are as unlike a street as can be."""
+    """Worst-case streams."""
     shape = (LINES, WIDTH)
     wound = np.tile(spiral(K, WIDTH, width=4, gap=3), (LINES // K, 1))
     streets = street(*shape)

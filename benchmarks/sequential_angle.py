@@ -64,11 +64,11 @@ PAPER = {
 """Recall and precision, Stamos et al. (2012), Table 1."""
 
 FIRST_SEED = 101
-"""Streets that nobody looked at while simulator and parameters were made."""
+"""Held-out streets, not used to develop simulator and parameters."""
 SEEDS = 11
-"""Streets of the first row: as many as the paper has scans."""
+"""Streets of the first row: as many as scans in the paper."""
 TURNS = 4
-"""Times that the scan is classified one after the other where all stages are timed."""
+"""Repetitions of the scan for the rate of all stages."""
 MORE_SEEDS = 4
 """Streets of the other rows."""
 COARSE = {"scanner": {"azimuth_step_deg": 0.46}}
@@ -80,10 +80,10 @@ class Setting:
     """A row of the table of simulated scans."""
 
     options: dict[str, Any] = field(default_factory=dict)
-    """Of the simulator."""
+    """Settings of the simulator."""
     preset: str = "street-scan"
     range_noise_m: float | None = None
-    """What the classifier is told; default: the preset's."""
+    """Ranging noise for the classifier; default: that of the preset."""
 
 
 SETTINGS = {
@@ -97,7 +97,7 @@ SETTINGS = {
 }
 
 NOISE_M = AnglesParams().range_noise_m
-"""What the classifier is told unless a setting says otherwise [m]."""
+"""Default ranging noise for the classifier [m]."""
 
 ORGANISED: dict[str, dict[str, Any]] = {
     ".e57": {},
@@ -111,10 +111,10 @@ ORGANISED: dict[str, dict[str, Any]] = {
         "angle_step": 0.5,
     },
 }
-"""What has to be said of organised files, by suffix; docs/formats.md explains it."""
+"""Options for organised files, by suffix; docs/formats.md explains them."""
 
 HEADERLESS = "car_cloud401.csv"
-"""This file has no header and blanks between its numbers."""
+"""File without header, with blanks between numbers."""
 
 
 def street_scan(
@@ -136,7 +136,7 @@ def write_scan(folder: Path, seed: int, *options: dict[str, Any]) -> tuple[Path,
 
 
 def merged(*options: dict[str, Any]) -> dict[str, Any]:
-    """Lay nested tables over each other."""
+    """Merge nested tables."""
     found: dict[str, Any] = {}
     for each in options:
         found = merge(found, each)
@@ -151,7 +151,7 @@ def scan_of(seed: int, *options: dict[str, Any]) -> tuple[ScanBlock, U8]:
 
 
 def print_scores(rows: dict[str, ConfusionMatrix], names: tuple[str, ...]) -> None:
-    """Recall and precision of every class, a row a run."""
+    """Recall and precision of every class, one row per run."""
     print("| | " + " | ".join(f"{name} recall | precision" for name in names) + " | all |")
     print("|---|" + "---:|---:|" * len(names) + "---:|")
     for title, matrix in rows.items():
@@ -212,7 +212,7 @@ PRINTED: dict[str, dict[str, Any]] = {
     "car.fourier.enabled = false": {"car": {"fourier": {"enabled": False}}},
     "car.ground_layer_m = 0": {"car": {"ground_layer_m": 0}},
 }
-"""One reading after the other put back to the printed text, or taken out."""
+"""Settings that set one reading of the paper back to the printed text, or switch it off."""
 
 VEGETATION: dict[str, tuple[int, dict[str, Any]]] = {
     "street 1": (1, {}),
@@ -221,11 +221,11 @@ VEGETATION: dict[str, tuple[int, dict[str, Any]]] = {
     "street 4": (4, {}),
     "street 5, 10 mm of noise, told so": (5, {"scanner": {"noise_m": 0.01}}),
 }
-"""Scans that the tests for vegetation are looked at on."""
+"""Scans for the tests for vegetation."""
 
 
 def readings(folder: Path) -> None:
-    """What every reading of ours is worth, one at a time."""
+    """Effect of our readings of the paper, one at a time."""
     names = ("ground", "curb", "car", "vegetation", "vertical")
     found: dict[str, ConfusionMatrix] = {}
     for seed in range(FIRST_SEED, FIRST_SEED + MORE_SEEDS):
@@ -244,7 +244,7 @@ def readings(folder: Path) -> None:
 
 
 def vegetation(folder: Path) -> None:
-    """The two tests for vegetation before anything else has a say, and variants of theirs."""
+    """The two tests for vegetation alone, and variants of them."""
     stay = tuple(tuple(0.9 if i == j else 0.05 for j in range(3)) for i in range(3))
     uniform = (1 / 3, 1 / 3, 1 / 3)
     slow = HmmParams(h0=stay, sigmas_deg=(20, 20, 20), initial_h0=uniform)
@@ -359,7 +359,7 @@ def organised(folder: Path) -> None:
 
 
 def rate(job: Callable[[], object], runs: int = 3) -> float:
-    """Shortest time of a job [s], after one run that is not counted: other load only ever adds."""
+    """Shortest time of a job [s] after a warm-up, because other load can only add time."""
     job()
     seconds = []
     for _ in range(runs):
@@ -377,7 +377,7 @@ def speed(folder: Path) -> None:
     times = dict(stage_times(whole))
 
     def all_stages(threads: int) -> None:
-        # as a scanner that goes on turning: the last of few blocks would leave one thread idle
+        # repeat the scan: with few blocks, one thread would idle at the last one
         turns = (replace(block, is_last=False) for _ in range(TURNS) for block in blocks(whole))
         for _ in label_blocks(turns, config.config.classifier, threads=threads):
             pass
@@ -396,7 +396,7 @@ def speed(folder: Path) -> None:
 
 
 def memory(folder: Path) -> None:
-    """Peak resident size of the command at two sizes, each in a process of its own."""
+    """Peak memory of the command at two sizes, each in a separate process."""
     print("## Memory\n\n| input | lines | shots | peak resident size |\n|---|---:|---:|---:|")
     xyz = scan_of(3, {"scanner": {"azimuth_step_deg": 0.23}})[0].xyz_m
     assert xyz is not None
@@ -432,7 +432,7 @@ def blocks(block: ScanBlock, lines: int = 64) -> Iterator[ScanBlock]:
 
 
 def stage_times(block: ScanBlock) -> dict[str, float]:
-    """Time of every stage [s], each on what the stages before it found, the whole scan at once."""
+    """Time of every stage [s] on the results of the stages before, for the whole scan at once."""
     ranges, xyz, beam = block.range_m, block.xyz_m, beams(block)
     sides = split_sides(beam)
     times: dict[str, float] = {}

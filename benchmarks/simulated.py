@@ -47,7 +47,7 @@ DATA = Path(os.environ.get("PRC_DATA", ROOT.parent / "shared" / "data"))
 SICK = ROOT / "sample_configs" / "sick_push_broom.toml"
 
 FIRST_SEED = 301
-"""Worlds that were not looked at while scenes, scanners and classifiers were made."""
+"""Held-out seeds, not used to develop scenes, scanners and classifiers."""
 
 URBAN_COLUMNS = ("noise", "ground", "vegetation", "building")
 URBAN_ROWS = (*URBAN_COLUMNS, "other")
@@ -80,7 +80,7 @@ TABLE_II = ((0.93, 0.02, 0.04), (0.65, 0.31, 0.03), (0.28, 0.18, 0.50))
 TABLE_II_COUNTS = np.array(
     [[15285576, 336704, 232019], [14741263, 6934955, 429704], [515205, 326183, 914452]], dtype=np.int64
 )
-"""Its counts; their rows are not those of the printed recall values."""
+"""Counts of the same table; their rows differ from the printed recall values."""
 RELAXED_STEM = (0.204, 0.413)
 """Recall and precision of stems with 1.0 m and 0.1 m, section IV-C."""
 ZETAS = ((0.01, 0.01), (1.0, 0.1))
@@ -111,7 +111,7 @@ OAKLAND_LINES = 1500
 
 
 def say(text: str) -> None:
-    """Print a paragraph, its lines broken anew."""
+    """Print a paragraph, rewrapped."""
     print(textwrap.fill(" ".join(text.split()), 118, break_long_words=False, break_on_hyphens=False) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""Rates of the classifier in memory, beside the oracle, plain NumPy and a copy of the same ranges, in one run.
+"""Rates of the classifier in memory, compared with the oracle, plain NumPy and a copy of the same ranges.
 
 python -m benchmarks.stages
 """
@@ -25,7 +25,7 @@ from prc_cli.simulation.settings import load_settings
 from prc_cli.simulation.simulation import open_simulation
 
 ROUNDS = 7
-"""Every job runs once a round, so that what else the machine does falls on all of them; the best time counts."""
+"""Rounds; each runs every job once, so that other load affects all. The best time counts."""
 
 
 def classify_all(ranges: F32, params: PrcParams, threads: int, *, segments: bool = False) -> None:
@@ -68,7 +68,7 @@ def main() -> None:
     """Print the table."""
     load_kernels(frozenset({"prc.components", "prc.support", "prc.surfaces"}))
     piece = street(594, 2154)
-    ranges = np.tile(piece, (20, 1))  # 100 MB: more than any cache holds
+    ranges = np.tile(piece, (20, 1))  # 100 MB: larger than any cache
     wide = np.tile(street(510, 4270), (12, 1))
     target = np.empty_like(ranges)
     urban = load_config(preset="urban").config

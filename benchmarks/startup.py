@@ -1,10 +1,9 @@
-"""What a run costs before it begins: compiling on an empty cache, and the start of the command on a small file.
+"""Startup time: compiling on an empty cache, and the command on a small file.
 
     python -m benchmarks.startup
 
-CPU seconds are those of the process and its children; the wall clock suffers from whatever else the machine does, so
-both are the least of several runs. Python's own bytecode is kept in a folder of the run, empty at first, as an
-installation keeps it, whatever the environment says.
+CPU seconds include child processes; CPU and wall times are the least of several runs. Python bytecode is cached in a
+folder of the run, empty at first, as in an installation, whatever the environment says.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ RUNS = 5
 LOAD = "import sys, prc_cli.kernels as k; k.load_kernels(frozenset(sys.argv[1:]))"
 """As the command does it."""
 METHODS = {"prc": "urban", "sequential-angle": "street-scan", "fused": "fused", "fused-forest": "fused-forest"}
-"""A preset of every set of compiled loops."""
+"""One preset for every set of compiled loops."""
 ONE = """
 import sys, time
 from importlib import import_module
@@ -34,7 +33,7 @@ begin = time.process_time()
 import_module(sys.argv[1])
 print(time.process_time() - begin)
 """
-"""The compiler itself is loaded, and has compiled something, before the time counts."""
+"""Load the compiler and compile something before timing."""
 
 
 def run(arguments: list[str], cache: Path) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Fixtures that several rooms of the test tree use."""
+"""Fixtures shared by several folders of tests."""
 
 from __future__ import annotations
 

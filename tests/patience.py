@@ -1,6 +1,6 @@
-"""How tests wait: for what is to happen, not for a time that a slower machine would need to be longer.
+"""Waiting in tests: for an event, not for a fixed time, which slow machines would exceed.
 
-Every process that a test starts has a time limit that ends it. It hears Ctrl-C (SIGINT) also where the tests were
+Every process that a test starts has a time limit that ends it. It receives Ctrl-C (SIGINT) even if the tests were
 started with SIGINT ignored: under nohup, by cron, or in the background of a shell.
 """
 

@@ -1,4 +1,4 @@
-"""The real profiler sample (README of the data: jakteristics test data) and what was recovered from it by fitting."""
+"""The real profiler sample (README of the data: jakteristics test data) and parameters recovered from it by fitting."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small simulated scans as arrays, made once a session."""
+"""Small simulated scans as arrays, made once per session."""
 
 from __future__ import annotations
 

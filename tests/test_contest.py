@@ -1,4 +1,4 @@
-"""The contest's judge: what is judged, how scans without a class count, what is not judged."""
+"""Scores of the contest: which classes are judged, and scans without a class."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One file through reader, classifier and writer at the same time: equal bytes, clean ends, no thread left."""
+"""Reader, classifier and writer in parallel: equal bytes, clean shutdown, no thread left."""
 
 from __future__ import annotations
 

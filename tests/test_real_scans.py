@@ -1,4 +1,4 @@
-"""Real scans, through the same functions as the commands: what the tool must handle."""
+"""Real scans through the functions of the commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sample configurations hold what differs from the defaults, with reasons; ``prc config presets`` lists them."""
+"""Sample configurations hold only differences from the defaults, with reasons; ``prc config presets`` lists them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""File formats, a room each: what is read from them and what is written to them; which one takes which file."""
+"""File formats, one package each for reading and writing; the tables here choose the reader by suffix."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _raw_binary(path: Path, layout: Layout | None) -> RecordSource:
 
 
 def _ranges_only(layout: Layout | None) -> Layout:
-    """Ranges alone, with what a layout without fields says of header, byte order and line length."""
+    """Return a layout of ranges alone, with the header, byte order and line length of a layout without fields."""
     return RANGES_ONLY if layout is None else layout.model_copy(update={"fields": RANGES_ONLY.fields})
 
 
@@ -83,7 +83,7 @@ IMAGE_READERS: dict[str, Callable[[Path, InputConfig, int], ScanStream]] = {
     ".ptx": _ptx,
     ".e57": _e57,
 }
-"""Readers of range images and organised scans by suffix: their lines and columns are in the file."""
+"""Readers of range images and organised scans by suffix; these files hold lines and columns."""
 
 LAS_SUFFIXES = (".las", ".laz")
 
@@ -94,7 +94,7 @@ def check_input(path: Path) -> str:
     Raises
     ------
     InputError
-        When it is absent, not a file, empty, or of a suffix that no reader takes.
+        When it is absent, not a file, empty, or has an unknown suffix.
     """
     known = (*READERS, *IMAGE_READERS)
     suffix = suffix_of(path)
@@ -125,7 +125,7 @@ def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None
 
 
 def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> ScanStream:
-    """Open a file that :func:`open_source` finds no list of records in.
+    """Open a range image or organised scans, for which :func:`open_source` returns None.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def open_images(path: Path, config: InputConfig, *, lines_at_once: int = 1) -> S
     config : InputConfig
         How the file is read.
     lines_at_once : int
-        Lines of which multiples are best read.
+        Preferred number of lines per read: a multiple of it.
     """
     return IMAGE_READERS[suffix_of(path)](path, config, lines_at_once)
 

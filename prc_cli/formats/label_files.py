@@ -1,4 +1,4 @@
-"""Labels to files: LAS and LAZ with everything else kept, or labels alone; whole outputs or none.
+"""Writers of labels, by suffix: LAS and LAZ with everything else kept, or labels alone; complete outputs or none.
 
 >>> sorted(SUFFIXES)
 ['.csv', '.las', '.laz', '.npy', '.parquet']
@@ -65,7 +65,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     source_is_las : bool
         Whether the input is LAS or LAZ.
     n_records : int or None
-        Records of the input, None if only reading can tell.
+        Number of input records; None if unknown before reading.
     points_per_line : int
         M, shots in a scan line.
     codes : ClassCodes
@@ -75,7 +75,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     overwrite : bool
         Whether an existing output may be replaced.
     laz_contexts : ClassContexts, optional
-        Kept from reading the LAZ input; makes writing it again faster and changes nothing else.
+        Kept from reading the LAZ input, to rewrite it faster; the output is the same without.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     OutputExistsError, OutputError
         When the output exists, is the input, or its folder is missing or read-only.
     InputError
-        When a LAS or LAZ input that is to be rewritten has no sound header.
+        When the header of a LAS or LAZ input is damaged.
 
     Examples
     --------

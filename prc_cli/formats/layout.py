@@ -1,4 +1,4 @@
-"""The record layout of raw dumps and text files: fields to a numpy record type, stored numbers to values."""
+"""The record layout of raw dumps and text files: numpy record type, and decoding of stored numbers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNITS = {
     "time": ("", "s"),
     "angle": ("", "deg", "rad"),
 }
-"""Units that a field of a standard name may be declared in; ``scale`` converts whatever else is stored."""
+"""Units allowed for fields of a standard name; use ``scale`` to convert others."""
 
 
 def record_dtype(layout: Layout) -> np.dtype[np.void]:
@@ -32,7 +32,7 @@ def record_dtype(layout: Layout) -> np.dtype[np.void]:
     Returns
     -------
     dtype
-        One member a field, in order and unaligned, in the layout's byte order; ``record_bytes`` long if given.
+        One member per field, in order and unaligned, in the byte order of the layout; ``record_bytes`` long if given.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def check_fields(layout: Layout) -> None:
 
 
 def _check_missing(item: LayoutField, stored: np.dtype[Any]) -> None:
-    """Refuse a missing value that the type cannot hold: it would never be met."""
+    """Refuse a missing value that the type cannot hold, because it would never match."""
     if item.missing is None:
         return
     if stored.kind == "f":
@@ -109,9 +109,9 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
     Returns
     -------
     (n,) array
-        A new or contiguous array in native byte order. float64, but: ranges that are stored as float32 or
-        float16 and neither scaled nor shifted stay float32, and whole numbers of other fields that need no
-        change (lines, columns, intensities, counters) stay whole.
+        A new or contiguous array in native byte order. float64, with two exceptions: ranges stored as float32 or
+        float16 without scale and offset are float32, and integers of other fields without scale and offset (lines,
+        columns, intensities, counters) stay integers.
 
     Examples
     --------
@@ -125,7 +125,7 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
         return np.ascontiguousarray(stored, dtype=stored.dtype.newbyteorder("="))
     narrow = plain and item.name == "range" and stored.dtype.kind == "f" and stored.dtype.itemsize <= 4
     with np.errstate(over="ignore", invalid="ignore"):
-        # what was read for this alone need not be copied
+        # a buffer read only for this need not be copied
         kept = item.name == "range" and plain and missing is None
         own = stored.flags.c_contiguous and (stored.flags.writeable or kept)
         values: NDArray[np.floating[Any]] = stored.astype(np.float32 if narrow else np.float64, copy=not own)

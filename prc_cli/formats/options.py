@@ -12,20 +12,20 @@ from pydantic import AfterValidator, Field, model_validator
 from prc_cli.core.config import Params
 
 MAX_RECORD_BYTES = 1 << 20
-"""Largest record of a raw dump; LAS allows 65535 bytes, and chunks of records are held in memory."""
+"""Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
 
 
 LEAST_RATE_HZ, MOST_RATE_HZ = 1e-6, 1e12
-"""Line frequencies and shot rates that a scanner may have, with room to spare [Hz]."""
+"""Allowed line frequencies and shot rates, well beyond those of real scanners [Hz]."""
 
 
 def _rule(*patterns: str) -> AfterValidator:
-    """Accept a word or ``word:argument`` out of the given patterns (``*`` stands for a non-empty argument)."""
+    """Accept a word or ``word:argument`` that matches one of the patterns (``*`` = a non-empty argument)."""
 
     def check(value: str) -> str:
         for pattern in patterns:
             regex = re.escape(pattern).replace(r"\*", ".+").replace(r"\#", r"[0-9.eE+-]+")
-            # no name of a file or a dimension holds a zero byte
+            # names of files and dimensions never hold a zero byte
             if re.fullmatch(regex, value) and "\0" not in value:
                 return value
         shown = ", ".join(pattern.replace("*", "NAME").replace("#", "NUMBER") for pattern in patterns)
@@ -121,7 +121,7 @@ class InputConfig(Params):
 
 
 def parse_rate(rule: str) -> float:
-    """Return the number in ``time:48``, NaN if it is none.
+    """Return the number in ``time:48``, NaN if it is not a number.
 
     >>> parse_rate("time:48")
     48.0
@@ -159,7 +159,7 @@ def _numpy_type(value: str) -> str:
     try:
         dtype = np.dtype(value)
     except (TypeError, ValueError, SyntaxError):
-        # numpy parses what holds a comma as a list of types
+        # numpy parses a comma as a list of types
         dtype = None
     if dtype is None or dtype.kind not in "iuf":
         message = "a numpy number type such as f4, u2, i4, float64"

@@ -1,6 +1,6 @@
-"""Organised scans, rows by columns: what PTX and E57 have in common.
+"""Organised scans (rows by columns): shared parts of PTX and E57.
 
-Every scan of the file is a scanner of the stream, every column of a scan a scan line, every row a beam.
+Every scan of the file becomes a scanner of the stream, every column a scan line, every row a beam.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ CHUNK_SHOTS = 1 << 18
 MAX_POINTS_PER_LINE = 10_000_000
 """Longest line, as for ``input.points_per_line``."""
 MAX_LINES = 10_000_000
-"""Most columns of a scan: counts by column are held in memory."""
+"""Most columns of a scan: counts per column are held in memory."""
 MAX_SCANS = 1 << 16
-"""Most scans in a file: LAS tells as many apart (point_source_id)."""
+"""Most scans in a file: point_source_id in LAS has as many values."""
 INTENSITY_STEPS = 65535.0
-"""Full scale of intensities, as LAS has them."""
+"""Full scale of intensities in LAS."""
 _ROTATION_TOLERANCE = 1e-3
-"""How far the axes of a pose may be from unit length and right angles: some are written with four digits."""
+"""Tolerance for unit length and right angles of the axes of a pose: some are written with four digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """How points of the file come into the sensor's frame: ``xyz @ rotation + offset_m``."""
+    """Transformation from the file to the frame of the sensor: ``xyz @ rotation + offset_m``."""
 
     rotation: F64
-    """(3, 3) float64, rows are the file's axes in a frame with z up."""
+    """(3, 3) float64, rows are the axes of the file in a frame with z up."""
     offset_m: F64
-    """(3,) float64, rotated coordinates of the file's origin, from the scanner [m]; zero as a rule."""
+    """(3,) float64, origin of the file relative to the scanner, in the rotated frame [m]; usually zero."""
 
     @classmethod
     def none(cls) -> Pose:
-        """Points that are in the sensor's frame, z up, already."""
+        """Identity: points are in the frame of the sensor already, z up."""
         return cls(np.eye(3), np.zeros(3))
 
     def apply(self, xyz: F64) -> F64:
@@ -58,7 +58,7 @@ class Pose:
         (n, 3) float64
         """
         placed = np.empty_like(xyz)
-        # no matrix product: its rounding depends on how many points are rotated at a time
+        # no matrix product: its rounding depends on the number of points per call
         with np.errstate(over="ignore", invalid="ignore"):
             for axis in range(3):
                 a, b, c = self.rotation[:, axis]
@@ -84,7 +84,7 @@ class ScanShape:
 
 
 def is_rotation(matrix: F64) -> bool:
-    """Tell whether a 3 x 3 matrix turns coordinates without stretching or mirroring them.
+    """Whether a 3 x 3 matrix is a rotation, without scale or reflection.
 
     >>> is_rotation(np.eye(3)), is_rotation(2 * np.eye(3)), is_rotation(np.diag([1.0, 1.0, -1.0]))
     (True, False, False)
@@ -96,7 +96,7 @@ def is_rotation(matrix: F64) -> bool:
 
 
 def lengths(xyz: F64) -> F64:
-    """Return the slant range of every point, (n,) float64 [m]; infinite where it is beyond all floats."""
+    """Return the slant range of every point, (n,) float64 [m]; infinite on overflow."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         length: F64 = np.sqrt(xyz[:, 0] ** 2 + xyz[:, 1] ** 2 + xyz[:, 2] ** 2)
     return length
@@ -120,7 +120,7 @@ def lines_per_block(points_per_line: int) -> int:
 
 
 def check_rules(path: Path, config: InputConfig) -> None:
-    """Refuse rules that an organised scan cannot follow: its lines, columns and ranges are there already.
+    """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def check_rules(path: Path, config: InputConfig) -> None:
 
 
 def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> None:
-    """Refuse a file without shots, or with other lines than ``input.points_per_line`` says.
+    """Refuse a file without shots, or with another line length than ``input.points_per_line``.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> No
 def describe(
     path: Path, form: str, shapes: list[ScanShape], assumptions: list[Assumption], notes: list[str]
 ) -> StreamInfo:
-    """Return what is known of the stream before it is read."""
+    """Return the metadata known before reading."""
     full = [shape for shape in shapes if shape.n_cells]
     sizes = ", ".join(f"{shape.n_lines} x {shape.points_per_line}" for shape in full[:5])
     more = ", ..." if len(full) > 5 else ""

@@ -1,4 +1,4 @@
-"""PTX, organised scans as text: ten header lines a scan, then one point a line, columns outermost."""
+"""Reader of PTX, organised scans as text: ten header lines per scan, then one point per line, column after column."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ from prc_cli.formats.text.lines import MAX_LINE_BYTES, too_long
 TEXT_BYTES = 4 << 20
 """Bytes of text parsed at a time."""
 _ROW_BYTES = 64
-"""Bytes of a row, about: how far a short scan is looked ahead for its end."""
+"""Typical bytes per row, to estimate how far to read for the end of a short scan."""
 _LOOKED_AT = 1000
-"""Points of a scan whose intensities are looked at for their scale; missing ones do not count."""
+"""Points of a scan read to find the scale of its intensities, missing ones not counted."""
 _SAME_PLACE_M = 1e-3
-"""Translation and scanner position of a header that are no farther apart are the same [m]."""
+"""Translation and scanner position of a header are the same up to this distance [m]."""
 _N_CELLS = (3, 4, 7)
-"""x y z, with intensity, with colour."""
+"""Numbers per row: x y z, with intensity, with colour."""
 _COUNT = re.compile(rb"\d{1,18}", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """A scan and where its points are."""
+    """A scan and the position of its points in the file."""
 
     shape: ScanShape
     header_line: int
@@ -138,7 +138,7 @@ class PtxStream:
         Raises
         ------
         InputError
-            When a row is no point, or the file has changed since it was opened.
+            When a row is not a point, or the file has changed since it was opened.
         """
         for scan in self._scans:
             if scan.shape.n_cells:
@@ -166,7 +166,7 @@ class PtxStream:
         m = shape.points_per_line
         xyz = scan.pose.apply(rows[:, :3])
         missing = ~rows[:, :3].any(axis=1)
-        # a rotation changes no range: not even one that the header rounds to a few digits
+        # ranges from unrotated coordinates: headers round rotations to a few digits
         length = lengths(xyz if scan.pose.offset_m.any() else rows)
         length[np.isinf(rows[:, :3]).any(axis=1)] = np.inf
         length[missing] = np.nan
@@ -214,14 +214,14 @@ class PtxStream:
 
 
 def _filled(values: F32, n: int) -> F32:
-    """Return values with missing ones behind, n in all."""
+    """Return values padded with missing ones to n."""
     if len(values) == n:
         return values
     return np.concatenate([values, np.full((n - len(values), *values.shape[1:]), np.nan, np.float32)])
 
 
 class _Rows:
-    """Rows of a scan's points to numbers."""
+    """Parses the rows of points of a scan."""
 
     def __init__(self, path: Path, scan: _Scan) -> None:
         self._path, self._scan = path, scan
@@ -233,14 +233,14 @@ class _Rows:
         Raises
         ------
         InputError
-            At the first line that is no point.
+            At the first line that is not a point.
         """
         n = data.count(b"\n") + (not data.endswith(b"\n"))
         found = self._parse_fast(_plain(data), n)
         return self._parse_exactly(first, data) if found is None else found
 
     def _parse_fast(self, data: bytes, n: int) -> F64 | None:
-        """Let pyarrow read the rows; None where it refuses or sees other lines than we count."""
+        """Parse the rows with pyarrow; None where it refuses or counts lines differently."""
         import pyarrow as pa
         from pyarrow import csv
 
@@ -287,7 +287,7 @@ class _Rows:
 
 
 def _refuse_row(path: Path, number: int, line: bytes, scan: _Scan) -> NoReturn:
-    """Say why a line is no point of a scan."""
+    """Explain why a line is not a point."""
     n_before, shape = number - scan.first_line, scan.shape
     size = f"{shape.n_lines} columns x {shape.points_per_line} rows = {shape.n_cells} points"
     cells = line.split()
@@ -300,7 +300,7 @@ def _refuse_row(path: Path, number: int, line: bytes, scan: _Scan) -> NoReturn:
 
 
 def _plain(data: bytes) -> bytes:
-    """Return lines with single blanks between cells; costs next to nothing where that is so."""
+    """Return lines with single blanks between cells; fast where nothing is to be done."""
     data = data.replace(b"\t", b" ") if b"\t" in data else data
     data = data.replace(b"\r\n", b"\n") if b"\r" in data else data
     while b"  " in data:
@@ -311,7 +311,7 @@ def _plain(data: bytes) -> bytes:
 
 
 class _Survey:
-    """The first look at a file: headers are read, the lines of the points counted."""
+    """First pass over a file: reads the headers and counts the lines of points."""
 
     def __init__(self, path: Path, handle: IO[bytes], *, pad: bool) -> None:
         self._path, self._handle, self._pad = path, handle, pad
@@ -319,12 +319,12 @@ class _Survey:
         """Lines read so far."""
 
     def scans(self) -> list[_Scan]:
-        """Return every scan, its points not looked at but counted.
+        """Return every scan; its points are counted, not parsed.
 
         Raises
         ------
         InputError
-            When a header is damaged, or the points are fewer or more than it says.
+            When a header is damaged, or the number of points is not that of the header.
         """
         found: list[_Scan] = []
         n_records = 0
@@ -350,9 +350,9 @@ class _Survey:
         return None
 
     def _refuse_points(self, scan: _Scan, text: bytes) -> NoReturn:
-        """Say what is wrong when a point stands where the next scan should begin."""
+        """Return the error for a point where the next scan should begin."""
         number = self._line
-        # a scan that is too short has the header of the next one among its points
+        # in a scan that is too short, the header of the next one follows among the points
         self._handle.seek(scan.start)
         for index in range(scan.shape.n_records):
             line = self._handle.readline(MAX_LINE_BYTES)
@@ -401,7 +401,7 @@ class _Survey:
         return InputError(f"{self._path}: line {self._line}", problem, hint)
 
     def _intensity_scale(self, scan: _Scan) -> float:
-        """Return 65535 where intensities run from 0 to 1, as PTX has them by definition, else 1."""
+        """Return the factor for intensities: 65535 where they run from 0 to 1, as PTX defines, else 1."""
         self._handle.seek(scan.start)
         rows, left, line = _Rows(self._path, scan), scan.shape.n_records, scan.first_line
         n_seen, inside = 0, True
@@ -409,7 +409,7 @@ class _Survey:
             n = min(_LOOKED_AT, left)
             head = b"".join(self._handle.readline(MAX_LINE_BYTES + 1) for _ in range(n))
             found = rows.parse(line, head)
-            # what a scanner writes for a shot without return is no measurement
+            # leave out shots without return
             value = found[found[:, :3].any(axis=1), 3]
             inside = bool(((value >= 0) & (value <= 1) | np.isnan(value)).all())
             n_seen, left, line = n_seen + len(value), left - n, line + n
@@ -425,9 +425,9 @@ class _Survey:
                 "the transformation is no rotation with a translation, expected four rows x x x 0 and last t t t 1"
             )
             raise InputError(where, problem, "correct the header or export the scan again")
-        # some programs leave the position out
+        # some programs omit the position
         offset = matrix[3, :3] - np.array(position) if any(position) else np.zeros(3)
-        # the two are written with different numbers of digits
+        # the two may be written with different numbers of digits
         return Pose(rotation, offset if np.abs(offset).max() > _SAME_PLACE_M else np.zeros(3))
 
     def _read_line(self) -> bytes:
@@ -458,7 +458,7 @@ class _Survey:
         return [value for value in values if value is not None]
 
     def _skip(self, n: int) -> int:
-        """Pass over n lines; return how many there were."""
+        """Skip n lines; return how many there were."""
         passed, at_end = 0, True
         while passed < n:
             start = self._handle.tell()
@@ -477,7 +477,7 @@ class _Survey:
                 self._handle.seek(start + data.rfind(b"\n") + 1)
                 at_end = True
             passed += count
-        # the last line of a file may lack its end
+        # the last line of a file may lack a line feed
         passed += not at_end and passed < n
         self._line += passed
         return passed

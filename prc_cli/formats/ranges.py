@@ -1,4 +1,4 @@
-"""What counts as a range: everything else becomes missing, and is counted."""
+"""Cleans ranges: invalid ones become missing and are counted by reason."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ def clean_ranges(
 ) -> tuple[F32, ReadTally]:
     """Return ranges that are finite, positive and within bounds; all else as NaN, counted by its reason.
 
-    Judged after rounding to float32, so that a stream gives the same result whether its file holds float32,
-    float64 or decimal text.
+    Checked after rounding to float32, so that float32, float64 and decimal text give the same result.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
-"""Inputs that are lists of records: what a file format has to offer so that the stream can be built from it.
+"""The interface of readers for lists of records, from which the stream is built.
 
-A source decodes, nothing more. Which line, column and range a record has is decided by
-:mod:`prc_cli.streams.grid`, the same way for every format.
+A source only decodes; :mod:`prc_cli.streams.grid` finds line, column and range of every record, for all formats alike.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ STANDARD_NAMES = (
     "range", "scan_line", "column", "angle", "time", "x", "y", "z", "intensity", "return_number",
     "number_of_returns",
 )  # fmt: skip
-"""Names that every source uses for what it has of these; any other dimension keeps its own name."""
+"""Names of dimensions common to all sources; other dimensions keep their own name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +32,7 @@ class RecordChunk:
     first_record: int
     """Index in the input of the first record."""
     values: dict[str, NDArray[Any]]
-    """(n,) arrays by dimension name; exactly the names that were asked for."""
+    """(n,) arrays by dimension name; exactly the requested names."""
     n: int
     """Number of records."""
     record: I64 | None = None
@@ -75,7 +74,7 @@ class RecordSource(Protocol):
 
 @dataclass(frozen=True)
 class DerivedSource:
-    """A source that gives the records of another one in another way; subclasses say how in ``chunks``."""
+    """Base class of sources that change the records of another source in ``chunks``."""
 
     source: RecordSource
 

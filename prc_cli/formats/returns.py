@@ -1,4 +1,4 @@
-"""Which records are returns of one shot, and which of them stands for it."""
+"""Groups returns of one shot and chooses one of them for the range image."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from prc_cli.core.types import F32, Mask
 
 ReturnRule: TypeAlias = Literal["strongest", "first", "last"]
-"""The return that stands for a shot (``input.return``)."""
+"""The return of a shot that the range image shows (``input.return``)."""
 
 
 def continues_run(keys: tuple[NDArray[Any], ...], number_of_returns: NDArray[Any]) -> Mask:
-    """Mark the records that may belong to the shot of the record before them.
+    """Mark records that may belong to the same shot as the record before.
 
     Parameters
     ----------
     keys : tuple of (n,) arrays
-        What the returns of a shot share: time, and line or column number where the input has them.
+        Values equal for all returns of a shot: time, and line or column number where the input has them.
     number_of_returns : (n,) array
-        Returns of the shot; records of single-return shots never continue anything.
+        Returns of the shot; records of single-return shots are never marked.
 
     Returns
     -------
@@ -44,8 +44,8 @@ def mark_shots(continues: Mask, return_number: NDArray[Any] | None) -> Mask:
     continues : (n,) bool
         From :func:`continues_run`.
     return_number : (n,) array or None
-        Tells shots apart that share a time stamp: a new one begins where the number that began the run comes
-        back, or where a number repeats.
+        Separates shots with equal time stamps: a new shot begins where the first number of the run comes again, or
+        where a number repeats.
 
     Returns
     -------
@@ -76,9 +76,9 @@ def choose_returns(
     return_number: NDArray[Any] | None,
     rule: ReturnRule,
 ) -> Mask:
-    """Mark the one return of every shot that stands for it in the range image.
+    """Mark the one return of every shot that the range image shows.
 
-    Returns without range are taken only if no return of the shot has one; of equal ones the earlier is taken.
+    Returns without range are chosen only if no return of the shot has one; ties go to the earlier return.
 
     Parameters
     ----------
@@ -87,15 +87,15 @@ def choose_returns(
     range_m : (n,) float32
         Ranges [m], NaN = missing.
     intensity : (n,) array or None
-        Decides under ``strongest``; None = as ``first``.
+        Used by ``strongest``; None = as ``first``.
     return_number : (n,) array or None
-        Decides under ``first`` and ``last``; None = the position in the file does.
+        Used by ``first`` and ``last``; None = order in the file.
     rule : {"strongest", "first", "last"}
 
     Returns
     -------
     (n,) bool
-        One True a shot.
+        One True per shot.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def choose_returns(
         order = np.arange(n) if return_number is None else return_number
         score = order.astype(np.float64) if rule == "last" else -order.astype(np.float64)
         score[np.isnan(score)] = -np.inf
-    # two passes of the same comparison: a range beats any score
+    # returns with a range first, then the highest score among them
     first = np.flatnonzero(starts)
     shot = np.cumsum(starts) - 1
     valid = ~np.isnan(range_m)

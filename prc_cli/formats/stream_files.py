@@ -1,4 +1,4 @@
-"""Whole streams to files: which writer is taken for which name, and what is refused before any work is done."""
+"""Chooses the writer of a whole stream by suffix, and checks the output before any work is done."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ STREAM_SUFFIXES = {
 
 
 def stream_suffix(path: Path) -> str:
-    """Return the suffix that decides the writer.
+    """Return the suffix, which decides the writer.
 
     Raises
     ------
     ConfigError
-        When no writer has it.
+        When it is unknown.
 
     Examples
     --------
@@ -51,7 +51,7 @@ def stream_suffix(path: Path) -> str:
 
 
 def outputs_of(path: Path) -> tuple[Path, ...]:
-    """Return every file that a stream output consists of, the run record included."""
+    """Return all files of a stream output, the run record included."""
     from prc_cli.formats.raw_binary.write import config_path
 
     beside = (config_path(path),) if stream_suffix(path) == ".bin" else ()
@@ -64,9 +64,9 @@ def check_stream_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...]
     Raises
     ------
     ConfigError
-        When no writer has its suffix.
+        When its suffix is unknown.
     OutputExistsError, OutputError
-        As :func:`prc_cli.core.files.check_output`, for every file of it.
+        As :func:`prc_cli.core.files.check_output`, for every file of the output.
     """
     for each in outputs_of(path):
         check_output(each, overwrite=overwrite, inputs=inputs)

@@ -1,4 +1,4 @@
-"""Scans of 3DTK (``.3d``, its format "uos"): a point a row, columns x, y, z in centimetres."""
+"""Scans of 3DTK (``.3d``, its format "uos"): one point per row, columns x, y, z in centimetres."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ _CENTIMETRE = 0.01
 
 UOS = Layout(
     delimiter=" ",
-    # left-handed, y up, z forward: with y and z exchanged right-handed and z up
+    # left-handed, y up, z forward: swap y and z for a right-handed frame with z up
     fields=(
         LayoutField(name="x", source=0, scale=_CENTIMETRE),
         LayoutField(name="z", source=1, scale=_CENTIMETRE),
@@ -19,7 +19,7 @@ UOS = Layout(
 
 
 def uos_layout(layout: Layout | None) -> Layout:
-    """Return the layout of a ``.3d`` file, with what a layout without fields says of line length and frequency."""
+    """Return the layout of a ``.3d`` file, with line length and frequency of a layout without fields."""
     if layout is None:
         return UOS
     return layout if layout.fields else layout.model_copy(update={"fields": UOS.fields, "delimiter": UOS.delimiter})

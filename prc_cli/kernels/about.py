@@ -1,4 +1,4 @@
-"""What the compiler makes of this machine, and what its cache holds; for ``prc doctor``."""
+"""Facts about processor, compiler and cache, for ``prc doctor``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prc_cli.kernels.cache import writable_cache
 from prc_cli.kernels.compiling import is_compiled
 
 VECTORS = ("avx512f", "avx2", "avx", "sse4.2", "sve", "neon")
-"""Features of processors that loops gain from, the best first."""
+"""Vector extensions that speed up loops, the best first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,9 +22,9 @@ class About:
     """Processor and compiler."""
 
     processor: str
-    """As the compiler calls it."""
+    """Name by the compiler."""
     features: tuple[str, ...]
-    """Those of :data:`VECTORS` that it uses."""
+    """Extensions of :data:`VECTORS` in use."""
     compiles: bool
     """False where compiling is turned off (``NUMBA_DISABLE_JIT``)."""
 
@@ -34,15 +34,15 @@ class CacheState:
     """The folder of compiled kernels."""
 
     folder: Path | None
-    """None if no folder can be written."""
+    """None if no folder is writable."""
     n_bytes: int
     n_compiled: int
-    """Modules whose kernels are there for this source, compiler and processor."""
+    """Modules with kernels in the cache for this source, compiler and processor."""
     n_modules: int
 
 
 def about() -> About:
-    """Return what the compiler makes of the processor."""
+    """Return the processor as the compiler sees it."""
     has = llvmlite.binding.get_host_cpu_features()
     config = numba.config
     return About(
@@ -53,13 +53,13 @@ def about() -> About:
 
 
 def cache_state() -> CacheState:
-    """Return what is in the cache."""
+    """Return the contents of the cache."""
     modules = sorted(set(KERNELS.values()))
     folder = writable_cache()
     if folder is None:
         return CacheState(None, 0, 0, len(modules))
     n_bytes = 0
     for path in folder.rglob("*"):
-        with contextlib.suppress(OSError):  # another process may take it away
+        with contextlib.suppress(OSError):  # another process may remove it
             n_bytes += path.stat().st_size
     return CacheState(folder, n_bytes, sum(is_compiled(module, folder) for module in modules), len(modules))

@@ -1,7 +1,7 @@
-"""How a loop is compiled, and where the compiled code is kept.
+"""Compiles loops, and keeps the compiled code in a cache.
 
-The install folder may belong to somebody else, a cron user may have no home, a disk may be full, a cache file may be
-cut short: none of that may stop a run. Whatever goes wrong with the cache, the kernel is compiled in memory.
+The install folder may be read-only, a cron user may have no home, a disk may be full, a cache file may be cut short.
+Whenever the cache fails, the kernel is compiled in memory, so that no run stops.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def kernel(*signatures: str, tuples: Tuples = ()) -> Callable[[FunctionT], Funct
                 return cached
             except NumbaError:
                 raise
-            except Exception:  # a damaged, full or vanished cache, in whatever way: do without it
+            except Exception:  # the cache is damaged, full or gone: compile without it
                 pass
         in_memory: FunctionT = jit(types, **options)(function)
         return in_memory
@@ -78,7 +78,7 @@ def _numba_signatures(signatures: Sequence[str], tuples: Tuples) -> list[Any]:
     for cls in tuples:
         fields = get_type_hints(cls, include_extras=True).values()
         names[cls.__name__] = names["BaseTuple"].from_types([_numba_type(field, names) for field in fields], cls)
-    return [eval(signature, {}, names) for signature in signatures]  # which is what numba does with them
+    return [eval(signature, {}, names) for signature in signatures]  # as numba does
 
 
 def _numba_type(field: Any, names: dict[str, Any]) -> Any:
@@ -103,10 +103,9 @@ def _fields_folder(tuples: Tuples) -> str:
 def helper(function: FunctionT) -> FunctionT:
     """Let kernels call a private function of their module; it is compiled with, and as, the kernel that calls it.
 
-    No signature and no cache file of its own: it takes the types it is called with and is kept inside the compiled
-    kernels, which are compiled anew when their module changes. Hence never share one between modules.
-    The compiler inlines what is small or called once. Only kernels can call it: what Python or C would need to call it
-    would have to be compiled as well.
+    It has no signature and no cache file: its types are those of the call, and its code is part of the compiled
+    kernels, which are compiled again when their module changes. So never share one between modules. The compiler
+    inlines functions that are small or called once. Python and C cannot call it, which saves compiling wrappers.
     """
     jit: Any = numba.njit  # typed by some versions of numba and not by others
     compiled: FunctionT = jit(**_HELPER)(function)
@@ -114,10 +113,10 @@ def helper(function: FunctionT) -> FunctionT:
 
 
 def inlined(function: FunctionT) -> FunctionT:
-    """Put a private function into every place that calls it: for the few lines that a loop runs for every shot.
+    """Inline a private function in every call: for short functions that a loop runs for every shot.
 
-    As :func:`helper` otherwise. Handing over an array costs a call seven words on the stack, which is more than most
-    steps of a loop. Calls in many places cost time to compile.
+    As :func:`helper` otherwise. Passing an array takes seven words on the stack, more than most steps of a loop. Many
+    calls take longer to compile.
     """
     jit: Any = numba.njit  # typed by some versions of numba and not by others
     compiled: FunctionT = jit(**_HELPER, forceinline=True)(function)
@@ -126,7 +125,7 @@ def inlined(function: FunctionT) -> FunctionT:
 
 @lru_cache(maxsize=1)
 def writable_cache() -> Path | None:
-    """Folder for compiled kernels: the user's choice, the user's cache folder, a private temporary one, or none."""
+    """Return the folder for compiled kernels: as configured, in the user's cache, temporary and private, or none."""
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
         return Path(given) if _is_writable(Path(given)) else None
@@ -137,13 +136,13 @@ def writable_cache() -> Path | None:
 
 
 def _temporary_cache() -> Path:
-    """Return a folder name of this user's own in the folder where everybody may write."""
+    """Return the name of a private folder of this user in the shared temporary folder."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
     return Path(tempfile.gettempdir()) / f"prc-cli-{user}"
 
 
 def _is_writable(folder: Path) -> bool:
-    """Create the folder if need be and try a file in it; permissions alone do not tell (quota, read-only mount)."""
+    """Create the folder if needed and write a test file: permissions do not show quotas and read-only mounts."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as handle:
@@ -154,7 +153,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _is_private(folder: Path) -> bool:
-    """Tell whether nobody else could have put compiled code there."""
+    """Whether only this user can write compiled code there."""
     status = folder.lstat()
     if hasattr(os, "getuid") and status.st_uid != os.getuid():
         return False
@@ -163,7 +162,7 @@ def _is_private(folder: Path) -> bool:
 
 @contextmanager
 def _numba_cache(folder: Path) -> Iterator[None]:
-    """Point numba at a cache folder while one function is compiled, and leave its setting as it was."""
+    """Set the cache folder of numba while one function is compiled."""
     config: Any = numba.config
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)

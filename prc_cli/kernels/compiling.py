@@ -1,8 +1,8 @@
-"""Fill the cache of compiled code: on all cores, and in one process at a time.
+"""Fills the cache of compiled code, on all cores, by one process at a time.
 
-After installation the loops are compiled once. Processes that start at the same moment, such as the files of a batch,
-would all compile the same; so one does, with child processes for its share of the cores, and the others wait for it.
-None of this is needed for a run to succeed: whatever goes wrong here, a loop is compiled where it is used.
+After installation the loops are compiled once. Processes that start at the same time, such as those of a batch, would
+all compile the same loops; so one of them does, with child processes on its share of the cores, and the others wait. If
+anything fails here, a loop is compiled when it is used.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from prc_cli.kernels.cache import writable_cache
 
 try:
     import fcntl
-except ImportError:  # not on this system: processes then compile beside each other
+except ImportError:  # not on this system: processes then compile in parallel
     fcntl = None  # type: ignore[assignment]
 
 PATIENCE_S = 30.0
-"""How long to wait for another process that compiles: about what it takes to compile everything alone [s]."""
+"""Longest wait for another process to compile, about the time to compile everything alone [s]."""
 _TICK_S = 0.05
 _LOCK = "prc-compiling.lock"
 _KERNELS, _THRESHOLDS = "prc_cli.kernels.", "prc_cli.core.thresholds."
 
 
 def compile_missing(modules: Sequence[str]) -> None:
-    """Compile the kernels of modules that the cache does not hold yet.
+    """Compile the kernels of modules that are not in the cache.
 
     Parameters
     ----------
@@ -75,16 +75,16 @@ def compile_missing(modules: Sequence[str]) -> None:
 
 
 def _largest_first(modules: Sequence[str]) -> list[str]:
-    """Order modules by how much source there is to compile, so that what is left for the end is small."""
+    """Sort modules by length of source, the longest first, so that short ones remain for the end."""
     return sorted(modules, key=lambda module: -_source(module).stat().st_size)
 
 
 def _compile_unclaimed(shares: Path, modules: Sequence[str], folder: Path) -> None:
-    """Compile the modules that no other process has claimed; whoever is quicker does more."""
+    """Compile the modules that no other process has claimed; faster processes take more."""
     for module in modules:
         try:
             (shares / module).open("xb").close()
-        except OSError:  # another has it; or nothing can be written, and it is compiled where it is used
+        except OSError:  # claimed by another process, or the folder is not writable: compiled when used
             continue
         _compile(module, folder)
 
@@ -94,7 +94,7 @@ def _missing(modules: Sequence[str], folder: Path) -> list[str]:
 
 
 def is_compiled(module: str, folder: Path) -> bool:
-    """Tell whether a cache folder holds the kernels of a module, given by its full name."""
+    """Whether a cache folder holds the kernels of a module, given by its full name."""
     return _mark(module, folder).exists()
 
 
@@ -137,7 +137,7 @@ def _compile(module: str, folder: Path) -> None:
 
 
 def _start(shares: Path, modules: Sequence[str]) -> subprocess.Popen[bytes] | None:
-    """Begin to compile in a child process, if there can be one; it finds the packages where this process does."""
+    """Start compiling in a child process, if possible; it uses the import path of this process."""
     path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
     try:
         return subprocess.Popen(
@@ -152,7 +152,7 @@ def _start(shares: Path, modules: Sequence[str]) -> subprocess.Popen[bytes] | No
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Wait until no other process compiles, but not for ever; the system opens the lock of a process that died."""
+    """Wait, with a time limit, until no other process compiles; the system releases locks of dead processes."""
     try:
         handle = (folder / _LOCK).open("ab")
     except OSError:
@@ -173,7 +173,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def main(shares: str, modules: Sequence[str]) -> None:
-    """Compile, in this process, modules that nobody else compiles."""
+    """Compile, in this process, modules that no other process compiles."""
     folder = writable_cache()
     if folder is not None:
         with no_collecting():

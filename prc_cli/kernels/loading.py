@@ -1,4 +1,4 @@
-"""Where kernels come from: the compiled loops, or their plain twins in :mod:`prc_cli.reference`."""
+"""Loads kernels: the compiled loops, or their plain twins in :mod:`prc_cli.reference`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _find_home: Callable[[str], str] = KERNELS.__getitem__
 
 
 def find_kernel(name: str) -> Callable[..., Any]:
-    """Return a kernel, loaded at its first use; compiled earlier, it comes from the cache.
+    """Return a kernel, loaded at its first use, from the cache if compiled before.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def find_kernel(name: str) -> Callable[..., Any]:
 
 
 def use_reference() -> None:
-    """Let this process use the plain twin of every kernel from now on; the compiler is never loaded."""
+    """Use the plain twin of every kernel in this process from now on, without loading the compiler."""
     global _find_home
     _find_home = reference_home
     _loaded.clear()
@@ -92,6 +92,6 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
 
 
 def _is_in(home: str, modules: frozenset[str]) -> bool:
-    """Tell whether a module is one of those named, or lies in one of the folders named."""
+    """Whether a module, or one of its folders, is among the names."""
     inside = home.removeprefix(_HOME)
     return inside in modules or inside.partition(".")[0] in modules

@@ -1,1 +1,1 @@
-"""Both papers in plain NumPy, SciPy and scikit-image, to be read beside the paper; no compiled loop is used."""
+"""Both papers in plain NumPy, SciPy and scikit-image, to be read beside them; without compiled loops."""

@@ -1,1 +1,1 @@
-"""An archive becomes a stream: records are put into scan lines, columns and ranges, the same way for every format."""
+"""Builds the stream from a file: scan lines, columns and ranges from records, the same way for every format."""

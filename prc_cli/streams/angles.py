@@ -1,4 +1,4 @@
-"""What scan angles tell: how the sweep runs, and the grid of the columns, estimated where nobody says it."""
+"""Estimates sweep direction, angular columns and column angles from scan angles."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from prc_cli.core.types import F64, I64, Mask
 from prc_cli.streams.columns import AngleGrid, begins_line, columns_by_angle
 
 FULL_TURN = 0.9
-"""Share of a turn that the lines must span to be taken for whole turns."""
+"""Lines that span at least this share of a turn count as whole turns."""
 MAX_EQUAL = 0.5
-"""Share of neighbouring shots that may have equal angles: more are rounded too coarsely to tell columns."""
+"""Largest share of neighbouring shots with equal angles: beyond it, angles are too coarse for columns."""
 MAX_ROUNDED = 0.005
-"""Share of neighbouring shots with equal angles from which on angles count as rounded coarsely."""
+"""Angles count as coarsely rounded from this share of neighbouring shots with equal angles on."""
 MIN_AGREEMENT = 0.75
-"""Share of steps of the scan angle that must go the same way."""
+"""Least share of steps of the scan angle in one direction."""
 _TURN = 2 * math.pi
 
 
@@ -33,7 +33,7 @@ class Sweep:
     span_rad: float
     """Angle between the ends of the longest lines [rad]."""
     noise_rad: float
-    """Angles may go back by this much within a line [rad]."""
+    """Tolerance for steps back within a line [rad]."""
 
 
 def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
@@ -42,14 +42,14 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     Parameters
     ----------
     angle : (n,) float
-        Scan angles in the order of the input [rad]; NaN is left out.
+        Scan angles in input order [rad]; NaN is ignored.
     where : str
         File, for messages.
 
     Raises
     ------
     InputError
-        When angles do not vary, or run back and forth (an oscillating mirror has no wrap).
+        When angles do not vary, or run back and forth (as with an oscillating mirror).
 
     Examples
     --------
@@ -70,7 +70,7 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
     if share < MIN_AGREEMENT:
         problem = f"the scan angle grows in {n_up} steps and falls in {n_down}, expected sweeps of one direction"
         raise InputError(where, problem, hint)
-    # angles are rounded: a few steps back and forth are no wrap
+    # angles are rounded: small steps back are not a wrap
     noise = max(2 * float(np.median(np.abs(step[step != 0]))) if n_up + n_down else 0.0, 0.01 * span)
     return Sweep(1 if n_up >= n_down else -1, span, noise)
 
@@ -80,8 +80,7 @@ def find_angle_grid(
 ) -> AngleGrid:
     """Estimate columns from the angles of the first shots.
 
-    The step is found between neighbours and refined over ever longer stretches of the lines, so that it holds
-    over a whole line.
+    The step between neighbours is refined over increasing distances, so that it fits whole lines.
 
     Parameters
     ----------
@@ -92,12 +91,12 @@ def find_angle_grid(
     where : str
         File, for messages.
     start_rad, step_rad : float, optional
-        What is known already.
+        Known values, used as they are.
 
     Raises
     ------
     InputError
-        When the angles do not tell: too few, or rounded so coarsely that shots share them.
+        When there are too few angles, or they are rounded so coarsely that shots share them.
     """
     finite = np.isfinite(angle)
     value, line = np.asarray(angle, np.float64)[finite], line[finite]
@@ -108,7 +107,7 @@ def find_angle_grid(
     turn = turn - _TURN * np.rint(turn / _TURN)
     sign = math.copysign(1.0, step_rad if step_rad is not None else float(np.sum(np.sign(turn[within]))))
     forward = np.where(within, sign * turn, 0.0)
-    # more than half a turn without return: the way round is still forward
+    # more than half a turn without return: still a step forward
     forward = np.where(forward < -0.5 * math.pi, forward + _TURN, forward)
     if step_rad is None:
         equal = float(np.mean(forward[within] == 0))
@@ -122,20 +121,20 @@ def find_angle_grid(
 
 
 def _refine_step(along: F64, line: I64, forward: F64) -> float:
-    """Return the step: that of neighbours first, then least squares over ever longer stretches."""
+    """Return the step: between neighbours first, then by least squares over increasing distances."""
     ahead = forward[forward > 0]
     if len(ahead) < (1 - MAX_ROUNDED) * len(forward):
-        # rounded more coarsely than the step: 0, 1 or 2 times the rounding, only their mean tells
+        # rounded more coarsely than the step: differences are 0, 1 or 2 times the rounding, use their mean
         step = float(np.mean(forward[forward < 2.5 * np.median(ahead)]))
     else:
-        # shots may be missing between most neighbours: look at the shortest fifth
+        # shots may be missing between most neighbours: use the shortest fifth
         step = float(np.median(ahead[ahead < 1.5 * np.percentile(ahead, 20)]))
     lag = 1
     while lag < len(along):
         same = line[lag:] == line[:-lag]
         distance = (along[lag:] - along[:-lag])[same]
         n_steps = np.rint(distance / step)
-        # beyond this the number of steps would be a guess
+        # beyond this, the number of steps is uncertain
         use = (n_steps >= 1) & (np.abs(distance / step - n_steps) < 0.25) & (n_steps <= 4 * lag)
         if use.any():
             step = float((distance[use] * n_steps[use]).sum() / (n_steps[use] ** 2).sum())
@@ -155,8 +154,7 @@ def _grid(value: F64, line: I64, forward: F64, step: float, start_rad: float | N
         step = sign * _TURN / round(_TURN / size)
         size = abs(step)
     if start_rad is None:
-        # the earliest first shot of a line (the input may begin in the middle of its first), then a whole number of
-        # steps from the others
+        # the earliest first shot of a line (the first line of the input may be cut), then fitted to all angles
         early = value[first[1:] if len(first) > 2 else first]
         middle = _circular_mean(early)
         away = sign * (early - middle)
@@ -188,8 +186,8 @@ def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64
     Returns
     -------
     (M,) float64 or None
-        [rad], continuous over the columns; None where fewer than half of the columns are seen, or shots of a
-        column do not share an angle.
+        [rad], continuous over the columns; None if fewer than half of the columns are seen, or the angles within
+        columns differ.
     """
     value = np.asarray(angle, np.float64)
     use: Mask = np.isfinite(value) & (column >= 0) & (column < points_per_line)

@@ -1,4 +1,4 @@
-"""Finds where the beams of a scanner point out of its first lines, or says what is lacking."""
+"""Finds the beam directions of a scanner from its first lines, or reports what is missing."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from prc_cli.streams.down import (
 from prc_cli.streams.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
 
 SAMPLE_LINES = 64
-"""Lines with returns, from the start, that directions are found in."""
+"""Number of lines with returns, from the start, used to find directions."""
 MAX_SAMPLE_CELLS = 1 << 23
-"""Cells of a scanner among which these lines must lie: blocks of a scanner met late wait for them in memory."""
+"""Most cells read per scanner to find these lines: its blocks wait in memory."""
 MADE_UP_RAD = (0.1, math.pi - 0.1)
-"""Directions of the outermost columns where nothing tells and nothing can be classified [rad]."""
+"""Placeholder directions of the outermost columns, where none are known and nothing can be classified [rad]."""
 KEY = "input.nadir"
 _WITH_ANGLES = "input.nadir with scan angles (input.angle_start and input.angle_step where the input has none)"
 _ANGLES_ALONE = (
@@ -42,7 +42,7 @@ _ARRAY = "array"
 
 @dataclass(slots=True)
 class Sample:
-    """The first lines with returns of a scanner, the same however the stream is cut."""
+    """The first lines with returns of a scanner, independent of block boundaries."""
 
     scanner: int = 0
     angle_rad: F64 | None = None
@@ -50,7 +50,7 @@ class Sample:
     range_m: list[F32] = field(default_factory=list)
     xyz_m: list[F32] = field(default_factory=list)
     n_seen: int = 0
-    """Lines looked at, with or without returns."""
+    """Lines read, with or without returns."""
     max_seen: int = SAMPLE_LINES
     held: list[ScanBlock] = field(default_factory=list)
     """Blocks that wait for the directions."""
@@ -61,7 +61,7 @@ class Sample:
         return len(self.range_m) >= SAMPLE_LINES or self.n_seen >= self.max_seen
 
     def add(self, block: ScanBlock) -> None:
-        """Take lines of the next block of the scanner, as far as they are needed."""
+        """Add lines of the next block of the scanner, as far as needed."""
         self.scanner, self.angle_rad, self.points_per_line = block.scanner, block.angle_rad, block.points_per_line
         self.max_seen = max(SAMPLE_LINES, MAX_SAMPLE_CELLS // block.points_per_line)
         for line in range(min(block.n_lines, self.max_seen - self.n_seen)):
@@ -76,7 +76,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What was found for a scanner."""
+    """Directions found for a scanner."""
 
     beam_rad: F64
     keep_xyz: bool
@@ -84,21 +84,21 @@ class Found:
     cos_tilt: float = 1.0
     """Cosine of the tilt of the scan plane from the vertical."""
     is_made_up: bool = False
-    """Whether the directions mean nothing, so that no line may have two returns."""
+    """Whether the directions are placeholders, allowed only while no line has two returns."""
     note: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class BeamFinder:
-    """Finds the directions of a scanner out of its first lines."""
+    """Finds the beam directions of a scanner from its first lines."""
 
     info: StreamInfo
     down_deg: float | None
-    """Scan angle that points straight down where it is given [deg]."""
+    """Given scan angle of straight down [deg]."""
     split_by: str | None
-    """Dimension that splits the input."""
+    """Dimension with the scanner id."""
     from_ground: bool = False
-    """Whether the ranges may tell, where nothing else does."""
+    """Whether level ground may be used as a last resort."""
 
     def put(self, found: Found, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions.
@@ -106,7 +106,7 @@ class BeamFinder:
         Raises
         ------
         InputError
-            When it has lines with returns in several columns, and nothing told where down is.
+            When directions are placeholders and a line has returns in several columns.
         """
         if found.is_made_up and (np.isfinite(block.range_m).sum(axis=1) > 1).any():
             where, problem = self._where(block.scanner), f"the first {MAX_SAMPLE_CELLS} shots tell nothing"
@@ -117,7 +117,7 @@ class BeamFinder:
         return replace(block, beam_rad=found.beam_rad, xyz_m=xyz_m)
 
     def find(self, sample: Sample) -> Found:
-        """Apply the first way that can be gone.
+        """Apply the first applicable method.
 
         Raises
         ------
@@ -155,14 +155,14 @@ class BeamFinder:
         try:
             beams = fit_beams(xyz)
         except TooFewReturnsError:
-            # coordinates lie at the origin where ranges say otherwise
+            # coordinates are zero, but ranges are not
             return self._made_up(scanner, sample.points_per_line, has_returns=True)
         except NoDirectionError as error:
             raise self._refusal(scanner, str(error), error) from error
         return Found(beams.beam_rad, True, Assumption(KEY, _shown(beams.beam_rad), _why(beams)))
 
     def _made_up(self, scanner: int, points_per_line: int, *, has_returns: bool) -> Found:
-        """Give columns any directions: a line of one return has no angle, and its return stays unclassified."""
+        """Return placeholder directions: lines of one return have no angles, and stay unclassified."""
         beam_rad = np.linspace(*MADE_UP_RAD, points_per_line)
         which = self._which(scanner)
         shown = "no line has two returns: nothing can be classified" if has_returns else "no shot has a return"
@@ -182,7 +182,7 @@ class BeamFinder:
         return Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt)
 
     def _registered(self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float) -> Found:
-        """Use coordinates of a map: their heights, if scan angles stand beside them."""
+        """Use heights of registered coordinates, if there are scan angles."""
         problem = f"xyz is not relative to the scanner: its length is {off_m:.2f} m off the range, in the middle"
         if angle is None:
             hint = "subtract the scanner's position from xyz, or add angle_deg"
@@ -198,7 +198,7 @@ class BeamFinder:
         return self._turned(angle, fit.down_rad, off_m, shown, why, fit.cos_tilt)
 
     def _lacks(self, scanner: int, angle: F64 | None) -> str:
-        """Say what the stream has and lacks."""
+        """Return a message on what the stream has and lacks."""
         keys = (KEY, f"{KEY} of {self._which(scanner)}")
         for one in self.info.assumptions:
             if one.key in keys and one.value == "not found":
@@ -208,7 +208,7 @@ class BeamFinder:
         return "the stream has neither scan angles nor coordinates relative to the scanner"
 
     def _which(self, scanner: int) -> str:
-        """Name a scanner where the input may have several."""
+        """Return the place for messages, with the scanner where the input may have several."""
         if self.info.facts.has_scans:
             return f"scan {scanner}"
         return "" if self.split_by is None else f"{self.split_by} {scanner}"
@@ -221,7 +221,7 @@ class BeamFinder:
         return InputError(self._where(scanner), f"no vertical direction known: {problem}", self._hint(error))
 
     def _hint(self, error: NoDirectionError | None) -> str:
-        """Say what this kind of input can do about it."""
+        """Return the hint for this kind of input."""
         if isinstance(error, NoddingError):
             return "check that the origin is the scanner and z is up; a scanner that nods is for --method prc"
         if self.info.facts.has_scans:
@@ -245,7 +245,7 @@ class BeamFinder:
 
     @property
     def _angles(self) -> str:
-        """What to give: where the ground may tell which angle points down, the angles alone."""
+        """Return the options to give: only the angles where level ground may give straight down."""
         return _ANGLES_ALONE if self.from_ground else _WITH_ANGLES
 
     def _ways_of_coordinates(self, *, origin_only: bool) -> list[str]:
@@ -259,7 +259,7 @@ class BeamFinder:
 
 
 def _tilted(range_m: F32, beam_rad: F64, cos_tilt: float) -> F32:
-    """Return coordinates (lines, M, 3) in a tilted scan plane: true heights, all that is sideways in x."""
+    """Return coordinates (lines, M, 3) in a tilted scan plane: true heights, horizontal distance in x."""
     up = -cos_tilt * np.cos(beam_rad)
     across = np.copysign(np.sqrt(1 - up * up), np.sin(beam_rad))
     xyz: F32 = np.zeros((*range_m.shape, 3), np.float32)
@@ -276,17 +276,17 @@ def from_angles(angle_rad: F64, down_rad: float) -> F64:
     angle_rad : (M,) float64
         Scan angle of every column [rad].
     down_rad : float
-        The one that points straight down [rad].
+        Scan angle of straight down [rad].
 
     Returns
     -------
     (M,) float64
-        In (-pi, pi]; strictly monotone when unwrapped, also where angles are rounded so that columns share them.
+        In (-pi, pi]; strictly monotone when unwrapped, even where rounded angles are equal.
 
     Raises
     ------
     NoDirectionError
-        When the angles do not turn one way, once around at most.
+        When the angles do not turn in one direction, or by more than a full turn.
 
     Examples
     --------
@@ -305,7 +305,7 @@ def from_angles(angle_rad: F64, down_rad: float) -> F64:
 
 
 def _off(xyz: NDArray[np.float32], range_m: F32) -> float | None:
-    """Return by how much the length of coordinates differs from the range [m], None where they agree."""
+    """Return the difference between the length of coordinates and the range [m], None where they agree."""
     length = np.sqrt((xyz.astype(np.float64) ** 2).sum(axis=-1))
     off = np.abs(length - range_m)
     both = np.isfinite(off)
@@ -316,7 +316,7 @@ def _off(xyz: NDArray[np.float32], range_m: F32) -> float | None:
 
 
 def _shown(beam_rad: F64) -> str:
-    """Tell the angles from straight down, 0 to 180 deg on either side."""
+    """Return a text with the angles from straight down, 0 to 180 deg on either side."""
     degrees = np.rad2deg(beam_rad)
     sides = [np.abs(side) for side in (degrees[degrees >= 0], degrees[degrees < 0]) if len(side)]
     first, *other = (f"{side.min():.2f} to {side.max():.2f}" for side in sides)

@@ -1,9 +1,9 @@
-"""The direction of every column's beam, for classifiers that must know where down is.
+"""Adds the beam direction of every column, for classifiers that need to know where down is.
 
-Three ways, in this order: the scan angle that points straight down is given (``input.nadir``), the input tells it
-(zenith angles, registered heights beside range and scan angle), or coordinates relative to the scanner are
-directions themselves. Where a degree or two are good enough, level ground tells as well. What none of them tells is
-refused, unless there is nothing to classify either: where no line has two returns, any directions do.
+Sources, in this order: ``input.nadir`` gives the scan angle of straight down; the input gives it (zenith angles, or
+registered heights with range and scan angle); coordinates relative to the scanner are directions. If an error of a
+degree or two is acceptable, level ground is used as well. Without any of them the stream is refused, unless no line has
+two returns: then placeholder directions do, because nothing can be classified.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from prc_cli.streams.beam_finder import BeamFinder, Found, Sample
 def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = False) -> ScanStream:
     """Add the direction of every column's beam to a stream.
 
-    Reads the first lines of the stream where only coordinates tell.
+    Reads the first lines of the stream where directions come from coordinates.
 
     Parameters
     ----------
@@ -28,18 +28,18 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
     config : InputConfig
         ``nadir``, and how the stream was opened.
     from_ground : bool
-        Where nothing tells and there are scan angles, look where the lines see level ground; within a degree or two.
+        As a last resort, with scan angles, find straight down from level ground; within a degree or two.
 
     Returns
     -------
     ScanStream
-        The same blocks with ``beam_rad``; its info has an assumption for what was found. Coordinates that turn out not
-        to be relative to the scanner are left out of the blocks.
+        The same blocks with ``beam_rad``; its info reports the source as an assumption. Coordinates that are not
+        relative to the scanner are left out of the blocks.
 
     Raises
     ------
     InputError
-        When nothing tells where down is, the lines do not rise, the origin of coordinates is not the scanner, or the
+        When straight down is unknown, the lines are horizontal, the origin of coordinates is not the scanner, or the
         directions do not turn with the column.
     ConfigError
         When ``nadir`` is given and the stream has no scan angles.
@@ -63,18 +63,18 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
 
 @dataclass(frozen=True, slots=True)
 class BeamStream:
-    """A stream whose blocks say where their beams point; see :func:`with_beams`."""
+    """A stream whose blocks have beam directions; see :func:`with_beams`."""
 
     source: ScanStream
     finder: BeamFinder
     known: dict[int, Found]
-    """By scanner, of those that were met in the first lines."""
+    """By scanner, for scanners in the first lines."""
     late: dict[int, Found] = field(default_factory=dict)
-    """The same of those that were met while reading."""
+    """The same for scanners met while reading."""
 
     @property
     def info(self) -> StreamInfo:
-        """What is known of the stream, with what was found so far of its scanners."""
+        """Metadata of the stream, with the directions found so far."""
         info, every = self.source.info, [*self.known.values(), *self.late.values()]
         found = dict.fromkeys(one.assumption for one in every if one.assumption is not None)
         notes = dict.fromkeys(one.note for one in every if one.note)

@@ -1,4 +1,4 @@
-"""Whole lines into blocks: every shot into its cell, one return a shot, everything else counted."""
+"""Turns whole lines into blocks: one return per cell, the rest as further returns or counted."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from prc_cli.streams.table import INTENSITY, LINE, RANGE, RECORD, START, XYZ, Ta
 from prc_cli.streams.whole_lines import WholeLines
 
 MAX_BLOCK_CELLS = 1 << 21
-"""Cells of a block at most (at least a line): long gaps leave in pieces."""
+"""Most cells of a block (at least a line): long gaps are cut into several blocks."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellRules:
-    """What the image of one scanner depends on."""
+    """Parameters of the range image of one scanner."""
 
     points_per_line: int
     """M."""
     columns: ColumnRule
     chosen_return: ReturnRule
-    """The return that stands for a shot of several."""
+    """Which return of a shot the image shows."""
     angle_rad: F64 | None
     """(M,) float64, scan angle of every column [rad]."""
     with_time: bool
@@ -34,7 +34,7 @@ class CellRules:
     with_intensity: bool
     with_xyz: bool
     pads_last_line: bool = False
-    """Dense records: whether cells at the end may have no record."""
+    """Dense records: whether the last line may be padded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +45,11 @@ class _Cells:
     line: I64
     column: I64
     stands: np.ndarray
-    """(n,) bool, the record that stands for its shot."""
+    """(n,) bool, the chosen return of its shot."""
 
 
 def blocks_of(whole: WholeLines, rules: CellRules) -> Iterator[ScanBlock]:
-    """Yield whole lines as blocks of bounded size; the first takes the tally along.
+    """Yield whole lines as blocks of bounded size; the first has the tally.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def blocks_of(whole: WholeLines, rules: CellRules) -> Iterator[ScanBlock]:
 
 
 def _place(whole: WholeLines, rules: CellRules) -> tuple[_Cells, int]:
-    """Give every record its cell and choose the returns; records outside the image are left out and counted."""
+    """Find the cell of every record and choose the returns; records outside the image are dropped and counted."""
     records = whole.records
     if not n_rows(records):
         none = np.empty(0, np.int64)
@@ -94,7 +94,7 @@ def _place(whole: WholeLines, rules: CellRules) -> tuple[_Cells, int]:
 
 
 def _fill(cells: _Cells, first_line: int, n_lines: int, rules: CellRules) -> ScanBlock:
-    """Make the block of lines ``first_line`` on; of several shots in a cell the first with a range stays."""
+    """Make the block of lines ``first_line`` on; of several shots in a cell, the first with a range is kept."""
     m = rules.points_per_line
     records = cells.records
     range_m: F32 = np.full(n_lines * m, np.nan, np.float32)
@@ -107,7 +107,7 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: CellRules) -> Sca
         cell = cells.line - first_line
         cell *= m
         cell += cells.column
-        # where every record has a cell of its own, nothing needs to be chosen
+        # no choice needed where every record has its own cell
         alone = bool(cells.stands.all()) and bool(np.all(cell[1:] > cell[:-1]))
         own = slice(None) if alone else _winners(cell, cells.stands, records[RANGE], n_lines * m)
         at = cell[own]
@@ -144,12 +144,12 @@ def _fill(cells: _Cells, first_line: int, n_lines: int, rules: CellRules) -> Sca
 
 
 def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.ndarray:
-    """Mark the record that every cell shows: the first that stands for a shot and has a range, else the first."""
+    """Mark the record that every cell shows: the first chosen return with a range, else the first chosen return."""
     winner = np.full(n_cells, -1, np.int64)
     position = np.flatnonzero(stands)
     valid = ~np.isnan(range_m[position])
     for chosen in (position[~valid][::-1], position[valid][::-1]):
-        # of repeated cells the last assignment holds: backwards, the first record
+        # the last assignment to a cell wins, so assign backwards to keep the first record
         winner[cell[chosen]] = chosen
     own = np.zeros(len(cell), np.bool_)
     own[winner[winner >= 0]] = True
@@ -157,7 +157,7 @@ def _winners(cell: I64, stands: np.ndarray, range_m: F32, n_cells: int) -> np.nd
 
 
 def dense_block(table: Table, first_line: int, rules: CellRules, tally: ReadTally) -> ScanBlock:
-    """Make a block of records that are the cells already, one after the other; nothing is moved.
+    """Make a block of dense records, one per cell in order, by reshaping.
 
     Parameters
     ----------
@@ -167,12 +167,12 @@ def dense_block(table: Table, first_line: int, rules: CellRules, tally: ReadTall
         Index of their first line.
     rules : CellRules
     tally : ReadTally
-        What goes with the block.
+        Counts of the block.
     """
     shape = (-1, rules.points_per_line)
     time_s: F64 | None = np.asarray(table["time"], np.float64).reshape(shape) if rules.with_time else None
     intensity: F32 | None = table[INTENSITY].astype(np.float32).reshape(shape) if rules.with_intensity else None
-    # cells that were padded have no record, so the short form would be wrong
+    # padded cells have no record, so the short form would be wrong
     record: I64 | None = table[RECORD].reshape(shape) if rules.pads_last_line else None
     return ScanBlock(
         first_line=first_line,
@@ -186,7 +186,7 @@ def dense_block(table: Table, first_line: int, rules: CellRules, tally: ReadTall
 
 
 def pad_line(rest: Table, m: int) -> Table:
-    """Fill the last line up with missing shots."""
+    """Pad the last line with missing shots."""
     padded: Table = {}
     for name, column in rest.items():
         filler = np.full(m - len(column), -1 if name == RECORD else np.nan)

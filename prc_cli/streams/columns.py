@@ -1,7 +1,7 @@
-"""Which column of its line a shot is: one pure function a rule.
+"""Finds the column of every shot: one pure function per rule.
 
-All work on shots (the first record of each) of one scanner. A column outside 0 to M - 1 is returned as it is
-found: the caller counts it. :data:`NO_COLUMN` stands for shots without one.
+All work on shots (the first record of each) of one scanner. Columns outside 0 to M - 1 are returned unchanged, for the
+caller to count; :data:`NO_COLUMN` = none.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from prc_cli.streams.table import LINE, ORDINAL, SPREAD, START, Table, take
 
 NO_COLUMN = -1
 MAX_COLUMN = 10_000_000
-"""Columns beyond are taken for none; as many as ``points_per_line`` may be."""
+"""Largest column; larger numbers mean none. The limit of ``points_per_line``."""
 _TURN = 2 * math.pi
 
 
@@ -31,7 +31,7 @@ class AngleGrid:
     step_rad: float
     """From column to column, signed [rad]."""
     n_columns: int
-    """Columns of the sector that the lines span, or of a whole turn."""
+    """Number of columns in the sector of the lines, or in a whole turn."""
     whole_turn: bool
 
     def angles(self, points_per_line: int) -> F64:
@@ -41,10 +41,10 @@ class AngleGrid:
 
 @dataclass(frozen=True, slots=True)
 class ColumnRule:
-    """How columns are found: the first of dimension, grid and shot frequency that is there, else the order."""
+    """How columns are found: by the first of dimension, grid and shot frequency that is set, else by order."""
 
     dimension: str | None = None
-    """Dimension that numbers them."""
+    """Dimension with the column number."""
     grid: AngleGrid | None = None
     """Steps of the scan angle."""
     shot_hz: float | None = None
@@ -67,7 +67,7 @@ def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I6
     Returns
     -------
     (n,) int64
-        Below 0 or beyond M where there is none.
+        Below 0 or at least M = none.
     """
     starts = records[START]
     shots = records if starts.all() else take(records, starts)
@@ -81,7 +81,7 @@ def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I6
     spread: F64 = shots[SPREAD]
     stamp = np.asarray(shots["time"], np.float64)
     if rule.line_hz is not None and origin_s is not None:
-        # relative to the origin first: line / HZ keeps full resolution however long the drive
+        # subtract the origin first: line / HZ then keeps full resolution in long drives
         spread, start = spread - origin_s, line / rule.line_hz
     else:
         start = line_starts(spread, line)
@@ -90,19 +90,19 @@ def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I6
 
 @dataclass(frozen=True, slots=True)
 class StampState:
-    """What the next chunk must know of the time stamps before it."""
+    """State of the time stamps across chunks."""
 
     last_s: float = math.nan
     """Last time stamp [s]."""
     n_equal: int = 0
-    """Shots so far that have it."""
+    """Shots so far with this stamp."""
 
 
 def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, I64, StampState]:
-    """Spread shots that share a time stamp over the shots that follow it.
+    """Spread shots with equal time stamps over the time that follows.
 
-    Many files round times more coarsely than the scanner fires; shots of equal stamps were fired one after
-    another from there on.
+    Many files round times more coarsely than the time between shots; shots with equal stamps were fired one after
+    another from that time on.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
     spread_s : (n,) float64
         Estimated times [s].
     ordinal : (n,) int64
-        Shots before this one with the same stamp.
+        Number of shots before this one with the same stamp.
     state : StampState
 
     Examples
@@ -141,7 +141,7 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
 
 
 def columns_by_dimension(number: NDArray[Any]) -> I64:
-    """Take columns from the input; what is no whole number from 0 on is none."""
+    """Take column numbers from the input; values that are not whole numbers from 0 on mean none."""
     if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
         column = number.astype(np.int64)
         if not is_within(column, MAX_COLUMN):
@@ -154,7 +154,7 @@ def columns_by_dimension(number: NDArray[Any]) -> I64:
 
 
 def is_within(number: I64, stop: int) -> bool:
-    """Tell whether all numbers are 0 or more and below ``stop``; faster than to look for those that are not.
+    """Whether all numbers are in [0, ``stop``); faster than a search for exceptions.
 
     >>> is_within(np.array([0, 4]), 5), is_within(np.array([0, 5]), 5), is_within(np.array([-1, 0]), 5)
     (True, False, False)
@@ -189,13 +189,13 @@ def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
     if grid.whole_turn:
         column %= max(n_turn, 1)
     else:
-        # the rest of the turn is shared by the two ends: noise before column 0 is -1, not almost a turn
+        # split the rest of the turn between both ends: noise before column 0 is -1, not almost a turn
         column = np.where(column > (grid.n_columns + n_turn) / 2, column - n_turn, column)
     return np.where(known, column, NO_COLUMN)
 
 
 def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64) -> I64:
-    """Round the time since the line began to shots; shots with equal stamps stay in strictly rising columns.
+    """Round the time since the start of the line to shots; shots with equal stamps get strictly rising columns.
 
     Parameters
     ----------
@@ -220,8 +220,8 @@ def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_h
     column = np.clip(np.where(np.isfinite(column), column, -limit), -limit, limit).astype(np.int64)
     if not ordinal.any():
         return column
-    # Rounding may give the last shot of a stamp and the first of the next one the same column: the later moves
-    # on. Only there: shots with stamps of their own that meet in a column are a collision.
+    # Rounding may put the last shot of a stamp and the first of the next one into one column: move the later on. Only
+    # these: other shots with different stamps in one column are a collision.
     head = begins_line(line)
     head[1:] |= (ordinal[1:] == 0) & (ordinal[:-1] == 0)
     head[1:] |= stamp_s[1:] < stamp_s[:-1]
@@ -232,7 +232,7 @@ def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_h
 
 
 def line_starts(time_s: F64, line: I64) -> F64:
-    """Time of the first shot of every shot's line, (n,) [s]."""
+    """Return the time of the first shot of the line of every shot, (n,) [s]."""
     first = np.maximum.accumulate(np.where(begins_line(line), np.arange(len(line)), 0))
     return time_s[first]
 

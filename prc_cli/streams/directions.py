@@ -1,6 +1,6 @@
-"""The angle of every column's beam from straight down, found in coordinates relative to the scanner.
+"""Finds the angle of every beam from straight down in coordinates relative to the scanner.
 
-They are directions: the scan plane of every line and the angle of every shot in it follow at once.
+Such coordinates are directions: they give the scan plane of every line and the angle of every shot in it.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from prc_cli.streams.down import (
 )
 
 MAX_SCATTER_RAD = math.radians(5.0)
-"""Median deviation of a column's directions from line to line; where there is more, columns share no direction."""
+"""Largest median deviation of the directions of a column from line to line."""
 BACKWARD_RAD = math.radians(10.0)
-"""Steps back of up to this are scatter; larger ones are the long way round."""
+"""Steps back up to this are scatter; larger ones are steps forward over the rest of the turn."""
 MAX_TURNS = 1.1
-"""Turns that a line may make."""
+"""Most turns of a line."""
 MIN_ARC_RAD = math.radians(0.5)
-"""Lines that span less do not tell their plane."""
+"""Shorter lines give no plane."""
 MAX_OFF_PLANE = 0.02
-"""Share of its arc by which the shots of a line may lie off a plane through the scanner, in the middle of lines and
-shots: scanners that turn while they sweep come to 0.011."""
+"""Largest median distance of shots from a plane through the scanner, as a share of the arc of the line: scanners that
+turn while they sweep reach 0.011."""
 MIN_OFF_PLANE_RAD = math.radians(0.1)
-"""Shots closer to the plane than this are in it, however short the arc."""
+"""Shots closer to the plane than this are always accepted."""
 MAX_DRIFT_RAD = math.radians(15.0)
-"""Change of the tilt of the scan planes; where there is more the scanner nods, and its lines are not vertical lines."""
+"""Largest change of the tilt of the scan planes; with more, the scanner nods and its lines are not vertical."""
 MIN_LEVEL_RAD = math.radians(10.0)
-"""Lines that rise by less, and by less than they sweep sideways, are level arcs."""
+"""Lines that rise by less than this and less than they sweep sideways are level arcs."""
 LEAST_STEP_RAD = 1e-6
 """Angles closer than this are equal."""
 N_TRIMS = 5
@@ -51,23 +51,23 @@ _TURN = 2 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class Beams:
-    """Directions of the columns of a scanner."""
+    """Beam directions of the columns of a scanner."""
 
     beam_rad: F64
     """(M,) float64, angle from straight down [rad], in (-pi, pi]; unwrapped it is strictly monotone."""
     is_straight: bool
-    """Whether the angles are a straight line in the column."""
+    """Whether the angles are linear in the column."""
     n_lines: int
-    """Lines that they were found in."""
+    """Number of lines used."""
 
 
 def fit_beams(xyz: NDArray[Any]) -> Beams:
-    """Find the angle of every column's beam from straight down in coordinates relative to the scanner.
+    """Find the angle of every beam from straight down in coordinates relative to the scanner.
 
     The scan plane of a line is fitted through the scanner; angles are measured in it, from its lowest direction. The
-    side of the plane that counts as positive is the one that makes the angles grow with the column. A column
-    has the median of its lines. Where a straight line in the column is within half a step of nearly all
-    of them it is taken (profilers turn evenly), else the medians themselves, made monotone.
+    sign is chosen so that angles grow with the column. Each column gets the median of its lines. If a straight line in
+    the column is within half a step of nearly all medians it is used (profilers turn evenly), else the medians, made
+    monotone.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def fit_beams(xyz: NDArray[Any]) -> Beams:
 
 
 def _check_lengths(xyz: NDArray[Any]) -> None:
-    """Refuse coordinates of a country."""
+    """Refuse registered coordinates, whose values are too large."""
     with np.errstate(invalid="ignore", over="ignore"):
         length = np.sqrt((np.asarray(xyz, np.float64) ** 2).sum(axis=-1))
     far = float(np.nanmedian(length[length > 0]))
@@ -131,13 +131,13 @@ def _check_lengths(xyz: NDArray[Any]) -> None:
 
 
 def _check_level(unit: F64, seen: Mask) -> None:
-    """Refuse lines that run sideways at a nearly constant elevation: arcs of a turning head, not of its mirror."""
+    """Refuse lines that run sideways at a nearly constant elevation: sweeps of a turning head, not of its mirror."""
     elevation = np.arcsin(np.clip(unit[..., 2], -1.0, 1.0))
     azimuth = np.arctan2(unit[..., 1], unit[..., 0])
     is_level = np.zeros(len(unit), np.bool_)
     for row, has in enumerate(seen):
         rise = float(np.ptp(elevation[row, has]))
-        # modulo half a turn: a line through the zenith does not run sideways
+        # modulo half a turn, because a line through the zenith does not run sideways
         at = np.sort(np.remainder(azimuth[row, has], math.pi))
         around = math.pi - float(np.max(np.diff(at, append=at[0] + math.pi)))
         sideways = around * float(np.cos(np.median(elevation[row, has])))
@@ -151,7 +151,7 @@ def _check_level(unit: F64, seen: Mask) -> None:
 
 
 def _check_planes(arc: F64, off: F64, rise: F64) -> None:
-    """Refuse lines whose shots lie off a plane through the origin, and planes that are differently tilted."""
+    """Refuse lines whose shots are off a plane through the origin, and planes of different tilt."""
     out, whole = float(np.median(off)), float(np.median(arc))
     if out > max(MAX_OFF_PLANE * whole, MIN_OFF_PLANE_RAD):
         message = (
@@ -159,7 +159,7 @@ def _check_planes(arc: F64, off: F64, rise: F64) -> None:
             f"through the origin, over an arc of {math.degrees(whole):.1f} deg"
         )
         raise WrongOriginError(message)
-    # the plane of a short line is unsure
+    # planes of short lines are uncertain
     low, high = np.percentile(rise[arc >= 0.5 * whole], (5, 95)).tolist()
     if high - low > MAX_DRIFT_RAD:
         message = (
@@ -170,7 +170,7 @@ def _check_planes(arc: F64, off: F64, rise: F64) -> None:
 
 
 def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
-    """Return unit vectors and where there are any."""
+    """Return unit vectors, and the mask of those that are finite."""
     wide = np.asarray(xyz, np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
         length = np.sqrt((wide * wide).sum(axis=-1))
@@ -180,9 +180,9 @@ def _directions(xyz: NDArray[Any]) -> tuple[F64, Mask]:
 
 
 def _planes(unit: F64, seen: Mask) -> tuple[F64, F64, F64]:
-    """Fit a plane through the scanner to every line, outliers trimmed.
+    """Fit a plane through the scanner to every line, without outliers.
 
-    Returns normals, spanned arcs [rad] and how far shots are off the plane, in the middle [rad].
+    Returns normals, arcs of the lines [rad] and median distances of shots from the plane [rad].
     """
     weight = seen.astype(np.float64)
     for _ in range(N_TRIMS):
@@ -191,11 +191,11 @@ def _planes(unit: F64, seen: Mask) -> tuple[F64, F64, F64]:
         normal: F64 = vectors[:, :, 0]
         off = np.where(seen, np.abs(np.einsum("lmi,li->lm", unit, normal)), np.nan)
         middle = np.nanmedian(off, axis=1)
-        # a share of the shots may lie anywhere; what is within 0.5 deg never hurts
+        # trim the farthest shots, but none within 0.5 deg
         limit = np.maximum(3 * 1.4826 * middle, math.radians(0.5))
         weight = (seen & (off <= limit[:, None])).astype(np.float64)
     total = np.maximum(values.sum(axis=1), np.finfo(float).tiny)
-    # the standard deviation of directions that fill an arc evenly is the arc over the root of 12
+    # the standard deviation of a uniform distribution over an arc is the arc over the root of 12
     arc = np.sqrt(12 * np.maximum(values[:, 1], 0.0) / total)
     return normal, arc, np.arcsin(np.minimum(middle, 1.0))
 
@@ -234,16 +234,16 @@ def _columns(angle: F64, seen: Mask) -> Beams:
 
 
 def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
-    """Return an angle for every column out of those of some, growing with the column.
+    """Return angles of all columns from those of some, growing with the column.
 
     Parameters
     ----------
     columns : (n,) int64
         Columns that have an angle, ascending; at least two.
     angle : (n,) float64
-        Their angles, modulo a turn, growing with the column but for scatter [rad].
+        Their angles, modulo a turn, growing with the column except for scatter [rad].
     weight : (n,) float64
-        How much each counts.
+        Weight of each.
     points_per_line : int
         M.
 
@@ -252,12 +252,12 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     beam_rad : (M,) float64
         In (-pi, pi]; unwrapped it is strictly growing.
     is_straight : bool
-        Whether they are a straight line in the column.
+        Whether they are linear in the column.
 
     Raises
     ------
     NoDirectionError
-        When the angles do not grow, or turn more than once around.
+        When the angles do not grow, or by more than a full turn.
     """
     step = wrap(np.diff(angle))
     step[step < -BACKWARD_RAD] += _TURN
@@ -293,7 +293,7 @@ def _finish(beam: F64) -> F64:
 
 
 def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
-    """Return slope and start of a straight line, columns far off it trimmed."""
+    """Return slope and intercept of a straight line, without outliers."""
     use = weight
     for _ in range(N_TRIMS):
         total = use.sum()
@@ -308,8 +308,8 @@ def _straight(column: F64, angle: F64, weight: F64) -> tuple[float, float]:
 
 
 def _monotone(column: F64, angle: F64, weight: F64) -> tuple[F64, F64]:
-    """Return knots, strictly growing, of the growing function closest to the angles."""
-    from scipy.optimize import isotonic_regression  # here: it takes longer to load than a small file to classify
+    """Return strictly growing knots of the isotonic regression of the angles."""
+    from scipy.optimize import isotonic_regression  # imported here: loading takes longer than classifying a small file
 
     value = isotonic_regression(angle, weights=weight).x
     # sums of equal angles differ in their last bits

@@ -1,8 +1,8 @@
-"""Where straight down is among the scan angles, found in registered heights or in the ground alone.
+"""Finds the scan angle of straight down from registered heights or from level ground.
 
-Registered heights (of a map) beside range and scan angle fall with the cosine of the angle from straight down. Level
-ground at distance d whose normal points to the angle a is seen at ``r = d / cos(angle - a)``: it is the nearest plane
-that fills a large part of the line. Roads slope by a degree or two to their sides: the ground is no more exact.
+Registered heights fall with the range times the cosine of the angle from straight down. Ground at distance d with its
+normal at angle a has ranges ``r = d / cos(angle - a)``: it is the nearest plane that fills a large part of the line.
+Roads slope sideways by a degree or two, which limits the accuracy of the second method.
 """
 
 from __future__ import annotations
@@ -17,40 +17,40 @@ from numpy.typing import NDArray
 from prc_cli.core.types import F32, F64, I64, Mask
 
 MIN_RISE_RAD = math.radians(10.0)
-"""Planes closer to the horizontal than this do not rise: no shot in them looks up or down by more."""
+"""Scan planes closer to the horizontal than this count as horizontal."""
 MAX_HEIGHT_OFF_M = 0.25
-"""Median deviation of registered heights from the fit; where there is more, height and angle do not belong together."""
+"""Largest median deviation of registered heights from the fit: with more, heights and angles do not match."""
 MIN_SHOTS = 32
-"""Shots beyond the lines that a fit of heights needs."""
+"""Least number of shots in excess of the number of lines for a fit of heights."""
 MAX_COS_TILT = 1.05
-"""Largest cosine of a tilt that heights may tell; rounding leaves a little over 1."""
+"""Largest cosine of a fitted tilt; rounding leaves it a little over 1."""
 MIN_SPREAD = 1e-3
-"""Least ratio of the two extents of a fit of heights."""
+"""Least ratio of the two singular values of a fit of heights."""
 MIN_TILT_RAD = math.radians(6.0)
-"""Scan planes tilted by less are taken as vertical: heights are wrong by less than 0.6 %, and fits of upright
-profilers come to 5 deg."""
+"""Smaller tilts of the scan plane count as vertical: heights err by less than 0.6 %, and fits of upright profilers give
+up to 5 deg."""
 DECIMALS = 10
-"""Decimals of what is fitted [rad]: the last bits of a fit are not the same on every machine."""
+"""Decimals of fitted angles [rad]: the last bits of a fit differ between machines."""
 N_TRIMS = 5
 
 SEARCH_STEP_RAD = math.radians(0.5)
 REACH_RAD = math.radians(65.0)
-"""Ground is looked for up to so far from straight down."""
+"""Largest angle from straight down at which ground is searched."""
 LEAST_RAD = math.radians(25.0)
-"""And must fill so much of that."""
+"""Least angle filled by the ground."""
 BIN_M = 0.1
-"""Heights within this are one plane [m]."""
+"""Tolerance of the height of a plane [m]."""
 LEAST_LINES = 4
 
 _TURN = 2 * math.pi
 
 
 class NoDirectionError(ValueError):
-    """The coordinates do not tell where down is; the message says why."""
+    """Coordinates do not give straight down; the message says why."""
 
 
 class TooFewReturnsError(NoDirectionError):
-    """No line has two returns: nothing tells, and nothing can be classified."""
+    """No line has two returns: no directions, and nothing to classify."""
 
 
 class WrongOriginError(NoDirectionError):
@@ -58,11 +58,11 @@ class WrongOriginError(NoDirectionError):
 
 
 class LevelLinesError(NoDirectionError):
-    """Lines run sideways: rows and columns are exchanged, or z is not up."""
+    """Lines run sideways: rows and columns are swapped, or z is not up."""
 
 
 class NoddingError(NoDirectionError):
-    """The scan planes lean differently from line to line."""
+    """The tilt of the scan planes changes from line to line."""
 
 
 def wrap(angle: F64) -> F64:
@@ -71,7 +71,7 @@ def wrap(angle: F64) -> F64:
     >>> np.rad2deg(wrap(np.deg2rad([190.0, -180.0]))).round(6)
     array([-170.,  180.])
     """
-    # what rounds to -pi is pi
+    # -pi after rounding becomes pi
     wrapped: F64 = angle - _TURN * np.ceil((angle - math.pi) / _TURN)
     wrapped[wrapped <= -math.pi] = math.pi
     return wrapped
@@ -79,7 +79,7 @@ def wrap(angle: F64) -> F64:
 
 @dataclass(frozen=True, slots=True)
 class HeightFit:
-    """What registered heights say of the scan angle."""
+    """Fit of registered heights to scan angles."""
 
     down_rad: float
     """Scan angle of the beam that points straight down [rad]."""
@@ -93,21 +93,21 @@ class HeightFit:
 def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], line: I64) -> HeightFit:
     """Find the scan angle that points straight down in registered heights.
 
-    Down in the scan plane, ``z = height of the scanner - range cos(angle - nadir) cos(tilt)``, which is linear in
-    ``range cos(angle)`` and ``range sin(angle)``; every line has a height of its own, so that neither hills nor the
-    path of the scanner matter. Shots far off the fit are trimmed.
+    In the scan plane, ``z = height of the scanner - range cos(angle - nadir) cos(tilt)``, which is linear in ``range
+    cos(angle)`` and ``range sin(angle)``. The height of the scanner is an unknown of every line, so that hills do not
+    matter. Outliers are trimmed.
 
     Parameters
     ----------
     angle, range_m, z : (n,) float
-        Scan angle [rad], range [m] and height [m] of every shot; what is not finite is left out.
+        Scan angle [rad], range [m] and height [m] of every shot; values that are not finite are ignored.
     line : (n,) int64
         Its line.
 
     Raises
     ------
     NoDirectionError
-        When too few shots have all three, or the fit does not explain the heights.
+        When too few shots have all three values, or the fit is poor.
 
     Examples
     --------
@@ -126,7 +126,7 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
     off: F64 = np.zeros(len(z))
     for _ in range(N_TRIMS + 1):
         n = np.bincount(row[keep], minlength=int(row.max(initial=-1)) + 1)
-        # every line brings an unknown of its own
+        # one unknown per line
         if np.count_nonzero(keep) - np.count_nonzero(n) < MIN_SHOTS:
             message = f"too few shots have range, scan angle and height ({np.count_nonzero(keep)})"
             raise NoDirectionError(message)
@@ -142,7 +142,7 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
 
 
 def shown_tilt(cos_tilt: float) -> str:
-    """Say by how much a scan plane is tilted, nothing where it is vertical.
+    """Return a text with the tilt of the scan plane, empty where it is vertical.
 
     >>> shown_tilt(0.7071), shown_tilt(1.0)
     (', the scan plane leans over by 45.0 deg', '')
@@ -153,7 +153,7 @@ def shown_tilt(cos_tilt: float) -> str:
 
 
 def _centre(values: F64, row: I64, keep: Mask, n: I64) -> F64:
-    """Subtract the mean of every line, of the shots that are kept."""
+    """Subtract the mean of the kept shots of every line."""
     mean = np.bincount(row[keep], values[keep], len(n)) / np.maximum(n, 1)
     centred: F64 = values - mean[row]
     return centred
@@ -164,7 +164,7 @@ def _check_heights(solution: F64, off_m: float, matrix: F64) -> None:
     if off_m > MAX_HEIGHT_OFF_M:
         message = f"the heights lie {off_m:.2f} m off what range and scan angle say, in the middle"
         raise NoDirectionError(message)
-    # a plane closer to the horizontal than MIN_RISE_RAD hardly falls; more than the range no height can fall
+    # below: closer to the horizontal than MIN_RISE_RAD; above: heights fall by more than the range
     if not math.sin(MIN_RISE_RAD) < cos_tilt < MAX_COS_TILT:
         message = f"the heights fall {cos_tilt:.2f} m a metre of range straight down, expected about 1"
         raise NoDirectionError(message)
@@ -175,7 +175,7 @@ def _check_heights(solution: F64, off_m: float, matrix: F64) -> None:
 
 
 def down_of_ground(angle_rad: F64, range_m: F32) -> float | None:
-    """Find the scan angle that points straight down.
+    """Find the scan angle of straight down from level ground.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def down_of_ground(angle_rad: F64, range_m: F32) -> float | None:
     Returns
     -------
     float or None
-        Scan angle [rad], None where no plane fills enough of the lines.
+        Scan angle [rad], None if no plane fills enough of the lines.
 
     Examples
     --------
@@ -216,9 +216,9 @@ def down_of_ground(angle_rad: F64, range_m: F32) -> float | None:
 
 
 def _middle_of_lines(range_m: F32) -> F64:
-    """Return the median range of every column, NaN where less than half of the lines have one."""
+    """Return the median range of every column, NaN where no more than half of the lines have one."""
     n_held = np.count_nonzero(np.isfinite(range_m), axis=0)
-    ordered = np.sort(range_m.astype(np.float64), axis=0)  # NaN goes last
+    ordered = np.sort(range_m.astype(np.float64), axis=0)  # NaN sorts last
     middle: F64 = ordered[n_held // 2, np.arange(range_m.shape[1])] if len(range_m) else np.empty(0)
     return np.where(2 * n_held > len(range_m), middle, np.nan)
 
@@ -226,7 +226,7 @@ def _middle_of_lines(range_m: F32) -> F64:
 def _fill(
     angle_rad: F64, middle_m: F64, held: NDArray[np.intp], down_rad: float, step_rad: float
 ) -> tuple[float, NDArray[np.intp]]:
-    """Return how well a plane straight below fills the lines, nearer ones better, and the columns that see it."""
+    """Return the score of a plane straight below (filled angle, nearer planes preferred) and its columns."""
     off = np.abs(wrap(angle_rad[held] - down_rad))
     near = held[off < REACH_RAD]
     if not len(near):

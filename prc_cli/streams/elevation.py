@@ -1,7 +1,7 @@
-"""Vertical lines of points that hold nothing but x, y, z (``input.lines = elevation:DEG``).
+"""Finds vertical lines in points with only x, y, z (``input.lines = elevation:DEG``).
 
-Where missing shots were left out, neither a count nor an angle of the scanner tells where a line ends. The elevation
-does: it rises along a line and drops to the next one's first point.
+For files without missing shots and scan angles: the elevation rises along a line and drops to the first point of the
+next one.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from prc_cli.streams.grid import GridStream
 
 _XYZ = ("x", "y", "z")
 _LINE = "line by elevation"
-"""The blanks keep it apart from dimensions."""
+"""Name of the added column; the blank avoids clashes with dimensions."""
 
 
 def with_elevation(source: RecordSource, config: InputConfig) -> tuple[RecordSource, InputConfig]:
-    """Return the source with the elevation as ``angle`` [rad] and the lines it makes, and the rules that take them.
+    """Return the source with elevations as ``angle`` [rad] and line numbers, and the configuration to use them.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def with_elevation(source: RecordSource, config: InputConfig) -> tuple[RecordSou
     Raises
     ------
     ConfigError
-        When the number is none, the source has no coordinates, or they are not said to be relative to the scanner.
+        When the number is invalid, or the source has no coordinates relative to the scanner.
     """
     drop_deg = parse_rate(config.lines)
     if not 0 < abs(drop_deg) < 180:
@@ -54,7 +54,7 @@ def with_elevation(source: RecordSource, config: InputConfig) -> tuple[RecordSou
 
 
 def tell_elevation(stream: GridStream, rule: str) -> GridStream:
-    """Return a stream of such a source that says where its lines are from, and that -90 deg is straight down."""
+    """Return the stream of such a source with the assumptions reported, and -90 deg as straight down."""
     info = stream.info
     why = "lines end where the elevation of x, y, z jumps back; the scan angle is the elevation"
     assumptions = (Assumption("input.lines", rule, why), *info.assumptions)
@@ -73,11 +73,11 @@ class _WithElevation(DerivedSource):
 
     @property
     def facts(self) -> SourceFacts:
-        """Those of the source without its notes; M that a file records is that of other lines."""
+        """Metadata of the source without notices, and without M, which is that of other lines."""
         return replace(self.source.facts, points_per_line=None, notes=())
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode the named dimensions; a point at the origin has no elevation and stays in the line it stands in.
+        """Decode the named dimensions; a point at the origin has no elevation and stays in the current line.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""What the ranges themselves tell: whether they are in the order fired, and how many shots make a scan line.
+"""Estimates from ranges: whether they are in firing order, and the number of shots per scan line.
 
-Consecutive scan lines of a mobile scanner see almost the same profile, so the ranges repeat after M shots
-(Lehtola et al. 2019, section II: shot i, i + M and i - M are neighbours). The estimate needs missing shots to be
-part of the stream: where they were left out, lines have no common length.
+Consecutive scan lines of a mobile scanner see nearly the same profile, so ranges repeat after M shots
+(Lehtola et al. 2019, section II: shot i, i + M and i - M are neighbours). The estimate needs missing shots in the
+stream: without them, lines differ in length.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ import numpy as np
 from prc_cli.core.types import F32, F64, I64
 
 MAX_SHOTS = 1 << 21
-"""Most shots looked at, from the start."""
+"""Most shots used, from the start."""
 MIN_LINES = 16
-"""Lines that must be there for a period to be believed."""
+"""Least number of lines for an estimate."""
 WEAK = 0.35
-"""Strengths below this are no evidence: random ranges, random walks and streams of too few lines stay below."""
+"""Least strength of an estimate: random ranges, random walks and streams of too few lines stay below."""
 RANDOM_PAIRS = 1_000_000
 """Most pairs compared by :func:`range_correlation`."""
 _MULTIPLES = 6
-"""Multiples of the period at which the correlation must be seen to rise again."""
+"""Multiples of the period at which the correlation must rise again."""
 _MULTIPLES_SEEN = 16
-"""Multiples looked at where the stream is long enough: lines of no common length lose step by then."""
+"""Multiples checked where the stream is long enough: lines of different lengths lose step by then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,22 +32,21 @@ class PeriodEstimate:
     """Estimate of the shots in a scan line."""
 
     points_per_line: int | None
-    """M, None if the ranges do not tell."""
+    """M, None if there is no estimate."""
     strength: float
     """Least rise of the autocorrelation from between the lines to the next line, over the first multiples of
     M: about 1 and more = lines alike, below :data:`WEAK` = no evidence; 0 if nothing could be computed."""
     n_shots_used: int
-    """Shots looked at."""
+    """Number of shots used."""
     reason: str
-    """Why, in plain words."""
+    """The reason, for people."""
 
 
 def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimate:
     """Estimate M from the autocorrelation of the logarithms of the ranges.
 
-    Missing shots take no part, neither in the products nor in the energies; the correlation at a lag is that
-    of the pairs where both ranges are valid. The smallest lag that rises almost as high above the dip before it
-    as any other is the fundamental; its multiples, where they can be seen, refine it.
+    The correlation at a lag uses only pairs with two valid ranges, in products and energies. The smallest lag that
+    rises almost as high above the dip before it as any other is the fundamental; its visible multiples refine it.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
     if np.count_nonzero(valid) < 100 or max_lag < 4:
         return PeriodEstimate(None, 0.0, len(flat), f"too few ranges: {np.count_nonzero(valid)} of {len(flat)} shots")
     logs = np.log(np.where(valid, flat, 1.0))
-    # a few wild ranges must not outweigh the rest
+    # limit the weight of outliers
     low, middle, high = np.percentile(logs[valid], (1, 50, 99))
     signal = np.where(valid, np.clip(logs, low, high) - middle, 0.0)
     signal[valid] -= signal[valid].mean()
@@ -97,14 +96,14 @@ def estimate_points_per_line(range_m: F32, max_m: int = 65_536) -> PeriodEstimat
 
 def _autocorrelation(signal: F64, valid: F64, n_lags: int) -> F64:
     """Correlation of the valid pairs at lags 0 to ``n_lags``, (n_lags + 1,), -1 to 1."""
-    from scipy import fft  # here: it takes longer to load than a small file to classify
+    from scipy import fft  # imported here: loading takes longer than classifying a small file
 
     size = fft.next_fast_len(len(signal) + n_lags + 1, real=True)
     of_signal = fft.rfft(signal, size)
     of_valid = fft.rfft(valid, size)
     of_energy = fft.rfft(signal * signal, size)
     products = fft.irfft(np.abs(of_signal) ** 2, size)[: n_lags + 1]
-    # energies of the earlier and of the later shot of the pairs, missing partners left out
+    # energies of the earlier and the later shots of valid pairs
     earlier = fft.irfft(np.conj(of_energy) * of_valid, size)[: n_lags + 1]
     later = fft.irfft(np.conj(of_valid) * of_energy, size)[: n_lags + 1]
     energy = np.sqrt(np.maximum(earlier, 0.0) * np.maximum(later, 0.0))
@@ -122,7 +121,7 @@ def _fundamental(correlation: F64) -> int:
         return 0
     highest = rise[peaks].max()
     first = int(peaks[rise[peaks] >= 0.9 * highest][0])
-    # noise sits on a broad peak: take the highest point before the correlation falls again
+    # a broad peak is noisy: take its highest point before the correlation falls again
     fallen = np.flatnonzero(rise[first:] < 0.7 * highest)
     end = first + int(fallen[0]) if len(fallen) else len(correlation)
     return first + int(np.argmax(correlation[first:end]))
@@ -144,7 +143,7 @@ def _comb(correlation: F64, period: int) -> float:
 
 
 def _refine(correlation: F64, period: int) -> int:
-    """Follow the peak to higher multiples: a scene that shifts a little from line to line moves the first one."""
+    """Follow the peak to higher multiples, because a scene that shifts from line to line moves the first one."""
     refined = float(period)
     for k in range(2, _MULTIPLES_SEEN + 1):
         centre = round(k * refined)
@@ -193,13 +192,13 @@ class RangeCorrelation:
     """Whether consecutive shots see the same surface."""
 
     ratio: float
-    """Median range step between neighbours over that between random pairs; NaN if there is too little to tell."""
+    """Median range step between neighbours over that between random pairs; NaN with too few pairs."""
     n_pairs: int
-    """Neighbouring pairs where both ranges are valid."""
+    """Number of neighbouring pairs with two valid ranges."""
 
     @property
     def verdict(self) -> str:
-        """Say it in plain words.
+        """Return the finding as a sentence.
 
         >>> RangeCorrelation(0.02, 9000).verdict
         'neighbouring shots have near ranges (ratio 0.02): as expected of shots in the order they were fired'
@@ -223,13 +222,13 @@ def range_correlation(range_m: F32, seed: int = 0) -> RangeCorrelation:
     range_m : (n,) float32
         Ranges [m] in the order of the input, NaN = missing.
     seed : int
-        Of the random pairing.
+        Seed of the random pairing.
 
     Returns
     -------
     RangeCorrelation
-        Ratio about 1: the order carries no spatial correlation; near 0: as in the order fired. A file sorted by
-        coordinate has a low ratio too, so a low ratio alone is no proof.
+        Ratio about 1: no spatial correlation in the order; near 0: consistent with firing order. Files sorted by
+        coordinate have a low ratio too, so a low ratio is no proof.
 
     Examples
     --------

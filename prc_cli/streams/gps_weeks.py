@@ -1,4 +1,4 @@
-"""GPS seconds of the week begin again on Saturday at midnight: times that go on where the order is trusted."""
+"""Unwraps GPS seconds of the week, which restart on Saturday at midnight, where the order is trusted."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from prc_cli.formats.records import DerivedSource, RecordChunk
 
 WEEK_S = 604_800.0
 TOLERANCE = 0.01
-"""Share of a week that the step back may differ: pauses, and clocks that are a little off."""
+"""Tolerance of the step back as a share of a week, for pauses and clock errors."""
 ADDED, STEPS = "week added", "week steps"
-"""What chunks hold beside their dimensions: where a week was added (n,), and how often a week ended in them (1,)."""
+"""Additional columns of chunks: where a week was added (n,), and the number of week ends (1,)."""
 
 
 @dataclass(frozen=True, slots=True)
 class WeekState:
-    """What the next chunk must know of the times before it."""
+    """State of the times across chunks."""
 
     last_s: float = math.nan
     """Last known time, as stored [s]."""
@@ -31,8 +31,8 @@ class WeekState:
 def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
     """Add a week to the times after the first step back of about a week.
 
-    From there on each time is taken to lie within half a week of the end of the week: scanners that share a file
-    and do not change week at the same record stay together.
+    From there on, each time is assumed within half a week of the end of the week, so that scanners of one file stay
+    together even if they change week at different records.
 
     Parameters
     ----------
@@ -72,10 +72,10 @@ def unwrap_week(time_s: F64, state: WeekState) -> tuple[F64, Mask, WeekState]:
 
 
 class WeekSource(DerivedSource):
-    """A source whose times go on over the end of a week; see :func:`unwrap_week`."""
+    """A source with unwrapped GPS times; see :func:`unwrap_week`."""
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
-        """Decode; chunks of a later week hold :data:`ADDED` beside, the one in which it ends :data:`STEPS`."""
+        """Decode; chunks from the end of the week on also have :data:`ADDED` and :data:`STEPS`."""
         state = WeekState()
         for chunk in self.source.chunks(names):
             if "time" not in names:
@@ -91,14 +91,14 @@ class WeekSource(DerivedSource):
 
 
 def times_of_trajectory(chunk: RecordChunk, first_s: float) -> F64:
-    """Return the times by which a trajectory is asked, (n,) [s].
+    """Return the times to look up in a trajectory, (n,) [s].
 
     Parameters
     ----------
     chunk : RecordChunk
         From :class:`WeekSource`.
     first_s : float
-        First time of the trajectory [s]; one that begins later than a time as stored goes on over the week.
+        First time of the trajectory [s]; stored times before it belong to the next week.
     """
     time_s = np.asarray(chunk.values["time"], np.float64)
     added = chunk.values.get(ADDED)
@@ -109,5 +109,5 @@ def times_of_trajectory(chunk: RecordChunk, first_s: float) -> F64:
 
 
 def week_steps(chunk: RecordChunk) -> int:
-    """Return how many steps back of a week were taken out of a chunk."""
+    """Return the number of steps back by a week removed from a chunk."""
     return int(chunk.values[STEPS][0]) if STEPS in chunk.values else 0

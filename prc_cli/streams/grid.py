@@ -1,8 +1,8 @@
-"""Records to the stream of blocks, the same way for every format.
+"""Turns records into the stream of blocks, the same way for every format.
 
 First the rules are resolved (:mod:`.rules`) and the scanners set up (:mod:`.setup`). Then chunks of records become
-whole lines (:mod:`.reading`), and whole lines become cells of blocks (:mod:`.cells`). Memory stays at a chunk of
-records and the open lines of every scanner.
+whole lines (:mod:`.reading`), and whole lines become cells of blocks (:mod:`.cells`). Memory holds a chunk of records
+and the open lines of every scanner.
 """
 
 from __future__ import annotations
@@ -54,26 +54,26 @@ def open_grid(
     config : InputConfig
         How lines, columns and ranges are found; ``auto`` is resolved and reported in ``info.assumptions``.
     line_hz : float, optional
-        Scan lines a second, where a layout says so [Hz].
+        Scan lines per second from a layout [Hz].
     geometry : bool
-        Find the angles of the columns, and where down is, where the lines do not need them.
+        Find column angles and straight down even if lines do not need them.
     only_ranges : bool
-        Leave times and intensities out of the blocks: what decides nothing then is not decoded.
+        Leave times and intensities out of the blocks, and do not decode them unless needed.
 
     Raises
     ------
     InputError
-        When the input does not hold what lines, columns or ranges could be found by.
+        When the input has nothing to find lines, columns or ranges by.
     OrderError
-        When that is so and its first records are not in the order they were fired either.
+        When, in addition, its first records are not in firing order.
     ConfigError
-        When the configuration names a dimension that is not there, or M is needed and not given.
+        When a named dimension does not exist, or M is needed and not given.
     """
     records = sorted_by_time(source) if config.order == "sort-time" else source
     try:
         rules = resolve_rules(records, config)
     except InputError:
-        # a file of no lines is often a tile: then its order is the better reason
+        # a file without lines is often a tile: then report its order instead
         if config.order == "require":
             judge_first_records(source)
         raise
@@ -128,9 +128,9 @@ class GridStream:
     setups: dict[int, ScannerSetup]
     """By scanner."""
     default: ScannerSetup | None
-    """For scanners that were not met beforehand; None where that cannot be."""
+    """For scanners not met before; None where all are known."""
     only_ranges: bool = False
-    """Whether blocks hold neither times nor intensities."""
+    """Whether blocks have no times and intensities."""
 
     def blocks(self) -> Iterator[ScanBlock]:
         """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`."""
@@ -150,7 +150,7 @@ class GridStream:
     def _line_rules(self, scanner: int) -> LineRules:
         setup, rules = self._setup(scanner), self.rules
         m, cells = setup.points_per_line, None
-        # every shot of fixed lines has its cell
+        # fixed lines: every shot has a cell, no limit needed
         if rules.lines != "fixed":
             n_known = max(self.info.n_records or 0, sum(setup.n_shots for setup in self.setups.values()))
             cells = cell_limit(m, n_known, rules.max_gap_lines, is_alone=rules.scanner is None)
@@ -163,7 +163,7 @@ class GridStream:
             columns=column_rule(rules, setup.found.angle_grid),
             chosen_return=rules.chosen_return,
             angle_rad=setup.angle_rad,
-            # times and intensities have done their work once the returns are chosen
+            # times and intensities are not needed once returns are chosen
             with_time=rules.has_time and not self.only_ranges,
             with_intensity=rules.has_intensity and not self.only_ranges,
             with_xyz=self.ranges.gives_xyz,
@@ -171,10 +171,10 @@ class GridStream:
         )
 
     def _spent(self) -> tuple[str, ...]:
-        """Return the dimensions that only find the shots and their lines: fewer columns are cut and joined then."""
+        """Return the dimensions needed only to find shots and lines, which are dropped afterwards to save copying."""
         rules = self.rules
         kept = {rules.column_dimension, "angle", "return_number"}
-        # a line or a scanner may be told by one of these, too
+        # these may also be the dimension of lines or scanners
         if not self.only_ranges or rules.shot_hz is not None:
             kept.add("time")
         if self._needs_intensity:
@@ -182,7 +182,7 @@ class GridStream:
         return tuple(name for name in rules.names if name not in kept)
 
     def _carried(self) -> tuple[str, ...]:
-        """Return the dimensions that are needed beside those that decide the cells."""
+        """Return the dimensions needed beside those for the cells."""
         return (*self.ranges.names, *(("intensity",) if self._needs_intensity else ()))
 
     @property
@@ -191,12 +191,12 @@ class GridStream:
         return self.rules.has_intensity and (decides or not self.only_ranges)
 
     def _prepare(self, chunk: RecordChunk, table: Table) -> tuple[Table, ReadTally]:
-        """Add ranges and what goes along with them to the table of a chunk."""
+        """Add ranges, coordinates and intensities to the table of a chunk."""
         values = chunk.values
         if self.ranges.trajectory is not None:
             values = {**values, "time": times_of_trajectory(chunk, self.ranges.trajectory.span[0])}
         table[RANGE], xyz, tally = clean_measured(values, self.ranges)
-        # what was taken out before the watch could see it
+        # removed before the order check could count it
         tally += ReadTally(n_time_steps_back=week_steps(chunk))
         if xyz is not None:
             table[XYZ] = xyz
@@ -205,7 +205,7 @@ class GridStream:
         return table, tally
 
     def _dense_blocks(self) -> Iterator[ScanBlock]:
-        """Cut records that are the cells already into lines; nothing is moved."""
+        """Yield blocks of dense records, one per cell, without moving any."""
         rules, cells = self.rules, self._cell_rules(0)
         m = cells.points_per_line
         watch = open_watch(self.source, rules.order) if rules.has_time else None

@@ -1,6 +1,6 @@
-"""Which lines and images are refused: lines that go back, gaps, and images that are nearly empty.
+"""Refuses lines that go back, long gaps, and images that are nearly empty.
 
-A few wrong numbers must not cost gigabytes or hours.
+So a few wrong numbers cannot cost gigabytes or hours.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from prc_cli.streams.columns import MAX_COLUMN
 from prc_cli.streams.lines import LineState
 
 MAX_CELLS_PER_RECORD = 1000
-"""Cells for every record; an image that is emptier has a wrong line or column somewhere."""
+"""Most cells per record; emptier images have a wrong line or column number."""
 MIN_CELLS = 1_000_000
-"""Cells that any input may have."""
+"""Number of cells always allowed."""
 SPARE_CELLS = 20_000_000
-"""The same while lines are read: empty lines cost no memory then, a second of time at most."""
+"""The same while lines are read, when empty lines cost no memory and a second of time at most."""
 USUAL_GAP_LINES: int = InputConfig.model_fields["max_gap_lines"].default
-"""Who allows longer gaps than this means them."""
+"""Default of ``max_gap_lines``; a larger value allows empty cells on purpose."""
 
 
 def most_cells(n_records: int) -> int:
-    """Return how many cells an image of so many records may have.
+    """Return the most cells of an image of this many records.
 
     >>> most_cells(10)
     1010000
@@ -36,34 +36,34 @@ def most_cells(n_records: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class CellLimit:
-    """Cells that one scanner's lines may have while they are read."""
+    """Limit for the cells of one scanner while reading."""
 
     points_per_line: int
     """M."""
     n_known: int
-    """Records of the whole input as far as known beforehand, else 0."""
+    """Records of the whole input if known, else 0."""
     n_spare: int
-    """Cells beside those that the number of records allows."""
+    """Cells allowed in addition to those for the records."""
 
     def most_lines(self, n_seen: I64) -> I64:
-        """Return the lines that so many shots may have, at least one, (n,) int64."""
+        """Return the most lines for these numbers of shots, at least 1, (n,) int64."""
         cells: I64 = self.n_spare + MAX_CELLS_PER_RECORD * np.maximum(n_seen, self.n_known)
         return np.maximum(cells // self.points_per_line, 1)
 
 
 def cell_limit(points_per_line: int, n_known: int, max_gap_lines: int, *, is_alone: bool) -> CellLimit:
-    """Return the limit of one scanner; gaps that are longer than usual and allowed by name come on top.
+    """Return the limit of one scanner; a larger ``max_gap_lines`` than the default raises it.
 
     Parameters
     ----------
     points_per_line : int
         M.
     n_known : int
-        Records of the whole input as far as known, else 0.
+        Records of the whole input if known, else 0.
     max_gap_lines : int
         Most missing lines in a row.
     is_alone : bool
-        Whether the input is of one scanner.
+        Whether the input has a single scanner.
     """
     n_spare = SPARE_CELLS if is_alone else MIN_CELLS
     if max_gap_lines > USUAL_GAP_LINES:
@@ -73,23 +73,23 @@ def cell_limit(points_per_line: int, n_known: int, max_gap_lines: int, *, is_alo
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """What is done with lines that go back or jump ahead."""
+    """Rules for lines that go back or jump ahead."""
 
     where: str
     """File and rule, for messages."""
     max_gap_lines: int
     refuse_back: bool
-    """Whether lines that go back by more than the slack are an error (else they come too late, counted)."""
+    """Whether lines that go back by more than the slack are an error (else they are dropped and counted)."""
     slack: int
-    """Lines beside the last that are still open."""
+    """Number of lines before the last that are still open."""
     begins_with_first: bool = True
-    """Whether line 0 is that of the first shot; else shots before it are expected, not late."""
+    """Whether line 0 is the line of the first shot; else shots before line 0 are expected, not late."""
     cells: CellLimit | None = None
-    """How many lines the shots so far may have; None = any number."""
+    """Limit for the number of lines; None = no limit."""
 
 
 def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Admission) -> tuple[Mask, LineState]:
-    """Decide which shots still find their line open.
+    """Mark the shots whose line is still open.
 
     Parameters
     ----------
@@ -146,15 +146,15 @@ def admit_lines(line: I64, known: Mask, record: I64, state: LineState, rule: Adm
 
 
 def _all_admitted(last: int, state: LineState, rule: Admission) -> bool:
-    """Tell whether lines that never go back, up to the last, cannot be refused: what nearly every chunk is like."""
+    """Whether rising lines up to ``last`` need no further check, which holds for nearly every chunk."""
     if last - state.top > rule.max_gap_lines + 1:
         return False
     return rule.cells is None or last < rule.cells.most_lines(np.array([state.n_seen]))[0]
 
 
 def _check_cells(top: I64, known: Mask, record: I64, state: LineState, limit: CellLimit, where: str) -> None:
-    """Refuse lines that are nearly all empty: their cells would cost any amount of time."""
-    # neither lines nor their limit ever fall: the last line within the first limit settles it
+    """Refuse lines that are nearly all empty, whose cells could take unlimited time."""
+    # both lines and limits only rise: compare the last line with the first limit
     if len(top) and top[-1] < limit.most_lines(np.array([state.n_seen]))[0]:
         return
     n_seen = state.n_seen + np.cumsum(known[: len(top)])
@@ -186,7 +186,7 @@ def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = 
     """
     n_cells = sum(n_lines * n_columns for n_lines, n_columns, _ in sizes.values())
     is_empty = n_cells > most_cells(sum(n_shots for _, _, n_shots in sizes.values()))
-    # the one that is emptiest is named
+    # name the emptiest scanner
     for scanner in sorted(sizes, key=lambda one: -sizes[one][0] * sizes[one][1] + most_cells(sizes[one][2])):
         n_lines, n_columns, n_shots = sizes[scanner]
         if is_empty or n_columns > MAX_COLUMN:
@@ -199,7 +199,7 @@ def check_image(path: str, sizes: dict[int, tuple[int, int, int]], which: str = 
 
 
 def check_found_columns(path: str, points_per_line: int, n_records: int | None) -> None:
-    """Refuse more columns than the records of the input can mean, where M was found or recorded, not given.
+    """Refuse an M, found or recorded in the file, that is too large for the number of records.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Where scan lines begin: one pure function a rule, what crosses chunks is passed in and returned.
+"""Finds where scan lines begin: one pure function per rule; state across chunks is passed in and returned.
 
-All work on shots (the first record of each), in the order of the input, for one scanner.
+All take shots (the first record of each) of one scanner in input order.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from prc_cli.streams.shot_timing import time_in_line
 from prc_cli.streams.table import Table
 
 MAX_NUMBER = 2.0**53
-"""Line numbers at or beyond cannot be told apart as float64."""
+"""Line numbers from here on are not exact in float64."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineState:
-    """What the next chunk of a scanner must know of the shots before it."""
+    """State of a scanner's lines across chunks."""
 
     top: int = -1
     """Highest line so far; -1 = none."""
     n_seen: int = 0
     """Shots with a line so far."""
     n_late: int = 0
-    """Those of them whose line had left already."""
+    """Shots whose line was already complete."""
     offset: int | None = None
-    """Dimension: line number that is line 0."""
+    """Dimension: number of line 0."""
     n_shots: int = 0
     """Fixed: shots so far."""
     wraps: int = 0
@@ -53,7 +53,7 @@ class LineState:
 
 @dataclass(frozen=True, slots=True)
 class NumberedLines:
-    """Lines have numbers in the input."""
+    """The input has line numbers."""
 
     dimension: str
     path: str
@@ -84,9 +84,9 @@ class TimedLines:
     origin_s: float | None
     """Time of line 0, column 0 [s]; None = that of the first shot."""
     column_dimension: str | None = None
-    """Where the time of column 0 is told by the column of the shot."""
+    """Column dimension, if it gives the time of a shot within its line."""
     column_s: float = 0.0
-    """Time from column to column there [s]."""
+    """Time from column to column of that dimension [s]."""
 
 
 LineRule: TypeAlias = NumberedLines | FixedLines | SweptLines | TimedLines
@@ -95,12 +95,12 @@ LineRule: TypeAlias = NumberedLines | FixedLines | SweptLines | TimedLines
 def find_lines(
     shots: Table, time_s: F64 | None, n_shots: int, state: LineState, rule: LineRule
 ) -> tuple[I64, Mask, LineState]:
-    """Apply a rule to the next shots.
+    """Find the line of the next shots by a rule.
 
     Parameters
     ----------
     shots : Table
-        The dimension that the rule names.
+        With the dimension of the rule.
     time_s : (n,) float64 or None
         Estimated times [s]; None = ``time`` of the table.
     n_shots : int
@@ -153,12 +153,12 @@ def lines_by_dimension(number: NDArray[Any], state: LineState, where: str) -> tu
     Raises
     ------
     InputError
-        When a number is not whole or absurdly large.
+        When a number is not whole or too large.
     """
     if number.dtype.kind in "iu" and number.dtype.itemsize <= 4:
         if state.offset is None and len(number):
             state = replace(state, offset=int(number[0]))
-        # in one pass: nearly every file numbers its lines so
+        # fast path: nearly every file has 32-bit numbers
         line = np.subtract(number, np.int64(state.offset or 0), dtype=np.int64)
         return line, np.ones(len(number), np.bool_), state
     value = np.asarray(number, np.float64)
@@ -187,13 +187,13 @@ def lines_fixed(n_shots: int, points_per_line: int, state: LineState) -> tuple[I
 def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[I64, Mask, LineState]:
     """Begin a line where the angle jumps back against the sweep by more than half the span.
 
-    The span is that of the line that ends there or of the one before it, whichever is larger: at the edges of a
-    flight or behind an obstacle lines are much shorter than the longest.
+    The span is the larger one of the ending line and the line before: at the edges of a flight or behind an obstacle,
+    lines are much shorter than the longest.
 
     Parameters
     ----------
     angle : (n,) float
-        Scan angle [rad]; shots without one stay in the line they stand in.
+        Scan angle [rad]; shots without one stay in the current line.
     sweep : Sweep
         From :func:`prc_cli.streams.angles.find_sweep`.
     state : LineState
@@ -214,7 +214,7 @@ def lines_by_wrap(angle: NDArray[Any], sweep: Sweep, state: LineState) -> tuple[
     if len(position):
         seen = value[position]
         back = sweep.direction * (np.concatenate(([state.last_angle], seen[:-1])) - seen)
-        # a jump that is larger than noise ends a line or not: few of them, looked at one by one
+        # jumps larger than noise are few: check one by one whether a line ends
         jumps = np.flatnonzero(back > sweep.noise_rad)
         borders = np.concatenate(([0], jumps[jumps > 0]))
         lows, highs = np.minimum.reduceat(seen, borders), np.maximum.reduceat(seen, borders)
@@ -253,14 +253,14 @@ def lines_by_time(
     line_hz : float
         Lines a second.
     half_shot_s : float
-        Half the time between shots [s], 0 if unknown: shots are evenly timed, so one that seems to come just
-        before its line (rounded times) is its column 0.
+        Half the time between shots [s], 0 if unknown: a shot that comes at most this early (rounded times) is column 0
+        of its line.
     origin_s : float or None
-        Time of line 0, column 0 [s]; None = the first known time, less the time since its line began if known.
+        Time of line 0, column 0 [s]; None = the first known time, minus ``since_s`` if known.
     state : LineState
     since_s : (n,) float64, optional
-        Time since the line of the shot began where its column tells it, else NaN [s]. Then the line is
-        ``rint((t - since - t0) * HZ)``: no rounding of times is near half a line.
+        Time since the start of the line from the column of the shot, else NaN [s]. Then the line is ``rint((t - since -
+        t0) * HZ)``: rounding errors of times are far below half a line.
 
     Returns
     -------
@@ -278,7 +278,7 @@ def lines_by_time(
     if state.origin_s is None:
         return np.zeros(len(time_s), np.int64), known, state
     time_s = np.where(known, time_s, state.origin_s)
-    # two steps of the stored number at least: 1.2e-7 s for times of 5e8 s
+    # at least two steps of float64: 1.2e-7 s for times of 5e8 s
     guard_s = np.maximum(half_shot_s, 2 * np.spacing(np.maximum(np.abs(time_s), abs(state.origin_s))))
     turns = np.floor((time_s - state.origin_s + guard_s) * line_hz)
     if since_s is not None:

@@ -1,7 +1,7 @@
-"""An archive becomes a stream: the source is opened, and what kind it is decides the way to its blocks.
+"""Opens an input file as a stream of blocks, by the kind of its source.
 
-Images, whose lines and columns are in the file, are blocks of the stream already. Records become blocks in
-:mod:`prc_cli.streams.grid`, but for frames of rings (:mod:`prc_cli.streams.rings`).
+Images hold lines and columns and are blocks already. Records become blocks in :mod:`prc_cli.streams.grid`, frames of
+rings in :mod:`prc_cli.streams.rings`.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ def open_input(
     layout : Layout, optional
         Records of a raw dump or a text file; raw dumps without one are float32 ranges alone.
     lines_at_once : int
-        Lines that are used together: files whose lines are known beforehand are best read in multiples of them.
+        Lines used at a time: files of known line length are best read in multiples of it.
     geometry : bool
-        Find the angles of the columns and where down is; who needs nothing but ranges saves reading the first records
-        for them.
+        Find column angles and straight down; False saves reading the first records where only ranges are needed.
     only_ranges : bool
         Times and intensities of the shots may be left out of the blocks; coordinates stay.
 
@@ -47,7 +46,7 @@ def open_input(
     """
     source = open_source(path, layout)
     config = with_layout(config, layout)
-    # what finds lines is imported where there are some to find: images start sooner without
+    # imported here: images do not need it and start faster
     if source is None:
         from prc_cli.streams.order import WatchedStream
 
@@ -71,7 +70,7 @@ def open_input(
 
 
 def with_layout(config: InputConfig, layout: Layout | None) -> InputConfig:
-    """Return the configuration with M of the layout, where it gives none itself."""
+    """Return the configuration with M from the layout, if it has none itself."""
     if layout is None or layout.points_per_line is None or config.points_per_line is not None:
         return config
     return config.model_copy(update={"points_per_line": layout.points_per_line})

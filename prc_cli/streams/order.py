@@ -1,7 +1,7 @@
-"""Are the records in the order the shots were fired? Evidence for and against, and the refusal.
+"""Checks that records are in firing order, by their times, and refuses them otherwise.
 
-Everything in PRC looks at neighbours in time (Lehtola et al. 2019, section II): on a file that was cut into
-tiles or sorted by coordinate it would label noise. Hence the default is to refuse, with the figures.
+PRC compares neighbours in time (Lehtola et al. 2019, section II): for files cut into tiles or sorted by coordinate its
+labels are meaningless. So the default is to refuse them, with figures.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64, I64
 
 Policy: TypeAlias = Literal["require", "trust", "sort-time"]
-"""What is done about records out of order (``input.order``)."""
+"""Policy for records out of order (``input.order``)."""
 
 MAX_SHARE_BACK = 1e-4
-"""Share of steps that may go back: files written by several threads swap a pair now and then."""
+"""Largest share of steps back: files written by several threads contain swapped pairs."""
 CHECK_RECORDS = 1 << 20
-"""The share is judged after every so many records, wherever chunks are cut, and at the end."""
+"""The share is checked after this many records each, independent of chunks, and at the end."""
 _WEEK_S = 604_800.0
 _PLAIN_S = 1e15
-"""Times beyond have no use for digits behind the point; written out they fill the screen."""
+"""Larger times are shown in exponent notation."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepBack:
-    """One place where the values go back."""
+    """A step where values decrease."""
 
     record: int
     """Index in the input of the record that is lower than the one before it."""
@@ -43,12 +43,12 @@ class StepBack:
 
 @dataclass(frozen=True, slots=True)
 class OrderEvidence:
-    """What the times of an input say about its order."""
+    """Statistics of the times of an input."""
 
     what: str
     """Name of the dimension."""
     n_steps: int
-    """Steps from one record to the next (values that are not finite are left out)."""
+    """Steps from one record to the next (values that are not finite are ignored)."""
     n_back: int
     """Steps that go back."""
     n_equal: int
@@ -76,7 +76,7 @@ class OrderEvidence:
         return self.share_back <= MAX_SHARE_BACK
 
     def sentence(self) -> str:
-        """Say the evidence in one line, without judging it.
+        """Return the evidence as one line, without a verdict.
 
         >>> watch = OrderWatch("drive.las", "trust")
         >>> watch.see(np.array([1.0, 2.0, 1.5, 3.0]), None)
@@ -100,7 +100,7 @@ def _shown(time_s: float, step: StepBack) -> str:
     """Write a time with as many digits as the step needs."""
     if abs(time_s) > _PLAIN_S:
         return f"{time_s:g}"
-    # a step may be beyond the largest float, but then one of its ends is beyond what is written out
+    # the step may overflow, but then one of its ends is in exponent notation anyway
     size = min(step.before - step.value, _PLAIN_S)
     digits = min(max(2, 1 - math.floor(math.log10(float(f"{size:.1g}")))), 9)
     return f"{time_s:.{digits}f}"
@@ -112,7 +112,7 @@ def _grouped(number: int) -> str:
 
 
 class OrderWatch:
-    """Watches a dimension that must not decrease, chunk by chunk.
+    """Checks, chunk by chunk, a dimension that must not decrease.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class OrderWatch:
     what : str
         Name of the dimension.
     can_sort : bool
-        Whether the input can be sorted by time; the refusal advises it only then.
+        Whether the input can be sorted by time, for the hint.
     """
 
     def __init__(
@@ -157,9 +157,9 @@ class OrderWatch:
         Parameters
         ----------
         values : (n,) float64
-            Times [s]; NaN and infinite values are counted and left out.
+            Times [s]; NaN and infinite values are counted and ignored.
         record : (n,) int64 or None
-            Record index of every value; None = they follow on from what was seen.
+            Record index of every value; None = they follow the records before.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class OrderWatch:
         if record is None:
             record = np.arange(self._n_records, self._n_records + len(values), dtype=np.int64)
         while len(values):
-            # up to the next check, so that the verdict does not depend on how the input was cut
+            # up to the next check, so that the verdict does not depend on chunks
             n = CHECK_RECORDS - self._n_records % CHECK_RECORDS
             self._count(values[:n], record[:n])
             values, record = values[n:], record[n:]
@@ -199,7 +199,7 @@ class OrderWatch:
 
     def _keep(self, before: F64, after: F64, record: I64, back: I64) -> None:
         """Keep the first and the largest step back."""
-        # times of 1e308 are finite, the step between them need not be
+        # the step between finite times may overflow
         with np.errstate(over="ignore"):
             steps = [int(back[0]), int(back[np.argmax(before[back] - after[back])])]
         first, largest = (StepBack(int(record[i]), float(after[i]), float(before[i])) for i in steps)
@@ -209,7 +209,7 @@ class OrderWatch:
             self._largest = largest
 
     def finish(self) -> None:
-        """Judge what was seen, however little it is.
+        """Check all steps so far.
 
         Raises
         ------
@@ -246,14 +246,14 @@ class OrderWatch:
 
 @dataclass(frozen=True, slots=True)
 class WatchedStream:
-    """Blocks of images, whose lines cannot be sorted: their times are watched as they pass."""
+    """A stream of images that checks the order of its times while blocks pass; images cannot be sorted."""
 
     source: ScanStream
     policy: Policy
 
     @property
     def info(self) -> StreamInfo:
-        """What is known before reading."""
+        """Metadata known before reading."""
         return self.source.info
 
     def blocks(self) -> Iterator[ScanBlock]:

@@ -1,4 +1,4 @@
-"""Records that come through a pipe, from a live scanner or another program: read once, as they arrive."""
+"""Reads records from a pipe as they arrive, from a live scanner or another program."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import with_layout
 
 READ_BYTES = 1 << 20
-"""Most bytes taken from the pipe at a time, and what the pipe is asked to hold where the system lets one ask."""
+"""Most bytes per read, and the requested size of the pipe where the system allows it."""
 KEPT_BYTES = 256 << 20
-"""Most bytes at the start that are kept until lines, columns and directions are known."""
+"""Most bytes kept at the start until lines, columns and directions are known."""
 _F_SETPIPE_SZ = 1031
 """Linux: fcntl command that sets the size of a pipe."""
 
 
 class ByteStream(Protocol):
-    """What bytes are read from: an unbuffered file object, such as ``sys.stdin.buffer.raw``."""
+    """An unbuffered file object, such as ``sys.stdin.buffer.raw``."""
 
     def fileno(self) -> int:
         """Return the file descriptor."""
 
     def read(self, size: int = -1, /) -> bytes | None:
-        """Return what has arrived, at most ``size`` bytes, waiting for at least one; empty at the end."""
+        """Return available bytes, at least one (waiting for it), at most ``size``; empty at the end."""
 
 
 class PipeSource(LayoutRecords):
-    """Records of a layout out of a pipe, as a :class:`prc_cli.formats.records.RecordSource`.
+    """Records from a pipe as a :class:`prc_cli.formats.records.RecordSource`.
 
-    What is read while the stream is being opened is kept, so that :meth:`chunks` can begin anew; after :meth:`seal`
-    nothing is kept and the records can be read to their end once.
+    Bytes read before :meth:`seal` are kept, so that :meth:`chunks` can start again; afterwards the records can be read
+    to the end once.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class PipeSource(LayoutRecords):
     """
 
     n_records = None
-    """Only reading can tell."""
+    """Unknown before reading."""
 
     def __init__(self, handle: ByteStream, layout: Layout, name: str = "stdin") -> None:
         super().__init__(layout, name)
@@ -62,11 +62,11 @@ class PipeSource(LayoutRecords):
         self._n_kept = 0
         self._sealed = self._ended = False
         self.arrived_s = 0.0
-        """When the last bytes came, on the clock of :func:`time.perf_counter` [s]."""
+        """Arrival time of the last bytes, by :func:`time.perf_counter` [s]."""
         widen_pipe(handle)
 
     def seal(self) -> None:
-        """Keep no more bytes than those that were read so far: the next :meth:`chunks` is the last."""
+        """Stop keeping bytes: the next :meth:`chunks` is the last."""
         self._sealed = True
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
@@ -75,9 +75,9 @@ class PipeSource(LayoutRecords):
         Raises
         ------
         ConfigError
-            When a name is none of the layout's.
+            When a name is not in the layout.
         InputError
-            When nothing comes, the pipe breaks, or it ends inside a record or before its first one.
+            When the pipe is empty, breaks, or ends inside a record or before the first one.
         """
         self._check_names(names)
         each, n_header, first, rest = self._dtype.itemsize, self._header_bytes, 0, b""
@@ -99,7 +99,7 @@ class PipeSource(LayoutRecords):
             raise InputError(self.path, problem, "check the layout, and that the program before the pipe has not died")
 
     def _pieces(self) -> Iterator[bytes]:
-        """Give out what was kept, then what arrives."""
+        """Yield the kept bytes, then those that arrive."""
         yield from list(self._kept)
         if self._sealed:
             self._kept.clear()
@@ -130,7 +130,7 @@ class PipeSource(LayoutRecords):
 
 
 def widen_pipe(handle: ByteStream) -> None:
-    """Ask the system for a pipe that holds more, so that its writer waits less; where it cannot be, nothing changes."""
+    """Enlarge the pipe, so that its writer waits less, where the system allows it."""
     with contextlib.suppress(OSError, ImportError, ValueError, AttributeError):
         import fcntl
 
@@ -146,7 +146,7 @@ def open_pipe(handle: ByteStream, config: InputConfig, layout: Layout | None = N
     Raises
     ------
     InputError, ConfigError
-        When the pipe does not hold what lines, columns or ranges could be found by.
+        When the records have nothing to find lines, columns or ranges by.
     """
     layout = RANGES_ONLY if layout is None else layout
     layout = layout if layout.fields else layout.model_copy(update={"fields": RANGES_ONLY.fields})

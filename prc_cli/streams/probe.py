@@ -1,4 +1,4 @@
-"""What the first records of every scanner tell: the sweep, the grid of angles, the timing of the shots."""
+"""Estimates sweep, angular columns and shot timing from the first records of every scanner."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from prc_cli.streams.table import LINE, START, Table, take
 from prc_cli.streams.whole_lines import LineRules, ScanState, advance, whole_shots
 
 PROBE_RECORDS = 1 << 18
-"""Records at the start that sweep and angles are estimated from."""
+"""Number of first records used for estimates."""
 PROBE_RECORDS_EACH = 1 << 16
-"""The same for every scanner where several share the input."""
+"""The same per scanner where several share the input."""
 SLACK = 1
-"""Lines by number or time stay open for one line more: pairs swapped at the border are met in real files."""
+"""Lines by number or time stay open for one more line: real files have swapped pairs at the border."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """What was estimated of a scanner; what its rules do not need is left out."""
+    """Estimates for a scanner, as far as its rules need them."""
 
     sweep: Sweep | None = None
     angle_grid: AngleGrid | None = None
@@ -45,7 +45,7 @@ def line_rules(
     spent: tuple[str, ...] = (),
     judges_order: bool = True,
 ) -> LineRules:
-    """Return what the lines of a scanner depend on.
+    """Return the parameters of a scanner's lines.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ def line_rules(
     found : Estimates
         Of the scanner.
     cells : CellLimit, optional
-        None = where no cells are made.
+        None = no limit.
     spent : tuple of str
-        Dimensions that nobody asks for once a record has its line.
+        Dimensions not needed once a record has its line.
     judges_order : bool
-        Whether lines that go back may be refused.
+        Whether lines that go back are refused.
     """
     is_numbered = rules.line_dimension is not None
     admission = Admission(
@@ -95,7 +95,7 @@ def _line_rule(rules: GridRules, points_per_line: int | None, found: Estimates) 
 
 
 def estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> list[Assumption]:
-    """Report what was estimated from the angles."""
+    """Report the estimates from angles."""
     taken = []
     for scanner, found in estimates.items():
         which = "" if rules.scanner is None else f" of scanner {scanner}"
@@ -114,26 +114,26 @@ def estimate_assumptions(rules: GridRules, estimates: dict[int, Estimates]) -> l
 
 
 def _needs_probe(rules: GridRules) -> bool:
-    """Whether the rules cannot work without the first records (column angles are a gift where there are some)."""
+    """Whether the rules need the first records (column angles are optional)."""
     return rules.lines == "angle-wrap" or rules.columns == "angle"
 
 
 def given_timing(rules: GridRules, points_per_line: int | None) -> ShotTiming:
-    """Return the timing as far as nothing needs to be read for it."""
+    """Return the timing as far as known without reading."""
     if rules.line_hz is None or points_per_line is None:
         return UNKNOWN
     return ShotTiming(1 / (rules.line_hz * points_per_line))
 
 
 def _needs_timing(rules: GridRules, points_per_line: int | None) -> bool:
-    """Whether only the first records tell where in its line a shot is."""
+    """Whether shot timing must be estimated from the first records."""
     if rules.line_hz is None or rules.shot_hz is not None:
         return False
     return points_per_line is None or rules.column_dimension is not None
 
 
 def _timing(rules: GridRules, records: Table, points_per_line: int | None) -> ShotTiming:
-    """Find the timing of the first records of a scanner."""
+    """Estimate shot timing from the first records of a scanner."""
     if rules.line_hz is None or not _needs_timing(rules, points_per_line):
         return given_timing(rules, points_per_line)
     every = line_rules(rules, points_per_line, Estimates())
@@ -147,14 +147,14 @@ def _timing(rules: GridRules, records: Table, points_per_line: int | None) -> Sh
 def probe(
     source: RecordSource, rules: GridRules, points_per_line: int | None, *, geometry: bool
 ) -> tuple[dict[int, Estimates], dict[int, Table]]:
-    """Read the first records of every scanner and estimate sweep, column angles and timing.
+    """Read the first records of every scanner; estimate sweep, column angles and timing.
 
     Returns
     -------
     estimates : dict by scanner
-        Empty where the scanners of the input are not known and need not be.
+        Empty if scanners are neither known nor needed.
     probes : dict of Table by scanner
-        The whole lines of those records, where angles were looked for.
+        Whole lines of those records, if column angles were requested.
     """
     for_angles = geometry and rules.has_angle and (rules.columns == "dimension" or rules.lines == "fixed")
     needs_timing = _needs_timing(rules, points_per_line)
@@ -163,7 +163,7 @@ def probe(
     beside = ("angle", *(rules.height_names if geometry else ())) if rules.has_angle else ()
     names = tuple(dict.fromkeys((*rules.names, *beside)))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
-    # every scanner must be met where the rules depend on its angles or its timing
+    # find every scanner where the rules depend on its angles or timing
     to_end = rules.scanner is not None and (_needs_probe(rules) or needs_timing)
     first = first_records(source, rules.scanner, names, limit, to_end=to_end)
     if not first:
@@ -177,14 +177,14 @@ def probe(
         if not _needs_probe(rules) and not for_angles:
             estimates[scanner] = Estimates(timing=timing)
             continue
-        # lines that go back are judged while reading, not here
+        # lines that go back are refused while reading, not here
         lenient = line_rules(rules, points_per_line, Estimates(sweep, None, timing), judges_order=False)
         whole, _ = advance(scanner, records, ScanState(), lenient, final=True)
         grid = None
         if rules.columns == "angle" and whole is not None:
             grid = _angle_grid(rules, take(whole.records, whole.records[START]), where)
             if rules.line_hz is not None and points_per_line is None:
-                # where shots are missing the columns tell better how far they are apart
+                # where shots are missing, columns give the distance between them better
                 timing = replace(timing, shot_s=min(timing.shot_s, 1 / (rules.line_hz * grid.n_columns)))
         estimates[scanner] = Estimates(sweep, grid, timing)
         if whole is not None:

@@ -1,4 +1,4 @@
-"""Slant range of every record: from a dimension, or the distance to the sensor."""
+"""Computes the slant range of every record, from a dimension or as distance to the sensor."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from prc_cli.streams.trajectory import Trajectory, load_trajectory
 
 XYZ = ("x", "y", "z")
 MAX_LENGTH_OFF = 0.01
-"""Share of the range by which coordinates relative to the scanner may be longer or shorter."""
+"""Tolerance for the length of coordinates relative to the scanner, as a share of the range."""
 MAX_LENGTH_OFF_M = 0.05
-"""The same in metres: the larger of the two holds."""
+"""The same in metres; the larger one applies."""
 
 
 @dataclass(frozen=True, slots=True)
 class RangeRule:
-    """Where ranges come from; exactly one of the first three is set."""
+    """Source of ranges; exactly one of the first three is set."""
 
     dimension: str | None = None
     """Dimension that holds the range [m]."""
     origin_m: tuple[float, float, float] | None = None
-    """Fixed position of the sensor in the coordinates of the input [m]; zeros = they are the sensor's own."""
+    """Fixed position of the sensor in the coordinates of the input [m]; zeros = sensor frame."""
     trajectory: Trajectory | None = None
     """Position of the sensor over time."""
     sensor_xyz: bool = False
@@ -42,7 +42,7 @@ class RangeRule:
 
     @property
     def assumptions(self) -> tuple[Assumption, ...]:
-        """What measuring ranges takes for granted."""
+        """Assumptions behind the ranges."""
         if self.trajectory is None:
             return ()
         first, last = self.trajectory.span
@@ -72,7 +72,7 @@ def open_ranges(
     crs_wkt: str | None,
     sensor_xyz: bool = False,
 ) -> RangeRule:
-    """Turn a resolved ``input.range`` into what it means; reads the trajectory if there is one.
+    """Parse a resolved ``input.range``; reads the trajectory if there is one.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def open_ranges(
 
 
 def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[NDArray[Any], F32 | None]:
-    """Return ranges as found or computed, not yet cleaned, and sensor-centred coordinates.
+    """Return ranges, not yet cleaned, and sensor-centred coordinates.
 
     Parameters
     ----------
@@ -135,8 +135,8 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
     range_m : (n,) float
         [m]; from a dimension as stored, else float64; NaN where a coordinate is NaN.
     xyz_m : (n, 3) float32 or None
-        Relative to the sensor, axes as in the input (z up) [m]; None if ranges come from a dimension and
-        the coordinates beside it are those of a map.
+        Relative to the sensor, axes as in the input (z up) [m]; None if ranges come from a dimension and coordinates
+        are registered.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
     if rule.dimension is not None:
         with np.errstate(over="ignore"):
             return values[rule.dimension], xyz.astype(np.float32)
-    # coordinates of 1e6 m keep their millimetres only in float64: subtract before rounding
+    # coordinates of 1e6 m need float64 for millimetres: subtract before rounding
     if rule.trajectory is not None:
         xyz -= rule.trajectory.positions(np.asarray(values["time"], np.float64))
     elif rule.origin_m is not None:
@@ -165,14 +165,14 @@ def measure_ranges(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[ND
 
 
 def clean_measured(values: dict[str, NDArray[Any]], rule: RangeRule) -> tuple[F32, F32 | None, ReadTally]:
-    """Return ranges as the stream has them, coordinates as :func:`measure_ranges`, and what was taken as missing."""
+    """Return cleaned ranges, coordinates as :func:`measure_ranges`, and counts of ranges made missing."""
     found, xyz_m = measure_ranges(values, rule)
     range_m, tally = clean_ranges(found, rule.min_range_m, rule.max_range_m)
     return range_m, xyz_m, tally
 
 
 def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
-    """Tell whether coordinates beside ranges are relative to the sensor: their length is the range.
+    """Whether coordinates beside ranges are relative to the sensor: then their length is the range.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def is_sensor_xyz(values: dict[str, NDArray[Any]], dimension: str) -> bool:
     x, y, z, found = (np.asarray(values[name], np.float64) for name in (*XYZ, dimension))
     with np.errstate(over="ignore", invalid="ignore"):
         length = np.sqrt(x * x + y * y + z * z)
-        # where all heights are 0 they are those of a scan plane that lies flat, as written without directions
+        # all heights 0: a scan plane laid flat, as written without directions
         use = np.isfinite(length) & np.isfinite(found) & (found > 0)
     if not use.any() or not z[use].any():
         return False

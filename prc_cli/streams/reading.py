@@ -1,4 +1,4 @@
-"""The reading loop: chunks of a source, split by scanner, watched for their order, out as whole lines."""
+"""The reading loop: splits chunks by scanner, checks their order, yields whole lines."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from prc_cli.streams.table import RECORD, Table, n_rows, take
 from prc_cli.streams.whole_lines import LineRules, ScanState, WholeLines, advance, split_scanners
 
 MAX_SCANNERS = 256
-"""Scanners in one input; more values are something else than scanners."""
+"""Most scanners in one input; dimensions of more values are not scanner ids."""
 MAX_LATE = 0.01
-"""Share of shots that may come after their line has left."""
+"""Largest share of shots that come after their line is complete."""
 
 LineRulesOf: TypeAlias = Callable[[int], LineRules]
-"""Gives the rules of a scanner."""
+"""Returns the line rules of a scanner."""
 Prepare: TypeAlias = Callable[[RecordChunk, Table], tuple[Table, ReadTally]]
-"""Adds to the table of a chunk what goes along with its records."""
+"""Adds columns to the table of a chunk."""
 
 
 def whole_lines(
@@ -35,25 +35,25 @@ def whole_lines(
     names: tuple[str, ...] = (),
     prepare: Prepare | None = None,
 ) -> Iterator[WholeLines]:
-    """Read a source from the start to its end as whole lines, chronological for each scanner.
+    """Read a source from start to end as whole lines, chronological for each scanner.
 
     Parameters
     ----------
     source : RecordSource
     rules : GridRules
-        ``rules.names`` are decoded in any case.
+        ``rules.names`` are always decoded.
     line_rules : callable
     names : tuple of str
-        Dimensions that ``prepare`` needs beside.
+        Additional dimensions for ``prepare``.
     prepare : callable, optional
         Called with every chunk and its table.
 
     Raises
     ------
     OrderError
-        When the times show that records are not in the order they were fired.
+        When the times show that records are not in firing order.
     InputError
-        When no record has a line, or for what the lines themselves refuse.
+        When no record has a line, or lines are refused.
     """
     states: dict[int, ScanState] = {}
     watches: dict[int, OrderWatch] = {}
@@ -73,7 +73,7 @@ def whole_lines(
             try:
                 whole, states[scanner] = advance(scanner, records, state, line_rules(scanner), final=False)
             except InputError:
-                # lines that jump are often but a sign of records out of order: then that is the better reason
+                # jumping lines are often due to records out of order: then report the order
                 finish(watches)
                 raise
             if whole is not None:
@@ -86,7 +86,7 @@ def whole_lines(
 def _last_lines(
     source: RecordSource, rules: GridRules, line_rules: LineRulesOf, states: dict[int, ScanState]
 ) -> Iterator[WholeLines]:
-    """Close the open lines of every scanner; nothing is yielded if one of them is refused."""
+    """Close the open lines of every scanner; if one is refused, yield nothing."""
     closed: list[WholeLines] = []
     leftover = ReadTally()
     for scanner in sorted(states):
@@ -97,7 +97,7 @@ def _last_lines(
         if isinstance(mine.line, FixedLines) and not rules.pads_last_line:
             what = "records" if mine.same_shot is None else "shots"
             check_partial_line(source.path, state.lines.n_shots, mine.line.points_per_line, what)
-        # what a scanner without a single line leaves behind
+        # counts of a scanner without a single line
         leftover += state.tally
         if whole is not None:
             closed.append(whole)
@@ -108,9 +108,9 @@ def _last_lines(
 
 
 def _check_late(path: str, state: ScanState) -> None:
-    """Refuse an input in which more than a seam's worth of shots go back to lines that have left.
+    """Refuse an input in which too many shots belong to lines already complete.
 
-    A piece of an earlier drive behind a later one has a single step back: no share of steps tells it.
+    An earlier drive appended to a later one has a single step back in time, which the share of steps does not show.
     """
     n_late, n_seen = state.lines.n_late, state.lines.n_seen
     if n_late > MAX_LATE * n_seen:
@@ -130,9 +130,9 @@ def table_of(chunk: RecordChunk, names: tuple[str, ...]) -> Table:
 def first_records(
     source: RecordSource, scanner: str | None, names: tuple[str, ...], limit: int, *, to_end: bool
 ) -> dict[int, Table]:
-    """Return the first ``limit`` records of every scanner, the same however the source is chunked.
+    """Return the first ``limit`` records of every scanner, independent of chunks.
 
-    Unless ``to_end``, reading stops after ``limit`` records of the input; later scanners are not met then.
+    Unless ``to_end``, reading stops after ``limit`` records of the input, which may miss later scanners.
     """
     parts: dict[int, Table] = {}
     n_seen = 0
@@ -154,25 +154,25 @@ def first_records(
 
 
 def open_watch(source: RecordSource, order: Policy) -> OrderWatch:
-    """Return a watch over the times of a source."""
+    """Return an order check for the times of a source."""
     return OrderWatch(source.path, order, source.facts.time_name)
 
 
 def see_times(watch: OrderWatch, records: Table) -> ReadTally:
-    """Show the times of records to a watch; return the steps back."""
+    """Pass the times of records to the order check; count the steps back."""
     before = watch.n_back
     watch.see(np.asarray(records["time"], np.float64), records[RECORD])
     return ReadTally(n_time_steps_back=watch.n_back - before)
 
 
 def finish(watches: dict[int, OrderWatch]) -> None:
-    """Judge every scanner's order."""
+    """Check the order of every scanner."""
     for watch in watches.values():
         watch.finish()
 
 
 def judge_first_records(source: RecordSource) -> None:
-    """Refuse a source whose first chunk shows already that it is not chronological.
+    """Refuse a source whose first chunk is not chronological.
 
     Raises
     ------
@@ -188,14 +188,14 @@ def judge_first_records(source: RecordSource) -> None:
 
 
 def check_scanners(n_scanners: int, path: str, scanner: str | None) -> None:
-    """Refuse a dimension of too many values."""
+    """Refuse a scanner dimension of too many values."""
     if n_scanners > MAX_SCANNERS:
         problem = f"{scanner} has more than {MAX_SCANNERS} values, expected one a scanner"
         raise InputError(path, problem, "choose another dimension for --scanner, or none")
 
 
 def check_partial_line(path: str, n_shots: int, points_per_line: int, what: str = "records") -> None:
-    """Refuse a last line that is not whole."""
+    """Refuse a last line that is cut short."""
     n_over = n_shots % points_per_line
     if n_over:
         problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
@@ -204,6 +204,6 @@ def check_partial_line(path: str, n_shots: int, points_per_line: int, what: str 
 
 
 def nothing_placed(path: str) -> InputError:
-    """Return the refusal of an input without a single line."""
+    """Return the error of an input without a single line."""
     problem = "no record has a scan line, expected at least one"
     return InputError(path, problem, "look at the dimensions with prc info and name the one that counts lines")

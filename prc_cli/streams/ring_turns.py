@@ -1,4 +1,4 @@
-"""Rings of a frame: where they begin, which column and which cell of azimuth every record has."""
+"""Finds the rings of a frame: where they begin, and the column and azimuth cell of every record."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from prc_cli.core.types import F32, F64, I64, Mask
 from prc_cli.streams.down import wrap
 
 MAX_RINGS = 4096
-"""Rings of a frame; more turns are no rings."""
+"""Most rings of a frame."""
 BACKWARD_RAD = math.radians(20.0)
-"""Steps back of up to this are shots out of order; larger ones are the long way round."""
+"""Steps back up to this are shots out of order; larger ones are steps forward over the rest of the turn."""
 MAX_RING_ORDER_RAD = math.radians(0.5)
-"""Rings may lie this much against the order of the others."""
+"""Tolerance for rings out of the order of elevation."""
 MIN_RING = 0.01
-"""Share of the middle ring that the first and last one must have: less are shots across the border."""
+"""Least size of the first and last ring, as a share of the median ring: fewer are shots across the border."""
 WINDOW = 64
-"""Neighbours that the step of azimuth is measured over."""
+"""Number of neighbours over which the step of azimuth is measured."""
 NEIGHBOUR = 1.5
-"""Steps of less than so many medians are from neighbour to neighbour."""
+"""Steps below this multiple of the median are between neighbours."""
 DENSEST = 25.0
-"""Percentile of the windows that gives the step: cells must be fine enough where shots are close together."""
+"""Percentile of the windows for the step: cells must be fine enough where shots are densest."""
 
 _TURN = 2 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Records of a frame that have a direction, in the order of the file."""
+    """Records of a frame with a direction, in file order."""
 
     record: I64
     range_m: F32
@@ -47,9 +47,9 @@ class Turns:
     """Rings of a frame."""
 
     ring: I64
-    """(n,) int64, from 0 in the order of the file."""
+    """(n,) int64, from 0 in file order."""
     along_rad: F64
-    """(n,) float64, azimuth from where rings begin, in the sense of rotation, 0 to a turn [rad]."""
+    """(n,) float64, azimuth from the start of the ring in the direction of rotation, 0 to a turn [rad]."""
     cut_rad: float
     """Azimuth where rings begin [rad]."""
     way: float
@@ -63,7 +63,7 @@ def _elevation(frame: Frame) -> F64:
 
 
 def find_turns(frame: Frame, path: str) -> Turns:
-    """Find where rings begin: the azimuth that leaves the least spread of elevation within them.
+    """Find where rings begin: the azimuth with the least spread of elevation within rings.
 
     Raises
     ------
@@ -97,12 +97,12 @@ def find_turns(frame: Frame, path: str) -> Turns:
 def _cut_turns(along: F64) -> tuple[I64, F64]:
     """Return ring and azimuth within it of shots whose rings begin at multiples of a turn."""
     turn = np.floor(along / _TURN)
-    # shots out of order around the cut belong to the ring that has begun
+    # shots out of order around the cut belong to the new ring
     ring: I64 = np.maximum.accumulate(turn - turn[0]).astype(np.int64)
     within: F64 = np.remainder(along, _TURN)
     n = np.bincount(ring)
     few = MIN_RING * float(np.median(n))
-    # the same at both ends of the frame, where there is no ring for them
+    # the same at both ends of the frame, where no other ring exists
     if n[-1] < few:
         last = ring == len(n) - 1
         ring[last], within[last] = len(n) - 2, np.nextafter(_TURN, 0)
@@ -113,7 +113,7 @@ def _cut_turns(along: F64) -> tuple[I64, F64]:
 
 
 def _cuts(along: F64, step: float) -> Iterator[float]:
-    """Yield azimuths where rings may begin, in the sense of rotation: axes, the first shot, gaps."""
+    """Yield candidate azimuths for the start of rings, in the direction of rotation: axes, first shot, gaps."""
     yield from (0.0, math.pi, math.pi / 2, -math.pi / 2, along[0] - step / 2)
     n_bins = 360
     seen = np.bincount((np.remainder(along, _TURN) / _TURN * n_bins).astype(np.int64) % n_bins, minlength=n_bins) > 0
@@ -126,7 +126,7 @@ def _cuts(along: F64, step: float) -> Iterator[float]:
 
 
 def ring_columns(frame: Frame, turns: Turns, wanted: int | None, path: str) -> tuple[int, I64]:
-    """Return the number of rings, and every record's, counted from the lowest."""
+    """Return the number of rings, and the ring of every record, counted from the lowest."""
     n_rings = int(turns.ring[-1]) + 1
     if wanted is not None and n_rings != wanted:
         problem = f"found {n_rings} rings, expected {wanted} as input.points_per_line says"
@@ -147,7 +147,7 @@ def ring_columns(frame: Frame, turns: Turns, wanted: int | None, path: str) -> t
 
 
 def find_step(turns: Turns) -> float:
-    """Return the step of azimuth from shot to shot where they are close together [rad]."""
+    """Return the step of azimuth between shots where they are densest [rad]."""
     step = np.diff(turns.along_rad)
     step[np.diff(turns.ring) > 0] = np.inf
     ahead = step[(step > 0) & np.isfinite(step)]
@@ -164,8 +164,8 @@ def find_step(turns: Turns) -> float:
 
 
 def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
-    """Return the line of every record, and which of them follow the order of azimuth along their ring."""
-    from scipy.optimize import isotonic_regression  # here: it takes longer to load than a small file to classify
+    """Return the line of every record, and the mask of records in azimuth order along their ring."""
+    from scipy.optimize import isotonic_regression  # imported here: loading takes longer than classifying a small file
 
     place = turns.along_rad / _TURN * n_lines
     line = np.minimum(place.astype(np.int64), n_lines - 1)
@@ -176,14 +176,14 @@ def ring_lines(turns: Turns, n_rings: int, n_lines: int) -> tuple[I64, Mask]:
         if np.any(along[1:] < along[:-1]):
             in_order[a:b] = _longest_rise(along)
         own = a + np.flatnonzero(in_order[a:b])
-        # strictly rising cells are a function that does not fall beside the ordinal
+        # strictly rising cells = ordinal plus a function that does not fall
         ordinal = np.arange(len(own))
         line[own] = np.rint(isotonic_regression(place[own] - 0.5 - ordinal).x).astype(np.int64) + ordinal
     return np.clip(line, 0, n_lines - 1), in_order
 
 
 def _longest_rise(values: F64) -> Mask:
-    """Mark the longest subsequence that does not fall (patience sorting).
+    """Mark the longest non-decreasing subsequence (patience sorting).
 
     >>> _longest_rise(np.array([1.0, 2.0, 9.0, 3.0, 3.0])).tolist()
     [True, True, False, True, True]

@@ -1,10 +1,9 @@
-"""Frames of scanners with many rings (``input.lines = rings``): x, y, z ring after ring, to vertical lines.
+"""Turns frames of multi-ring scanners (x, y, z, ring after ring) into vertical lines (``input.lines = rings``).
 
-A spinning scanner with one laser a ring writes frames that hold one ring after the other, each over the whole turn,
-without what was not returned. Vertical lines are cells of azimuth, their columns are the rings from low to high.
-The shots of a ring were fired one after the other, so they take one cell each: along every ring the cells rise
-strictly and follow the azimuth as closely as they can (isotonic regression), which keeps neighbours apart where the
-rotation is uneven and leaves cells empty where shots are missing.
+A spinning scanner with one laser per ring writes frames of one ring after the other, each over the whole turn, without
+missing shots. Vertical lines are cells of azimuth, columns are rings from low to high. Each shot of a ring takes a cell
+of its own: along every ring, cells rise strictly and follow the azimuth as closely as possible (isotonic regression).
+This separates neighbours where the rotation is uneven, and leaves cells empty where shots are missing.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from prc_cli.streams.ranges import clean_measured, open_ranges
 from prc_cli.streams.ring_turns import Frame, Turns, find_step, find_turns, ring_columns, ring_lines
 
 MAX_RECORDS = 10_000_000
-"""Records of a frame, which is held in memory (about 130 bytes a record at most)."""
+"""Most records of a frame, which is held in memory (about 130 bytes per record at most)."""
 MAX_EMPTY = 64
-"""Cells a record at most: finer steps of azimuth make a frame of nothing but missing shots."""
+"""Most cells per record: finer steps of azimuth give a frame of mostly missing shots."""
 SPARE_CELLS = 1 << 20
-"""Cells that are always allowed."""
+"""Number of cells always allowed."""
 BLOCK_LINES = 512
 """Lines of a block."""
 
@@ -82,7 +81,7 @@ class _Image:
 
 
 def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
-    """Read a frame whole and bring it into vertical lines.
+    """Read a whole frame and arrange it in vertical lines.
 
     Parameters
     ----------
@@ -95,9 +94,9 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
     Raises
     ------
     ConfigError
-        When other keys contradict ``lines = rings``.
+        When other options contradict ``lines = rings``.
     InputError
-        When the frame is too large, has no coordinates, or its records do not run ring after ring.
+        When the frame is too large, has no coordinates, or is not in ring order.
     """
     _check_rules(config)
     frame, n_records, tally = _read(source, config)
@@ -156,7 +155,7 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Frame, int, ReadTa
         tally += cleaned
         if xyz is None:
             continue
-        # straight up or down there is no azimuth
+        # no azimuth straight up or down
         use = np.isfinite(range_m) & ((xyz[:, 0] != 0) | (xyz[:, 1] != 0))
         record = chunk.first_record + np.flatnonzero(use) if chunk.record is None else chunk.record[use]
         intensity = np.asarray(chunk.values["intensity"], np.float32)[use] if "intensity" in names else None
@@ -176,7 +175,7 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Frame, int, ReadTa
 
 
 def _fill(frame: Frame, line: I64, column: I64, in_order: Mask, shape: tuple[int, int], tally: ReadTally) -> _Image:
-    """Bring every record into its cell; those in the order of their ring come first, then the order of the file."""
+    """Put every record into its cell; records in ring order take precedence, then file order."""
     n_cells = shape[0] * shape[1]
     cell = line * shape[1] + column
     first = np.concatenate([np.flatnonzero(in_order), np.flatnonzero(~in_order)])

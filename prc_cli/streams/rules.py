@@ -1,4 +1,4 @@
-"""``auto`` resolved: where lines, columns and ranges of an input come from, and what to type where they are missing."""
+"""Resolves ``auto``: chooses the rules for lines, columns and ranges of an input, or says which options to give."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from prc_cli.streams.ranges import XYZ, is_sensor_xyz
 
 @dataclass(frozen=True, slots=True)
 class GridRules:
-    """How the shots of an input find their cells; the same for all its scanners."""
+    """Resolved rules that find the cell of every shot, the same for all scanners of an input."""
 
     path: str
     lines: str
@@ -30,42 +30,42 @@ class GridRules:
     line_dimension: str | None
     column_dimension: str | None
     line_hz: float | None
-    """Lines a second under ``lines = time``."""
+    """Lines per second with ``lines = time``."""
     shot_hz: float | None
-    """Shots a second under ``columns = time``."""
+    """Shots per second with ``columns = time``."""
     scanner: str | None
-    """Dimension that splits the input."""
+    """Dimension with the scanner id."""
     has_time: bool
     has_angle: bool
     has_returns: bool
-    """Whether the input says how many returns a shot has."""
+    """Whether the input has the number of returns."""
     has_return_number: bool
     has_intensity: bool
     has_sensor_xyz: bool
-    """Whether coordinates relative to the scanner stand beside ranges."""
+    """Whether there are coordinates relative to the scanner beside ranges."""
     height_names: tuple[str, ...]
-    """Dimensions beside the scan angle that tell where down is: the range and registered heights, or none."""
+    """Dimensions beside the scan angle for finding straight down: range and registered heights, or none."""
     assumptions: tuple[Assumption, ...]
     points_per_line: int | None
-    """M where it is given."""
+    """M if given."""
     time_origin_s: float | None
-    """Time of line 0, column 0 where it is given [s]."""
+    """Time of line 0, column 0 if given [s]."""
     angle_start_deg: float | None
-    """Scan angle of column 0 where it is given [deg]."""
+    """Scan angle of column 0 if given [deg]."""
     angle_step_deg: float | None
-    """Scan angle between columns where it is given [deg]."""
+    """Scan angle between columns if given [deg]."""
     max_gap_lines: int
     """Most missing lines in a row."""
     pads_last_line: bool
-    """Whether a last line of fixed lines may be cut short."""
+    """Whether the last of fixed lines may be cut short."""
     chosen_return: ReturnRule
-    """The return that stands for a shot of several."""
+    """Which return of a shot the image shows."""
     order: Policy
-    """What is done about records out of order."""
+    """Policy for records out of order."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Dimensions that decide lines, columns and shots."""
+        """Dimensions needed for lines, columns and shots."""
         wanted = (
             ("time", self.has_time),
             ("return_number", self.has_returns and self.has_return_number),
@@ -79,7 +79,7 @@ class GridRules:
 
     @property
     def is_dense(self) -> bool:
-        """Whether the records are the cells, one after the other."""
+        """Whether the records are dense: one per cell, in order."""
         fixed = self.lines == "fixed" and self.columns == "order" and self.range.startswith("dimension:")
         return (
             fixed
@@ -91,14 +91,14 @@ class GridRules:
 
 
 def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
-    """Resolve ``auto`` and check that everything named is there.
+    """Resolve ``auto`` and check that all named dimensions exist.
 
     Raises
     ------
     InputError
-        When ``auto`` finds nothing; the hint says which keys would do.
+        When ``auto`` finds nothing; the hint names options to give.
     ConfigError
-        When a named dimension does not exist; the hint lists what there is, nearest name first.
+        When a named dimension does not exist; the hint lists those that do, nearest name first.
     """
     has = source.dimensions
     if config.lines == "rings":
@@ -119,7 +119,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
     if scanner is not None:
         _check_dimension("input.scanner", scanner, source)
     if columns.startswith("time:") and not lines.startswith("time:"):
-        # nothing says when a line begins
+        # no source for the start of lines
         why = "lines that begin with missing shots shift; with --lines time:HZ they do not"
         taken.append(Assumption("input.columns", "column 0 is the first return of each line", why))
     if lines.startswith("time:") and config.time_origin is None:
@@ -158,7 +158,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
 
 
 def _height_names(has: tuple[str, ...], range_: str) -> tuple[str, ...]:
-    """Return what tells heights where registered coordinates stand beside ranges and scan angles."""
+    """Return the dimensions for heights, if there are registered coordinates, ranges and scan angles."""
     is_there = range_.startswith("dimension:") and {"angle", *XYZ} <= set(has)
     return (range_.partition(":")[2], "z") if is_there else ()
 
@@ -194,7 +194,7 @@ def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumptio
 
 
 def _has_sweeps(source: RecordSource) -> bool:
-    """Tell whether the scan angles of the first records jump back from sweep to sweep."""
+    """Whether the scan angles of the first records jump back between sweeps."""
     first = next(iter(source.chunks(("angle",))), None)
     if first is None:
         return False
@@ -224,7 +224,7 @@ def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> 
 
 
 def _has_sensor_xyz(source: RecordSource, range_: str, taken: list[Assumption]) -> bool:
-    """Tell whether coordinates beside ranges are relative to the scanner; scan angles make them needless."""
+    """Whether coordinates beside ranges are relative to the scanner; not needed with scan angles."""
     kind, _, name = range_.partition(":")
     if kind != "dimension" or name in XYZ or "angle" in source.dimensions or not set(XYZ) <= set(source.dimensions):
         return False
@@ -262,13 +262,13 @@ def _check_dimension(key: str, name: str, source: RecordSource) -> None:
 
 
 def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int | None, Assumption | None]:
-    """Return M where nothing needs to be read for it.
+    """Return M if known without reading.
 
     Parameters
     ----------
     rules : GridRules
     recorded : int or None
-        M that the file records.
+        M from the file.
 
     Raises
     ------
@@ -282,7 +282,7 @@ def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int |
         hint = f"give -M NUMBER; prc info {rules.path} estimates it"
         raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {rules.path}", hint)
     if rules.line_hz is not None and rules.shot_hz is not None:
-        # shots that no column would be left for were dropped by rounding down
+        # round up: rounding down would drop shots at the end of lines
         m = max(math.ceil(rules.shot_hz / rules.line_hz - 0.01), 1)
         return m, Assumption(key, str(m), f"{rules.shot_hz:g} shots and {rules.line_hz:g} lines a second")
     if recorded is not None and recorded > 0:

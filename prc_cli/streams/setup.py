@@ -1,6 +1,6 @@
-"""What must be known of every scanner before its first block: sweep, column angles, M.
+"""Sets up every scanner before its first block: sweep, column angles, M.
 
-Found in the first records, and in one pass over the few dimensions needed where only the whole input can tell.
+From the first records, or from one pass over the needed dimensions where that takes the whole input.
 """
 
 from __future__ import annotations
@@ -25,40 +25,40 @@ from prc_cli.streams.table import LINE, START, Table, n_rows
 from prc_cli.streams.whole_lines import LineRules
 
 DOWN_LINES = 64
-"""Lines with returns that the direction of down is found in."""
+"""Number of lines with returns used to find straight down."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScannerSetup:
-    """What one scanner's cells depend on; fixed before the first block."""
+    """Parameters of the cells of one scanner, fixed before the first block."""
 
     points_per_line: int
     found: Estimates
     angle_rad: F64 | None
     """(M,) float64, angle of every column [rad], None if unknown."""
     down_rad: float | None = None
-    """Scan angle that points straight down [rad], None if unknown."""
+    """Scan angle of straight down [rad], None if unknown."""
     cos_tilt: float = 1.0
     """Cosine of the tilt of the scan plane from the vertical."""
     n_shots: int = 0
-    """Shots of the whole input, if it was read."""
+    """Number of shots, if the whole input was read."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Extent:
-    """Size of one scanner's image."""
+    """Size of the image of one scanner."""
 
     n_lines: int = 0
     n_shots: int = 0
     longest: int = 0
-    """Shots of the longest line."""
+    """Number of shots in the longest line."""
     max_column: int = -1
 
 
 def find_setups(
     source: RecordSource, rules: GridRules, ranges: RangeRule, points_per_line: int | None, *, geometry: bool = True
 ) -> tuple[dict[int, ScannerSetup], int | None, tuple[Assumption, ...]]:
-    """Estimate what the rules need, scanner by scanner.
+    """Estimate the parameters that the rules need, for every scanner.
 
     Parameters
     ----------
@@ -66,22 +66,22 @@ def find_setups(
     rules : GridRules
     ranges : RangeRule
     points_per_line : int or None
-        M where it is known already.
+        M if known already.
     geometry : bool
-        Find the angles of the columns, and where down is, where lines and columns do not need them.
+        Find column angles and straight down even if lines and columns do not need them.
 
     Returns
     -------
     setups : dict of ScannerSetup by scanner
-        Empty where the scanners of the input are not known and need not be.
+        Empty if scanners are neither known nor needed.
     n_lines : int or None
-        Lines of all scanners, if the whole input was read.
+        Number of lines of all scanners, if the whole input was read.
     assumptions : tuple of Assumption
 
     Raises
     ------
     InputError
-        When the angles do not tell, or the image would be absurdly empty.
+        When angles give no columns, or the image would be nearly empty.
     """
     if points_per_line is not None and rules.points_per_line is None:
         check_found_columns(rules.path, points_per_line, source.n_records)
@@ -125,7 +125,7 @@ def _size(rules: GridRules, extent: _Extent) -> int:
 
 
 def _shown_sizes(rules: GridRules, sizes: dict[int, int | None]) -> str:
-    """Return M for people, scanner by scanner where there are several."""
+    """Return M as text, by scanner if there are several."""
     if rules.scanner is None:
         return ", ".join(str(size) for size in sizes.values())
     return ", ".join(f"scanner {scanner}: {sizes[scanner]}" for scanner in sorted(sizes))
@@ -138,14 +138,14 @@ def _size_reason(rules: GridRules, *, whole_pass: bool) -> str:
 
 
 def given_angles(rules: GridRules, points_per_line: int) -> F64 | None:
-    """Return the scan angle of every column where it is given, (M,) float64 [rad]."""
+    """Return the scan angle of every column if given, (M,) float64 [rad]."""
     if rules.angle_start_deg is None or rules.angle_step_deg is None:
         return None
     return np.deg2rad(rules.angle_start_deg + rules.angle_step_deg * np.arange(points_per_line, dtype=np.float64))
 
 
 def column_rule(rules: GridRules, grid: AngleGrid | None) -> ColumnRule:
-    """Return what the columns of a scanner depend on."""
+    """Return the column rule of a scanner."""
     return ColumnRule(rules.column_dimension, grid, rules.shot_hz, rules.line_hz)
 
 
@@ -175,7 +175,7 @@ def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, Estimat
 
 
 def _down(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
-    """Find the scan angle that points straight down, and the tilt, in heights of the first lines."""
+    """Find the scan angle of straight down, and the tilt, from heights of the first lines."""
     key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
     range_m, _, _ = clean_measured(records, replace(ranges, sensor_xyz=False))
     lines = np.unique(records[LINE][np.isfinite(range_m)])[:DOWN_LINES]

@@ -1,6 +1,6 @@
-"""The timing of the shots where lines are found by time: how exactly a shot tells the line that it belongs to.
+"""Shot timing for lines found by time: decides which line a shot near the border belongs to.
 
-Times in files are rounded, so that the first shot of a line may seem to come just before it.
+Times in files are rounded, so the first shot of a line may have a time just before it.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 from prc_cli.core.types import F64, I64
 
 MAX_FILL = 1.05
-"""Periods of a line that its columns may take up: more, and the column number or the rate is wrong."""
+"""Longest duration of a line in periods: with more, the column number or the rate is wrong."""
 _MAX_AHEAD = 10
-"""Neighbours further apart than so many typical steps of the column number say nothing."""
+"""Neighbours more columns apart than this multiple of the typical step are ignored."""
 _FEW_EQUAL = 0.995
-"""Share of neighbouring shots of different times from which on times count as finer than the shots."""
+"""Times count as finer than the time between shots from this share of neighbours with different times on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class ShotTiming:
     shot_s: float = 0.0
     """Time from shot to shot [s], 0 = unknown."""
     column_s: float = 0.0
-    """Time from column to column where the input holds the column of every shot [s], 0 = unknown."""
+    """Time from column to column if the input has column numbers [s], 0 = unknown."""
 
 
 UNKNOWN = ShotTiming()
@@ -38,13 +38,13 @@ def find_timing(time_s: F64, column: I64 | None, line_hz: float, points_per_line
     Parameters
     ----------
     time_s : (n,) float64
-        Times of the shots in the order of the input [s].
+        Times of the shots in input order [s].
     column : (n,) int64 or None
-        Columns of the shots, below 0 = none; None where the input holds none.
+        Columns of the shots, below 0 = none; None if the input has none.
     line_hz : float
         Lines a second.
     points_per_line : int or None
-        M where it is given.
+        M if given.
 
     Examples
     --------
@@ -64,7 +64,7 @@ def _column_step(time_s: F64, column: I64, period_s: float) -> float:
     use = np.isfinite(time_s) & (column >= 0)
     step = np.diff(time_s[use])
     ahead = np.diff(column[use])
-    # within a period the column grows within a line only
+    # pairs less than a period apart with growing columns are in the same line
     near = (step >= 0) & (step < period_s)
     forward = near & (ahead > 0)
     if not forward.any() or np.count_nonzero(forward) < np.count_nonzero(near & (ahead < 0)):
@@ -74,21 +74,21 @@ def _column_step(time_s: F64, column: I64, period_s: float) -> float:
 
 
 def _shot_step(time_s: F64, period_s: float) -> float:
-    """Return the typical time between neighbouring shots, 0 if unknown; rather too small than too large."""
+    """Return the typical time between neighbouring shots, 0 if unknown; rather an underestimate."""
     step = np.diff(time_s[np.isfinite(time_s)])
     step = step[(step >= 0) & (step < period_s)]
     ahead = step[step > 0]
     if not len(ahead):
         return 0.0
     if len(ahead) < _FEW_EQUAL * len(step):
-        # shots share time stamps: only the mean tells
+        # shots share time stamps: use the mean
         return float(step[step < 2.5 * np.median(ahead)].mean())
-    # shots may be missing between most neighbours: look at the shortest fifth
+    # shots may be missing between most neighbours: use the shortest fifth
     return float(np.median(ahead[ahead <= 1.5 * np.percentile(ahead, 20)]))
 
 
 def time_in_line(column: I64, column_s: float, period_s: float) -> F64:
-    """Return when shots were fired after column 0 of their line.
+    """Return the time of shots since column 0 of their line.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def time_in_line(column: I64, column_s: float, period_s: float) -> F64:
     Returns
     -------
     (n,) float64
-        [s], NaN where there is no column, or one that no line has room for.
+        [s], NaN where the column is missing or too large for a line.
     """
     since: F64 = column.astype(np.float64) * column_s
     return np.where((column >= 0) & (since < MAX_FILL * period_s), since, np.nan)

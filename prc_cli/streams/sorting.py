@@ -1,8 +1,7 @@
-"""Records in the order of their times: an external merge sort in bounded memory.
+"""Sorts records by time: an external merge sort in bounded memory.
 
-The input is cut into runs that are sorted in memory and kept in a temporary file without a name; then all runs
-are merged at once. Equal times keep the order of the input, so the result does not depend on how the input was
-chunked or how long the runs are.
+Runs of the input are sorted in memory and written to an unnamed temporary file; then all runs are merged at once. Equal
+times keep input order, so the result depends neither on chunks nor on the length of runs.
 """
 
 from __future__ import annotations
@@ -22,33 +21,33 @@ from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 RUN_RECORDS = 1 << 19
 """Records sorted in memory at a time."""
 MERGE_RECORDS = 1 << 20
-"""Records of all runs together held while merging."""
+"""Records of all runs held in memory while merging."""
 _TIME, _RECORD = "sort time", "input record"
-"""Fields added to the records; the blanks keep them apart from dimensions."""
+"""Fields added to the records; the blanks avoid clashes with dimensions."""
 
 
 def sorted_by_time(
     source: RecordSource, *, run_records: int = RUN_RECORDS, merge_records: int = MERGE_RECORDS
 ) -> RecordSource:
-    """Return a source that delivers the same records in the order of their times.
+    """Return a source with the same records sorted by time.
 
     Parameters
     ----------
     source : RecordSource
         With a dimension ``time``.
     run_records, merge_records : int
-        Records held while sorting and while merging; they change memory and speed, never the order.
+        Records held while sorting and merging; change memory and speed, never the order.
 
     Returns
     -------
     RecordSource
-        Its chunks carry ``record``. Every call of ``chunks`` reads and sorts anew, with a temporary file of about
-        (asked dimensions + 16 bytes) a record where the input is longer than a run.
+        Its chunks carry ``record``. Every call of ``chunks`` reads and sorts again, with a temporary file of about
+        (requested dimensions + 16) bytes per record if the input is longer than a run.
 
     Raises
     ------
     InputError
-        When the source has no time.
+        When the source has no times.
     """
     if "time" not in source.dimensions:
         problem = f"no time to sort by, found the dimensions {', '.join(source.dimensions)}"
@@ -76,7 +75,7 @@ class _SortedSource(DerivedSource):
             position = 0
             pending: NDArray[np.void] | None = None
             for records in self._runs(names):
-                # the last run need not see the disk: an input of one run never does
+                # the last run stays in memory: an input of one run needs no disk
                 if pending is not None:
                     with _disk_errors():
                         handle.write(pending.view(np.uint8).data)
@@ -136,7 +135,7 @@ def _sort(parts: list[NDArray[np.void]]) -> NDArray[np.void]:
 
 
 class _Run:
-    """A sorted run: a window of it in memory, the rest on disk."""
+    """A sorted run: a window in memory, the rest on disk."""
 
     def __init__(
         self,
@@ -171,7 +170,7 @@ class _Run:
         self.window = np.concatenate([self.window, more])
 
     def take(self, limit: float, *, with_equal: bool) -> NDArray[np.void]:
-        """Remove and return what is below ``limit``, or also equal to it."""
+        """Remove and return records below ``limit``, or also equal to it."""
         count = int(np.searchsorted(self.window[_TIME], limit, side="right" if with_equal else "left"))
         taken, self.window = self.window[:count], self.window[count:]
         return taken
@@ -183,8 +182,8 @@ def _merge(runs: list[_Run], merge_records: int) -> Iterator[NDArray[np.void]]:
     while runs:
         for run in runs:
             run.fill(share)
-        # the run whose window ends first decides how far the order is known; an earlier run has all its records
-        # of that very time in its window, a later one must wait with them
+        # the window that ends first limits how far the order is known; earlier runs may give records of that very time,
+        # later runs not yet
         open_runs = [k for k, run in enumerate(runs) if not run.is_all_here]
         if open_runs:
             decides = min(open_runs, key=lambda k: float(runs[k].window[_TIME][-1]))
@@ -198,13 +197,13 @@ def _merge(runs: list[_Run], merge_records: int) -> Iterator[NDArray[np.void]]:
 
 @contextlib.contextmanager
 def _temporary_file() -> Iterator[BinaryIO]:
-    """Give a file without a name; it vanishes with the process, however that ends."""
+    """Return an unnamed temporary file; the system removes it when the process ends."""
     with _disk_errors():
         handle = tempfile.TemporaryFile(prefix="prc-sort-")  # noqa: SIM115 - closed below
     try:
         yield cast(BinaryIO, handle)
     finally:
-        # closing flushes: on a full disk that fails a second time and would hide the first failure
+        # close flushes: on a full disk it fails again and would hide the first error
         with contextlib.suppress(OSError):
             handle.close()
 

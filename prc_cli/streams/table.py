@@ -13,7 +13,7 @@ Table: TypeAlias = dict[str, NDArray[Any]]
 
 RECORD, LINE, START, SPREAD, ORDINAL = "record index", "line index", "shot start", "spread time", "stamp ordinal"
 RANGE, XYZ, INTENSITY = "slant range", "sensor xyz", "intensity"
-"""Columns that are added to the dimensions; the blanks keep what was computed apart from them."""
+"""Computed columns beside the dimensions; the blanks avoid clashes with their names."""
 
 
 def take(table: Table, index: slice | Mask | I64) -> Table:

@@ -1,4 +1,4 @@
-"""Where the sensor was at any time: trajectories from CSV and SBET files."""
+"""Positions of the sensor over time, from CSV and SBET files."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
 """Adjusted standard GPS time is GPS time less this (LAS 1.4, global encoding bit 0)."""
 _GAP_STEPS, _GAP_S = 10, 1.0
-"""A longer step than so many median ones, and than this [s], is a gap if nothing else is asked for."""
+"""By default, steps longer than this multiple of the median step and this time [s] are gaps."""
 _PLAIN_S = 1e15
-"""Times beyond are not written out digit by digit."""
+"""Larger times are shown in exponent notation."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Positions of the sensor over time, linear in between, but not across gaps.
+    """Positions of the sensor over time, interpolated linearly except across gaps.
 
-    Held in memory whole: 32 bytes a position, so a day at 200 Hz takes 550 MB and an hour 23 MB.
+    Held in memory: 32 bytes per position, 23 MB per hour at 200 Hz.
     """
 
     path: str
     """File name, for messages."""
     time_s: F64
-    """(n,) float64, strictly increasing [s], the offset already added."""
+    """(n,) float64, strictly increasing [s], offset included."""
     xyz_m: F64
     """(n, 3) float64, in the coordinate system of the points [m]."""
     max_gap_s: float | None = None
@@ -41,14 +41,14 @@ class Trajectory:
     gap_limit_s: float = field(init=False)
     """The same, with its default resolved [s]."""
     _gaps: I64 = field(init=False, repr=False)
-    """Indices of the positions that a gap follows."""
+    """Indices of the positions before gaps."""
 
     def __post_init__(self) -> None:
         with np.errstate(over="ignore"):
             steps = np.diff(self.time_s)
         limit = self.max_gap_s
         if limit is None:
-            # the lower of two medians: of 1 s and 1099 s it is the 1 s that says how often there was a fix
+            # the lower of two medians: of 1 s and 1099 s, 1 s is the usual step
             middle = (len(steps) - 1) // 2
             limit = max(_GAP_S, _GAP_STEPS * float(np.partition(steps, middle)[middle])) if len(steps) else _GAP_S
         object.__setattr__(self, "gap_limit_s", limit)
@@ -61,7 +61,7 @@ class Trajectory:
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time [s], the offset already added."""
+        """First and last time [s], offset included."""
         return float(self.time_s[0]), float(self.time_s[-1])
 
     def positions(self, time_s: F64) -> F64:
@@ -90,7 +90,7 @@ class Trajectory:
         """
         if len(time_s) == 0:
             return np.empty((0, 3))
-        # a comparison with NaN is false, so NaN counts as outside
+        # comparisons with NaN are false, so NaN counts as outside
         inside = (time_s >= self.time_s[0]) & (time_s <= self.time_s[-1])
         if not inside.all():
             raise self._outside(time_s, inside)
@@ -100,7 +100,7 @@ class Trajectory:
         return np.stack(columns, axis=1)
 
     def _check_gaps(self, time_s: F64) -> None:
-        """Refuse times strictly inside a gap: a straight line would make up where the sensor was."""
+        """Refuse times strictly inside a gap, where interpolation would invent positions."""
         starts, ends = self.time_s[self._gaps], self.time_s[self._gaps + 1]
         k = np.searchsorted(starts, time_s, side="left") - 1
         held = (k >= 0) & (time_s < ends[k])
@@ -134,7 +134,7 @@ class Trajectory:
         return InputError(self.path, problem, self._offset_hint(first, last))
 
     def _offset_hint(self, first: float, last: float) -> str:
-        """Suggest the offset if the clocks differ by whole GPS weeks, by 1e9 s, or by both."""
+        """Suggest the offset if clocks differ by whole GPS weeks, 1e9 s, or both."""
         start, end = self.span
         middle = (first + last - start - end) / 2
         unknown = "give the trajectory of this drive, or set trajectory_time_offset to what its times lack"
@@ -164,12 +164,12 @@ def load_trajectory(
     ----------
     path : Path
         Text: columns time (time, gps_time, t), x (x, easting, e), y (y, northing, n) and z (z, height, altitude,
-        alt, h) in the coordinate system of the points, any delimiter. SBET: projected to that system; altitudes stay
-        those above the ellipsoid.
+        alt, h) in the coordinate system of the points, any delimiter. SBET: projected to that system; heights stay
+        ellipsoidal.
     crs : str or None
         Coordinate system of the points (``trajectory_crs``), for SBET.
     source_crs_wkt : str or None
-        The same as the points' file says it; used where ``crs`` is None.
+        Coordinate system in the file of the points; used if ``crs`` is None.
     time_offset : float
         Added to the trajectory's times [s].
     max_gap : float, optional
@@ -181,7 +181,7 @@ def load_trajectory(
     InputError
         When the file cannot be read as a trajectory; the message names the row or record.
     ConfigError
-        When an SBET file has no coordinate system to go to or one with heights of its own, or pyproj is missing.
+        When an SBET file has no target coordinate system or one with a vertical datum, or pyproj is missing.
     """
     try:
         size = path.stat().st_size
@@ -202,11 +202,11 @@ def load_trajectory(
 
 
 def _check(path: Path, time_s: F64) -> None:
-    """Refuse times that do not increase; what was read is finite, but offsets can blur or overflow."""
+    """Refuse times that do not increase; after finite offsets they may be equal or overflow."""
     if len(time_s) < 2:
         problem = f"{len(time_s)} positions, expected at least 2 to interpolate between"
         raise InputError(str(path), problem, "give the whole trajectory")
-    # compared, not subtracted: infinite times are stuck too
+    # compare, do not subtract: also finds infinite times
     stuck = np.flatnonzero(~(time_s[1:] > time_s[:-1]))
     if len(stuck):
         i = int(stuck[0]) + 1

@@ -1,6 +1,6 @@
-"""Chunks of records to whole scan lines: what is still open is held back, so chunking changes nothing.
+"""Collects chunks of records into whole scan lines; open lines are held back, so that chunks do not matter.
 
-Whole lines leave sorted by line; everything after that (columns, returns, cells) is a function of whole lines alone.
+Whole lines are sorted by line; all later steps (columns, returns, cells) depend only on whole lines.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from prc_cli.streams.lines import LineRule, LineState, find_lines
 from prc_cli.streams.table import LINE, ORDINAL, RECORD, SPREAD, START, Table, join, n_rows, take
 
 MAX_OPEN_RECORDS = 1 << 22
-"""Records of open lines held at most where M is not known to be larger."""
+"""Most records of open lines, unless M is larger."""
 
 
 @dataclass(frozen=True, slots=True)
 class LineRules:
-    """What one scanner's lines depend on."""
+    """Parameters of the lines of one scanner."""
 
     path: str
     """For messages."""
@@ -34,10 +34,10 @@ class LineRules:
     same_shot: tuple[str, ...] | None = None
     """Dimensions that the returns of a shot share; None = every record is a shot."""
     shot_hz: float | None = None
-    """Shots a second, where shots with equal time stamps are spread."""
+    """Shots per second, if shots with equal time stamps are to be spread."""
     points_per_line: int | None = None
     spent: tuple[str, ...] = ()
-    """Dimensions that nobody asks for once a record has its line."""
+    """Dimensions not needed once a record has its line."""
 
     @property
     def max_open(self) -> int:
@@ -47,7 +47,7 @@ class LineRules:
 
 @dataclass(frozen=True, slots=True)
 class ScanState:
-    """Everything of one scanner that crosses chunks."""
+    """State of one scanner across chunks."""
 
     lines: LineState = field(default_factory=LineState)
     stamps: StampState = field(default_factory=StampState)
@@ -57,9 +57,9 @@ class ScanState:
     """Records of open lines."""
     n_held: int = 0
     n_done: int = 0
-    """Lines that have left."""
+    """Number of lines already yielded."""
     tally: ReadTally = field(default_factory=ReadTally)
-    """Counts that no line has taken along yet."""
+    """Counts for the next lines."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,14 +79,14 @@ class WholeLines:
 def advance(
     scanner: int, records: Table, state: ScanState, rules: LineRules, *, final: bool
 ) -> tuple[WholeLines | None, ScanState]:
-    """Take the next records of a scanner; return the lines that are whole by now.
+    """Add the next records of a scanner; return the lines that are complete now.
 
     Parameters
     ----------
     scanner : int
         Its id.
     records : Table
-        The dimensions that lines and shots are found by, :data:`RECORD`, and anything that goes along.
+        Dimensions for lines and shots, :data:`RECORD`, and any other columns.
     state : ScanState
     rules : LineRules
     final : bool
@@ -95,7 +95,7 @@ def advance(
     Raises
     ------
     OrderError, InputError
-        See :mod:`prc_cli.streams.lines`; also when a line never ends.
+        See :mod:`prc_cli.streams.lines`; also when a line is too long.
     """
     records, starts, state = whole_shots(join([state.tail, records]), state, rules, final=final)
     if n_rows(records):
@@ -114,7 +114,7 @@ def advance(
         everything = take(everything, np.argsort(line, kind="stable"))
         line = everything[LINE]
     cut = int(np.searchsorted(line, stop))
-    # copies, or a few open records would keep whole chunks alive
+    # copies: views would keep whole chunks in memory
     rest = {name: column[cut:].copy() for name, column in everything.items()}
     lines = WholeLines(scanner, state.n_done, stop, take(everything, slice(0, cut)), state.lines.origin_s, state.tally)
     held = (rest,) if n_rows(rest) else ()
@@ -122,7 +122,7 @@ def advance(
 
 
 def _check_open(held: tuple[Table, ...], n_held: int, state: ScanState, rules: LineRules) -> None:
-    """Refuse lines without end: they would have to be held in memory."""
+    """Refuse lines that are too long to hold in memory."""
     open_from = state.lines.top - rules.admission.slack
     n_open = sum(int(np.count_nonzero(table[LINE] >= open_from)) for table in held)
     if n_open > rules.max_open:
@@ -132,7 +132,7 @@ def _check_open(held: tuple[Table, ...], n_held: int, state: ScanState, rules: L
 
 
 def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bool) -> tuple[Table, Mask, ScanState]:
-    """Mark the shots; hold back the last ones if they may go on.
+    """Mark the shots; hold back the last ones if returns may follow.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bo
     Raises
     ------
     InputError
-        When the returns of a shot never end.
+        When a shot has too many returns.
     """
     n = n_rows(records)
     if rules.same_shot is None or not n:
@@ -164,7 +164,7 @@ def whole_shots(records: Table, state: ScanState, rules: LineRules, *, final: bo
 
 
 def _find_lines(records: Table, starts: Mask, state: ScanState, rules: LineRules) -> tuple[Table, ScanState]:
-    """Give every record its line; leave out and count those that have none."""
+    """Find the line of every record; drop and count those without."""
     single = bool(starts.all())
     shots = records if single else take(records, starts)
     spread: F64 | None = None

@@ -1,4 +1,4 @@
-"""Further returns take the label of the shot they agree with in range."""
+"""Further returns get the label of the shot with a similar range."""
 
 from __future__ import annotations
 

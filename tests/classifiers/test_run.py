@@ -1,4 +1,4 @@
-"""The runner with a method of its own, and the table of methods."""
+"""The runner with a method defined here, and the table of methods."""
 
 from __future__ import annotations
 

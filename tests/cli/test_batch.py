@@ -1,4 +1,4 @@
-"""``prc batch`` as it is typed: options, logs, tables, exit codes, and its parts; what runs files has its own tests."""
+"""``prc batch`` on the command line: options, logs, tables, exit codes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``prc calibrate`` through the same door as a user."""
+"""``prc calibrate`` on the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands whose parent closed stdin, stdout or stderr, as daemons do, end in one line and never in a traceback."""
+"""Commands with closed stdin, stdout or stderr, as under daemons, end with one line and never a traceback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each command once per mode, through the same door as a user: output, exit code, files."""
+"""Each command once per mode, on the command line: output, exit code, files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``prc convert`` through the same door as a user."""
+"""``prc convert`` on the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``prc doctor`` finds what is wrong, says what to do, and leaves nothing behind."""
+"""``prc doctor`` finds faults, says what to do, and leaves no files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A signal that arrives while an object is deleted, where Python drops what its handler raises."""
+"""A signal during the deletion of an object, when Python drops the exception of its handler."""
 
 from __future__ import annotations
 

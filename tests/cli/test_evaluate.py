@@ -1,4 +1,4 @@
-"""``prc evaluate`` through the same door as a user: files in every form, folders, gates, refusals."""
+"""``prc evaluate`` on the command line: files of every format, folders, gates, errors."""
 
 from __future__ import annotations
 

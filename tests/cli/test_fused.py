@@ -1,4 +1,4 @@
-"""The fused presets as a user types them: the same labels by every way in, one line where something lacks."""
+"""The fused presets on the command line: equal labels from every format, one line if something is missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``prc render`` through the same door as a user."""
+"""``prc render`` on the command line."""
 
 from __future__ import annotations
 

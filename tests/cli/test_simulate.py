@@ -1,4 +1,4 @@
-"""``prc simulate`` through the same door as a user."""
+"""``prc simulate`` on the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The sequential-angle classifier through the door of a user: every kind of input, and what is refused."""
+"""The sequential-angle classifier on the command line: every kind of input, and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``prc thin`` through the same door as a user."""
+"""``prc thin`` on the command line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``prc transfer`` through the same door as a user: output, exit codes, files."""
+"""``prc transfer`` on the command line: output, exit codes, files."""
 
 from __future__ import annotations
 

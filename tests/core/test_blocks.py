@@ -1,4 +1,4 @@
-"""Blocks of k lines with look-ahead: the same however the stream was cut."""
+"""Blocks of k lines with look-ahead do not depend on the blocks of the input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Outputs exist whole or not at all."""
+"""Outputs exist complete or not at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Interrupts wait for compiled code, and for nothing else."""
+"""Interrupts wait only for compiled code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Threads change neither results nor their order; errors come at their place; little is in flight."""
+"""Threads change neither results nor their order; errors keep their place; few items are in flight."""
 
 from __future__ import annotations
 

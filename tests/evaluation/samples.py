@@ -1,4 +1,4 @@
-"""Evaluations made by hand, for the tests of the reports."""
+"""Hand-made evaluations for the tests of reports."""
 
 from __future__ import annotations
 

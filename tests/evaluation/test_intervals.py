@@ -1,4 +1,4 @@
-"""Intervals against closed forms and against every score counted on its own."""
+"""Intervals against closed forms and against scores computed one by one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The printed tables of both papers, figure by figure: what follows from the printed counts, and what does not."""
+"""The printed tables of both papers: which figures follow from the printed counts, and which do not."""
 
 from __future__ import annotations
 

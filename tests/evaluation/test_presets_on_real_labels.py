@@ -1,4 +1,4 @@
-"""Every label of the real scans has its place in the preset made for them."""
+"""Every label of the real scans is in the preset for them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scores against scikit-learn; the figures of the papers stand in test_paper_tables."""
+"""Scores against scikit-learn; for the figures of the papers see test_paper_tables."""
 
 from __future__ import annotations
 

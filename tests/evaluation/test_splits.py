@@ -1,4 +1,4 @@
-"""Counts by group, against one matrix a group."""
+"""Counts by group, against one matrix per group."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Archives for all tests of this folder, and copies to be harmed."""
+"""Archives for all tests of this folder, and copies to damage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An archive of small mixed files, and runs of ``prc batch`` over it that can be struck and looked at."""
+"""An archive of small mixed files, and runs of ``prc batch`` over it that tests can kill and inspect."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Kills runs of ``prc batch`` at random moments, checks after each, and lets the last one of a chain resume.
+"""Kills runs of ``prc batch`` at random moments, checks after each, and lets the last run of a chain finish.
 
-``python -m tests.faults.kills --kills 200 --seed 1`` prints what was met as JSON; exit code 1 with the reason at the
-first thing that is not as it should be.
+``python -m tests.faults.kills --kills 200 --seed 1`` prints counts as JSON; exit code 1 with the reason at the first
+fault.
 """
 
 from __future__ import annotations

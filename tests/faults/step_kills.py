@@ -1,8 +1,8 @@
-"""Kills a run of ``prc batch`` just before each of its steps in the output folder, one step after the other.
+"""Kills runs of ``prc batch`` just before each of its steps in the output folder.
 
-A step is whatever Python asks of the file system there: making, linking, renaming, touching or removing a file, or
+A step is an operation of Python on the file system there: making, linking, renaming, touching or removing a file, or
 opening it to write. ``python -m tests.faults.step_kills`` takes all of them, ``--every 7`` each seventh; exit code 1 at
-the first thing that is not as it should be.
+the first fault.
 """
 
 from __future__ import annotations

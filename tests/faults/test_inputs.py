@@ -1,4 +1,4 @@
-"""Inputs that go away, change, are shut, are no files, or are damaged: each costs itself alone, in one line."""
+"""Inputs that vanish, change, are unreadable, not files, or damaged fail with one line and do not stop the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Killed at any moment: nothing half under its final name, and the next run ends as if nothing had been."""
+"""Killed at any moment: no partial file under its final name, and the next run completes as usual."""
 
 from __future__ import annotations
 

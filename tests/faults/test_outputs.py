@@ -1,4 +1,4 @@
-"""Output folders that are full, shut or somebody else's."""
+"""Output folders that are full, read-only or owned by another user."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Blocks and run records for the writers' tests."""
+"""Blocks and run records for tests of writers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writers of small PTX and E57 files, sound and damaged ones."""
+"""Writers of small PTX and E57 files, valid and damaged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Record layouts: what numpy type they mean and how stored numbers become values."""
+"""Record layouts: numpy types and decoding."""
 
 from __future__ import annotations
 

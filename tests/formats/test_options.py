@@ -1,4 +1,4 @@
-"""The input and layout tables refuse what no reader can follow."""
+"""The input and layout tables refuse invalid options."""
 
 from __future__ import annotations
 

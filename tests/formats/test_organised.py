@@ -1,4 +1,4 @@
-"""What PTX and E57 have in common: memory that does not grow with the file, poses."""
+"""Shared parts of PTX and E57: memory independent of file size, poses."""
 
 from __future__ import annotations
 

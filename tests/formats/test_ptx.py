@@ -1,4 +1,4 @@
-"""PTX: what a header says, how points become shots, and every way a header can lie."""
+"""PTX: headers, points to shots, and every kind of wrong header."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ranges that count, and the reasons of those that do not."""
+"""Valid ranges, and counts of invalid ones by reason."""
 
 from __future__ import annotations
 

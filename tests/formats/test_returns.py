@@ -1,4 +1,4 @@
-"""Which records are one shot, and which of them stands for it."""
+"""Grouping of returns by shot, and choice of one return."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``[output] stages``: what the sequential-angle classifier found on the way, in every kind of output."""
+"""``[output] stages``: intermediate results of the sequential-angle classifier, in every output format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Outputs appear whole or not at all: refusals before the work, aborts, full disks."""
+"""Outputs appear complete or not at all: early checks, aborts, full disks."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Let atheris look for new paths through a reader: ``python -m tests.fuzz.coverage TARGET --runs N --seconds S``.
 
 The Python code of the readers is instrumented, so that a case that takes a new path is kept and damaged further, with
-the ways of ``mutations.py`` and with those of libFuzzer. Everything of a file is read by the library's functions, no
-command line, no classifier. The corpus in ``--corpus`` is kept for the next run. An exception that is no refusal, a
-minute (by the clock on the wall) or 3 GiB end the run, and the case is written to ``--keep``.
+the ways of ``mutations.py`` and with those of libFuzzer. Files are read completely by functions of the library, without
+command line and classifier. The corpus in ``--corpus`` is kept for the next run. An exception other than a refusal, a
+minute of wall time or 3 GiB end the run, and the case is written to ``--keep``.
 """
 
 from __future__ import annotations

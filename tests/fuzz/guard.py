@@ -1,4 +1,4 @@
-"""What a reader must never do, watched from inside: execute, load pickles, reach the net, write elsewhere."""
+"""An audit hook against what a reader must never do: execute, load pickles, use the network, write elsewhere."""
 
 from __future__ import annotations
 

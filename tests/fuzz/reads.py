@@ -1,4 +1,4 @@
-"""All of a file read by the functions of the library, as ``coverage.py`` has them instrumented."""
+"""Reads a complete file with functions of the library, for ``coverage.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which commands are tried on a damaged file of which format."""
+"""The commands to try on damaged files, by format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the campaigns and the attacks by hand found, each as the smallest file that shows it."""
+"""Regression tests for faults found by campaigns and by hand, each with the smallest file that shows it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A process that runs commands of the program on damaged files, one after the other, and reports what happened.
 
-Jobs come as lines of JSON on stdin, answers leave on the descriptor that stdout was; the program's own output goes to
-a file, also what libraries print by themselves.
+Jobs are lines of JSON on stdin, answers go to the original stdout; output of the program and of libraries goes to a
+file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Golden outputs: what every command writes and prints today, kept as hashes in ``golden.json``.
+"""Golden outputs: hashes of all files and texts that the commands write, kept in ``golden.json``.
 
 ``python -m tests.golden make|check [--only SUBSTRING] [--jobs N] [--folder DIR]``
 
-A case is a line of commands that run in a folder of their own; files of other cases are named ``../CASE/FILE``.
+A case is a line of commands that run in a separate folder; files of other cases are named ``../CASE/FILE``.
 Cases on the real scans name them ``$DATA/FILE`` and are skipped where there are none.
 """

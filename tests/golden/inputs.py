@@ -1,4 +1,4 @@
-"""Inputs written by hand, from one seed: nothing here uses the package."""
+"""Inputs of the golden cases, from one seed, without using the package."""
 
 from __future__ import annotations
 

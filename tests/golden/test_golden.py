@@ -1,4 +1,4 @@
-"""A few of the golden cases in every run of the suite, all of them when slow tests are asked for."""
+"""A few golden cases in every run of the suite, all of them with slow tests."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Curves against the classifier itself, estimates against a scanner that is known, a search that must find what is
-there."""
+"""Curves against the classifier, estimates for a known scanner, and a search with a known result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One file through the whole house: the same labels whatever the format, nothing left behind on failure."""
+"""Classifying one file: the same labels for every format, no files left after failures."""
 
 from __future__ import annotations
 

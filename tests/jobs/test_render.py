@@ -1,4 +1,4 @@
-"""Pictures of files: what is drawn, with what key and scale, and what is refused."""
+"""Pictures of files: content, legend and scale, and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulated scans as files: every format gives the stream and its reference back, whatever the threads."""
+"""Simulated scans as files: every format gives back stream and reference, for any number of threads."""
 
 from __future__ import annotations
 

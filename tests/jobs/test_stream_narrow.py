@@ -1,4 +1,4 @@
-"""Live streams of very short lines and blocks, in pieces of any size, against files and any number of threads."""
+"""Live streams of very short lines and blocks, in pieces of any size, against files, for any number of threads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thinned streams: what is dropped is missing, what stays is untouched, and everything is counted."""
+"""Thinned streams: dropped shots become missing, others stay unchanged, and all are counted."""
 
 from __future__ import annotations
 

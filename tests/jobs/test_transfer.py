@@ -1,4 +1,4 @@
-"""Classes of a raw run on the registered points: the right ones, everything else untouched, and every refusal."""
+"""Transfer of classes from a raw run to registered points: correct classes, all else unchanged, errors."""
 
 from __future__ import annotations
 

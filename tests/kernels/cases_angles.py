@@ -1,4 +1,4 @@
-"""Random arguments for the angles, HMM-CUSUM and surface kernels, aimed at ties and edges."""
+"""Random arguments for the angles, HMM-CUSUM and surface kernels, with many ties and edge cases."""
 
 from __future__ import annotations
 

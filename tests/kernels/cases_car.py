@@ -1,4 +1,4 @@
-"""Random arguments for the car kernels, aimed at ties and edges."""
+"""Random arguments for the car kernels, with many ties and edge cases."""
 
 from __future__ import annotations
 

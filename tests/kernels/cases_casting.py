@@ -1,4 +1,4 @@
-"""Random worlds and scan lines for the caster, aimed at ties, edges, and places where windows of columns go wrong."""
+"""Random worlds and scan lines for the caster, with many ties, edge cases, and hard cases for windows of columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random arguments for the kernels of the fused classifier: small streets of ground, walls, leaves and strays."""
+"""Random arguments for the kernels of the fused classifier: small streets of ground, walls, leaves and stray points."""
 
 from __future__ import annotations
 

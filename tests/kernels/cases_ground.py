@@ -1,4 +1,4 @@
-"""Random arguments for the ground and curb kernels, aimed at ties and edges."""
+"""Random arguments for the ground and curb kernels, with many ties and edge cases."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random arguments for the kernels that arrange half-lines, aimed at gaps, fill and the reach."""
+"""Random arguments for the kernels that arrange half-lines, with gaps, fill and ranges near the reach."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run must never fail because of where compiled code is kept."""
+"""A run never fails because of the cache of compiled code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Many processes on an empty cache: all succeed, one compiles; and nothing that goes wrong here stops a run."""
+"""Many processes on an empty cache: one compiles, all succeed, and failures do not stop a run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Twins judge the kernels, so they share no code with them."""
+"""The slow twins share no code with the kernels that they check."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every kernel against its slow twin, bit for bit, on data that ends in ties."""
+"""Every kernel against its slow twin, bit for bit, on data with many ties."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a kernel finds its slow twin, and how the two are compared."""
+"""Finds the slow twin of a kernel, and compares the two."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Streams of a join and what comes out of it."""
+"""Sample streams for joins, and their results."""
 
 from __future__ import annotations
 

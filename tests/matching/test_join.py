@@ -1,4 +1,4 @@
-"""The sweep: what it refuses, and how little it holds."""
+"""The sweep: errors and bounded memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Matchers by key, against pairs found one by one, however the streams are cut."""
+"""Matchers by key, against pairs found one by one, for any chunks."""
 
 from __future__ import annotations
 

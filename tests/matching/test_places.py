@@ -1,4 +1,4 @@
-"""Matcher by place, against pairs found one by one."""
+"""Matcher by position, against pairs found one by one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slow and obvious twins of :mod:`prc_cli.kernels.prc.calibration`, for the tests alone."""
+"""Slow and simple twins of :mod:`prc_cli.kernels.prc.calibration`."""
 
 from __future__ import annotations
 

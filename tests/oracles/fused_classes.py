@@ -1,4 +1,4 @@
-"""Slow and obvious twins of :mod:`prc_cli.kernels.fused.classes`: the questions of the decision, one by one."""
+"""Slow and simple twins of :mod:`prc_cli.kernels.fused.classes`: the conditions of the decision, one by one."""
 
 from __future__ import annotations
 

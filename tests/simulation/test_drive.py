@@ -1,4 +1,4 @@
-"""What a simulated scan is made of: a street of one wall, where everything can be worked out by hand."""
+"""Parts of a simulated scan, on a street of one wall with results computed by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The forest: the same from wherever one looks, stems as asked for, a clear path, the paper's cylinders."""
+"""The forest: the same from every position, stems as configured, a clear path, the cylinders of the paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Presets of scanners: what the papers say of them, and bounds."""
+"""Presets of scanners: values from the papers, and bounds."""
 
 from __future__ import annotations
 

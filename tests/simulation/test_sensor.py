@@ -1,4 +1,4 @@
-"""The sensor against the laws that it is said to follow: statistics of many shots, seeded."""
+"""The sensor against its documented model: statistics of many shots, seeded."""
 
 from __future__ import annotations
 

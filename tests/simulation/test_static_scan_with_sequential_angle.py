@@ -1,4 +1,4 @@
-"""The whole classifier on simulated static scans: floors well below what it reaches, so that a broken stage is seen."""
+"""The whole classifier on simulated static scans: lower bounds of scores that show a broken stage."""
 
 from __future__ import annotations
 

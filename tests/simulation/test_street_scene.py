@@ -1,4 +1,4 @@
-"""The street: a drivable lane, a ground without cracks, the same bodies however they are looked for."""
+"""The street: a drivable lane, ground without gaps, the same bodies for every query."""
 
 from __future__ import annotations
 

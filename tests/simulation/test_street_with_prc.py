@@ -1,4 +1,4 @@
-"""The street is of use only if PRC meets in it what the paper describes."""
+"""PRC on the simulated street shows the effects described in the paper."""
 
 from __future__ import annotations
 

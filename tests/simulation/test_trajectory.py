@@ -1,4 +1,4 @@
-"""Trajectories: formulas that agree with each other, platforms that move as they should, files that readers take."""
+"""Trajectories: consistent formulas, motion of the platforms, readable files."""
 
 from __future__ import annotations
 

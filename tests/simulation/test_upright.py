@@ -1,4 +1,4 @@
-"""Labels of static scans: what was hit, and how it lies."""
+"""Labels of static scans, by surface and its slope."""
 
 from __future__ import annotations
 

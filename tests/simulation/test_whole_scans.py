@@ -1,4 +1,4 @@
-"""Simulated drives and static scans as a whole: what is in them, in what shares, at what places."""
+"""Whole simulated drives and static scans: classes, their shares and positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scan lines whose beams are known, of every way that a scanner can turn; and streams made of blocks."""
+"""Scan lines with known beams, for every way a scanner can turn; and streams made of blocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lists of records in memory, and one small scene that every rule must find alike."""
+"""Lists of records in memory, and a small scene for which every rule must give the same result."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which column a shot is: each rule by hand, and estimates against known scanners."""
+"""Columns of shots: each rule by hand, and estimates against known scanners."""
 
 from __future__ import annotations
 

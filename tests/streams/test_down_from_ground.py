@@ -1,4 +1,4 @@
-"""Where down is, from level ground alone."""
+"""Straight down from level ground."""
 
 from __future__ import annotations
 

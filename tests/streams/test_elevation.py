@@ -1,4 +1,4 @@
-"""Lines by the drop of the elevation: where they end, what they refuse, and that chunks change nothing."""
+"""Lines by elevation: where they end, errors, and independence of chunks."""
 
 from __future__ import annotations
 

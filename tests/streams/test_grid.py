@@ -1,4 +1,4 @@
-"""Records to the stream: every rule finds the same scene, chunking changes nothing, nothing is lost uncounted."""
+"""Records to the stream: every rule gives the same scene, chunks do not matter, all losses are counted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where scan lines begin: each rule by hand, across chunks, and what it refuses."""
+"""Starts of scan lines: each rule by hand, across chunks, and errors."""
 
 from __future__ import annotations
 

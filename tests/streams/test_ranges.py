@@ -1,4 +1,4 @@
-"""Slant ranges from every origin, in float64 until the end."""
+"""Slant ranges from every origin, computed in float64."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where down is in the real scans, and the lines of the real frame."""
+"""Straight down in the real scans, and the lines of the real frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The timing of the shots: found where it can be, unknown rather than wrong."""
+"""Shot timing: found where possible, else unknown rather than wrong."""
 
 from __future__ import annotations
 

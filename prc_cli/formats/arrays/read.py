@@ -1,4 +1,4 @@
-"""Range images, ``.npy`` and ``.npz``: blocks of the stream as they are, every cell a shot."""
+"""Reader of range images (``.npy``, ``.npz``): every cell is a shot."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ MAX_POINTS_PER_LINE = 10_000_000
 
 RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
 CLASS = "class"
-"""Class codes: no part of the stream, but read by those who carry or compare them."""
+"""Name of the array of class codes: not part of the stream, but conversion and evaluation read it."""
 ZENITH = "zenith_deg"
 ANGLES = ("angle_deg", ZENITH)
-"""Names of the scan angles [deg]; the first one present is taken."""
+"""Names of the array of scan angles [deg]; the first one present is used."""
 XYZ_DIMENSIONS = 3
 """Lines, columns and axes."""
 _RECORD_LISTS = ("line", "scan_line", "column", "record")
@@ -41,8 +41,8 @@ class ArrayStream:
     ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as ``range_m`` or
     the only array of two dimensions, and, where present, ``angle_deg`` or ``zenith_deg`` (M,), ``time_s``
     (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
-    Without an array of ranges they are the length of ``xyz``. Integers are taken as metres. A line's only time is
-    given to each of its shots.
+    Without an array of ranges, the range is the length of ``xyz``. Integers are taken as metres. One time per line
+    applies to all its shots.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class ArrayStream:
     chunk_shots : int
         Shots read at a time; changes memory and speed, never a value.
     lines_at_once : int
-        Lines of which multiples are read at a time, where that is not more: blocks of so many need not be joined.
+        Blocks hold a multiple of this many lines where ``chunk_shots`` allows, so that they need not be joined later.
 
     Raises
     ------
@@ -163,7 +163,7 @@ class ArrayStream:
         n = min(self._n_lines, self._chunk_lines, 1024)
         with self._file.open(TIME) as (rows,):
             times = rows.read(n).astype(np.float64)
-        # stamps as large or as close as floats can be leave no frequency, which is no reason to warn
+        # extreme time stamps overflow here and give no frequency: no warning needed
         with np.errstate(over="ignore", invalid="ignore"):
             steps = np.diff(times if times.ndim == 1 else times[:, 0])
             steps = steps[np.isfinite(steps) & (steps > 0)]
@@ -223,7 +223,7 @@ class ArrayStream:
 
 
 def _check_rules(path: Path, config: InputConfig) -> None:
-    """Refuse rules that a range image cannot follow: its lines, columns and ranges are there already."""
+    """Refuse options that do not apply to a range image, which holds its lines, columns and ranges."""
     allowed = {
         "lines": (config.lines, ("auto", "fixed")),
         "columns": (config.columns, ("auto", "order")),
@@ -241,7 +241,7 @@ def _check_rules(path: Path, config: InputConfig) -> None:
 
 
 def _find_ranges(file: ArrayFile, config: InputConfig) -> tuple[str, str]:
-    """Return the name of the array that holds the ranges, and why it is the one."""
+    """Return the name of the array that holds the ranges, and why it was chosen."""
     if not file.is_archive:
         return "", "it is the only array in the file"
     shown = ", ".join(f"{name} {header.shape}" for name, header in list(file.headers.items())[:20]) or "none"

@@ -1,4 +1,4 @@
-"""Arrays in ``.npy`` and ``.npz`` files, read some rows at a time.
+"""Arrays in ``.npy`` and ``.npz`` files, read a few rows at a time.
 
 numpy maps a ``.npy`` file or loads it whole, and loads a member of an ``.npz`` archive whole; here both are
 read like any other stream, so that memory does not grow with the file. Pickled objects are never loaded.
@@ -32,19 +32,19 @@ _COPY = "copy it from the archive again"
 _DAMAGED = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, NotImplementedError, RuntimeError, ValueError,
 )  # fmt: skip
-"""What zipfile raises at damaged archives; a name that is not the UTF-8 it says is a ValueError."""
+"""Exceptions of zipfile for damaged archives; ValueError: a name that is not valid UTF-8."""
 
 
 @dataclass(frozen=True, slots=True)
 class NpyHeader:
-    """What stands before the numbers of an array."""
+    """Header of an array."""
 
     where: str
-    """File, and the array's name in an archive, for messages."""
+    """File, and the name of the array in an archive, for messages."""
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
     fortran: bool
-    """Whether the first index runs fastest, so that rows do not stand together."""
+    """Fortran order: the first index runs fastest, so rows are not contiguous."""
     offset: int
     """Bytes before the first number."""
 
@@ -67,13 +67,13 @@ class NpyHeader:
 
 
 class Rows:
-    """The rows of one array, from the first on.
+    """Reads the rows of one array in order.
 
     Parameters
     ----------
     header : NpyHeader
     handle : binary stream
-        Stands at the first number.
+        Positioned at the first number.
     """
 
     def __init__(self, header: NpyHeader, handle: IO[bytes]) -> None:
@@ -88,7 +88,7 @@ class Rows:
         Raises
         ------
         InputError
-            When the numbers end early or are damaged.
+            When the data end early or are damaged.
         """
         header = self.header
         try:
@@ -104,12 +104,12 @@ class Rows:
         return np.frombuffer(raw, header.dtype).reshape(n, *header.shape[1:])
 
     def finish(self) -> None:
-        """Make sure that nothing follows; in an archive this is where the checksum is compared.
+        """Check that nothing follows; in an archive, zipfile compares the checksum here.
 
         Raises
         ------
         InputError
-            When something does, or the checksum differs.
+            When data follow, or the checksum differs.
         """
         try:
             more = self._handle.read(1)
@@ -120,7 +120,7 @@ class Rows:
 
 
 class _FortranRows(Rows):
-    """Rows of a file in Fortran order, picked together: what one row takes lies far apart."""
+    """Reads rows of a file in Fortran order, gathering the values of each row from all over the file."""
 
     def read(self, n: int) -> NDArray[Any]:
         header = self.header
@@ -138,7 +138,7 @@ class _FortranRows(Rows):
         return rows.T.reshape((n, *header.shape[1:]), order="F")
 
     def finish(self) -> None:
-        """Nothing can follow: the size was compared when the file was opened."""
+        """Do nothing: the size was checked when the file was opened."""
 
 
 class ArrayFile:
@@ -182,7 +182,7 @@ class ArrayFile:
         Raises
         ------
         InputError
-            When an array has changed since the file was opened, or its rows do not stand together.
+            When an array has changed since the file was opened, or its rows are not contiguous.
         """
         with ExitStack() as stack:
             archive = stack.enter_context(_archive(self.path)) if self.is_archive else None
@@ -242,10 +242,10 @@ def _member(path: Path, archive: zipfile.ZipFile, name: str) -> Iterator[IO[byte
 
 
 def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
-    """Read the header of an array of which, with its header, ``size`` bytes are there."""
+    """Read the header of an array that takes ``size`` bytes, header included."""
     try:
         version, (shape, fortran, dtype) = _parse_header(handle)
-    except Exception as error:  # a damaged header is parsed as Python, which can fail in any way
+    except Exception as error:  # numpy parses the header as Python: a damaged one can raise anything
         problem = f"no npy header ({' '.join(str(error).split())[:120]})"
         raise InputError(where, problem, f"{_COPY}, or write it with numpy.save") from error
     if version not in _VERSIONS:
@@ -254,7 +254,7 @@ def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
     header = NpyHeader(where, shape, dtype, fortran, handle.tell())
     if min(shape, default=0) < 0:
         raise InputError(where, f"found shape {shape}, expected no negative size", _COPY)
-    # the bytes of objects are a pickle of any length: refused by their type
+    # object arrays are pickles of any length: refused by their type
     if not dtype.hasobject and size - header.offset != header.n_bytes:
         problem = f"found {size - header.offset} bytes of numbers, expected {header.n_bytes} for shape {shape}"
         raise InputError(where, problem, _COPY)
@@ -262,7 +262,7 @@ def _read_header(where: str, handle: IO[bytes], size: int) -> NpyHeader:
 
 
 def _parse_header(handle: IO[bytes]) -> tuple[tuple[int, int], tuple[tuple[int, ...], bool, np.dtype[Any]]]:
-    """Return the version of the format, and shape, order and type (nothing of use for versions not known)."""
+    """Return the version of the format, and shape, order and type (placeholders for unknown versions)."""
     with warnings.catch_warnings():
         # headers written by Python 2 are read all the same
         warnings.simplefilter("ignore")

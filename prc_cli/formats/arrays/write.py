@@ -1,6 +1,6 @@
-"""Streams as range images: ``.npz`` with everything beside the ranges, ``.npy`` with the ranges alone.
+"""Writers of streams as range images: ``.npz`` with all values, ``.npy`` with the ranges alone.
 
-Arrays grow in temporary files, since an archive holds them one after the other and their shapes stand before them.
+Arrays grow in temporary files, because an archive holds one after the other, each with its shape in front.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem
 
 COPY_BYTES = 1 << 20
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Date of every member, as numpy has it: the same run gives the same bytes."""
+"""Date of every member, the same as numpy's: equal runs give equal bytes."""
 
 
 class _ArrayStream(StagedStreamWriter):
-    """What both have in common: one scanner, lines from 0 on without a gap."""
+    """Base class of both: one scanner, lines from 0 on without a gap."""
 
     one_scanner = "a range image"
 
@@ -50,7 +50,7 @@ class NpyStream(_ArrayStream):
 
     def _write(self) -> None:
         header = npy_header("<f4", (self._n_lines, self._m))
-        # numpy leaves room for the first axis to grow, so that both headers take the same bytes
+        # numpy pads the first axis, so both headers have the same length
         assert len(header) == self._header_bytes
         self._handle.seek(0)
         self._handle.write(header)
@@ -100,7 +100,7 @@ class NpzStream(_ArrayStream):
             self._angle_deg = np.rad2deg(block.angle_rad)
 
     def _write(self) -> None:
-        # the file stays ours, so that a failed write shows the system's own error
+        # write to our own file object, so that a failed write shows the error of the system
         with self._temporary.open("w+b") as target, zipfile.ZipFile(target, "w", self._method) as archive:
             for name, (handle, dtype, rest) in self._parts.items():
                 with self._member(archive, name) as member:

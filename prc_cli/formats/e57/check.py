@@ -1,7 +1,7 @@
-"""The frame of an E57 file (ASTM E2807): what can be judged before a library takes the file on.
+"""Checks of an E57 file (ASTM E2807) before a library opens it.
 
-The library trusts the XML section: entities would be expanded without bound and deep nesting would overflow its
-stack. Both end the process instead of raising, hence they are refused here.
+The library trusts the XML section: entities are expanded without bound and deep nesting overflows its
+stack. Both kill the process instead of raising, so they are refused here.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _PAYLOAD_BYTES = 1020
 
 
 def check_frame(path: Path) -> None:
-    """Refuse a file that is no E57, is cut short, or has an XML section that no library should be given.
+    """Refuse a file that is not E57, is cut short, or has an unsafe XML section.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def _check_xml(path: Path, parts: Iterator[bytes]) -> None:
         raise _RefusedError("a document type declaration, expected none")
 
     def encoding(_version: str, name: str | None, _standalone: int) -> None:
-        # the standard allows UTF-8 alone; another encoding could hide a declaration from this check
+        # the standard allows only UTF-8; another encoding could hide a declaration from this check
         if name is not None and name.upper() != "UTF-8":
             raise _RefusedError(f"the encoding {name[:20]!r}, expected UTF-8")
 

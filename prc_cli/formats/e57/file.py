@@ -25,21 +25,21 @@ SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 CARTESIAN_STATE, SPHERICAL_STATE = "cartesianInvalidState", "sphericalInvalidState"
 
 _NOT_AS_EXPECTED = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
-"""What nodes of another kind than the standard has them raise on the way to a value."""
+"""Exceptions of the library for nodes of a type other than the standard's."""
 
 
 @dataclass(frozen=True, slots=True)
 class E57Scan:
-    """What the XML section says of a scan."""
+    """Metadata of a scan from the XML section."""
 
     index: int
     fields: tuple[str, ...]
-    """Names of what a point has."""
+    """Names of the fields of a point."""
     n_points: int
     bounds: tuple[tuple[int, int], tuple[int, int]] | None
-    """First and last row, first and last column of the header; None without."""
+    """First and last row, first and last column in the header; None if absent."""
     intensity_limits: tuple[float, float] | None
-    """Least and greatest intensity of the header; None without or if they make no range."""
+    """Intensity limits in the header; None if absent or not a range."""
     quaternion: tuple[float, float, float, float] | None
     """Rotation of the pose, w x y z; None without a pose."""
     translation_m: tuple[float, float, float]
@@ -76,7 +76,7 @@ class E57File:
 
     @contextlib.contextmanager
     def _errors(self, what: str = "") -> Iterator[None]:
-        """Turn the library's exceptions into one line each."""
+        """Turn exceptions of the library into one-line errors."""
         try:
             yield
         except (self._library.E57Exception, *_NOT_AS_EXPECTED) as error:
@@ -86,7 +86,7 @@ class E57File:
             raise InputError(where, problem, "copy it from the archive again or export it again") from error
 
     def scans(self) -> list[E57Scan]:
-        """Return what the XML section says of every scan.
+        """Return the metadata of every scan from the XML section.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""E57, organised scans in a binary container (ASTM E2807), read with pye57.
+"""Reader of E57 (ASTM E2807), organised scans in a binary container, with pye57.
 
-Points carry the row and the column of their cell; a cell without a point is a missing shot. The first look reads
-these two alone: how many lines and beams there are, and whether the points come column by column. If they do not
-(row by row, or in no order) they are brought together by groups of columns in a temporary file.
+Points carry the row and column of their cell; a cell without a point is a missing shot. A first pass reads only these
+two, for the number of lines and beams and the order of the points. Points that do not come column by column are grouped
+by columns in a temporary file.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.returns import choose_returns
 
 MAX_RETURNS = 64
-"""Points a cell at most, over a line: the points of a line are held in memory."""
+"""Most points per cell, averaged over a line: the points of a line are held in memory."""
 MAX_SPARSE = 1000
-"""Cells for every point at most: more is no image but damaged indices."""
+"""Most cells per point: more means damaged indices."""
 SPARE_CELLS = 10_000_000
-"""Cells that are allowed whatever the number of points."""
+"""Number of cells always allowed, however few the points."""
 
 _POINT = np.dtype(
     [
@@ -113,7 +113,7 @@ class E57Stream:
     Raises
     ------
     ConfigError
-        When the configuration asks for what an organised scan cannot have.
+        When the configuration asks for options that organised scans cannot have.
     InputError
         When pye57 is not installed, the file is damaged, or its points are not organised.
     """
@@ -270,7 +270,7 @@ class E57Stream:
         return InputError(self._where(scan.table.index), problem, "run again when the copy is complete")
 
     def _points(self, file: E57File, scan: _Scan, tallies: list[ReadTally]) -> Iterator[NDArray[Any]]:
-        """Yield points with their cells, in the file's order; what was refused is added to the tallies."""
+        """Yield points with their cells, in the order of the file; points refused are added to the tallies."""
         table, shape = scan.table, scan.shape
         cartesian = _is_cartesian(table)
         state = CARTESIAN_STATE if cartesian else SPHERICAL_STATE
@@ -345,7 +345,7 @@ def _is_cartesian(table: E57Scan) -> bool:
 
 
 def _used_fields(table: E57Scan) -> tuple[str, ...]:
-    """Return what is read of a point beside its row and column."""
+    """Return the fields of a point that are read beside row and column."""
     own, state = (CARTESIAN, CARTESIAN_STATE) if _is_cartesian(table) else (SPHERICAL, SPHERICAL_STATE)
     return (*own, *(name for name in (state, INTENSITY, RETURN) if name in table.fields))
 
@@ -362,7 +362,7 @@ class _IndexTally:
         self._last = -np.inf
 
     def counts(self) -> I64:
-        """Points of every column, from the first to the last that has some."""
+        """Return the number of points by column, from the first to the last column with points."""
         return self._counts
 
     def add(self, row: F64, column: F64) -> None:
@@ -392,7 +392,7 @@ class _IndexTally:
         self._last = column[-1]
 
     def _span(self, name: str, index: F64, before: tuple[int, int]) -> tuple[int, int]:
-        # a NaN can be one that signals
+        # signalling NaNs raise an invalid-value warning
         with np.errstate(invalid="ignore"):
             low, high = float(index.min()), float(index.max())
             is_whole = abs(low) < 2**52 and abs(high) < 2**52 and (index == np.rint(index)).all()
@@ -419,7 +419,7 @@ def _coordinates(chunk: dict[str, F64], pose: Pose, *, cartesian: bool) -> tuple
 
 
 def _scaled(intensity: F64, table: E57Scan) -> NDArray[np.float32]:
-    """Return intensities from 0 to 65535 by the header's limits, as they are without."""
+    """Return intensities scaled to 0 to 65535 by the limits in the header, unchanged without limits."""
     if table.intensity_limits is None:
         return to_float32(intensity)
     low, high = table.intensity_limits
@@ -437,7 +437,7 @@ def _in_turn(points: Iterator[NDArray[Any]], edges: I64) -> Iterator[NDArray[Any
         joined = np.concatenate(waiting)
         waiting, n_waiting = [joined[wanted:]], n_waiting - wanted
         yield joined[:wanted]
-    # the end of the points is judged where they are read
+    # the end of the points is checked where they are read
     for _ in points:
         pass
 
@@ -445,7 +445,7 @@ def _in_turn(points: Iterator[NDArray[Any]], edges: I64) -> Iterator[NDArray[Any
 def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterator[NDArray[Any]]:
     """Bring points of any order together by groups of ``lines`` lines, through a temporary file.
 
-    Every group has its place in the file, for its size is known; in a group the points keep their order.
+    The size of every group is known, and so its position in the file; within a group, points keep their order.
     """
     with _temporary_file() as handle:
         filled = edges[:-1].copy()
@@ -471,7 +471,7 @@ def _scattered(points: Iterator[NDArray[Any]], edges: I64, lines: int) -> Iterat
 
 @contextlib.contextmanager
 def _temporary_file() -> Iterator[IO[bytes]]:
-    """Give a file without a name; it vanishes with the process, however that ends."""
+    """Return an unnamed temporary file; the system removes it when the process ends."""
     with _disk_errors():
         handle = tempfile.TemporaryFile(prefix="prc-e57-")  # noqa: SIM115 - closed below
     try:

@@ -1,4 +1,4 @@
-"""Streams as E57 (ASTM E2807): organised scans, a point a cell, written piece by piece with pye57's library.
+"""Writer of streams as E57 (ASTM E2807): organised scans, one point per cell, in pieces, with the library of pye57.
 
 A point has the row (column of the range image) and the column (scan line) of its cell, Cartesian coordinates relative
 to the scanner as doubles, so that the range comes back bit for bit, and a state that says whether there was a return.
@@ -22,9 +22,9 @@ from prc_cli.formats.tables.write import number_returns
 from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem, StreamShape
 
 POINTS_AT_ONCE = 1 << 17
-"""Points that are handed to the library together."""
+"""Points per call of the library."""
 LARGEST_INDEX = 2**31 - 1
-"""Rows and columns are held as whole numbers up to this."""
+"""Largest row or column number."""
 INTENSITY_TOP = 65535.0
 """Upper limit of intensities in the header, where all lie between it and zero."""
 INVALID = 2
@@ -136,7 +136,7 @@ class E57Stream(StagedStreamWriter):
             self._image.close()
 
     def _points(self, item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
-        """Return the fields of the points of some lines; the return that stands for a shot before its others."""
+        """Return the fields of the points of some lines; the chosen return of a shot comes first."""
         block = item.block
         m = block.points_per_line
         line, column = np.divmod(np.arange(rows.start * m, rows.stop * m), m)
@@ -160,7 +160,7 @@ class E57Stream(StagedStreamWriter):
         own = np.zeros(block.range_m[rows].size, np.float32)
         if block.intensity is not None:
             own = np.nan_to_num(block.intensity[rows].ravel(), nan=0.0)
-        # the stream knows the intensity of the return that stands for a shot, not of the others
+        # the stream has the intensity of the chosen return of a shot only
         further = order >= len(line)
         values["intensity"] = np.where(further, np.minimum(own[owner], 0.0), own[owner])
         if self.shape.returns:
@@ -171,7 +171,7 @@ class E57Stream(StagedStreamWriter):
         return values
 
     def _directions(self, item: StreamItem, rows: slice) -> F64:
-        """Return the unit vector of every shot's beam, (shots, 3) float64; of those without return maybe none."""
+        """Return the unit vector of every beam, (shots, 3) float64; may be NaN for shots without return."""
         block = item.block
         if block.xyz_m is not None:
             places: F64 = block.xyz_m[rows].reshape(-1, 3).astype(np.float64)
@@ -209,7 +209,7 @@ class _Scan:
         points = library.CompressedVectorNode(image, prototype, library.VectorNode(image, True))
         self._node.set("points", points)
         output._scans.append(self._node)
-        # the library takes every piece from the same memory
+        # the library reads every piece from the same memory
         self._buffers = {name: np.zeros(POINTS_AT_ONCE) for name in self._names}
         wrapped = library.VectorSourceDestBuffer()
         for name, values in self._buffers.items():
@@ -238,11 +238,11 @@ class _Scan:
         self._limits = _wider(self._limits, values["intensity"])
 
     def cancel(self) -> None:
-        """Let the library's writer go."""
+        """Release the writer of the library."""
         self._writer.close()
 
     def close(self) -> None:
-        """Write the header's part of the scan."""
+        """Write the header of the scan."""
         self._writer.close()
         names = ("rowMinimum", "rowMaximum", "columnMinimum", "columnMaximum")
         bounds = self._library.StructureNode(self._image)

@@ -42,7 +42,7 @@ class CodeSource:
     path : Path
         File, for messages.
     n : int or None
-        Number of records; None if only reading can tell.
+        Number of records; None if unknown before reading.
     read : callable
         Starts reading from the first record and gives arrays of numbers.
     missing : bool
@@ -141,7 +141,7 @@ def open_codes(path: Path, dimension: str | None = None) -> CodeSource:
 
 
 def code_suffix_of(path: Path) -> str:
-    """Return the suffix by which a file is known to hold class codes, compression included; empty if it is not.
+    """Return the suffix of a file of class codes, compression included; empty for other files.
 
     >>> code_suffix_of(Path("drive.1.csv.gz"))
     '.csv.gz'
@@ -200,7 +200,7 @@ def _open_text(path: Path, dimension: str | None) -> CodeSource:
 
     source = TextSource(path)
     name = _choose(path, list(source.dimensions), dimension)
-    # label files of this program number their records
+    # label files of this program have record numbers
     numbered = {"record", "class", "name"} <= set(source.dimensions)
 
     def read() -> Iterator[NDArray[Any]]:
@@ -257,7 +257,7 @@ def _open_parquet(path: Path, dimension: str | None) -> CodeSource:
     def read() -> Iterator[NDArray[Any]]:
         first = 0
         try:
-            # a row group can be the whole file: read it through a small buffer
+            # a row group can be as large as the file: read it through a small buffer
             with parquet.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER_BYTES) as file:
                 for batch in file.iter_batches(batch_size=CHUNK_RECORDS, columns=[name]):
                     column = batch.column(0)

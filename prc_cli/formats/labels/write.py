@@ -39,7 +39,7 @@ class LabelFileWriter(ScatterWriter):
         held = [column for column in asked if column.heading is not None and self._kind != ".npy"]
         super().__init__(path, codes, options, held, n_records)
         self._straight: StraightCodes | None = None
-        """The output itself, as long as codes come in the order of their records."""
+        """The output, as long as codes arrive in record order."""
         for column in asked:
             if column.heading is None:
                 self._notice(f"label files hold no {column.what}s; [output] {column.option} needs .las or .laz")
@@ -65,7 +65,7 @@ class LabelFileWriter(ScatterWriter):
         super()._add(block)
 
     def _leave_straight(self) -> None:
-        """Go on in a spool: records come in another order, or some are left out."""
+        """Switch to a spool, because records arrive out of order or with gaps."""
         if self._straight is None:
             return
         first = 0
@@ -103,7 +103,7 @@ class LabelFileWriter(ScatterWriter):
                 handle.write(item.codes.data)
 
     def _write_csv(self, columns: Iterator[Columns]) -> None:
-        # text of everything but the record number, by code: the loop only joins
+        # text after the record number, by code, so that the loop only joins strings
         tails = [f"{code},{_cell(self._name(code))}" for code in range(256)]
         with self._temporary.open("w", encoding="utf-8", newline="") as handle:
             handle.write(",".join(["record", "class", "name", *self._headings()]) + "\n")
@@ -125,7 +125,7 @@ class LabelFileWriter(ScatterWriter):
         fields += zip(self._headings(), types, strict=True)
         schema = pa.schema(fields)
         try:
-            # the file stays ours, so that a failed write shows the system's own error
+            # write to our own file object, so that a failed write shows the error of the system
             with self._temporary.open("wb") as handle, pq.ParquetWriter(handle, schema) as writer:
                 for first, item in _numbered(columns):
                     codes = pa.array(item.codes)
@@ -155,10 +155,10 @@ def _numbered(columns: Iterator[Columns]) -> Iterator[tuple[int, Columns]]:
 
 
 def _texts(values: Values) -> list[Any]:
-    """Values as they stand in a table: whole numbers, or the shortest text that gives the same float32 again."""
+    """Return values as text: whole numbers, or the shortest text that gives the same float32 again."""
     if values.dtype.kind != "f":
         return list(values.tolist())
-    different, index = np.unique(values, return_inverse=True)  # a height stands for a whole line
+    different, index = np.unique(values, return_inverse=True)  # all shots of a line share one height
     return list(different.astype(str).astype(object)[index].tolist())
 
 

@@ -1,1 +1,1 @@
-"""LAS and LAZ: headers, points, compression, new files, and files that change in their classes alone."""
+"""LAS and LAZ: headers, points, compression, new files, and rewriting with changed classes."""

@@ -1,4 +1,4 @@
-"""LAS or LAZ from raw dumps, text and arrays: LAS 1.4, point format 6, one record per return, chronological.
+"""Writers of new LAS or LAZ files from other formats: LAS 1.4, point format 6, one record per return, chronological.
 
 Coordinates are those of the input's sensor frame, or scan-plane coordinates ``x = r cos(angle)``, ``y = r sin(angle)``,
 ``z = 0``; the range itself is kept bit for bit in extra bytes, with scan line and column.
@@ -45,11 +45,11 @@ class LasBuilder(StagedWriter):
     Parameters
     ----------
     points_per_line : int
-        M, spreads the columns over a full turn where the input knows no angles.
+        M; without scan angles the columns are spread over a full turn.
     """
 
     def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, points_per_line: int) -> None:
-        # the range is in every built file
+        # every built file has the range
         columns = [column for column in asked_columns(options) if column.dimension is not RANGE]
         super().__init__(path, codes, options, columns)
         self._points_per_line = points_per_line
@@ -82,10 +82,10 @@ class LasBuilder(StagedWriter):
         self._sink = LazSink(self._target, payload) if self._compress else sink
 
     def _write_header(self) -> None:
-        """Write header and VLRs where the target stands."""
+        """Write header and VLRs at the current position of the target."""
         written = io.BytesIO()
         self._header.write_to(written)
-        # laspy writes today's: without one the same run gives the same bytes
+        # laspy writes today's date; without it, equal runs give equal bytes
         written.getbuffer()[_CREATION_DATE] = bytes(4)
         self._target.write(written.getvalue())
 
@@ -111,11 +111,11 @@ class LasBuilder(StagedWriter):
             self._sink.write(points.view(np.uint8).reshape(len(points), self._dtype.itemsize))
 
     def _gather(self, scan: ScanBlock, rows: slice) -> Returns:
-        """Gather the returns of some lines in the order of their records."""
+        """Return the records of some lines in record order."""
         return gather_returns(scan, rows)
 
     def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
-        """Set everything but class and optional columns, and add to the header's counts and bounds."""
+        """Set all fields except class and optional columns, and add to counts and bounds of the header."""
         steps = self._steps(scan, shots)
         for axis, name in enumerate("XYZ"):
             points[name] = steps[:, axis]
@@ -148,7 +148,7 @@ class LasBuilder(StagedWriter):
         """Coordinates in steps of :data:`SCALE_M`, (n, 3) int64."""
         if scan.xyz_m is not None:
             xyz = scan.xyz_m[shots.line, shots.column].astype(np.float64)
-            # another return of a shot lies on the same beam
+            # all returns of a shot lie on the same beam
             own = scan.range_m[shots.line, shots.column].astype(np.float64)
             ratio = np.where(shots.extra < 0, 1.0, shots.range_m / np.where(np.isnan(own), 1.0, own))
             xyz *= ratio[:, None]
@@ -160,7 +160,7 @@ class LasBuilder(StagedWriter):
         return self._whole_steps(xyz, scan, shots)
 
     def _whole_steps(self, xyz: F64, scan: ScanBlock, shots: Returns) -> I64:
-        """Round coordinates to steps, (n, 3) int64; what the file cannot hold is refused."""
+        """Round coordinates to steps, (n, 3) int64, and refuse those outside the range of the file."""
         steps = np.rint((xyz - self._offset_m) / SCALE_M)
         if not np.all(np.abs(steps) <= 2**31 - 1):  # also refuses NaN
             bad = int(np.flatnonzero(~np.all(np.abs(steps) <= 2**31 - 1, axis=1))[0])
@@ -208,7 +208,7 @@ class Returns:
         self.column = column
         self.range_m = range_m
         self.extra = extra
-        """Index into the block's extra returns, -1 = the return that stands for the shot."""
+        """Index into the extra returns of the block, -1 = the chosen return of the shot."""
         self.number: U8 = np.ones(len(line), np.uint8)
         self.count: U8 = np.ones(len(line), np.uint8)
 
@@ -247,7 +247,7 @@ def _new_header(dimensions: list[ExtraDimension]) -> Any:
     header.generating_software = f"prc-cli {__version__}"[:32]
     header.scales = np.full(3, SCALE_M)
     for dimension in dimensions:
-        # past the header, which would describe it with a least and a greatest value
+        # not through the header of laspy, which would add a minimum and a maximum
         params = laspy.ExtraBytesParams(dimension.name, dimension.dtype, dimension.description)
         header.point_format.add_extra_dimension(params)
     return header
@@ -260,7 +260,7 @@ def _as_laspy_has_it(vlr: Vlr) -> Any:
 
 
 def _evlr(record: RunRecord) -> bytes:
-    """Return the run record as an extended VLR: any length."""
+    """Return the run record as an extended VLR, which has no length limit."""
     import laspy
     from laspy.vlrs.vlrlist import VLRList
 
@@ -278,7 +278,7 @@ def _fits(path: Path, what: str, values: NDArray[Any], limit: int) -> NDArray[An
 class LasStream(LasBuilder):
     """Writer of a stream as LAS 1.4, point format 6; missing shots have no record.
 
-    The return that stands for its shot comes first, whatever its number, so that it does so again when it is read.
+    The chosen return of a shot comes first, whatever its number, so that reading the file chooses it again.
     """
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
@@ -289,7 +289,7 @@ class LasStream(LasBuilder):
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """Class codes that a byte does not hold."""
+        """Class codes that do not fit into a byte."""
         if not self._n_codes_lost:
             return ()
         unknown = f"{self._codes.unclassified} ({Label.UNCLASSIFIED.name.lower()})"
@@ -305,7 +305,7 @@ class LasStream(LasBuilder):
         self.add(LabelledBlock(block, codes, self._codes_of(item.extra_codes, (len(block.extra),))))
 
     def _set_offset(self, item: StreamItem) -> None:
-        """Take the offset of the header from the first coordinates."""
+        """Set the offset in the header from the first coordinates."""
         assert item.registered_m is not None
         known = item.registered_m[np.isfinite(item.registered_m).all(axis=2)]
         if len(known):
@@ -313,7 +313,7 @@ class LasStream(LasBuilder):
             self._has_offset = True
 
     def _codes_of(self, codes: NDArray[np.int32] | None, shape: tuple[int, ...]) -> U8:
-        """Return class codes as they are stored; what does not fit a byte, or is not known, is unclassified."""
+        """Return class codes as stored; unknown ones and those that do not fit into a byte become unclassified."""
         unknown = self._codes.unclassified
         if codes is None:
             return np.full(shape, unknown, np.uint8)
@@ -335,7 +335,7 @@ class LasStream(LasBuilder):
 
     def _fill(self, points: NDArray[Any], scan: ScanBlock, shots: Returns) -> None:
         super()._fill(points, scan, shots)
-        # the stream knows the intensity of the return that stands for a shot, not of the others
+        # the stream has the intensity of the chosen return of a shot only
         points["intensity"][shots.extra >= 0] = 0
 
     def _steps(self, scan: ScanBlock, shots: Returns) -> I64:

@@ -1,4 +1,4 @@
-"""Whether LAS and LAZ work in this installation, for ``prc doctor``: compression, and another reader's opinion."""
+"""Checks of LAS and LAZ for ``prc doctor``: compression, and reading a file with laspy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from prc_cli.core.types import U8
 from prc_cli.formats.las.sinks import LazSink, Target, new_laszip_payload
 
 POINT_FORMATS = {1: 28, 6: 30, 10: 67}
-"""Bytes of a record by point format: one of every way in which laszip codes records."""
+"""Record length by point format, one format for every coder of laszip."""
 _N_RECORDS = 2_000
 
 
@@ -34,10 +34,10 @@ def check_laz(point_format: int) -> int:
     Raises
     ------
     OutputError
-        When what comes back is not what was compressed.
+        When the decompressed records differ.
     """
     payload = new_laszip_payload(Path(f"point format {point_format}"), point_format, 0)
-    # every chunk begins with a whole record, the rest is differences: all zero but for the first bytes, as in a scan
+    # a chunk is one whole record, then differences: here all zero except in the first bytes, as in a scan
     records = np.zeros((_N_RECORDS, POINT_FORMATS[point_format]), np.uint8)
     records[:, :4] = np.random.default_rng(1).integers(0, 256, (_N_RECORDS, 4), np.uint8)
     memory = io.BytesIO()
@@ -54,7 +54,7 @@ def check_laz(point_format: int) -> int:
 
 
 def classes_by_laspy(path: Path) -> dict[int, int]:
-    """Read a LAS or LAZ file with laspy, which shares no line with our reader and writer.
+    """Read a LAS or LAZ file with the reader of laspy, which ours does not use.
 
     Parameters
     ----------
@@ -64,19 +64,19 @@ def classes_by_laspy(path: Path) -> dict[int, int]:
     Returns
     -------
     dict
-        Records by class code, of the codes that occur.
+        Number of records by class code, for codes that occur.
 
     Raises
     ------
     OutputError
         When laspy refuses the file.
     """
-    # 20 MiB and a tenth of a second, which no other command needs
+    # imported here: costs 20 MiB and a tenth of a second
     import laspy
 
     try:
         points = laspy.read(path)
-    except Exception as error:  # it has errors of its own, and those of whatever it stumbles on
+    except Exception as error:  # laspy raises errors of its own, and any others on damaged files
         raise OutputError(str(path), f"laspy does not read it ({error})", "report it, with laspy's version") from error
     counts = count_bytes(np.ascontiguousarray(points.classification, np.uint8))
     return {int(code): int(counts[code]) for code in np.flatnonzero(counts)}

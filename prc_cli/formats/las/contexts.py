@@ -1,8 +1,8 @@
-"""What LAZ codes the classes of records by, kept from the first reading of a file for writing it again.
+"""Contexts of the class coder in LAZ files, kept from reading a file to rewrite it faster.
 
 In LASzip's chunks of point formats 6-10 the code of a class depends on the class before it, on the scanner channel
-and on whether the record is the only return of its shot. Who decodes a file for its ranges has these at hand; kept,
-they spare the writer a second decompression of coordinates and returns, the dearest layer of all.
+and on whether the record is the only return of its shot. They are known once a file was decoded for its ranges; keeping
+them saves the writer a second decompression of coordinates and returns, the slowest layer.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ import numpy as np
 from prc_cli.core.types import U8
 
 KEPT_BYTES = 32 << 20
-"""Most memory for contexts that differ from record to record: 64 million of them."""
+"""Memory limit for contexts that differ from record to record, enough for 64 million records."""
 _ONLY = 4
-"""Bit of a context: the only return; the channel is in the two bits below."""
+"""Bit of a context: single return; the two bits below hold the channel."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """Contexts of consecutive records: one value, or two to a byte."""
+    """Contexts of consecutive records: one value for all, or two per byte."""
 
     n: int
     value: int
@@ -60,7 +60,7 @@ def contexts_of(records: U8) -> U8:
     array([6, 0], dtype=uint8)
     """
     returns = records[:, 14]
-    # the number 1 of at most 1
+    # return 1 of at most 1
     only = (returns & np.uint8(0xEF)) == 1
     channel = (records[:, 15] >> np.uint8(4)) & np.uint8(3)
     contexts: U8 = channel | (only.view(np.uint8) << np.uint8(2))
@@ -68,7 +68,7 @@ def contexts_of(records: U8) -> U8:
 
 
 def records_of(contexts: U8, n_bytes: int) -> U8:
-    """Return raw records that are zero but for contexts, (n, n_bytes) uint8; the inverse of :func:`contexts_of`."""
+    """Return raw records with these contexts, else zero, (n, n_bytes) uint8; the inverse of :func:`contexts_of`."""
     records = np.zeros((len(contexts), n_bytes), np.uint8)
     records[:, 14] = np.where(contexts & _ONLY, 0x11, 0x21).astype(np.uint8)
     records[:, 15] = (contexts & 3) << np.uint8(4)
@@ -76,9 +76,9 @@ def records_of(contexts: U8, n_bytes: int) -> U8:
 
 
 class LazContexts:
-    """Contexts of the records of one file, from its first record as far as they were seen and fit.
+    """Contexts of the records of one file, from the first record on, as far as read and within the memory limit.
 
-    One thread adds at a time, and whoever takes them does so afterwards.
+    Not locked: one thread adds at a time, and nobody reads before it has finished.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""LAS or LAZ in, LAS or LAZ out: everything that is not to be changed, bit for bit as it was.
+"""Copies LAS or LAZ files with changed points; all other bytes stay the same.
 
-Header, VLRs, a user's bytes, points and what follows them are copied in their order; changed are the points as
-asked for, and the offsets that this moves. Where records are left out, the counts and bounds of the header follow.
+Header, VLRs, user bytes, points and what follows them are copied in order. Only the points change, and with them the
+offsets in the header; where records are left out, its counts and bounds too.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ from prc_cli.formats.writing.record import RunRecord
 
 COPC_USER = "copc"
 RECORD_TEXT = "prc run record"
-"""What the VLR of a run record says of itself."""
+"""Description of the VLR that holds the run record."""
 Masks = Callable[[int], Iterator[Mask]]
-"""Called with a number of records; gives for every so many records of the input which of them stay."""
+"""Called with a batch size; yields a mask of the records to keep for every batch of the input."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What an output differs in from its input."""
+    """Differences between an output and its input."""
 
     point_format: int
     """Point format written."""
@@ -65,7 +65,7 @@ class Plan:
     appended: tuple[OptionalColumn, ...] = ()
     """Columns appended to every record, in order."""
     replaced: tuple[tuple[OptionalColumn, int], ...] = ()
-    """Columns that the records have already and that are replaced, each with its first byte."""
+    """Columns present in the records whose values are replaced, each with its first byte."""
 
     @property
     def n_appended(self) -> int:
@@ -74,7 +74,7 @@ class Plan:
 
     @property
     def is_checked(self) -> bool:
-        """Whether what was compressed is read again: waveform packets do not always survive it."""
+        """Whether the compressed records are read back and compared: waveform packets are sometimes damaged."""
         return self.compress and self.point_format in (9, 10)
 
     def upgrades(self, las: LasHeader) -> bool:
@@ -82,13 +82,13 @@ class Plan:
         return self.point_format != las.point_format
 
     def only_classes(self, las: LasHeader) -> bool:
-        """Whether the points differ in nothing but their classes, stored as they were."""
+        """Whether only the classes change, in the same point format."""
         changed = self.appended or self.replaced or self.upgrades(las)
         return not changed and self.compress == las.compressed
 
 
 def read_las(path: Path) -> LasHeader:
-    """Read where everything of a LAS or LAZ file lies.
+    """Read header, VLRs and EVLRs of a LAS or LAZ file with their positions.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def check_copied(las: LasHeader) -> None:
 
 
 def with_record(vlrs: list[Vlr], record: RunRecord) -> list[Vlr]:
-    """Return the VLRs with a run record, in place of one that is there, in short form if it is too long for a VLR."""
+    """Return the VLRs with a run record, replacing an old one, shortened if it is too long for a VLR."""
     new = make_vlr(RECORD_KEY, record.to_json_within(VLR_LIMIT), RECORD_TEXT)
     place = next((index for index, vlr in enumerate(vlrs) if vlr.has(RECORD_KEY)), len(vlrs))
     vlrs = [vlr for vlr in vlrs if not vlr.has(RECORD_KEY)]
@@ -124,7 +124,7 @@ def with_record(vlrs: list[Vlr], record: RunRecord) -> list[Vlr]:
 
 
 def with_laszip(las: LasHeader, plan: Plan, vlrs: list[Vlr]) -> tuple[list[Vlr], str | None]:
-    """Return the VLRs as the plan's compression wants them, and what to tell about it."""
+    """Return the VLRs that the compression of the plan needs, and the notices about them."""
     if not plan.compress:
         return [vlr for vlr in vlrs if not vlr.has(LASZIP_KEY)], None
     same = not plan.upgrades(las) and not plan.appended
@@ -142,7 +142,7 @@ def with_laszip(las: LasHeader, plan: Plan, vlrs: list[Vlr]) -> tuple[list[Vlr],
 
 
 def has_waveform_file(las: LasHeader) -> bool:
-    """Whether waveforms lie in a file of their own beside the input."""
+    """Whether waveforms are in a separate file beside the input."""
     fields = las.fields()
     return bool(fields.get("global_encoding") & 4 and fields.has("waveform_start"))
 
@@ -168,7 +168,7 @@ def copy_las(
     Returns
     -------
     tuple of str
-        What was decided, in plain words.
+        Notices for the user.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def copy_las(
 
 
 class _Seen:
-    """What the header must say of the records that were written."""
+    """Counts and bounds of the records written, for the header."""
 
     def __init__(self, las: LasHeader, is_part: bool) -> None:
         self.las = las
@@ -224,7 +224,7 @@ class _Seen:
         self._high = np.maximum(self._high, xyz.max(axis=0))
 
     def set_counts(self, fields: HeaderFields) -> None:
-        """Set counts and bounds as the records that stayed have them; fields that were not used stay so."""
+        """Set counts and bounds from the records kept; fields that are zero in the input stay zero."""
         if not self.is_part:
             return
         if fields.get("legacy_n_points"):
@@ -263,14 +263,14 @@ def write_again(
     finish: Callable[[HeaderFields], None],
     drop: tuple[str, ...],
 ) -> None:
-    """Write a file again: header, VLRs and a user's bytes, points, what follows them, and the header once more.
+    """Copy a file: header, VLRs and user bytes, points, what follows them, and the final header.
 
     Parameters
     ----------
     las : LasHeader
         The input.
     plan : Plan
-        What is to differ.
+        Differences from the input.
     vlrs : list of Vlr
         Those of the output.
     temporary : Path
@@ -279,7 +279,7 @@ def write_again(
         Writes all points from the source, into the target itself or into a sink, which it then opens and closes; the
         target stands behind the points then.
     finish : callable
-        Sets what the header must say of the points.
+        Sets the header fields that depend on the points.
     drop : tuple of str
         User ids of extended VLRs to leave out.
 
@@ -313,7 +313,7 @@ def write_again(
 
 
 def _new_fields(las: LasHeader, plan: Plan, vlrs: list[Vlr]) -> HeaderFields:
-    """Return the input's header with the fields that the plan changes; what follows the points is set later."""
+    """Return the header with the changes of the plan; the offsets behind the points are set later."""
     fields = las.fields()
     if plan.upgrades(las):
         fields = _as_1_4(fields)
@@ -350,7 +350,7 @@ class Tail:
     """Spans of the input that follow the points of the output."""
 
     spans: tuple[tuple[int, int], ...]
-    """First byte and end of every span of the input, in order."""
+    """First byte and end of every copied span of the input, in order."""
     start: int
     """First byte behind the points of the output."""
     evlr_start: int
@@ -406,7 +406,7 @@ def plan_tail(las: LasHeader, bounds: tuple[int, int], start: int, drop: tuple[s
 
 
 def _set_tail(fields: HeaderFields, las: LasHeader, tail: Tail) -> None:
-    """Set the header fields that point at what follows the points."""
+    """Set the header fields that point behind the points."""
     before = las.fields()
     if fields.has("waveform_start") and before.get("waveform_start"):
         fields.set("waveform_start", tail.moved(before.get("waveform_start")))
@@ -416,7 +416,7 @@ def _set_tail(fields: HeaderFields, las: LasHeader, tail: Tail) -> None:
         fields.set("evlr_start", tail.evlr_start if tail.n_evlrs or las.evlrs else before.get("evlr_start"))
         fields.set("n_evlrs", tail.n_evlrs)
     elif fields.get("waveform_start") and fields.get("global_encoding") & 2:
-        # LAS 1.3 keeps its waveforms in an EVLR that only 1.4 counts
+        # LAS 1.3 has its waveforms in an EVLR, but only LAS 1.4 has a count of EVLRs
         fields.set("evlr_start", fields.get("waveform_start"))
         fields.set("n_evlrs", 1)
 
@@ -424,8 +424,8 @@ def _set_tail(fields: HeaderFields, las: LasHeader, tail: Tail) -> None:
 def check_compressed(path: Path, output: Path, checksum: int) -> None:
     """Decompress what was written and compare its CRC-32.
 
-    Waveform packets (formats 9 and 10) of several scanner channels do not survive laszip's third version: found
-    with lazrs 0.8.2, and why this check is made.
+    The check is for waveform packets (formats 9 and 10) of several scanner channels, which version 3 of laszip's coder
+    damages (seen with lazrs 0.8.2).
 
     Raises
     ------

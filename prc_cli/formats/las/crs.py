@@ -1,4 +1,4 @@
-"""Coordinate systems as LAS files name them: which one, short names, and whether two are the same.
+"""Coordinate systems of LAS files: reading, short names, comparison.
 
 laspy's own ``parse_crs`` needs pyproj, an extra of this program, and gives up on what pyproj does not understand.
 """
@@ -34,7 +34,7 @@ def find_crs(header: LasHeader) -> str | None:
 
 
 def _geo_keys(data: bytes) -> dict[int, int]:
-    """Return the GeoTIFF keys whose value stands beside them."""
+    """Return the GeoTIFF keys with a value in the key directory itself."""
     from laspy.vlrs.known import GeoKeyDirectoryVlr, GeoKeysHeaderStructs
 
     if len(data) < GeoKeysHeaderStructs.size():
@@ -45,13 +45,13 @@ def _geo_keys(data: bytes) -> dict[int, int]:
 
 
 def _horizontal(keys: dict[int, int]) -> int | None:
-    """Return the EPSG code of the projected or else the geographic system, None without."""
+    """Return the EPSG code of the projected, else the geographic system; None if there is none."""
     code = keys.get(_PROJECTED) or keys.get(_GEOGRAPHIC)
     return code if code and code < _USER_DEFINED else None
 
 
 def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]:
-    """Return the VLRs with a WKT coordinate system, as point formats 6-10 want it, and what to tell about it.
+    """Return the VLRs with a WKT coordinate system, which point formats 6-10 need, and the notices about it.
 
     GeoTIFF keys stay; a WKT is derived from their EPSG codes where pyproj is installed.
     """
@@ -70,7 +70,7 @@ def with_wkt(vlrs: list[Vlr], point_format: int) -> tuple[list[Vlr], str | None]
 
 
 def _wkt_of_geo_keys(data: bytes) -> tuple[bytes | None, str]:
-    """WKT (null-terminated) of GeoTIFF keys, and the EPSG codes or the reason why there is none."""
+    """Return the WKT (null-terminated) of GeoTIFF keys, and the EPSG codes or the reason for none."""
     keys = _geo_keys(data)
     horizontal = _horizontal(keys)
     if horizontal is None:
@@ -82,7 +82,7 @@ def _wkt_of_geo_keys(data: bytes) -> tuple[bytes | None, str]:
         return None, "pyproj is not installed; pip install prc-cli[crs]"
     tries = [(f"EPSG:{horizontal}", "")]
     if vertical != _USER_DEFINED:
-        # old files give the code of a vertical datum, which is no coordinate system
+        # old files give the code of a vertical datum instead of a coordinate system
         tries = [
             (f"EPSG:{horizontal}+{vertical}", ""),
             (f"EPSG:{horizontal}", f" (vertical code {vertical} is no EPSG system and was left out)"),
@@ -116,7 +116,7 @@ def short_crs(crs: str) -> str:
 
 
 def same_crs(one: str, other: str) -> bool:
-    """Whether two coordinate systems are the same, by their text, their EPSG codes, or else by pyproj if it is there.
+    """Compare two coordinate systems by text, by EPSG code, else with pyproj if installed.
 
     >>> same_crs('PROJCS["UTM 35N", AUTHORITY["EPSG","32635"]]', "EPSG:32635")
     True

@@ -1,9 +1,8 @@
-"""The frame of a LAS file: header, VLRs, points and extended VLRs, where each lies, and what the header says.
+"""Reads header, VLRs and extended VLRs of a LAS file, with the position of every part.
 
-Nothing here trusts a count or a length before it was compared with the size of the file, so that a damaged or
-hostile file costs neither memory nor time; then laspy reads the header's numbers and texts. Every record keeps its
-bytes, since a file that is written again must not lose any. What the fields mean follows the LAS specification
-1.4 R15; the highest bit of the format byte is set in LAZ files, as LASzip has it.
+Every count and length is compared with the size of the file first, so that a damaged or hostile file costs neither
+memory nor time; then laspy reads the header. Records keep their bytes, because a rewritten file must not lose any. What
+the fields mean follows the LAS specification 1.4 R15; LASzip sets the highest bit of the format byte in LAZ files.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from typing import Any, BinaryIO
 from prc_cli.core.errors import InputError
 
 STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
-"""Header bytes by minor version; what a larger header holds beyond is the user's."""
+"""Header length by minor version; bytes beyond it are user bytes."""
 N_POINT_FORMATS = 11
 MAX_HEAD_BYTES = 64 << 20
-"""Header and VLRs are held in memory; more than this before the first record is taken for damage."""
+"""Most bytes before the first record, which are held in memory: more is damage."""
 MAX_EVLRS = 100_000
-"""More extended VLRs than this are taken for damage."""
+"""Most extended VLRs: more is damage."""
 MAX_KEPT_EVLR_BYTES = 1 << 20
-"""Extended VLRs may hold whole waveforms; only short ones are kept in memory."""
+"""Longest extended VLR kept in memory; others may hold waveforms."""
 DAMAGED = "copy the file again or write it anew with the program that made it"
 COMPRESSED = 0x80
 """Bit of the format byte: the records are compressed."""
@@ -100,10 +99,10 @@ class HeaderFields:
 
 @dataclass(frozen=True, slots=True)
 class Vlr:
-    """A variable length record, plain or extended, as it stands in the file."""
+    """A variable length record, plain or extended, as stored in the file."""
 
     head: bytes
-    """What precedes its content: 54 bytes, 60 of an extended one."""
+    """Head before the content: 54 bytes, 60 of an extended one."""
     data: bytes | None
     """Content; None for long extended records."""
     start: int = 0
@@ -111,7 +110,7 @@ class Vlr:
 
     @property
     def extended(self) -> bool:
-        """Whether it lies behind the points."""
+        """Whether it is an extended one, behind the points."""
         return len(self.head) == _EVLR_HEAD.size
 
     @property
@@ -130,12 +129,12 @@ class Vlr:
         return self.user_id, self.record_id
 
     def has(self, key: tuple[str, int]) -> bool:
-        """Whether it has a user id and record id; quick, since damaged files may count a million."""
+        """Whether it has this user id and record id; fast, because damaged files may have a million VLRs."""
         return self.record_id == key[1] and self.user_id == key[0]
 
     @property
     def description(self) -> str:
-        """What it says of itself."""
+        """Description."""
         return text_of(self.head[-32:])
 
     @property
@@ -165,12 +164,12 @@ def make_vlr(key: tuple[str, int], data: bytes, description: str) -> Vlr:
 
 @dataclass(frozen=True, slots=True)
 class LasHeader:
-    """What the header says, after it was checked."""
+    """A checked header."""
 
     path: Path
     file_bytes: int
     raw: bytes
-    """The header itself, with what a user put at its end."""
+    """Header bytes, user bytes at its end included."""
     version: tuple[int, int]
     point_format: int
     compressed: bool
@@ -178,11 +177,11 @@ class LasHeader:
     """Bytes of an (uncompressed) record, extra bytes included."""
     n_records: int
     is_legacy_count: bool
-    """LAS 1.4: whether only the legacy count (byte 107) is set, and was taken."""
+    """LAS 1.4: whether only the legacy count (byte 107) is set and therefore used."""
     data_offset: int
     """Byte where the records begin."""
     vlr_end: int
-    """First byte behind the VLRs; a user's bytes may follow up to the records."""
+    """First byte behind the VLRs; user bytes may follow up to the records."""
     scales: tuple[float, ...]
     offsets: tuple[float, ...]
     mins: tuple[float, ...]
@@ -213,13 +212,13 @@ class LasHeader:
         return next((vlr for vlr in self.vlrs if vlr.has(key)), None)
 
     def find(self, key: tuple[str, int]) -> list[bytes]:
-        """Return the contents of all VLRs of a user id and record id, those of extended ones at last."""
+        """Return the contents of all VLRs of a user id and record id, extended ones last."""
         every = chain(self.vlrs, self.evlrs)
         return [vlr.data for vlr in every if vlr.data is not None and vlr.has(key)]
 
 
 class Source:
-    """An input opened for reading, whose failures are about the input and not about the output."""
+    """An input opened for reading; its failures become input errors, not output errors."""
 
     def __init__(self, path: Path, handle: BinaryIO) -> None:
         self.path = path
@@ -240,7 +239,7 @@ class Source:
         return self._handle.tell()
 
     def read(self, n: int = -1) -> bytes:
-        """Read up to ``n`` bytes (also called by lazrs, which hides the error: it is kept)."""
+        """Read up to ``n`` bytes (also called by lazrs, which hides errors: they are kept here)."""
         try:
             return self._handle.read(n)
         except OSError as error:
@@ -248,7 +247,7 @@ class Source:
             raise self.error from error
 
     def into(self, view: memoryview) -> int:
-        """Fill a buffer as far as the file goes; return the bytes read."""
+        """Read into a buffer; return the number of bytes read, less at the end of the file."""
         done = 0
         while done < len(view):
             try:
@@ -261,7 +260,7 @@ class Source:
         return done
 
     def exact(self, n: int, what: str) -> bytes:
-        """Read ``n`` bytes or say what is cut off."""
+        """Read ``n`` bytes, or raise an error that names the part that is cut off."""
         start = self.tell()
         data = self.read(n)
         if len(data) != n:
@@ -289,7 +288,7 @@ def open_source(path: Path) -> Iterator[Source]:
 
 
 def damaged(path: Path, byte: int, problem: str, hint: str = DAMAGED) -> InputError:
-    """Return the error for a position in the file; to be raised by the caller."""
+    """Return an error that names a position in the file, for the caller to raise."""
     return InputError(f"{path}: byte {byte}", problem, hint)
 
 
@@ -304,7 +303,7 @@ def standard_bytes(point_format: int) -> int:
 def read_header(path: Path) -> LasHeader:
     """Read and check header, VLRs and extended VLRs.
 
-    A file of no records is none of its errors.
+    A file without records is accepted.
 
     Raises
     ------
@@ -358,7 +357,7 @@ def _read(source: Source) -> LasHeader:
 
 
 def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
-    """Read the header with the bytes that a user put at its end."""
+    """Read the header, user bytes at its end included."""
     where = str(source.path)
     if file_bytes == 0:
         raise InputError(where, "empty file, expected a LAS header of at least 227 bytes", DAMAGED)
@@ -379,12 +378,12 @@ def _read_fields(source: Source, file_bytes: int) -> HeaderFields:
 
 
 def _count(fields: HeaderFields, point_format: int) -> tuple[int, bool]:
-    """Return the number of records, and whether it is the legacy one of a 1.4 file."""
+    """Return the number of records, and whether it is the legacy count of a LAS 1.4 file."""
     legacy = fields.get("legacy_n_points")
     if not fields.has("n_points"):
         return legacy, False
     count = fields.get("n_points")
-    # some writers of 1.4 leave the new count empty; formats from 6 on must not use the old one
+    # some LAS 1.4 writers leave the new count 0; formats 6 and up must not use the old one
     is_legacy = count == 0 and legacy > 0 and point_format < 6
     return (legacy if is_legacy else count), is_legacy
 
@@ -396,16 +395,16 @@ def no_records(path: Path, fields: HeaderFields, left: int) -> InputError:
 
 
 def check_decodable(header: LasHeader) -> None:
-    """Refuse what may be copied but not read: no records, or coordinates that are no numbers.
+    """Refuse files that can be copied but not read: no records, or scales that are not finite numbers.
 
     Raises
     ------
     InputError
-        With the byte of the header that says so.
+        Naming the byte of the header.
     """
     for i, axis in enumerate("xyz"):
         scale, offset = header.scales[i], header.offsets[i]
-        # a comparison with NaN is false, infinity is caught by the upper bound
+        # comparisons with NaN are false; the upper bound catches infinity
         if not 0 < abs(scale) < float("inf"):
             problem = f"{axis} scale factor {scale}, expected a finite number other than 0"
             raise damaged(header.path, 131 + 8 * i, problem)
@@ -416,10 +415,10 @@ def check_decodable(header: LasHeader) -> None:
 
 
 def _read_by_laspy(fields: HeaderFields, point_format: int) -> Any:
-    """Let laspy read a copy of the header without what it would stumble on.
+    """Let laspy read a copy of the header without the parts that it would refuse.
 
-    laspy is not given the VLRs, whose texts it wants in UTF-8 and whose extra bytes it wants to fill the record, nor
-    the format bit of compression, for which it wants lazrs.
+    Left out are the VLRs, because laspy requires UTF-8 texts and extra bytes that fill the record, and the compression
+    bit, because it requires lazrs.
     """
     import laspy
 
@@ -523,13 +522,13 @@ def _read_evlrs(source: Source, bounds: tuple[int, int, int], count: int) -> tup
 
 
 def text_of(raw: bytes | str) -> str:
-    """Return a zero-terminated text; bytes that are no UTF-8 are shown as such, never an error."""
+    """Return a zero-terminated text; bytes that are not UTF-8 are shown escaped."""
     text = raw if isinstance(raw, str) else raw.split(b"\0")[0].decode("utf-8", "replace")
     return text.strip()
 
 
 def find_points_per_line(header: LasHeader) -> int | None:
-    """Return M where this program wrote the file and said so in its provenance VLR, else None."""
+    """Return M from the provenance VLR of this program, None if the file has none."""
     for data in header.find(RECORD_KEY):
         try:
             value = json.loads(data.rstrip(b"\0"))["stream"]["points_per_line"]

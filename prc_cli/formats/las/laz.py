@@ -1,8 +1,8 @@
-"""Raw records of LAS and LAZ files in batches; a LAZ file's chunks and their table are checked first.
+"""Reads raw records of LAS and LAZ files in batches; the chunk table of a LAZ file is checked first.
 
-A LAZ file is a row of independently compressed chunks and a table of their sizes. The table is compared with the
-file and with the header's count before anything is decoded, so that a lie ends in one line and not in an
-allocation; chunks are decoded in parallel (lazrs), each from its own bytes.
+A LAZ file is a sequence of independently compressed chunks and a table of their sizes. The table is compared with the
+file and with the count in the header before decoding, so that a wrong number gives an error and not a huge allocation.
+Chunks are decoded in parallel (lazrs).
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from prc_cli.formats.las.header import DAMAGED, LASZIP_KEY, LasHeader, Source, d
 CHUNK_SIZE_AT = 12
 """Byte of the chunk size in the laszip VLR."""
 ITEMS_AT = 32
-"""Byte where the items of a record begin: number, then type, size and version of each."""
+"""Byte where the items of a record begin: their number, then type, size and version of each."""
 LAYERED_FORMATS = 6
-"""From this point format on every field of a chunk is a layer of its own."""
+"""From this point format on, chunks are compressed in layers, one per field."""
 RUN_BYTES = 512
-"""A run of 0xFF, or nearly so, as long as this is found wherever it begins in one of twice the length."""
+"""Block length in the search for long runs of 0xFF: a run of twice the length covers a whole block."""
 _LOOK_BYTES = 4 << 20
 
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Compressed layers by item type; extra bytes (14) have one a byte."""
+"""Number of compressed layers by item type; extra bytes (14) have one per byte."""
 _TOGETHER_BYTES = 16 << 20
-"""Most bytes of records that are decoded together because there are many cores."""
+"""Most bytes of records decoded at a time, however many the cores."""
 _ONE_RETURN = 0x1F
-"""Highest byte of a record that tells of at most one return: their number is in the upper half."""
+"""Highest value of the returns byte for at most one return; the upper half holds the number of returns."""
 _AHEAD = 1
-"""Batches that wait for who takes them."""
+"""Batches decoded ahead of the consumer."""
 _SERIAL_BYTES = 256 << 20
-"""A chunk that unpacks to more than this is decoded bit by bit on one core instead of whole."""
+"""Chunks that unpack to more than this are decoded piece by piece on one core."""
 _SHARED_BYTES = 32 << 20
-"""The same where several are held at a time."""
+"""The same limit where several chunks are held at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +56,15 @@ class ChunkTable:
     first_byte: I64
     """(n + 1,) int64, position in the file of every chunk, then the end of the last."""
     n_unread: int
-    """Chunks that hold nothing but records beyond the header's count; they are not read."""
+    """Chunks entirely beyond the record count of the header; they are not read."""
     start: int
-    """First byte of the table."""
+    """First byte of the chunk table."""
     stop: int
-    """End of what may follow it."""
+    """End of the bytes that may follow the chunk table."""
 
 
 class LazRecords:
-    """The records of a LAZ file as raw bytes, from the start, in batches.
+    """Raw records of a LAZ file in batches, from the start.
 
     Parameters
     ----------
@@ -121,9 +121,9 @@ class LazRecords:
         if len(raw) < 8:
             raise damaged(path, position, "the file ends, expected the LAZ chunk table: it changed while read")
         n_chunks = struct.unpack("<II", raw)[1]
-        # every chunk begins with one record as it is: a bound for the count before anything is allocated
+        # every chunk begins with one uncompressed record: limits the count before allocation
         least, most = 1, (position - start) // header.record_bytes
-        if not header.n_records:  # there may be no chunk, or one that is empty
+        if not header.n_records:  # there may be no chunk, or an empty one
             least, most = 0, max(most, 1)
         if not least <= n_chunks <= most:
             problem = f"chunk table of {n_chunks} chunks, expected {least} to {most} in {position - start} bytes"
@@ -134,7 +134,7 @@ class LazRecords:
         if not header.n_records:
             nothing: I64 = np.array([0], np.int64)
             return ChunkTable(nothing, nothing + start, 0, position, stop)
-        # 32 bits in the file; the decoder hands on what damage makes of them, so keep the sums within int64
+        # 32 bits in the file; the decoder returns damaged values as they are, so keep the sums within int64
         table = np.array(pairs, dtype=np.uint64).reshape(-1, 2).clip(max=2**32).astype(np.int64)
         n_bytes = int(table[:, 1].sum())
         if len(table) != n_chunks or n_bytes > position - start or (table[:, 1] < header.record_bytes).any():
@@ -151,14 +151,14 @@ class LazRecords:
         return ChunkTable(first_record, first_byte, len(table) - n_used, position, stop)
 
     def _table_bounds(self) -> tuple[int, int]:
-        """Return the byte where the chunk table begins, and the end of what may follow it."""
+        """Return the byte where the chunk table begins, and the end of the bytes that may follow it."""
         header = self.header
         stop = header.file_bytes
         self._source.seek(header.data_offset)
         raw = self._source.read(8)
         position = struct.unpack("<q", raw)[0] if len(raw) == 8 else 0
         if position == -1 and stop >= header.data_offset + 16:
-            # written to a pipe: the position stands at the very end, and is not needed again
+            # files written to a pipe have this position at their end
             stop -= 8
             self._source.seek(stop)
             position = struct.unpack("<q", self._source.exact(8, "the position of the chunk table"))[0]
@@ -179,12 +179,12 @@ class LazRecords:
         Parameters
         ----------
         n_max : int
-            Most records of a batch. As many chunks are decoded together as there are cores, and given out in batches.
+            Most records of a batch. One chunk per core is decoded at a time, and yielded in batches.
         selection : int
             Layers to decode (``lazrs.SELECTIVE_DECOMPRESS_*``), point formats 6-10 only.
         several : int, optional
-            Layers to decode of records among which a shot has several returns, and of all after them; contains
-            ``selection``. The others then hold anything in the layers between the two.
+            Layers to decode from the first batch on in which a shot has several returns; contains ``selection``. Before
+            it, the additional layers are undefined.
         n_buffers : int
             A batch is valid until as many more are asked for.
 
@@ -202,7 +202,7 @@ class LazRecords:
             return
         size = self.header.record_bytes
         largest = int(np.diff(self.table.first_record).max())
-        # the parallel decoder sizes its buffers by the declared chunk, full or not
+        # the parallel decoder allocates the declared chunk size, whether full or not
         declared = self.vlr.chunk_size()
         limit = _SERIAL_BYTES if n_buffers == 1 else _SHARED_BYTES
         whole = largest * size <= limit and (declared * size <= limit or self.vlr.uses_variable_size_chunks())
@@ -211,19 +211,19 @@ class LazRecords:
             selection, several = several, None
         decoder = self.open(self._source, kind, selection)
         n_chunks = len(self.table.first_record) - 1
-        # every core decodes a chunk of its own
+        # one chunk per core
         n_together = max(n_max, min(default_threads() * largest, _TOGETHER_BYTES // size))
         buffers = _Buffers(n_buffers)
         chunk = 0
         while chunk < n_chunks:
             first = int(self.table.first_record[chunk])
             end = max(int(np.searchsorted(self.table.first_record, first + n_together, side="right")) - 1, chunk + 1)
-            # opened anew: the decoder must find the other one where it left it
+            # a second handle: the decoder needs the position of the first one unchanged
             with open_source(self.header.path) as source:
                 self._check_layers(source, chunk, end)
                 self._check_runs(source, chunk, end)
             stop = int(self.table.first_record[end])
-            # whole chunks are decoded at once even if they are longer than a batch: only then is damage noticed
+            # decode whole chunks even if longer than a batch: only then is damage noticed
             step = stop - first if whole else n_max
             for begin in range(first, stop, step):
                 raw = buffers.next(min(step, stop - begin) * size)
@@ -241,7 +241,7 @@ class LazRecords:
             chunk = end
 
     def open(self, source: Source, kind: Any, selection: int) -> Any:
-        """Return a decoder of some layers, which stands at the first record of a source."""
+        """Return a decoder of some layers, at the first record of a source."""
         source.seek(self.header.data_offset)
         with decoding(source, "the compressed records cannot be opened"):
             return kind(source, self.vlr_data, lazrs.DecompressionSelection(selection))
@@ -282,7 +282,7 @@ class LazRecords:
         return chunk_head(self._items).size // 4 - 1
 
     def heads(self, source: Source, first: int, end: int) -> Iterator[tuple[int, int]]:
-        """Yield how many records every chunk of point formats 6-10 says that it holds, and how many bytes it claims."""
+        """Yield the declared number of records and bytes of every chunk of point formats 6-10."""
         layout = chunk_head(self._items)
         for begin in self.table.first_byte[first:end].tolist():
             source.seek(begin + self.header.record_bytes)
@@ -291,7 +291,7 @@ class LazRecords:
             yield held, self.header.record_bytes + layout.size + sum(layers)
 
     def _check_layers(self, source: Source, first: int, end: int) -> None:
-        """Compare the sizes that chunks of point formats 6-10 declare of themselves with the chunk table."""
+        """Compare the sizes declared in chunks of point formats 6-10 with the chunk table."""
         if self._items[0][0] < 10:
             return
         path, table = self.header.path, self.table
@@ -306,7 +306,7 @@ class LazRecords:
                 raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
 
     def _check_runs(self, source: Source, first: int, end: int) -> None:
-        """Refuse chunks with a long run of 0xFF: the decoder would end the process."""
+        """Refuse chunks with a long run of 0xFF, which makes the decoder kill the process."""
         byte = find_run(source, int(self.table.first_byte[first]), int(self.table.first_byte[end]))
         if byte is None:
             return
@@ -331,7 +331,7 @@ def read_batches(
     Parameters
     ----------
     source : Source
-        The file, opened; nobody else may read from it meanwhile.
+        The opened file; nothing else may read from it meanwhile.
     header : LasHeader
         Of this file.
     n_max : int
@@ -363,18 +363,18 @@ def read_batches(
 
 
 def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
-    """Yield all raw records, ``n`` at a time; each may be changed by the caller, until the next is asked for.
+    """Yield all raw records, ``n`` at a time; the caller may change an array until it asks for the next.
 
-    Compressed ones are decoded ahead in a thread of their own; close the iterator before the source.
+    Compressed records are decoded ahead in a thread; close the iterator before the source.
 
     Raises
     ------
     InputError
         When records are cut off or cannot be decompressed, naming them.
     """
-    # what is not compressed is read in less time than two threads take to hand it over
+    # uncompressed records are read faster than one thread can hand them to another
     ahead = header.compressed and header.n_records > n
-    # where a thread reads ahead, one is in use, others wait, one is being filled
+    # with a thread reading ahead, one batch is in use, others wait, one is being filled
     batches = _exactly(read_batches(source, header, n, n_buffers=_AHEAD + 2 if ahead else 1), header, n)
     yield from read_ahead(batches, depth=_AHEAD) if ahead else batches
 
@@ -404,7 +404,7 @@ def _exactly(batches: Iterator[tuple[int, memoryview]], header: LasHeader, n: in
 
 
 def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
-    """Return where what follows the points begins and ends: EVLRs, waveforms, foreign bytes.
+    """Return the first byte and the end of what follows the points: EVLRs, waveforms, unknown bytes.
 
     Behind compressed points this is the end of the chunk table, found by encoding the table again.
     """
@@ -422,19 +422,19 @@ def tail_bounds(source: Source, header: LasHeader) -> tuple[int, int]:
     source.seek(table_at)
     if source.read(len(again.getvalue())) == again.getvalue():
         return table_at + len(again.getvalue()), stop
-    # another encoder's table: what follows is known only from the EVLRs' own offset
+    # a table of another encoder: only the offset of the EVLRs tells where the rest begins
     return (header.evlrs[0].start if header.evlrs else stop), stop
 
 
 class _Buffers:
-    """Memory used in turns: new one every time would cost as much as reading."""
+    """Buffers used in turn: allocating each time would take as long as reading."""
 
     def __init__(self, n: int) -> None:
         self._turns = cycle(range(n))
         self._buffers: list[U8] = [np.empty(0, np.uint8)] * n
 
     def next(self, n_bytes: int) -> memoryview:
-        """Return the next one; it is given again after all others."""
+        """Return the next buffer; it is used again after all others."""
         turn = next(self._turns)
         if len(self._buffers[turn]) < n_bytes:
             self._buffers[turn] = np.empty(n_bytes, np.uint8)
@@ -442,7 +442,7 @@ class _Buffers:
 
 
 def chunk_head(items: Iterable[tuple[int, int]]) -> struct.Struct:
-    """Return what follows the first record of a chunk: the number of records, and the bytes of every layer.
+    """Return the format of the head behind the first record of a chunk: record count, bytes per layer.
 
     Parameters
     ----------
@@ -490,7 +490,7 @@ def find_run(handle: _Readable, start: int, stop: int) -> int | None:
         raw = np.frombuffer(handle.read(min(_LOOK_BYTES, stop - position)), np.uint8)
         if not len(raw):
             return None
-        # a run of twice the block covers a whole block wherever it begins; a few other bytes in it change nothing
+        # a run of twice the block covers a whole block wherever it begins; a few other bytes are tolerated
         blocks = raw[: len(raw) // RUN_BYTES * RUN_BYTES].reshape(-1, RUN_BYTES)
         full = np.flatnonzero((blocks[:, ::8] == 0xFF).sum(axis=1) > RUN_BYTES // 16)
         if len(full):
@@ -500,18 +500,18 @@ def find_run(handle: _Readable, start: int, stop: int) -> int | None:
 
 
 def _has_several(raw: memoryview, record_bytes: int) -> bool:
-    """Tell whether a shot among records of point formats 6-10 has several returns."""
+    """Whether any shot among records of point formats 6-10 has several returns."""
     returns = np.frombuffer(raw, np.uint8)[14::record_bytes]
     return bool(returns.max(initial=0) > _ONE_RETURN)
 
 
 @contextlib.contextmanager
 def decoding(source: Source, problem: str) -> Iterator[None]:
-    """Turn whatever the decompressor raises into :class:`InputError`; it may even panic on damaged bytes."""
+    """Turn any exception or panic of the decompressor into :class:`InputError`."""
     try:
         yield
     except BaseException as error:
-        if source.error is not None:  # the system's own, which the library rewords
+        if source.error is not None:  # raise the error of the system, which the library rewords
             raise source.error from error
         # pyo3's PanicException is no Exception and cannot be imported; Ctrl-C must pass
         if not isinstance(error, Exception) and type(error).__name__ != "PanicException":

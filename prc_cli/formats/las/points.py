@@ -1,6 +1,6 @@
-"""Point records: which bytes and bits hold which dimension, read and changed.
+"""Point records: the bytes and bits of every dimension, read and changed.
 
-laspy knows the point formats and takes extra-bytes descriptors apart. Records are (n, record length) uint8 arrays,
+laspy defines the point formats and parses the extra-bytes descriptors. Records are (n, record length) uint8 arrays,
 laid out as in the file (ASPRS LAS 1.4 R15, tables 7-17).
 """
 
@@ -23,7 +23,7 @@ from prc_cli.formats.las.header import DAMAGED, EXTRA_BYTES_KEY, LasHeader, Vlr,
 from prc_cli.formats.writing.columns import ExtraDimension
 
 FORMAT_FOR_CODES = {0: 6, 1: 6, 2: 7, 3: 7, 4: 9, 5: 10}
-"""The format with eight-bit classes that holds everything of a format with five-bit classes."""
+"""For formats with five-bit classes: the format with eight-bit classes that holds all their fields."""
 SCAN_ANGLE_STEP_DEG = 0.006
 """Unit of the scan angle in formats 6-10 [deg]."""
 VLR_LIMIT = 65_535
@@ -37,7 +37,7 @@ _AS_FLOAT = frozenset(("range", "time", "angle"))
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """How one dimension is decoded: ``stored * scale + offset``, or some bits of ``stored``."""
+    """Decoding of a dimension: ``stored * scale + offset``, or some bits of ``stored``."""
 
     column: str
     """Field of the structured record."""
@@ -45,18 +45,18 @@ class Field:
     scale: float | None = None
     offset: float = 0.0
     no_data: float | int | None = None
-    """Stored value that means none."""
+    """Stored value that means no data."""
     as_float: bool = False
-    """float64 even where the stored number is another."""
+    """Whether values are float64 whatever the stored type."""
     layer: str = "extra"
     """Dimension whose compressed layer holds it (point formats 6-10)."""
 
     def decode(self, records: NDArray[Any]) -> NDArray[Any]:
-        """Return the dimension as an array of its own, so that the raw records can go."""
+        """Return the dimension as a new array, so that the raw records can be released."""
         stored = records[self.column]
         if self.mask is not None:
             return (stored & np.uint8(self.mask)) >> np.uint8((self.mask & -self.mask).bit_length() - 1)
-        # damaged records may hold any bits: what is no number stays NaN or infinite and is counted later
+        # damaged records may hold any bits: NaN and infinity are counted later
         with np.errstate(invalid="ignore", over="ignore"):
             if self.scale is not None:
                 values = stored * np.float64(self.scale) + np.float64(self.offset)
@@ -71,14 +71,14 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class ExtraBytes:
-    """What a descriptor says of some extra bytes."""
+    """Descriptor of an extra-bytes dimension."""
 
     name: str
     data_type: int
     """Number of the type in LAS 1.4 table 24."""
     description: str
     dtype: np.dtype[Any]
-    """Type of a number; raw bytes have as many of their own."""
+    """Type of one element; undocumented raw bytes have one element per byte."""
     n_values: int
     scale: float | None
     offset: float | None
@@ -110,11 +110,11 @@ class RecordLayout:
     dtype: np.dtype[Any]
     """Structured type of a stored record."""
     fields: dict[str, Field]
-    """Dimension name -> how it is decoded, in the order of the record."""
+    """Dimension name -> decoding, in the order of the record."""
     extra: tuple[ExtraBytes, ...]
-    """The extra bytes that are described and fit, under names that no other dimension has."""
+    """Described extra bytes that fit into the record, with unique names."""
     notes: tuple[str, ...]
-    """What in the description does not fit the record."""
+    """Notices about descriptors that do not fit the record."""
 
     def describe_extra(self) -> list[dict[str, Any]]:
         """Return name, type, description and scaling of all extra bytes, ready for JSON."""
@@ -133,7 +133,7 @@ def standard_columns(point_format: int) -> tuple[tuple[str, str], ...]:
 
 
 def read_layout(header: LasHeader) -> RecordLayout:
-    """Put together the point format and the extra bytes.
+    """Combine the point format and the extra bytes.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def read_layout(header: LasHeader) -> RecordLayout:
     found: list[ExtraBytes] = []
     notes: list[str] = []
     left = header.n_extra_bytes
-    # a file may hold several of these VLRs, each describes the bytes that follow those of the one before
+    # a file may hold several of these VLRs, for consecutive extra bytes
     for extra in _described(str(header.path), header.find(EXTRA_BYTES_KEY)):
         if extra.n_bytes > left:
             what = f"extra bytes {extra.name!r} are described"
@@ -171,7 +171,7 @@ def read_layout(header: LasHeader) -> RecordLayout:
         columns.append((column, kind) if one else (column, kind, (extra.n_values,)))
         found.append(replace(extra, name=name, place=header.record_bytes - left))
         left -= extra.n_bytes
-        if extra.data_type and one:  # neither raw bytes nor vectors are one number a record
+        if extra.data_type and one:  # raw bytes and vectors are not one number per record
             factor = (1.0 if extra.scale is None else extra.scale) if extra.is_scaled else None
             as_float = name in _AS_FLOAT
             fields[name] = Field(column, None, factor, extra.offset or 0.0, extra.no_data, as_float=as_float)
@@ -182,7 +182,7 @@ def read_layout(header: LasHeader) -> RecordLayout:
 
 
 def _described(where: str, contents: Iterable[bytes]) -> Iterator[ExtraBytes]:
-    """Yield what the descriptors of Extra Bytes VLRs say, in their order, checked."""
+    """Yield the descriptors of Extra Bytes VLRs in order, checked."""
     from laspy.vlrs.known import ExtraBytesStruct
 
     size = ExtraBytesStruct.size()
@@ -219,7 +219,7 @@ def _extra_bytes(where: str, said: Any) -> ExtraBytes:
 
 
 def _no_data(said: Any, number: np.dtype[Any]) -> float | int | None:
-    """Return the stored value that means none; laspy would turn one that cannot occur into one that can."""
+    """Return the stored no-data value; laspy would convert a value out of range to one that can occur."""
     if not said.options & said.NO_DATA_BIT_MASK:
         return None
     value: float = struct.unpack_from({"u": "<Q", "i": "<q", "f": "<d"}[number.kind], bytes(said), 40)[0]
@@ -235,7 +235,7 @@ def layers_of(fields: Iterable[Field]) -> int:
     for one in fields:
         layer = _LAYER.get(one.layer)
         if layer is None:
-            # a dimension without a layer of its own: better too much than too little
+            # no layer known for this dimension: decode all
             layer = "ALL_EXTRA_BYTES" if one.layer == "extra" else "ALL"
         if layer:
             selection |= int(getattr(lazrs, f"SELECTIVE_DECOMPRESS_{layer}"))
@@ -264,7 +264,7 @@ _LAYER = {
 
 
 def descriptor(dimension: ExtraDimension) -> bytes:
-    """Return the 192 bytes that describe a dimension, without the least and greatest value."""
+    """Return the 192-byte descriptor of a dimension, without minimum and maximum."""
     from laspy.vlrs.known import ExtraBytesStruct
 
     said = ExtraBytesStruct.from_buffer_copy(bytes(ExtraBytesStruct.size()))
@@ -288,15 +288,15 @@ def extra_bytes_vlr(dimensions: Sequence[ExtraDimension]) -> Vlr:
 def with_extra_dimensions(
     header: LasHeader, vlrs: list[Vlr], dimensions: Sequence[ExtraDimension], hint: str
 ) -> list[Vlr]:
-    """Return the VLRs with dimensions described behind those that the records have already.
+    """Return the VLRs with descriptors of new dimensions behind those present.
 
-    Bytes of the record that no VLR describes get an undocumented entry, so that the new ones are found. ``hint`` says
-    what to do about an error.
+    Undescribed extra bytes get an undocumented entry, so that readers find the new ones. ``hint`` is the hint of
+    errors.
 
     Raises
     ------
     OutputError
-        When the VLRs describe more than the records hold, lie where they cannot grow, or are full.
+        When the VLRs describe more bytes than the records have, are extended VLRs, or are full.
     """
     if not dimensions:
         return vlrs
@@ -311,7 +311,7 @@ def with_extra_dimensions(
         raise OutputError(where, problem, hint)
     new = b""
     while hidden > 0:
-        # of type 0, whose options are its length
+        # type 0: the options field holds the length
         new += bytes((0, 0, 0, min(hidden, 255))).ljust(160, b"\0") + b"not described in the input".ljust(32, b"\0")
         hidden -= 255
     new += b"".join(map(descriptor, dimensions))
@@ -326,7 +326,7 @@ def with_extra_dimensions(
 
 
 def set_classes(records: U8, point_format: int, codes: U8) -> None:
-    """Set the class codes of records in place; flag bits that share the byte stay.
+    """Set the class codes of records in place; flag bits in the same byte stay.
 
     Examples
     --------
@@ -348,11 +348,11 @@ def set_classes(records: U8, point_format: int, codes: U8) -> None:
 
 
 def upgrade(records: U8, point_format: int) -> U8:
-    """Turn records of formats 0-5 into the matching format 6-10, classes and extra bytes included.
+    """Convert records of formats 0-5 to the matching format 6-10, classes and extra bytes included.
 
-    Return number and count, scan direction, edge, the three flags and whatever has the same name in both are moved;
-    the scan angle is turned from whole degrees into steps of 0.006 degrees; what the old format lacks (gps_time in 0
-    and 2, near infrared in 5, scanner channel, overlap) is zero.
+    Return number and count, scan direction, edge, the three flags and all fields of the same name are copied; the scan
+    angle is converted from whole degrees to steps of 0.006 degrees; fields that the old format lacks (gps_time in 0 and
+    2, near infrared in 5, scanner channel, overlap) are zero.
 
     Parameters
     ----------

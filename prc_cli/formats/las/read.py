@@ -1,4 +1,4 @@
-"""LAS and LAZ files of every point format as records: decoded in chunks, only the dimensions asked for."""
+"""Reader of LAS and LAZ files of all point formats: decodes only the requested dimensions, in chunks."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
 CHUNK_RECORDS = 1 << 16
 """Records decoded at a time."""
 CHUNK_BYTES = 64 << 20
-"""Most bytes decoded at a time; fat records make shorter chunks."""
+"""Most bytes decoded at a time: long records make shorter chunks."""
 
 
 class LasSource:
     """A LAS or LAZ file as a :class:`prc_cli.formats.records.RecordSource`.
 
-    What is inside decides, not the suffix. Units: ``x``, ``y``, ``z`` float64 in the file's coordinate system,
-    ``time`` float64 [s] (gps_time as stored), ``angle`` float64 [rad]; scaled extra bytes are scaled, their
-    no-data values become NaN. An extra-bytes dimension that has the name of something the point format
-    holds already is called ``extra_NAME``.
+    The content decides whether it is compressed, not the suffix. Units: ``x``, ``y``, ``z`` float64 in the file's
+    coordinate system, ``time`` float64 [s] (gps_time as stored), ``angle`` float64 [rad]; scaled extra bytes are
+    scaled, their no-data values become NaN. An extra-bytes dimension with the name of a field of the point format is
+    called ``extra_NAME``.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class LasSource:
         self._chunk_records = max(1, min(chunk_records, CHUNK_BYTES // self.header.record_bytes))
         self._layout = read_layout(self.header)
         self.laz_contexts = LazContexts() if self.header.compressed and self.header.point_format >= 6 else None
-        """Kept from the records that :meth:`chunks` decodes, for who writes the file again."""
+        """Kept from the records that :meth:`chunks` decodes, for rewriting the file."""
         self._spares_intensity = False
         self._n_unread_chunks = 0
         if self.header.compressed:
@@ -93,7 +93,7 @@ class LasSource:
 
     @property
     def points_per_line_hint(self) -> int | None:
-        """M, where this program wrote the file and recorded it."""
+        """M, if this program wrote the file."""
         return find_points_per_line(self.header)
 
     @cached_property
@@ -103,7 +103,7 @@ class LasSource:
         Raises
         ------
         InputError
-            When the first records, which are looked at for their time and angle, cannot be decoded.
+            When the first records, read for their time and angle, cannot be decoded.
         """
         names = [name for name in self._layout.fields if name not in self._zero]
         standard = [name for name in STANDARD_NAMES if name in names]
@@ -111,7 +111,7 @@ class LasSource:
 
     @cached_property
     def _zero(self) -> tuple[str, ...]:
-        """Which of time and angle are all zero in the first chunk: then there are none."""
+        """Which of time and angle are all zero in the first chunk, and therefore not offered."""
         names = tuple(name for name in ("time", "angle") if name in self._layout.fields)
         with closing(self._decoded(names)) as chunks:
             first = next(chunks)
@@ -119,7 +119,7 @@ class LasSource:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What is unusual about the file, one plain sentence each, for ``prc info``."""
+        """Notices about the file, one sentence each, for ``prc info``."""
         notes = []
         suffix = self._path.suffix.lower()
         if suffix in (".las", ".laz") and suffix != f".{self.format.lower()}":
@@ -140,7 +140,7 @@ class LasSource:
 
     @cached_property
     def facts(self) -> SourceFacts:
-        """What the file says of itself beside its records.
+        """Metadata of the file.
 
         Raises
         ------
@@ -158,22 +158,22 @@ class LasSource:
         )
 
     def skip_intensity(self) -> None:
-        """Decode ``intensity`` only where it may decide between returns of a shot; elsewhere it may be anything.
+        """Decode ``intensity`` only where a shot may have several returns; elsewhere its values are undefined.
 
-        Noisy as it is, its layer takes a fifth of the whole decompression.
+        Its layer takes a fifth of the time for decompression, because intensities are noisy.
         """
         self._spares_intensity = True
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named dimensions from the start, in bounded memory, in the order of the file.
 
-        From the second chunk of a compressed file on, a thread decodes the next one meanwhile; who only looks at the
-        first starts none.
+        From the second chunk of a compressed file on, a thread decodes the next one ahead; reading only the first chunk
+        starts no thread.
 
         Raises
         ------
         ConfigError
-            When a name is none of :attr:`dimensions`.
+            When a name is not in :attr:`dimensions`.
         InputError
             When records cannot be read or decoded, naming them.
         """
@@ -188,12 +188,12 @@ class LasSource:
         except BaseException:
             decoded.close()
             raise
-        # what is not compressed is decoded in less time than two threads take to hand it over
+        # uncompressed records are decoded faster than one thread can hand them to another
         apart = self.header.compressed and first.n < self.n_records
         yield from read_ahead(decoded, depth=1) if apart else decoded
 
     def _decoded(self, names: tuple[str, ...]) -> Generator[RecordChunk]:
-        """Decode one batch after the other; every dimension is copied out of its batch."""
+        """Decode batch by batch; every dimension is copied out of its batch."""
         fields = self._layout.fields
         for first, raw in self._batches(names):
             if self.laz_contexts is not None and first == self.laz_contexts.n_seen:
@@ -203,7 +203,7 @@ class LasSource:
             yield RecordChunk(first, {name: fields[name].decode(records) for name in names}, len(records))
 
     def _batches(self, names: tuple[str, ...]) -> Iterator[tuple[int, memoryview]]:
-        """Yield the index of the first record and the records, uncompressed; valid until the next is asked for."""
+        """Yield the index of the first record and the raw records; valid until the next batch."""
         asked = [self._layout.fields[name] for name in names]
         layers, several = layers_of(asked), None
         if self._spares_intensity and "intensity" in names:
@@ -213,7 +213,7 @@ class LasSource:
             yield from read_batches(source, self.header, self._chunk_records, (layers, several))
 
     def describe(self) -> dict[str, Any]:
-        """Return what the header says, ready for JSON, for ``prc info``."""
+        """Return the header as plain values for JSON, for ``prc info``."""
         header = self.header
         return {
             "version": self.version,

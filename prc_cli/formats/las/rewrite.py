@@ -1,4 +1,4 @@
-"""Classes into a LAS or LAZ file; everything else stays, bit for bit, but for what the ``[output]`` table asks for."""
+"""Writes classes into a copy of a LAS or LAZ file; nothing else changes except as ``[output]`` asks."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class LasRewriter(ScatterWriter):
         self._compress = path.suffix.lower() == ".laz"
 
     def _source_state(self) -> tuple[int, int, int]:
-        """Size, time of the last change and number of the input file: another one of any is another file."""
+        """Size, time of the last change and number of the input file: if one differs, the file has changed."""
         with open_source(self._source_path) as source:
             return source.state()
 
@@ -134,7 +134,7 @@ class LasRewriter(ScatterWriter):
         return plan
 
     def _vlrs(self, las: LasHeader, plan: Plan) -> list[Vlr]:
-        """VLRs of the output, the run record still the old one."""
+        """VLRs of the output, still with the old run record."""
         vlrs = list(las.vlrs)
         if any(vlr.user_id == COPC_USER for vlr in vlrs):
             self._notice(
@@ -160,7 +160,7 @@ class LasRewriter(ScatterWriter):
 
 
 class _Points:
-    """Writes every record with its class, and notes what the header and a check must know of them."""
+    """Writes every record with its class, and collects counts and checksum for the header and the check."""
 
     def __init__(self, las: LasHeader, plan: Plan) -> None:
         self._las = las
@@ -188,7 +188,7 @@ class _Points:
 
 
 def changed(records: U8, columns: Columns, las: LasHeader, plan: Plan) -> U8:
-    """Return records as they go into the output; the given ones may be changed in place."""
+    """Return records as the output holds them; may change the given ones in place."""
     if plan.upgrades(las):
         records = upgrade(records, las.point_format)
     set_classes(records, plan.point_format, columns.codes)
@@ -201,30 +201,29 @@ def changed(records: U8, columns: Columns, las: LasHeader, plan: Plan) -> U8:
 
 
 CARRIED = tuple(column.name for column in OPTIONAL_COLUMNS)
-"""Dimensions of this program's own outputs that can go along with the class."""
+"""Dimensions of this program that can be written along with the class."""
 
 
 class LasRecoder(LasRewriter):
     """Writer of a LAS or LAZ file from another one, with a class code for every record.
 
-    Use it as a context manager: :meth:`put` every record once, then :meth:`finish`; without that nothing is left.
+    Use it as a context manager: :meth:`put` every record once, then :meth:`finish`; without it no output is left.
 
     Parameters
     ----------
     path : Path
         Output, ``.las`` or ``.laz``.
     source : Path
-        LAS or LAZ file that is written again.
+        LAS or LAZ file to be copied.
     carried : tuple of str
-        Dimensions of :data:`CARRIED` that are set too, for records that get them; values that the source has under
-        this name are replaced.
+        Dimensions of :data:`CARRIED` to be written too; values of the source under these names are replaced.
 
     Raises
     ------
     ConfigError
         When a dimension cannot be carried.
     InputError
-        When the source has no sound header.
+        When the header of the source is damaged.
     """
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:

@@ -1,4 +1,4 @@
-"""Where raw records go: an output that is being written, as they are or compressed by laszip (lazrs)."""
+"""Sinks of raw records: an output file, uncompressed or compressed with laszip (lazrs)."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _PLAIN_BYTES = 1 << 19
 _LARGE_CHUNK_BYTES = 32 << 20
 _COPY_BYTES = 4 << 20
 _FLUSH_BYTES = 16 << 20
-"""Bytes after which the disk is set to work, so that little is left to be waited for at the end."""
+"""Bytes after which writing to disk is started, so that little is left to wait for at the end."""
 
 
 class Target:
-    """An output being written; keeps the system's own error, or an interrupt: lazrs would reword them."""
+    """An output being written; keeps errors of the system and interrupts, which lazrs would reword."""
 
     def __init__(self, handle: BinaryIO) -> None:
         self._handle = handle
@@ -45,14 +45,14 @@ class Target:
         """Write all bytes."""
         view = memoryview(data).cast("B")
         try:
-            # what begins inside a page makes the system work on it twice, and takes half as long again
+            # keep writes aligned to pages: others make the system handle a page twice and take 1.5 times as long
             head = WRITE_BYTES - self._handle.tell() % WRITE_BYTES if len(view) > WRITE_BYTES else len(view)
             for first, last in pairwise((0, *range(head, len(view), WRITE_BYTES), len(view))):
                 self._handle.write(view[first:last])
             self._n_unflushed += len(view)
             if self._n_unflushed >= _FLUSH_BYTES:
                 stop = self._handle.tell()
-                # after going back to a header, most of what was counted lies elsewhere
+                # after a seek back to a header, most of the bytes counted lie elsewhere
                 begin_flush(self._handle, max(0, stop - self._n_unflushed), stop)
                 self._n_unflushed = 0
             return len(view)
@@ -64,7 +64,7 @@ class Target:
         """Go to a position."""
         try:
             return self._handle.seek(position, whence)
-        except BaseException as error:  # a seek flushes the buffer, hence may find the disk full
+        except BaseException as error:  # a seek flushes the buffer, so it may fail on a full disk
             self.error = error
             raise
 
@@ -73,7 +73,7 @@ class Target:
         return self._handle.tell()
 
     def flush(self) -> None:
-        """Hand the buffer to the system."""
+        """Flush the buffer."""
         try:
             self._handle.flush()
         except BaseException as error:
@@ -82,17 +82,17 @@ class Target:
 
 
 class PointSink(Protocol):
-    """Where raw records go."""
+    """A sink of raw records."""
 
     def write(self, records: U8) -> None:
         """Append (n, record length) uint8 records."""
 
     def close(self) -> None:
-        """Write what is still held back; the target stands behind the points then."""
+        """Write buffered records; the target is then positioned behind the points."""
 
 
 class LasSink:
-    """Records as they are."""
+    """Uncompressed records."""
 
     def __init__(self, target: Target) -> None:
         self._target = target
@@ -102,7 +102,7 @@ class LasSink:
         self._target.write(np.ascontiguousarray(records).reshape(-1).data)
 
     def close(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: no records are buffered."""
 
 
 class LazSink:
@@ -129,16 +129,16 @@ class LazSink:
 
 
 def batch_size(record_bytes: int, *, compressed: bool) -> int:
-    """Return how many records are handled together: bounded in number and in bytes.
+    """Return the number of records per batch, limited in number and bytes.
 
-    Compression takes several chunks at a time to keep every core busy; plain bytes go faster through a buffer that
-    stays in the processor's cache.
+    Compression takes several chunks at a time to keep every core busy; uncompressed records are faster in a buffer that
+    fits the processor's cache.
     """
     return max(1, min(_BATCH_RECORDS, (_BATCH_BYTES if compressed else _PLAIN_BYTES) // record_bytes))
 
 
 def batch_records(header: LasHeader, *, compressed: bool) -> int:
-    """Return how many records of an input are handled together; whole chunks, if they are compressed."""
+    """Return the number of input records per batch; whole chunks if compressed."""
     n = batch_size(header.record_bytes, compressed=compressed)
     laszip = header.vlr(LASZIP_KEY) if header.compressed else None
     if laszip is None or has_variable_chunks(laszip.data or b""):
@@ -156,25 +156,25 @@ def new_laszip_payload(path: Path, point_format: int, n_extra_bytes: int) -> byt
         raise OutputError(str(path), problem, "write .las instead of .laz") from error
     n_items = struct.unpack_from("<H", payload, ITEMS_AT)[0]
     for at in range(ITEMS_AT + 2, ITEMS_AT + 2 + 6 * n_items, 6):
-        # lazrs calls its only way of coding waveform packets of formats 4 and 5 version 2; LASzip knows the same
-        # bytes as version 1 and refuses any other
+        # lazrs writes 2 as the version of waveform packets in formats 4 and 5; LASzip accepts only 1, and the bytes are
+        # the same
         if struct.unpack_from("<H", payload, at)[0] == _WAVEPACKET13:
             struct.pack_into("<H", payload, at + 4, 1)
     return bytes(payload)
 
 
 def has_variable_chunks(laszip: bytes) -> bool:
-    """Whether compressed chunks differ in length (COPC, for one)."""
+    """Whether compressed chunks differ in length (for example COPC)."""
     return bool(struct.unpack_from("<I", laszip, CHUNK_SIZE_AT)[0] == _VARIABLE_CHUNKS)
 
 
 def large_chunks(vlr: Any) -> bool:
-    """Whether a compressed chunk unpacks to more than a batch: the parallel coders of lazrs hold whole chunks."""
+    """Whether a compressed chunk unpacks to more than a batch; the parallel coders of lazrs hold whole chunks."""
     return bool(vlr.chunk_size() * vlr.item_size() > _LARGE_CHUNK_BYTES)
 
 
 def laszip_vlr(header: LasHeader, point_format: int, n_extra_bytes: int, *, keep: bool) -> Vlr:
-    """Return the laszip VLR of an output: the input's own where records and items stay as they are (``keep``).
+    """Return the laszip VLR of an output: that of the input where records and items stay the same (``keep``).
 
     Raises
     ------
@@ -187,10 +187,10 @@ def laszip_vlr(header: LasHeader, point_format: int, n_extra_bytes: int, *, keep
         return make_vlr(LASZIP_KEY, payload, "laszip (lazrs)")
     if not header.compressed or has_variable_chunks(old.data):
         return old.with_data(payload)
-    # other versions of laszip's items are read, but not written faithfully (lazrs 0.8.2: version 1 of RGB)
+    # lazrs 0.8.2 reads other versions of laszip's items, but does not write all of them correctly (version 1 of RGB)
     if keep and old.data[ITEMS_AT:] == payload[ITEMS_AT:]:
         return old
-    # other records, but chunks as they were
+    # other records, same chunk size
     chunk_size = old.data[CHUNK_SIZE_AT : CHUNK_SIZE_AT + 4]
     return old.with_data(payload[:CHUNK_SIZE_AT] + chunk_size + payload[CHUNK_SIZE_AT + 4 :])
 
@@ -211,7 +211,7 @@ def copy_bytes(source: Source, target: Target, start: int, stop: int) -> None:
 
 @contextlib.contextmanager
 def codec_errors(target: Target) -> Iterator[None]:
-    """Turn what lazrs raises into the system's own error or one about the output."""
+    """Turn exceptions of lazrs into the error of the system or one about the output."""
     try:
         yield
     except BaseException as error:
@@ -223,5 +223,5 @@ def codec_errors(target: Target) -> Iterator[None]:
 
 
 def _is_codec_error(error: BaseException) -> bool:
-    """Tell a refusal of lazrs, or a panic inside it (which is no Exception), from other errors."""
+    """Whether an error is from lazrs: a refusal, or a panic (which is not an Exception)."""
     return isinstance(error, lazrs.LazrsError) or type(error).__name__ == "PanicException"

@@ -1,10 +1,10 @@
-"""Classes put into LAZ chunks of point formats 6-8 without compressing anything else again.
+"""Replaces the classes in LAZ chunks of point formats 6-8 without recompressing other layers.
 
-A chunk of LASzip's layered kind holds its first record as it is, the number of records, the size of every layer and
-the layers, each an arithmetic code of its own (Isenburg 2013; the ASPRS LAZ specification 1.4, sections on POINT14).
-The code of the classes depends on the classes, the return numbers and the scanner channels and on nothing else, so
-records that are zero elsewhere give the same layer. lazrs compresses such records; their layer replaces the old one,
-all other bytes are copied.
+A layered chunk of LASzip holds its first record uncompressed, the number of records, the size of every layer and the
+layers, each with its own arithmetic coder (Isenburg 2013; the ASPRS LAZ specification 1.4, sections on POINT14). The
+layer of classes depends only on the classes, the return numbers and the scanner channels, so records that are zero
+elsewhere give the same layer. lazrs compresses such records; their layer replaces the old one, all other bytes are
+copied.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from prc_cli.formats.las.sinks import (
 
 _POINT_FORMATS = (6, 7, 8)
 _CLASS_LAYER = 2
-"""The classes' place among the layers: after coordinates with returns and channel, and z."""
+"""Index of the layer of classes: behind x and y with returns and channel, and z."""
 _CLASS_AT = 16
 
 
 def find_chunks(source: Source, las: LasHeader) -> LazRecords | None:
-    """Return the chunks of a file if classes can be put into them, else None.
+    """Return the chunks of a file if their classes can be replaced, else None.
 
-    They cannot where the file is not LAZ of point format 6-8, chunks differ in length or are large, the laszip VLR
-    is not the usual one, or chunk table and heads of chunks do not fit each other and the header.
+    None where the file is not LAZ of point format 6-8, chunks differ in length or are large, the laszip VLR is unusual,
+    or chunk table, heads of chunks and header contradict each other.
     """
     if not las.compressed or las.point_format not in _POINT_FORMATS or not las.n_records:
         return None
@@ -61,20 +61,20 @@ def find_chunks(source: Source, las: LasHeader) -> LazRecords | None:
 def splice_classes(
     source: Source, target: Target, chunks: LazRecords, codes: Iterator[U8], kept: ClassContexts | None = None
 ) -> None:
-    """Write all chunks with other classes, and their table; the target stands behind it then.
+    """Write all chunks with new classes, and their table; the target is then positioned behind it.
 
     Parameters
     ----------
     source : Source
         Input.
     target : Target
-        Stands where the points of the output begin.
+        Positioned where the points of the output begin.
     chunks : LazRecords
         From :func:`find_chunks`.
     codes : iterator of (n,) uint8
         Class codes of consecutive records, :func:`splice_records` at a time.
     kept : ClassContexts, optional
-        From reading the input before; whatever it does not hold whole is decoded again.
+        From reading the input before; chunks that it does not cover are decoded again.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def splice_classes(
 
 
 def splice_records(chunks: LazRecords) -> int:
-    """Return how many records :func:`splice_classes` takes at a time: whole chunks, for every core some."""
+    """Return the number of records per batch of :func:`splice_classes`: some whole chunks per core."""
     n_chunk: int = chunks.vlr.chunk_size()
     return max(1, batch_records(chunks.header, compressed=True) // n_chunk) * n_chunk
 
@@ -155,7 +155,7 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
 def _with_layer(
     chunks: LazRecords, old: bytes, layer: memoryview, code: int
 ) -> tuple[bytearray, memoryview, memoryview, memoryview]:
-    """Return the parts of a chunk with another layer of classes and another class of its first record."""
+    """Return the parts of a chunk with a new layer of classes and a new class of its first record."""
     sizes_at = chunks.header.record_bytes + 4
     head_bytes = sizes_at + 4 * chunks.n_layers
     head = bytearray(old[:head_bytes])

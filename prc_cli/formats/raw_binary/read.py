@@ -1,4 +1,4 @@
-"""Raw dumps of fixed-size records, the scanner's own or a converter's, in any numpy field layout."""
+"""Reader of raw dumps: fixed-size records of any numpy field layout."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
 CHUNK_RECORDS = 1 << 18
 """Records decoded at a time."""
 CHUNK_BYTES = 64 << 20
-"""Most bytes decoded at a time; fat records make shorter chunks."""
+"""Most bytes decoded at a time: long records make shorter chunks."""
 
 
 class LayoutRecords:
@@ -51,7 +51,7 @@ class LayoutRecords:
 
     @property
     def facts(self) -> SourceFacts:
-        """Nothing is known of the records beside the layout."""
+        """Metadata: none beside the layout."""
         return SourceFacts()
 
     def _check_names(self, names: tuple[str, ...]) -> None:
@@ -92,7 +92,7 @@ class RawBinarySource(LayoutRecords):
         self._n_records = self._count()
 
     def _count(self) -> int:
-        """Return the number of records behind the header; anything but whole records is an error."""
+        """Return the number of records behind the header; a partial record is an error."""
         with open_to_read(self._path) as handle:
             size = handle.seek(0, 2)
         header, each = self._header_bytes, self._dtype.itemsize
@@ -113,15 +113,15 @@ class RawBinarySource(LayoutRecords):
         return n_records
 
     def align_chunks(self, n_records: int) -> None:
-        """Decode multiples of so many records at a time, where that is not more than otherwise.
+        """Decode a multiple of this many records at a time, where the limits allow.
 
-        Chunks that end where blocks of lines end need not be joined; no value depends on it.
+        Chunks that end with a block of lines need not be joined later; values stay the same.
         """
         self._chunk_records = max(1, self._chunk_records // n_records) * min(n_records, self._chunk_records)
 
     @property
     def facts(self) -> SourceFacts:
-        """What is known of the file beside its records."""
+        """Metadata of the file."""
         return SourceFacts(describe=self.describe, align_chunks=self.align_chunks)
 
     @property
@@ -139,7 +139,7 @@ class RawBinarySource(LayoutRecords):
         Raises
         ------
         ConfigError
-            When a name is none of :attr:`dimensions`.
+            When a name is not in :attr:`dimensions`.
         InputError
             When the file cannot be read or is shorter than it was when opened.
         """
@@ -164,7 +164,7 @@ class RawBinarySource(LayoutRecords):
         return records
 
     def describe(self) -> dict[str, Any]:
-        """Return the layout in use, ready for JSON, for ``prc info``."""
+        """Return the layout as plain values for JSON, for ``prc info``."""
         return {
             "header_bytes": self._header_bytes,
             "record_bytes": self._dtype.itemsize,

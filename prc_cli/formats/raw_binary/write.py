@@ -1,4 +1,4 @@
-"""Streams as raw dumps: a record a shot, and beside it a configuration that reads it back."""
+"""Writer of streams as raw dumps, one record per shot, with a configuration file to read them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from prc_cli.core.types import F64
 from prc_cli.formats.writing.stream_writer import StagedStreamWriter, StreamItem, StreamShape
 
 EVEN_RAD = 1e-10
-"""Angles that are this close to even steps are written as start and step [rad]."""
+"""Angles are written as start and step if all are this close to even steps [rad]."""
 
 
 def config_path(path: Path) -> Path:
@@ -23,7 +23,7 @@ def config_path(path: Path) -> Path:
 
 
 class RawStream(StagedStreamWriter):
-    """Writer of little-endian records: range; intensity, time, x, y, z, angle and class as far as there are some."""
+    """Writer of little-endian records: range, then intensity, time, x, y, z, angle, class if present."""
 
     one_scanner = "a raw dump"
 
@@ -39,10 +39,10 @@ class RawStream(StagedStreamWriter):
         self._stack.callback(self._handle.close)
 
     def _open(self, item: StreamItem) -> np.dtype[np.void]:
-        """Settle the record by the first block."""
+        """Choose the fields of the record from the first block."""
         shape = self.shape
         self._m, angle_rad = item.block.points_per_line, item.block.angle_rad
-        # beside registered heights every record has its angle: together they tell where down is, as in the input
+        # with registered heights, write the angle per record: both are needed to find straight down again
         if angle_rad is not None and not shape.registered:
             degrees: F64 = np.rad2deg(angle_rad).round(10)
             self._even = even_steps(degrees)

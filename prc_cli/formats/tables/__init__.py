@@ -1,1 +1,1 @@
-"""Tables, CSV and Parquet: column by column in, one row a cell out."""
+"""Tables: arrays and Parquet read by column, CSV and Parquet written with one row per cell."""

@@ -1,4 +1,4 @@
-"""Arrays and Parquet files as lists of records, column by column: what evaluation reads beside the class codes."""
+"""Reads columns of arrays and Parquet files as lists of records, for evaluation."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from prc_cli.formats.records import RecordChunk, RecordSource
 CHUNK_RECORDS = 1 << 19
 """Records read at a time."""
 ARRAY_NAMES = {"range_m": "range", "time_s": "time", "gps_time": "time", "line": "scan_line"}
-"""Names of arrays and Parquet columns that mean a standard name."""
+"""Standard name for other names of arrays and Parquet columns."""
 AXES = ("x", "y", "z")
 XYZ = "xyz"
 
 
 def open_table(path: Path) -> RecordSource | None:
-    """Open any file that holds columns; None for files of codes alone.
+    """Open a file of columns; None for files of class codes alone.
 
     Raises
     ------
@@ -42,10 +42,10 @@ def open_table(path: Path) -> RecordSource | None:
 
 
 class ArrayTable:
-    """The arrays of a ``.npy`` or ``.npz`` file as records: every cell of an image, in the order of the stream.
+    """Reader of ``.npy`` and ``.npz`` files as records: one per cell of an image, in stream order.
 
-    An array is a column where it has one number a record: (records,), or (lines, M) beside other images. ``xyz``
-    of one dimension more is three columns. An image also has ``scan_line``, its row.
+    An array with one number per record is a column: (records,), or (lines, M) for images. ``xyz`` has one axis more and
+    becomes three columns. Images also have ``scan_line``, the row.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class ArrayTable:
 
 
 class ParquetTable:
-    """The columns of numbers of a Parquet file as records.
+    """Reader of the numeric columns of a Parquet file as records.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ class ParquetTable:
     Raises
     ------
     InputError
-        When it is no whole Parquet file.
+        When it is not a complete Parquet file.
     """
 
     format = "Parquet"

@@ -1,7 +1,7 @@
-"""Streams as tables: one row a cell, missing shots included, one more row for every further return of a shot.
+"""Writers of streams as tables: one row per cell, missing shots included, and one per further return of a shot.
 
-``.csv`` (plain, gzip or zstd) is read back by name; numbers are the shortest text that gives the same bits again.
-``.parquet`` holds the same columns for other programs.
+``.csv`` (plain, gzip or zstd) is read by column name; numbers are the shortest text that gives the same bits again.
+``.parquet`` has the same columns, for other programs.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from prc_cli.formats.writing.stream_writer import (
 )
 
 ROWS_AT_ONCE = 1 << 17
-"""Rows that are turned into columns together."""
+"""Rows converted at a time."""
 ANGLE_DIGITS = 10
-"""Decimals of scan angles [deg]: finer than any encoder, and 12.5 stays 12.5."""
+"""Decimals of scan angles [deg]: finer than any encoder, yet 12.5 is written as 12.5."""
 
 
 def table_columns(shape: StreamShape) -> dict[str, pa.DataType]:
@@ -46,7 +46,7 @@ def table_columns(shape: StreamShape) -> dict[str, pa.DataType]:
         ("range_m", True, pa.float32()),
         ("time_s", shape.times, pa.float64()),
         *((axis, shape.xyz or shape.registered, xyz) for axis in "xyz"),
-        # without intensities the first return would stand for a shot, whichever did in the input
+        # without intensities a reader would choose the first return, whichever was chosen in the input
         ("intensity", shape.intensity or shape.returns, pa.float32()),
         ("class", shape.codes, pa.int32()),
     ]
@@ -122,13 +122,13 @@ class ParquetStream(_TableStream):
 
 
 def _close(stream: Any) -> None:
-    """Close what Arrow would else close too late, with a complaint on stderr; a file that is given up may be broken."""
+    """Close the Arrow writer early, or it complains on stderr later; an abandoned file may be broken."""
     with contextlib.suppress(OSError, ValueError, pa.ArrowException):
         stream.close()
 
 
 def _rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
-    """Return the columns of some lines of a block; the return that stands for a shot before its others."""
+    """Return the columns of some lines of a block; the chosen return of a shot comes first."""
     block = item.block
     m, n_lines = block.points_per_line, rows.stop - rows.start
     line = np.repeat(np.arange(rows.start, rows.stop), m)
@@ -155,7 +155,7 @@ def _rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
 
 
 def _with_extra(values: dict[str, NDArray[Any]], item: StreamItem, rows: slice, inside: I64) -> dict[str, NDArray[Any]]:
-    """Put the further returns behind the shots that they belong to."""
+    """Insert further returns behind the chosen return of their shot."""
     block, extra = item.block, item.block.extra
     cell = (extra.line[inside] - rows.start).astype(np.int64) * block.points_per_line + extra.column[inside]
     more = {name: column[cell] for name, column in values.items()}
@@ -166,7 +166,7 @@ def _with_extra(values: dict[str, NDArray[Any]], item: StreamItem, rows: slice, 
     if item.extra_registered_m is not None:
         more |= {axis: item.extra_registered_m[inside, index] for index, axis in enumerate("xyz")}
     elif "x" in values:
-        # another return of a shot lies on the same beam
+        # all returns of a shot lie on the same beam
         with np.errstate(invalid="ignore"):
             ratio = (extra.range_m[inside] / values["range_m"][cell]).astype(np.float64)
         more |= {axis: (values[axis][cell] * ratio).astype(np.float32) for axis in "xyz"}
@@ -195,5 +195,5 @@ def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array:
     """Return a column; NaN and missing codes are empty cells."""
     if values.dtype.kind == "f":
         return pa.array(values, kind, mask=np.isnan(values))
-    # the kinds of whole numbers have the names that NumPy gives them
+    # Arrow names integer types as NumPy does
     return pa.array(values.astype(str(kind)), kind, mask=values == NO_CODE)

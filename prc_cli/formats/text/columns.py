@@ -1,4 +1,4 @@
-"""Which column of a text file is which dimension: the layout's fields, else the names in the header."""
+"""Maps columns of a text file to dimensions, by the fields of the layout or the names in the header."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "angle": ("angle", "angle_deg", "angle_rad"),
     "time": ("time", "time_s", "gps_time", "t"),
 }
-"""Names in a header that mean a standard name, whatever their case; the first one present is taken."""
+"""Header names of the standard dimensions, in any case; the first one present is used."""
 _ANGLE_UNITS = {"angle_rad": "rad"}
 
 
 @dataclass(frozen=True, slots=True)
 class TextColumn:
-    """Where a dimension stands and how its cells become values."""
+    """Column of a dimension and the decoding of its cells."""
 
     index: int
     """Column number from 0."""
     label: str
-    """The column as messages call it."""
+    """Name of the column in messages."""
     item: LayoutField
     """Scale, offset, missing value and unit."""
 
@@ -36,14 +36,13 @@ class TextColumn:
 def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[str, TextColumn]:
     """Return the dimensions of a text file, standard names first.
 
-    A layout's fields say what they say; without fields, names in the header that mean a standard name are
-    taken for it. All other columns keep their own name, or their number where they have none. A single
-    column without a name is taken for the range.
+    Fields of the layout decide; without fields, known names in the header become standard names. All other columns keep
+    their name, or their number if they have none. A single column without a name is the range.
 
     Raises
     ------
     InputError
-        When a field's column is not in the file or its name stands in the header twice.
+        When the column of a field is not in the file, or its name is in the header twice.
     """
     fields = () if layout is None else layout.fields
     found: dict[str, TextColumn] = {}
@@ -64,7 +63,7 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
 
 
 def _with_unit(item: LayoutField, name: str) -> LayoutField:
-    """Return a field with the unit that the column's name tells, where the layout says none."""
+    """Return a field with the unit from the name of its column, if the layout gives none."""
     unit = _ANGLE_UNITS.get(name.lower())
     return item if item.name != "angle" or item.unit or unit is None else item.model_copy(update={"unit": unit})
 
@@ -91,7 +90,7 @@ def _find_source(path: Path, text: TextFormat, item: LayoutField, position: int)
             problem = f"no header row, so no column {source!r} for field {item.name!r}"
             hint = "give the column's number from 0 as source"
             raise InputError(str(path), problem, hint)
-        # without names the fields stand for the columns in order
+        # without names, fields are columns in order
         source = position if source is None else int(source)
     if isinstance(source, int):
         if not 0 <= source < text.n_columns:
@@ -111,7 +110,7 @@ def _find_source(path: Path, text: TextFormat, item: LayoutField, position: int)
 
 
 def _other(text: TextFormat) -> str:
-    """Return a hint at the delimiter where a row was not split at all."""
+    """Return a hint about the delimiter where rows have a single cell."""
     return f"; is {text.delimiter!r} the delimiter?" if text.n_columns == 1 else ""
 
 

@@ -1,4 +1,4 @@
-"""How a text file is written: delimiter, comments, header; and the cells of a single line."""
+"""Detects delimiter, comments and header of a text file, and splits a line into cells."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ from prc_cli.formats.text.lines import MAX_LINE_BYTES, iter_lines, too_long
 MAX_COLUMNS = 10_000
 """Most cells in a row."""
 SNIFFED_ROWS = 20
-"""Rows looked at to find the delimiter."""
+"""Rows read to find the delimiter."""
 HEAD_BYTES = 1 << 16
-"""Bytes read at a time while looking at the first rows."""
+"""Bytes read at a time for the first rows."""
 
 BLANKS = " "
-"""Delimiter that stands for any number of blanks and tabs."""
+"""Delimiter that means any number of blanks and tabs."""
 _DELIMITERS = (";", "\t", ",")
-# nothing is tried twice: a cell may hold a million digits
+# no backtracking: a cell may hold a million digits
 _NUMBER = re.compile(r"[+-]?(?:(?:\d++\.?\d*+|\.\d++)(?:e[+-]?\d++)?+|nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class TextFormat:
-    """What the first rows of a text file say."""
+    """Dialect of a text file, from its first rows."""
 
     delimiter: str
-    """One character; a space stands for any number of blanks and tabs."""
+    """One character; a space means any number of blanks and tabs."""
     comment: bytes
     """Lines that begin with this are skipped; empty = none."""
     header_line: int | None
-    """Number of the line that holds the names, None without one."""
+    """Number of the line with the names, None if there is none."""
     first_row: int
-    """Number of the first line that is a row of cells, names or numbers."""
+    """Number of the first row, names or numbers."""
     names: tuple[str, ...]
     """Names of the columns, empty strings without a header."""
     found_delimiter: bool
-    """Whether the delimiter was found by looking."""
+    """Whether the delimiter was detected."""
 
     @property
     def n_columns(self) -> int:
@@ -51,7 +51,7 @@ class TextFormat:
         return len(self.names)
 
     def stripped(self, line: bytes) -> bytes:
-        """Return a line without the blanks around it; tabs between empty cells are no blanks."""
+        """Return a line without surrounding blanks; tabs that delimit empty cells stay."""
         return line.strip(b" \r\n" if self.delimiter == "\t" else None)
 
     def is_row(self, line: bytes) -> bool:
@@ -61,19 +61,19 @@ class TextFormat:
 
 
 def find_format(path: Path, layout: Layout | None) -> TextFormat:
-    """Look at the first rows of a text file.
+    """Detect the dialect from the first rows of a text file.
 
     Parameters
     ----------
     path : Path
         Text file.
     layout : Layout, optional
-        Says what is not to be found by looking; without one the delimiter is found too.
+        Gives what need not be detected; without one the delimiter is detected too.
 
     Raises
     ------
     InputError
-        When there is no row of numbers, or the first row is no text that can be split into cells.
+        When there is no row of numbers, or the first row cannot be split into cells.
     ConfigError
         When the layout's delimiter is not a single byte.
     """
@@ -106,7 +106,7 @@ def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
             decoded.append((number, line.decode("utf-8").rstrip("\r")))
         except UnicodeDecodeError as error:
             problem = f"byte {error.start + 1} of the line ({line[error.start]:#04x}) is not UTF-8"
-            # only the first row must be readable: it may hold the names
+            # only the first row must be UTF-8: it may hold the names
             if not decoded:
                 raise InputError(f"{path}: line {number}", problem, _RECODE) from error
             decoded.append((number, line.decode("latin-1").rstrip("\r")))
@@ -114,8 +114,8 @@ def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
 
 
 def _rows(path: Path, draft: TextFormat) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of the lines that are rows."""
-    # whole runs of lines are passed over at once: a file may hold a hundred million of them before its first row
+    """Yield number and bytes of the lines that are neither blank nor comments."""
+    # skip runs of such lines at once: there may be a hundred million before the first row
     comment = rb"(?:" + re.escape(draft.comment) + rb"[^\n]*+)?+" if draft.comment else b""
     passed = re.compile(rb"(?:[ \t\r]*+" + comment + rb"\n)*+")
     for block in iter_lines(path, HEAD_BYTES):
@@ -141,12 +141,12 @@ def _no_rows(path: Path) -> tuple[str, str]:
 
 
 def _find_delimiter(rows: list[str]) -> str:
-    """Return the first of ``;``, tab and comma that every row holds equally often, else blanks if there are any."""
+    """Return the first of ``;``, tab and comma that occurs equally often in every row, else blanks if there are any."""
     for delimiter in _DELIMITERS:
         counts = {row.count(delimiter) for row in rows}
         if counts != {0} and len(counts) == 1:
             return delimiter
-    # rows that differ: the one that the first row holds, so that the odd row is named in the error
+    # where rows differ, take the delimiter of the first row, so that the error names the odd row
     for delimiter in _DELIMITERS:
         if delimiter in rows[0]:
             return delimiter
@@ -175,7 +175,7 @@ def split(path: Path, number: int, text: str, delimiter: str) -> list[str]:
 
 
 def try_split(text: str, delimiter: str) -> list[str] | None:
-    """Return the cells of a line, None where a quote is not closed.
+    """Return the cells of a line, None if a quote is not closed.
 
     >>> try_split('1,"a, b",5"', ","), try_split('1,"a', ",")
     (['1', 'a, b', '5"'], None)
@@ -189,7 +189,7 @@ def try_split(text: str, delimiter: str) -> list[str] | None:
     except csv.Error as error:
         if "end of data" in str(error) or "field limit" in str(error):
             return None
-    # text behind a closed quote is part of the cell, as pyarrow has it
+    # text behind a closed quote is part of the cell, as in pyarrow
     return next(csv.reader([text], delimiter=delimiter))
 
 
@@ -212,5 +212,5 @@ def to_number(cell: str) -> float | None:
 
 
 def shorten(text: str) -> str:
-    """Return a text that fits into a message."""
+    """Return a text shortened for a message."""
     return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,4 +1,4 @@
-"""Text files as blocks of whole lines with their line numbers: compression, byte order marks, endless lines."""
+"""Reads text files in blocks of whole lines with their line numbers, compressed or not."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import open_to_read
 
 BLOCK_BYTES = 3 << 18
-"""Bytes of text read at a time: twice as many cost 10 MiB of memory and save a few per cent of processor time."""
+"""Bytes of text read at a time; twice as many take 10 MiB more memory and save a few per cent of processor time."""
 MAX_LINE_BYTES = 1 << 20
-"""Longest line; a longer one is a file of something else."""
+"""Longest line; files with longer ones are not tables."""
 
 MAX_RATIO, LEAST_BYTES = 500, 1 << 30
-"""A text of more bytes than the latter that is so many times its compressed size holds nothing but one line again and
-again; no drive is like this."""
+"""A text larger than the second number [bytes] and this many times its compressed size repeats one line: refused."""
 
 _CODECS = {".gz": "gzip", ".zst": "zstd"}
 _COMPRESSED = {b"\x1f\x8b": ("gzip", ".gz"), b"\x28\xb5\x2f\xfd": ("zstd", ".zst")}
@@ -33,9 +32,9 @@ class Lines:
     """Consecutive whole lines."""
 
     first: int
-    """Number of the first line, from 1, as ``sed -n Np`` counts."""
+    """Number of the first line, counted from 1 as by ``sed -n Np``."""
     data: bytes
-    """The lines with their ends; only the last line of a file may lack one."""
+    """The lines with line ends; only the last line of a file may lack one."""
 
 
 class _Readable(Protocol):
@@ -55,8 +54,8 @@ def iter_lines(path: Path, block_bytes: int = BLOCK_BYTES) -> Iterator[Lines]:
     Raises
     ------
     InputError
-        When the file cannot be read, is no text, is cut short or damaged inside its compression, unpacks without end,
-        or has a line longer than :data:`MAX_LINE_BYTES`.
+        When the file cannot be read, is not text, is cut short or damaged inside its compression, expands too much, or
+        has a line longer than :data:`MAX_LINE_BYTES`.
     """
     line, rest, at_start, n_bytes = 1, b"", True, 0
     with _open(path) as handle:
@@ -124,7 +123,7 @@ def _read(path: Path, handle: _Readable, n: int, line: int) -> bytes:
 
 
 def _without_mark(path: Path, handle: _Readable, found: bytes, block_bytes: int) -> bytes:
-    """Look at the first bytes: drop a byte order mark, refuse what is no text."""
+    """Drop a byte order mark at the start, and refuse files that are not text."""
     while len(found) < 4 and (more := _read(path, handle, block_bytes, 1)):
         found += more
     for magic, (kind, suffix) in _COMPRESSED.items():

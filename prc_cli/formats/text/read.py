@@ -1,7 +1,7 @@
-"""Text files of one record a row, plain or compressed, in bounded memory.
+"""Reader of text files, one record per row, plain or compressed, in bounded memory.
 
-Blocks of whole lines go through pyarrow's CSV parser. What it refuses is read again, cell by cell, by a slow
-exact parser that either names the line and the cell or accepts what pyarrow was too strict for.
+Blocks of whole lines go through pyarrow's CSV parser. Blocks that it refuses are read again by a slow exact parser,
+which either names the line and cell or accepts what pyarrow was too strict for.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ from prc_cli.formats.text.lines import (
 
 _HEAD_BYTES = 256
 PARSERS = 2
-"""Blocks parsed at a time: with more of them memory grows, and what classifies would wait for a core."""
+"""Blocks parsed at a time: more need memory and take cores from the classifier."""
 
 
 class TextSource:
     """A text file as a :class:`prc_cli.formats.records.RecordSource`.
 
-    All values are float64; empty cells and ``nan`` are NaN. Angles are taken as degrees and converted to
-    radians unless the layout or the column's name (``angle_rad``) says otherwise.
+    All values are float64; empty cells and ``nan`` are NaN. Angles are converted from degrees to radians, unless the
+    layout or the name of the column (``angle_rad``) gives another unit.
 
     Parameters
     ----------
     path : Path
-        File; ``.gz`` and ``.zst`` are decompressed on the way.
+        File; ``.gz`` and ``.zst`` are decompressed.
     layout : Layout, optional
-        Delimiter, header, comments and fields; without one all of it is found by looking.
+        Delimiter, header, comments and fields; without one all are detected.
     block_bytes : int
         Bytes of text read at a time; changes memory and speed, never a value.
 
@@ -64,7 +64,7 @@ class TextSource:
     ConfigError
         When the layout contradicts itself.
     InputError
-        When the file holds no rows, is no text, or lacks a column that the layout names.
+        When the file holds no rows, is not text, or lacks a column that the layout names.
     """
 
     format = "text"
@@ -80,7 +80,7 @@ class TextSource:
         self._text = find_format(path, layout)
         self._columns = find_columns(path, self._text, layout)
         comment = re.escape(self._text.comment)
-        # a run of comments is one match, and never tried again from its middle: many short ones would take minutes
+        # possessive: a run of comments is one match without backtracking, which would take minutes
         run = rb"^(?:[ \t]*+" + comment + rb"[^\n]*+(?:\n|\Z))++"
         self._comments = re.compile(run, re.MULTILINE) if comment else None
 
@@ -91,17 +91,17 @@ class TextSource:
 
     @property
     def dimensions(self) -> tuple[str, ...]:
-        """Names that :meth:`chunks` can deliver, standard names first; columns without a name have a number."""
+        """Names that :meth:`chunks` can deliver, standard names first; columns without a name are numbered."""
         return tuple(self._columns)
 
     @property
     def facts(self) -> SourceFacts:
-        """What is known of the file beside its records."""
+        """Metadata of the file."""
         return SourceFacts(notes=self.notes, describe=self.describe)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was found by looking, one plain sentence each, for ``prc info``."""
+        """What was detected, one sentence each, for ``prc info``."""
         text = self._text
         notes = []
         if text.found_delimiter and text.n_columns > 1:
@@ -124,21 +124,21 @@ class TextSource:
         return tuple(notes)
 
     def describe(self) -> dict[str, Any]:
-        """Return what the first rows say, ready for JSON, for ``prc info``."""
+        """Return the dialect as plain values for JSON, for ``prc info``."""
         text = self._text
         return {"delimiter": text.delimiter, "header_line": text.header_line, "columns": list(text.names)}
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named columns from the start, in bounded memory, in the order of the file.
 
-        Cells of other columns are not looked at, but every row must have as many as the first.
+        Cells of other columns are ignored, but every row must have as many cells as the first.
 
         Raises
         ------
         ConfigError
             When a name is none of :attr:`dimensions`.
         InputError
-            When a row has another number of cells or a cell is no number, naming line and text; when the
+            When a row has another number of cells or a cell is not a number, naming line and text; when the
             compressed stream is cut short.
         """
         unknown = [name for name in names if name not in self._columns]
@@ -146,7 +146,7 @@ class TextSource:
             known = ", ".join(shorten(name) for name in self.dimensions[:40])
             raise ConfigError(self.path, f"no dimension {unknown[0]!r} in the file", f"it has: {known}")
         columns = [self._columns[name] for name in names]
-        # at least one column is converted: pyarrow counts rows by it
+        # convert at least one column: pyarrow needs it to count rows
         read = columns or [next(iter(self._columns.values()))]
         first = 0
         blank = _BlankWatch(self._path, self._text.n_columns)
@@ -188,26 +188,26 @@ class TextSource:
             yield Lines(lines.first + skipped, lines.data[end:])
 
     def _parse(self, lines: Lines, columns: list[TextColumn]) -> _Block:
-        """Parse lines by what they hold alone."""
+        """Parse lines independently of earlier blocks."""
         data = self._plain(lines.data)
-        # most blocks show with their first bytes that they are not blank
+        # the first bytes of most blocks show that they are not blank
         blank_only = not self._text.stripped(data[:_HEAD_BYTES]) and not self._text.stripped(data)
         found = [np.empty(0)] * len(columns) if blank_only else self._parse_fast(data, columns)
         if self._text.n_columns == 1 and not blank_only and found is not None and len(found[0]) != _n_lines(data):
-            found = None  # pyarrow passes over blank lines
+            found = None  # pyarrow skips blank lines
         return _Block(lines, found, blank_only)
 
     def _judged(self, block: _Block, columns: list[TextColumn], blank: _BlankWatch) -> list[F64]:
-        """Return one array of stored numbers a column, for the rows of a block, by what stood before it."""
+        """Return one array of stored numbers per column for the rows of a block, given the state of earlier blocks."""
         if block.is_blank and blank.first is not None:
-            # the first blank line is known: a gigabyte of them must not be looked at line by line
+            # the first blank line is known: do not go through a gigabyte of them line by line
             return [np.empty(0)] * len(columns)
         if block.found is None or (blank.watches and (blank.first is not None or block.is_blank)):
             return self._parse_exactly(block.lines, columns, blank)
         return block.found
 
     def _plain(self, data: bytes) -> bytes:
-        """Return lines without comments and with single delimiters; costs next to nothing where there are none."""
+        """Return lines without comments and with single delimiters; fast where nothing is to be done."""
         if self._comments is not None and self._text.comment in data:
             data = self._comments.sub(b"", data)
         if self._text.delimiter == BLANKS:
@@ -218,22 +218,22 @@ class TextSource:
         return data
 
     def _parse_fast(self, data: bytes, columns: list[TextColumn]) -> list[F64] | None:
-        """Let pyarrow read the rows; None where it refuses or cannot be trusted to see lines as we count them."""
+        """Parse the rows with pyarrow; None where it refuses or may count lines differently."""
         import pyarrow as pa
         from pyarrow import csv
 
         if b"\r" in data and data.count(b"\r") != data.count(b"\r\n"):
-            return None  # pyarrow would take a lone carriage return for a line end
+            return None  # pyarrow treats a lone carriage return as a line end
         keys = [str(index) for index in range(self._text.n_columns)]
         wanted = {keys[column.index]: pa.float64() for column in columns}
         try:
             table = csv.read_csv(
                 pa.BufferReader(data),
-                # it runs for several blocks at a time already
+                # several blocks are parsed in parallel already
                 csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES, use_threads=False),
                 csv.ParseOptions(delimiter=self._text.delimiter),
                 csv.ConvertOptions(column_types=wanted, include_columns=list(wanted), null_values=[""]),
-                pa.system_memory_pool(),  # which gives freed memory to whatever comes next, not to pyarrow alone
+                pa.system_memory_pool(),  # freed memory goes back to the system, not to pyarrow's own pool
             )
         except pa.ArrowInvalid:
             return None
@@ -242,13 +242,13 @@ class TextSource:
         return [table.column(keys[column.index]).to_numpy() for column in columns]
 
     def _quotes_are_closed(self, data: bytes, n_rows: int) -> bool:
-        """Whether every line became a row: a quote that is not closed swallows the line ends behind it."""
+        """Whether every line became a row: an unclosed quote swallows line ends."""
         rows = [line for line in data.split(b"\n") if self._text.stripped(line)]
         last = rows[-1].rstrip(b"\r").decode("utf-8", errors="replace")
         return n_rows == len(rows) and try_split(last, self._text.delimiter) is not None
 
     def _parse_exactly(self, lines: Lines, columns: list[TextColumn], blank: _BlankWatch) -> list[F64]:
-        """Read the rows cell by cell and raise at the first that is wrong."""
+        """Read the rows cell by cell; raise at the first error."""
         text = self._text
         found = [array("d") for _ in columns]
         all_lines = lines.data.split(b"\n")
@@ -282,11 +282,11 @@ class TextSource:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Lines that were parsed by what they hold alone."""
+    """Lines parsed independently of earlier blocks."""
 
     lines: Lines
     found: list[F64] | None
-    """One array of stored numbers a column; None where only the slow parser can tell."""
+    """One array of stored numbers per column; None where the slow parser must read them."""
     is_blank: bool
     """Whether all lines are blank or comments."""
 
@@ -296,7 +296,7 @@ def _n_lines(data: bytes) -> int:
 
 
 class _BlankWatch:
-    """Blank lines in a file of one column: at its end they mean nothing, between rows nobody knows."""
+    """Blank lines in a file of one column: ignored at its end, refused between rows (missing values?)."""
 
     def __init__(self, path: Path, n_columns: int) -> None:
         self.watches = n_columns == 1
@@ -304,7 +304,7 @@ class _BlankWatch:
         self._path = path
 
     def see(self, number: int) -> None:
-        """Take note of a blank line."""
+        """Remember a blank line."""
         if self.watches and self.first is None:
             self.first = number
 

@@ -1,4 +1,4 @@
-"""Trajectories in SBET files: geographic positions, projected to the system of the points."""
+"""Reader of SBET trajectories: geographic positions, projected to the coordinate system of the points."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
     Raises
     ------
     InputError
-        When the size is not that of whole records, or a record holds what no SBET does.
+        When the size is not a multiple of the record, or a record holds impossible values.
     """
     if size % SBET_BYTES:
         problem = f"{size} bytes, expected a multiple of {SBET_BYTES} (17 doubles a record)"
@@ -55,7 +55,7 @@ def read_sbet(path: Path, size: int) -> tuple[F64, F64]:
 
 
 def project(path: Path, position: F64, target: str | None) -> F64:
-    """Bring longitude and latitude to the points' system; heights stay those above the ellipsoid.
+    """Project longitude and latitude to the coordinate system of the points; heights stay ellipsoidal.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def project(path: Path, position: F64, target: str | None) -> F64:
     position : (n, 3) float64
         Longitude [rad], latitude [rad], height above the ellipsoid [m].
     target : str or None
-        Coordinate system of the points, anything that pyproj takes; projected, in metres, without heights of its
-        own: a shift by the geoid (tens of metres) must not go unnoticed.
+        Coordinate system of the points, in any form that pyproj reads; projected, in metres, without vertical datum: a
+        shift by the geoid (tens of metres) would go unnoticed.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def project(path: Path, position: F64, target: str | None) -> F64:
     ConfigError
         When ``target`` is None or cannot be used, or pyproj is missing.
     InputError
-        When a position lies outside of what the system can show.
+        When a position lies outside the area of the system.
     """
     if target is None:
         problem = "an SBET trajectory is in latitude and longitude, and the points' coordinate system is not known"
@@ -110,12 +110,12 @@ def project(path: Path, position: F64, target: str | None) -> F64:
 
 
 def _refuse_heights(path: Path, crs: pyproj.CRS, shown: str) -> None:
-    """Refuse a system with heights of its own: those of an SBET are above the ellipsoid."""
+    """Refuse a system with a vertical datum: heights in SBET are ellipsoidal."""
     inner = crs.source_crs if crs.is_bound and crs.source_crs is not None else crs
     if not inner.is_compound:
         return
     names = [part.name for part in inner.sub_crs_list]
-    # anything less than certain names a system of another country
+    # lower confidences name systems of other countries
     code = inner.sub_crs_list[0].to_authority(min_confidence=100) if names else None
     alone = ":".join(code) if code is not None else "its horizontal part"
     heights = f" ({names[-1][:40]!r})" if names else ""

@@ -1,4 +1,4 @@
-"""Trajectories as text: a header row that names time and position, any delimiter."""
+"""Reader of text trajectories: a header row that names time and position, any delimiter."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MAX_ROW = 65_536
 
 
 def read_text(path: Path) -> tuple[F64, F64]:
-    """Read time and position from the columns of these names, any others are left alone.
+    """Read time and position from the columns of these names; other columns are ignored.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def read_text(path: Path) -> tuple[F64, F64]:
     Raises
     ------
     InputError
-        When a column is missing or a cell is no finite number, naming the line.
+        When a column is missing or a cell is not a finite number, naming the line.
     """
     with path.open("r", encoding="utf-8-sig", errors="replace", newline=None) as handle:
         rows = _rows(str(path), handle)
@@ -52,7 +52,7 @@ def read_text(path: Path) -> tuple[F64, F64]:
 
 
 def _rows(where: str, handle: TextIO) -> Iterator[tuple[int, str]]:
-    """Yield line number and text of every row that holds something; the first may begin with #."""
+    """Yield line number and text of every row that is not blank; the first may begin with #."""
     number = 0
     first = True
     while row := handle.readline(_MAX_ROW + 1):
@@ -73,7 +73,7 @@ def _cells(row: str, delimiter: str | None) -> list[str]:
 
 def _find_columns(where: str, cells: list[str]) -> list[int]:
     """Return the columns of time, x, y and z."""
-    # units in brackets are decoration: "x [m]", "time(s)"
+    # ignore units in brackets: "x [m]", "time(s)"
     names = [cell.lower().partition("[")[0].partition("(")[0].strip() for cell in cells]
     columns = []
     for wanted, known in _NAMES.items():
@@ -94,7 +94,7 @@ def _parse(where: str, batch: list[tuple[int, str]], delimiter: str | None, colu
         values = np.empty((0, 4))
     if len(values) and np.isfinite(values).all():
         return values
-    # something is wrong in this batch, or quoted: look at it row by row
+    # something in this batch is wrong or quoted: parse row by row
     return np.array([_parse_row(f"{where}: line {number}", _cells(row, delimiter), columns) for number, row in batch])
 
 

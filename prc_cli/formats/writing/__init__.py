@@ -1,1 +1,1 @@
-"""What all writers share: outputs that exist whole or not at all, their options and their run record."""
+"""Shared parts of writers: atomic outputs, their options and their run record."""

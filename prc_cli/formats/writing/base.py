@@ -1,4 +1,4 @@
-"""What every writer shares: one protocol, outputs that appear whole with their run record or not at all."""
+"""Protocol and base class of writers: outputs appear complete, with their run record, or not at all."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from prc_cli.formats.writing.record import ClassCount, RunRecord, record_path
 from prc_cli.formats.writing.spool import Spool
 
 CHUNK_RECORDS = 400_000
-"""Records handled together when an output is written."""
+"""Records per chunk when an output is written."""
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """What was spooled of consecutive records."""
+    """Spooled values of consecutive records."""
 
     codes: U8
     """(n,) uint8, class codes."""
@@ -41,18 +41,18 @@ class Columns:
 
 
 class Closable(Protocol):
-    """Anything that is closed."""
+    """Anything with a ``close`` method."""
 
     def close(self) -> None:
         """Close it."""
 
 
 class Writer(Protocol):
-    """What every writer is for those that use it: a context manager whose output exists whole or not at all."""
+    """Interface of all writers: a context manager whose output exists complete or not at all."""
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the writer had to decide, in plain words; complete after :meth:`finish`."""
+        """Notices of the writer for the user; complete after :meth:`finish`."""
 
     def __enter__(self) -> Self:
         """Create the temporary files beside the output."""
@@ -60,22 +60,22 @@ class Writer(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None:
-        """Remove every temporary file; without :meth:`finish` nothing is left."""
+        """Remove every temporary file; without :meth:`finish` no output is left."""
 
     def finish(self, record: RunRecord) -> RunRecord:
-        """Write the output and ``<output>.prc.json``, give both their names; return the record as written.
+        """Write and rename the output and ``<output>.prc.json``; return the record as written.
 
         Raises
         ------
         OutputError
-            When the output cannot be written whole; nothing is left then.
+            When the output cannot be written; nothing is left then.
         InputError
             When the input, read again, is damaged.
         """
 
 
 class LabelWriter(Writer, Protocol):
-    """What :func:`prc_cli.formats.label_files.open_writer` gives."""
+    """Writer that :func:`prc_cli.formats.label_files.open_writer` returns."""
 
     def add(self, block: LabelledBlock) -> None:
         """Take the labels of a block.
@@ -100,7 +100,7 @@ class StagedOutput(ABC):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the writer had to decide, in plain words."""
+        """Notices of the writer for the user."""
         return tuple(self._notices)
 
     def __enter__(self) -> Self:
@@ -121,10 +121,10 @@ class StagedOutput(ABC):
 
     @abstractmethod
     def _start(self) -> None:
-        """Open temporary files; what must be closed or removed goes on ``self._stack``."""
+        """Open temporary files; register closing and removal on ``self._stack``."""
 
     def _output(self, path: Path) -> Path:
-        """Name a file that the writer makes; return its temporary name."""
+        """Register a file of the output; return its temporary name."""
         self._files.append((temporary_name(path), path))
         return self._files[-1][0]
 
@@ -133,9 +133,9 @@ class StagedOutput(ABC):
             self._notices.append(text)
 
     def _commit(self) -> None:
-        """Give the files their names; take back those that this run made if a later one fails.
+        """Rename the files to their final names; if one fails, remove those renamed before.
 
-        The output goes first, being the one that others may hold open.
+        The output is renamed first, because another program may hold it open.
         """
         for temporary, _ in self._files[1:]:
             with temporary.open("rb+") as handle:
@@ -154,13 +154,12 @@ class StagedOutput(ABC):
 
 
 class StagedWriter(StagedOutput):
-    """A :class:`LabelWriter` that is staged.
+    """A :class:`LabelWriter` with temporary files.
 
     Parameters
     ----------
     columns : sequence of OptionalColumn
-        What is asked for and the output can hold. The first block tells what the method of the run finds; the rest is
-        left out with a notice.
+        Columns requested that the output can hold. Those that the first block lacks are left out with a notice.
     """
 
     def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, columns: Sequence[OptionalColumn]) -> None:
@@ -191,7 +190,7 @@ class StagedWriter(StagedOutput):
 
     @abstractmethod
     def _begin(self) -> None:
-        """Prepare for the first block; ``self._optional`` is final now."""
+        """Prepare for the first block; called when ``self._optional`` is final."""
 
     @abstractmethod
     def _add(self, block: LabelledBlock) -> None: ...
@@ -204,7 +203,7 @@ class StagedWriter(StagedOutput):
         path = temporary_name(self.path)
         self._stack.callback(remove_quietly, path)
         spool = Spool(path, dtype, fill, n_records=n_records)
-        self._stack.callback(close_quietly, spool)  # runs before the removal: Windows keeps open files
+        self._stack.callback(close_quietly, spool)  # close before removal: Windows cannot remove open files
         return spool
 
     def _encode(self, labels: U8, range_m: NDArray[np.float32]) -> U8:
@@ -219,7 +218,7 @@ class StagedWriter(StagedOutput):
         return codes
 
     def _settle(self, block: LabelledBlock | None) -> None:
-        """Settle the optional columns, once, by the first block; without any block all stay."""
+        """Drop optional columns that the first block lacks, once; without any block all stay."""
         if self._settled:
             return
         self._settled = True
@@ -256,12 +255,12 @@ class StagedWriter(StagedOutput):
 
 
 class ScatterWriter(StagedWriter):
-    """A writer whose output is in record order: labels wait in spools until all are there.
+    """A writer of outputs in record order: labels are spooled until all have arrived.
 
     Parameters
     ----------
     n_records : int or None
-        Records of the input; None if only reading could tell.
+        Number of input records; None if unknown before reading.
     """
 
     def __init__(
@@ -293,13 +292,13 @@ class ScatterWriter(StagedWriter):
             self._put(scan.records().ravel(), codes.ravel(), values)
         if len(scan.extra):
             codes = self._encode(block.extra_labels, scan.extra.range_m)
-            # what has no value of its own is the fill value already
+            # records without a value have the fill value already
             own = {column.name: column.of_extra(block) for column in self._optional if column.of_extra is not None}
             self._put(scan.extra.record, codes, own)
 
     @property
     def _limit(self) -> int:
-        """Records there may be at most."""
+        """Most records."""
         return sys.maxsize if self._n_records is None else self._n_records
 
     def _put_run(self, first: int, codes: U8, values: dict[str, Values]) -> None:
@@ -312,7 +311,7 @@ class ScatterWriter(StagedWriter):
         keep = record >= 0
         if self._n_records is not None and record.size and int(record.max()) >= self._n_records:
             outside = record >= self._n_records
-            # cells that pad the last line have no record; only a shot with a label must have one
+            # cells that pad the last line have no record, unless they have a label
             if np.any(outside & (codes != MISSING_CODE)):
                 problem = f"found a label for record {int(record.max())}, expected records below {self._n_records}"
                 raise OutputError(str(self.path), problem, "check that the input did not change while it was read")
@@ -324,7 +323,7 @@ class ScatterWriter(StagedWriter):
             self._spools[name].put(record, column if whole else column[keep])
 
     def _total(self, record: RunRecord) -> int:
-        """Entries of the output: the records that were read, as far as the reader could tell."""
+        """Return the number of entries of the output: records read, if known."""
         n = self._n_records if self._n_records is not None else record.n_records
         if n is None:
             return len(self._code_spool)
@@ -344,12 +343,12 @@ class ScatterWriter(StagedWriter):
 
 
 def remove_quietly(path: Path) -> None:
-    """Remove a file of ours on the way out, if it is there."""
+    """Remove a temporary file, if it exists."""
     with contextlib.suppress(OSError):
         path.unlink(missing_ok=True)
 
 
 def close_quietly(handle: Closable) -> None:
-    """Close after a failure, when a full disk may refuse the last buffer."""
+    """Close after a failure, ignoring errors: a full disk may refuse the last buffer."""
     with contextlib.suppress(OSError):
         handle.close()

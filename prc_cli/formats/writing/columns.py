@@ -1,4 +1,4 @@
-"""Values a record beside its class that ``[output]`` can ask for: one table of them for all writers."""
+"""Optional values per record that ``[output]`` can ask for: one table for all writers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Values: TypeAlias = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class ExtraDimension:
-    """A dimension that LAS and LAZ files keep in extra bytes."""
+    """A dimension in the extra bytes of LAS and LAZ files."""
 
     name: str
     dtype: np.dtype[Any]
@@ -32,26 +32,26 @@ RANGE = ExtraDimension("range", np.dtype("<f4"), "slant range [m]")
 
 @dataclass(frozen=True, slots=True)
 class OptionalColumn:
-    """One value a record that is written only if asked for."""
+    """A value per record that is written only if requested."""
 
     dimension: ExtraDimension
-    """What it is in LAS and LAZ."""
+    """Dimension in LAS and LAZ."""
     heading: str | None
-    """Its column in label tables; None = they do not hold it."""
+    """Column in label tables; None = not written there."""
     option: str
-    """Key of ``[output]`` that asks for it."""
+    """Key of ``[output]`` that requests it."""
     what: str
-    """What messages call a value."""
+    """Name in messages."""
     fill: float
-    """Value of records that no block holds, and of further returns where ``of_extra`` is None."""
+    """Value of records outside all blocks, and of further returns where ``of_extra`` is None."""
     of_shots: Callable[[LabelledBlock], Values | None]
-    """Values of the cells of a block, (lines, M); None where the method of the run does not find them."""
+    """Values of the cells of a block, (lines, M); None if the method of the run has none."""
     of_extra: Callable[[LabelledBlock], Values] | None = None
     """Values of the further returns of a block, (n,)."""
     keep: bool = False
-    """Whether values that a LAS input has under this name stay; they are replaced otherwise."""
+    """Whether values of a LAS input under this name stay; else they are replaced."""
     needs: str = ""
-    """Which method finds it, where not all do."""
+    """Method that finds it; empty if all do."""
 
     @property
     def name(self) -> str:
@@ -133,11 +133,11 @@ OPTIONAL_COLUMNS = (
         needs=_SEQUENTIAL_ANGLE,
     ),
 )
-"""All of them, in the order in which outputs hold them."""
+"""All optional columns, in the order of outputs."""
 
 
 def asked_columns(options: OutputConfig) -> tuple[OptionalColumn, ...]:
-    """Return the columns that ``[output]`` asks for, in their order.
+    """Return the columns that ``[output]`` requests, in order.
 
     >>> [column.name for column in asked_columns(OutputConfig(segment_ids=True, stages=True))]
     ['segment_id', 'surface', 'dense_vegetation', 'ground_height']

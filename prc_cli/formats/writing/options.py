@@ -1,4 +1,4 @@
-"""The ``[output]`` table: what is written beside the class codes, and how codes above 31 are held."""
+"""The ``[output]`` table: values written beside the class codes, and the handling of codes above 31."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class OutputConfig(Params):
 
 
 def check_codes(codes: ClassCodes, options: OutputConfig) -> None:
-    """Refuse a class table that the chosen outputs may not hold.
+    """Refuse a class table with codes that the output may not hold.
 
     Raises
     ------

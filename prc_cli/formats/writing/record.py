@@ -1,6 +1,6 @@
-"""What made an output: program, effective configuration, input and assumptions, as JSON that never changes.
+"""The run record: program, effective configuration, input and assumptions of an output, as reproducible JSON.
 
-The same run gives the same bytes: keys are sorted, there are no time stamps and no folders.
+Equal runs give equal bytes: sorted keys, no time stamps, no folders.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ _READ_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class ClassCount:
-    """How many records of an output carry a code."""
+    """Number of records of an output with a code."""
 
     code: int
     """LAS class code."""
     name: str
-    """Class name; ``class 12`` for codes that this program did not give."""
+    """Class name; ``class 12`` for codes unknown to this program."""
     count: int
-    """Records (LAS, LAZ, label files: entries)."""
+    """Number of records (label files: entries)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fingerprint:
-    """What tells one file from another."""
+    """Identity of a file."""
 
     name: str
     """File name, without its folder."""
@@ -64,26 +64,26 @@ class RunRecord:
     n_lines: int | None = None
     """Scan lines read."""
     n_records: int | None = None
-    """Records read; label files get exactly so many entries when it is known."""
+    """Records read; label files have as many entries if known."""
     n_missing: int | None = None
     """Shots without return."""
     trajectory: Fingerprint | None = None
-    """The file that ranges were measured from; None if ranges do not need one."""
+    """The trajectory file; None if ranges do not need one."""
     assumptions: tuple[Assumption, ...] = ()
-    """What the reader took for granted."""
+    """Assumptions of the reader."""
     tally: ReadTally = field(default_factory=ReadTally)
-    """What the reader met on the way."""
+    """Counts of the reader."""
     classes: tuple[ClassCount, ...] = ()
     """Records by class code as written; filled in by the writer."""
     notices: tuple[str, ...] = ()
-    """What is unusual about the input; the writer adds what it had to decide."""
+    """Notices about the input; the writer adds its own."""
 
     def with_written(self, classes: tuple[ClassCount, ...], notices: tuple[str, ...]) -> RunRecord:
-        """Return the record completed with what a writer wrote."""
+        """Return the record with counts and notices of the writer."""
         return replace(self, classes=classes, notices=(*self.notices, *notices))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the record as nested plain values."""
+        """Return the record as nested dicts of plain values."""
         return {
             "program": PROGRAM,
             "version": __version__,
@@ -110,8 +110,8 @@ class RunRecord:
     def to_json_within(self, limit: int) -> bytes:
         """Return the record as JSON of at most ``limit`` bytes.
 
-        A record that is too long loses its configuration, then its assumptions and notices, to their SHA-256
-        and counts; ``complete`` tells that the file beside the output has them. JSON is never cut.
+        In a record that is too long, SHA-256 and counts replace first the configuration, then assumptions and notices;
+        ``complete`` names the file beside the output that has them. JSON is never cut.
         """
         whole = self.to_json()
         if len(whole) <= limit:
@@ -158,14 +158,14 @@ def fingerprint(path: Path) -> Fingerprint:
 
 
 class FingerprintBeside:
-    """A fingerprint that a thread takes while the same file is read for its content, so that both read it once.
+    """Computes a fingerprint in a thread while the file is read for its content, so that it comes from disk once.
 
     Parameters
     ----------
     path : Path
         File.
     threads : int
-        With 1 or fewer there is no thread: the file is read when the result is asked for.
+        With 1 or fewer there is no thread: the file is read when the result is requested.
 
     Examples
     --------
@@ -217,7 +217,7 @@ class FingerprintBeside:
     def _run(self) -> None:
         try:
             self._found = self._read()
-        except BaseException as raised:  # raised again where the result is asked for
+        except BaseException as raised:  # raised again by ``result``
             self._error = raised
 
     @stage("fingerprint")
@@ -241,7 +241,7 @@ def _dump(value: Any) -> bytes:
 
 
 def _without_folders(value: Any) -> Any:
-    """Replace absolute paths (also behind ``trajectory:``) by file names: runs must not differ by machine."""
+    """Replace absolute paths (also behind ``trajectory:``) by file names: records must not differ by machine."""
     if isinstance(value, Mapping):
         return {str(key): _without_folders(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

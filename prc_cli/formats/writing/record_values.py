@@ -1,7 +1,7 @@
-"""Values by record index, on disk: kept in the order of the input, asked for in the order of the stream.
+"""Values by record index on disk: written in input order, read in stream order.
 
-The opposite of :mod:`~prc_cli.formats.writing.spool`. Where both orders are the same every answer is one read; where
-they differ (several scanners in a file, records that were sorted) the answer is read page by page.
+The opposite of :mod:`~prc_cli.formats.writing.spool`. Where both orders agree, a query is one read; where they differ
+(several scanners in a file, sorted records) it is read page by page.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from prc_cli.core.types import I64
 from prc_cli.formats.writing.spool import write_all
 
 PAGE_RECORDS = 1 << 16
-"""Records read together where those asked for lie far apart."""
+"""Records per page, where the requested ones lie far apart."""
 
 
 class RecordValues:
-    """A table of records in a temporary file.
+    """Records in a temporary file.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class RecordValues:
     dtype : dtype
         Type of a record, structured or not.
     fill : scalar
-        What records that are not held are read as; a tuple for a structured type.
+        Value of records that are not held; a tuple for a structured type.
 
     Examples
     --------
@@ -59,7 +59,7 @@ class RecordValues:
         self._n += len(values)
 
     def get(self, record: I64) -> NDArray[Any]:
-        """Return the values of records, in the shape of ``record``; indices that are not held give the fill value."""
+        """Return the values of records, in the shape of ``record``; unknown indices give the fill value."""
         flat = record.ravel()
         result = np.full(flat.shape, np.array(self._fill, self._dtype), self._dtype)
         held = np.flatnonzero((flat >= 0) & (flat < self._n))

@@ -1,7 +1,7 @@
-"""A column of values by record index, on disk: labels arrive in scan order and are read back in record order.
+"""A column of values by record index on disk: written in scan order, read in record order.
 
-Scan order and record order differ when several scanners share a file or a file was sorted, so values are
-scattered into a temporary file page by page. Memory stays at a page and a buffer, whatever the file's size.
+The orders differ when several scanners share a file or a file was sorted; then values are scattered into a temporary
+file page by page. Memory is a page and a buffer, whatever the size of the file.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from prc_cli.core.types import I64
 PAGE_BYTES = 1 << 20
 BUFFER_ITEMS = 1 << 20
 WRITE_BYTES = 1 << 16
-"""Bytes handed to the system at a time: for more at once Linux looks for large pieces of free memory, which takes up to
-ten times as long as the copy itself."""
+"""Bytes per write: for more, Linux searches large blocks of free memory, which takes up to ten times as long as the
+copy."""
 
 
 class Spool:
-    """One value a record in a temporary file; records never written read as ``fill``.
+    """One value per record in a temporary file; records never written read as ``fill``.
 
     Parameters
     ----------
@@ -49,18 +49,18 @@ class Spool:
     def __init__(self, path: Path, dtype: DTypeLike, fill: Any, *, n_records: int | None = None) -> None:
         self._dtype = np.dtype(dtype)
         self._bits = np.dtype(f"u{self._dtype.itemsize}")
-        # stored as value XOR fill: holes of a file read as zero, hence as the fill value
+        # stored as value XOR fill: holes in the file read as zero, so as the fill value
         self._mask = np.array([fill], self._dtype).view(self._bits)[0]
         self._page_items = PAGE_BYTES // self._dtype.itemsize
         self._n_fixed = n_records
         self._n_seen = 0
         self._pending: list[tuple[I64 | int, NDArray[Any]]] = []
-        """Records and values; of consecutive records only the first."""
+        """Buffered records and values; only the first index of consecutive records."""
         self._n_pending = 0
         self._file: BinaryIO = path.open("w+b", buffering=0)
 
     def __len__(self) -> int:
-        """Return the records in the column so far."""
+        """Return the length of the column so far."""
         return self._n_seen if self._n_fixed is None else self._n_fixed
 
     def put(self, record: I64, values: NDArray[Any]) -> None:
@@ -135,7 +135,7 @@ class Spool:
 
     def _flush(self) -> None:
         scattered: list[tuple[I64, NDArray[Any]]] = []
-        # in the order they came: a later value replaces an earlier one
+        # in order of arrival: a later value replaces an earlier one
         for record, bits in self._pending:
             if isinstance(record, int):
                 self._scatter(scattered)
@@ -183,7 +183,7 @@ class Spool:
         done = 0
         while done < len(view):
             got = self._file.readinto(view[done:])  # type: ignore[attr-defined]
-            if not got:  # beyond what was written: a hole
+            if not got:  # beyond the end of the file: fill value
                 break
             done += got
         return span

@@ -1,4 +1,4 @@
-"""Class codes that arrive in record order, as those of range images do: written to the output at once, by no detour."""
+"""Writes class codes that arrive in record order, as from range images, directly to the output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from prc_cli.formats.writing.spool import write_all
 
 
 class StraightCodes:
-    """A ``.npy`` file of class codes that grows at its end.
+    """A ``.npy`` file of class codes to append to.
 
     Parameters
     ----------
@@ -64,12 +64,12 @@ class StraightCodes:
         self._file.close()
 
     def close(self) -> None:
-        """Close the file as it is."""
+        """Close the file without completing it."""
         self._file.close()
 
 
 def npy_header(dtype: str, shape: tuple[int, ...]) -> bytes:
-    """Return what stands before the values in a ``.npy`` file."""
+    """Return the header of a ``.npy`` file."""
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": dtype, "fortran_order": False, "shape": shape})
     return header.getvalue()

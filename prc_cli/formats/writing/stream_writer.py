@@ -1,6 +1,6 @@
-"""What the writers of whole streams share: ranges, times, angles and coordinates, block by block.
+"""Base class of the writers of whole streams: ranges, times, angles and coordinates, block by block.
 
-A stream writer takes blocks as they come and puts the file and its run record in their places at the end, both or none.
+A stream writer takes blocks in order and renames the file and its run record to their final names at the end.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ NO_CODE = -1
 
 @dataclass(frozen=True, slots=True)
 class StreamItem:
-    """A block with what its records carry beside the stream."""
+    """A block with classes and coordinates of its records."""
 
     block: ScanBlock
     codes: I32 | None = None
@@ -36,27 +36,27 @@ class StreamItem:
     extra_codes: I32 | None = None
     """(n,) int32, class codes of ``block.extra``."""
     registered_m: F64 | None = None
-    """(lines, M, 3) float64, coordinates as the input has them [m], NaN = none; only where ``block.xyz_m`` is None."""
+    """(lines, M, 3) float64, coordinates of the input [m], NaN = none; only where ``block.xyz_m`` is None."""
     extra_registered_m: F64 | None = None
     """(n, 3) float64, the same for ``block.extra``."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamShape:
-    """What a stream has, known from its first block; every block has the same."""
+    """Which values the blocks of a stream have, known from the first block."""
 
     points_per_line: int
-    """M, of the longest-lined scanner."""
+    """M, the largest of all scanners."""
     scanners: bool
-    """Whether it may hold several scanners."""
+    """Whether the stream may hold several scanners."""
     returns: bool
     """Whether the input counts the returns of a shot."""
     angles: bool
     times: bool
     xyz: bool
-    """Coordinates relative to the scanner."""
+    """Whether blocks have coordinates relative to the scanner."""
     registered: bool
-    """Coordinates of the input beside ranges that it has itself."""
+    """Whether blocks have coordinates of the input beside ranges."""
     intensity: bool
     codes: bool
     down_rad: float | None = None
@@ -81,11 +81,11 @@ class StreamShape:
 
 
 class StreamWriter(Writer, Protocol):
-    """What :func:`prc_cli.formats.stream_files.open_stream_writer` gives."""
+    """Writer that :func:`prc_cli.formats.stream_files.open_stream_writer` returns."""
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What the output could not hold of the blocks so far, known to the writer alone."""
+        """Notices about values that the output cannot hold."""
 
     def add_item(self, item: StreamItem) -> None:
         """Take a block.
@@ -93,15 +93,15 @@ class StreamWriter(Writer, Protocol):
         Raises
         ------
         OutputError
-            When it cannot be written (disk full), or is of a kind that the output cannot hold.
+            When it cannot be written (disk full), or the output cannot hold it.
         """
 
 
 class StagedStreamWriter(StagedOutput):
-    """A :class:`StreamWriter` that is staged."""
+    """A :class:`StreamWriter` with temporary files."""
 
     one_scanner = ""
-    """What the output is called where it can hold a single scanner only; empty = it can hold several."""
+    """Name of the format in messages, for formats of a single scanner; empty = several scanners are allowed."""
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
         super().__init__(path)
@@ -110,7 +110,7 @@ class StagedStreamWriter(StagedOutput):
 
     @property
     def losses(self) -> tuple[str, ...]:
-        """What the output could not hold of the blocks so far."""
+        """Notices about values that the output cannot hold."""
         return ()
 
     def add_item(self, item: StreamItem) -> None:
@@ -140,10 +140,10 @@ class StagedStreamWriter(StagedOutput):
 
     @abstractmethod
     def _write(self) -> None:
-        """Write what is left and close every temporary file."""
+        """Write the rest and close every temporary file."""
 
     def _scratch(self) -> BinaryIO:
-        """Open a temporary file that is gone at the end."""
+        """Open a temporary file that is removed at the end."""
         path = temporary_name(self.path)
         self._stack.callback(remove_quietly, path)
         handle = path.open("w+b")

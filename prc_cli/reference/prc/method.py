@@ -24,7 +24,7 @@ from prc_cli.reference.prc.stages import dilate, fill_holes, is_intersection, la
 
 @dataclass(frozen=True)
 class Settings:
-    """Parameters, under the paper's symbols; where the paper leaves a choice, it has a name of its own."""
+    """Parameters, with the symbols of the paper; choices that it leaves open have names."""
 
     k: int = 99
     """Scan lines of a block."""
@@ -227,7 +227,7 @@ def _urban(valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Me
 
 
 def _forest(valid: Mask, supported: Mask, smooth: Mask, segments: I64, memory: Memory, settings: Settings) -> U8:
-    """Label noise, stems, other vegetation, and ground: columns whose share of smooth shots is high enough (12)."""
+    """Label noise, stems, other vegetation, and ground: columns with a large share of smooth shots (12)."""
     labels = np.full(valid.shape, Label.NOISE, dtype=np.uint8)
     labels[supported] = Label.VEGETATION
     labels[smooth] = Label.STEM

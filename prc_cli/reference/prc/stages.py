@@ -1,6 +1,6 @@
-"""The steps of PRC one by one, from NumPy, SciPy and scikit-image, in the order of Lehtola et al. (2019), section II.
+"""The steps of PRC with NumPy, SciPy and scikit-image, in the order of Lehtola et al. (2019), section II.
 
-Names, arguments and results are those of the compiled loops in :mod:`prc_cli.kernels.prc`, none of their code is used.
+Names, arguments and results are those of the compiled loops in :mod:`prc_cli.kernels.prc`; no code is shared.
 The whole method is in :mod:`prc_cli.reference.prc.method`.
 """
 
@@ -88,7 +88,7 @@ def background_mask(window: F32, supported: Mask, form: int, alpha: float, d_c: 
 
 
 def is_intersection(before: float, here: float, after: float, form: str, alpha: float, d_c: float) -> bool:
-    """Tell whether three successive ranges are of two surfaces that meet: (9) does not hold.
+    """Whether three successive ranges are of two surfaces that meet: (9) does not hold.
 
     ``form`` is how (9) is read: "literal"; "abs", with absolute differences, since ranges may fall as well as rise;
     "centred", the distance from the middle of the neighbours, which is (9) where they rise by ``d_c`` or more, and
@@ -154,7 +154,7 @@ def carry_labels(first_line: I32, last_line: I64, n_components: int, min_votes: 
 
 def dilate(image: Mask, iterations: int) -> Mask:
     """Dilate with the cross; see :func:`prc_cli.kernels.prc.surfaces.dilate`."""
-    if iterations == 0:  # which SciPy takes as "until nothing changes"
+    if iterations == 0:  # SciPy takes 0 as "until nothing changes"
         return image.copy()
     grown: Mask = ndimage.binary_dilation(image, structure=CROSS, iterations=iterations)
     return grown

@@ -151,7 +151,7 @@ def cut_verticals(
         beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
         codes = [int(surface[row, k]) for k in beams]
         distance = horizontal_m[row, beams].astype(np.float64)
-        # the same number as far as nothing breaks
+        # beams have the same number up to the next break
         part = np.cumsum([0] + [abs(b - a) > thresholds.vertical_break_m for a, b in pairwise(distance)])
         keep = [k <= last for k in beams]
         vertical = [

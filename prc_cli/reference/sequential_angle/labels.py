@@ -1,4 +1,4 @@
-"""Classes of the points when all algorithms have had their say (Stamos et al. 2012, sec. 7 and 8)."""
+"""Combines the results of all algorithms into classes (Stamos et al. 2012, sec. 7 and 8)."""
 
 from __future__ import annotations
 

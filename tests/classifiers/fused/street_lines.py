@@ -1,4 +1,4 @@
-"""A street made of planes, without the simulator: a road, kerbs, facades, a hedge, a parked car, strays."""
+"""A street of planes, without the simulator: road, kerbs, facades, a hedge, a parked car, stray points."""
 
 from __future__ import annotations
 

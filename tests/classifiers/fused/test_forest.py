@@ -1,4 +1,4 @@
-"""Ground, stems, vegetation and noise of a forest: drawn scenes, what every step does, and a simulated walk."""
+"""Ground, stems, vegetation and noise of a forest: hand-made scenes, single steps, and a simulated walk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The numbers that stages and loops must agree on: nothing else would notice a difference."""
+"""Constants that stages and loops share are equal; no other test checks them."""
 
 from __future__ import annotations
 

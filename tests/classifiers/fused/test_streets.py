@@ -1,4 +1,4 @@
-"""The fused classifier on a street of planes: classes, steps that are off, blocks, threads."""
+"""The fused classifier on a street of planes: classes, switched-off steps, blocks, threads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Streams that end in ties, and the way from shipped parameters to the oracle's."""
+"""Streams with many ties, and conversion of parameters to those of the oracle."""
 
 from __future__ import annotations
 

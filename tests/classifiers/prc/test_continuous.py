@@ -1,4 +1,4 @@
-"""Continuous processing: a few new lines at a time, each in the k lines that end with them."""
+"""Continuous processing: a few new lines at a time, classified in the last k lines."""
 
 from __future__ import annotations
 

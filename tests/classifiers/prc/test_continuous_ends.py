@@ -1,4 +1,4 @@
-"""Continuous processing of scenes where things end: the line before a block knows segments that the block does not."""
+"""Continuous processing where segments end: the line before a block has segments that the block lacks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Lehtola et al. (2019) say about their method, checked on ours."""
+"""Statements of Lehtola et al. (2019) about their method, checked on ours."""
 
 from __future__ import annotations
 

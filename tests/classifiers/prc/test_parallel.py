@@ -1,4 +1,4 @@
-"""Blocks in threads against blocks one after the other: the same bytes, whatever the number of threads."""
+"""Blocks in threads and one after the other give the same bytes, for any number of threads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The shipped path, block by block, against the whole method written from the paper."""
+"""The production pipeline, block by block, against the whole method written from the paper."""
 
 from __future__ import annotations
 

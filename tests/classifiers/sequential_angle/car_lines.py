@@ -1,4 +1,4 @@
-"""Single vertical lines over road, cars, walls and the rest, seen by a noisy scanner; labels by construction."""
+"""Single vertical lines over road, cars and walls, seen by a noisy scanner, with their true labels."""
 
 from __future__ import annotations
 

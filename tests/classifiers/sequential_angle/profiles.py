@@ -1,4 +1,4 @@
-"""Vertical lines over drawn cross sections, with the labels and angles that the ground and curb stages start from."""
+"""Vertical lines over hand-made cross sections, with labels and angles as input of the ground and curb stages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Vertical lines of a made-up street: ground, curb, bush, trunk, crown, wall, sky; what every shot hit is known."""
+"""Vertical lines of a made-up street: ground, curb, bush, trunk, crown, wall, sky; the surface of every shot is
+known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signed angles and line angles against their geometry."""
+"""Signed angles and line angles of known geometry."""
 
 from __future__ import annotations
 

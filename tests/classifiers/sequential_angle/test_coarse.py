@@ -1,4 +1,4 @@
-"""Coarse classification on made-up streets and at its edges."""
+"""Coarse classification on made-up streets and edge cases."""
 
 from __future__ import annotations
 

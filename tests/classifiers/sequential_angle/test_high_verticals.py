@@ -1,4 +1,4 @@
-"""What hides cars: the first vertical sequence that ends high above the ground."""
+"""The first vertical sequence that ends high above the ground, which hides cars behind it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The test between two hidden Markov models: against likelihoods summed over paths, and at its ends."""
+"""The test between two hidden Markov models: against likelihoods summed over paths, and at the ends of data."""
 
 from __future__ import annotations
 

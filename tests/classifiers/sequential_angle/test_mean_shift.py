@@ -1,4 +1,4 @@
-"""Mean shift on a grid against its literal form."""
+"""Mean shift on a grid against the textbook form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The whole method: its order, what crosses lines, when lines are final."""
+"""The whole method: order of stages, state across lines, when lines are final."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chain of H, V and M against its brute-force likelihood ratios, and what it fires on."""
+"""The chain of H, V and M against brute-force likelihood ratios, and its triggers."""
 
 from __future__ import annotations
 

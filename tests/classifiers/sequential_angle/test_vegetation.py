@@ -1,4 +1,4 @@
-"""The less sensitive test for vegetation against its closed form, and the layer of the car algorithm."""
+"""The less sensitive test for vegetation against its closed form, and the labels for the car algorithm."""
 
 from __future__ import annotations
 

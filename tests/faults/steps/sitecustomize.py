@@ -1,7 +1,7 @@
-"""Kills a process of a run just before its n-th step in the output folder; Python imports this module by its name.
+"""Kills a process of a run just before its n-th step in the output folder; Python imports this module at start.
 
-The steps of all processes of a run are counted in one file, a byte each. Or changes inputs whenever a run opens them,
-or holds its workers up there.
+One file counts the steps of all processes of a run, a byte each. It can also change inputs when a run opens them, or
+delay workers there.
 """
 
 import os

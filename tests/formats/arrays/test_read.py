@@ -1,4 +1,4 @@
-"""Range images: shapes, what stands beside the ranges, and every way an array can be wrong."""
+"""Range images: shapes, arrays beside the ranges, and every kind of wrong array."""
 
 from __future__ import annotations
 

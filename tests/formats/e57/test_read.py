@@ -1,4 +1,4 @@
-"""E57: cells by their indices in any order, poses, states, returns, and damaged files that must not crash."""
+"""Reading E57: cells in any order, poses, states, returns, and damaged files, which must not crash."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""E57 output: what our own reader makes of it is the stream that was written; nothing is left of a failed run."""
+"""Writing E57: our reader gives back the stream; failed runs leave no files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Class codes out of every file that carries them."""
+"""Reading class codes from every format that holds them."""
 
 from __future__ import annotations
 

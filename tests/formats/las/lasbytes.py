@@ -1,4 +1,4 @@
-"""LAS files for the writers' tests, and a small parser of its own: nothing here is shared with the package."""
+"""LAS files for tests of writers, and a small independent parser: nothing here is shared with the package."""
 
 from __future__ import annotations
 

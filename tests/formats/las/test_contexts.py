@@ -1,4 +1,4 @@
-"""Contexts of classes: packed, taken in other pieces than they came in, and never too many."""
+"""Contexts of classes: packed, read in other batches than written, and limited in memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A LAZ file that is cut short between being opened and being read."""
+"""A LAZ file that is cut short between opening and reading."""
 
 from __future__ import annotations
 

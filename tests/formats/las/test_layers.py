@@ -1,4 +1,4 @@
-"""A layer of a LAZ chunk that claims more than the file has is refused before room is made for it."""
+"""A layer of a LAZ chunk declared larger than the file is refused before allocation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""LAS and LAZ in, LAS and LAZ out: nothing may change but the class and what was asked for."""
+"""Rewriting LAS and LAZ: only the class and requested dimensions change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""New classes in LAZ chunks: the same bytes as compressing everything again, and nothing else touched."""
+"""New classes in LAZ chunks: the same bytes as from compressing everything again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random LAZ files of every kind of chunk: spliced classes against compressing everything again."""
+"""Random LAZ files of every kind of chunk: spliced classes against full recompression."""
 
 from __future__ import annotations
 

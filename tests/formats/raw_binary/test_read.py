@@ -1,4 +1,4 @@
-"""Raw dumps: any layout, any cut into chunks, and every way a file can be short."""
+"""Raw dumps: any layout, any chunks, and every way a file can be cut short."""
 
 from __future__ import annotations
 

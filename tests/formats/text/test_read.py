@@ -1,4 +1,4 @@
-"""Text files: what is found by looking, values of any cut into blocks, and the line of everything that is wrong."""
+"""Text files: detection of the dialect, values independent of blocks, and line numbers of errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files on Dask: the bytes of the local engine, whatever dies on the way."""
+"""Files on Dask: the same bytes as the local engine, even if workers die."""
 
 from __future__ import annotations
 

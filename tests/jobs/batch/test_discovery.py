@@ -1,4 +1,4 @@
-"""What an archive holds, whatever somebody has put into it."""
+"""Discovery of the files in an archive, with odd names and contents."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An alarm for a file that is unlike the earlier ones, and none for one that is not."""
+"""Drift alarms for files unlike the earlier ones, and none for others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The journal holds what was committed, whatever happens, and says so clearly when it cannot."""
+"""The journal keeps committed rows, or reports a clear error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real worker processes: what one file can do to them, and what is left afterwards."""
+"""Real worker processes: files that crash or block them, and cleaning up afterwards."""
 
 from __future__ import annotations
 

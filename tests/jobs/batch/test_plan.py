@@ -1,4 +1,4 @@
-"""What is done with every file, why, with which configuration, and what that takes."""
+"""The plan: action, reason and configuration of every file, and the estimated effort."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Outputs against a tree of references: each as prc evaluate has it, pooled, with files that have none named."""
+"""Outputs against a tree of references: the same as prc evaluate per file, pooled; files without reference are
+listed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole runs: with scripted engines for what is hard to provoke, and with real workers for the bytes."""
+"""Whole runs, with scripted engines for rare events and with real workers for equal bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The runbook has an entry for whatever a run may report."""
+"""The runbook has an entry for everything that a run may report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two sides matched by order, time, id and place: the same pairs, and the same matrix as counted one by one."""
+"""Matching by order, time, id and position: the same pairs and the same matrix as counted one by one."""
 
 from __future__ import annotations
 
