@@ -93,7 +93,7 @@ def load_compiler() -> None:
     try:
         import_module("numba")
     except (ImportError, OSError) as error:
-        hint = "prc classify --engine reference works without it, slowly; prc doctor checks the installation"
+        hint = "pip install --force-reinstall numba; until then prc classify --engine reference is the slow way"
         raise PrcError("numba", f"cannot be loaded ({error})", hint) from error
 
 
