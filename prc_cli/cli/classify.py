@@ -16,9 +16,9 @@ from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_classes
 from prc_cli.core.classes import Label
 from prc_cli.core.profile import profiling, timed
-from prc_cli.core.threads import default_threads
-from prc_cli.jobs.classify import RunSummary, load_classifier
+from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
 from prc_cli.jobs.classify import classify as classify_file
+from prc_cli.kernels import ENGINES, Engine
 
 MANY = 0.01
 """Share of unplaced records above which the rules for lines and columns are probably wrong."""
@@ -35,10 +35,17 @@ MANY = 0.01
     type=click.IntRange(min=1),
     help="Threads that classify; default: one for every core. They do not change a byte of OUT, and are not recorded.",
 )
+@click.option(
+    "--engine",
+    type=click.Choice(ENGINES),
+    default="compiled",
+    show_default=True,
+    help="Compiled loops; or the papers' methods in plain NumPy and SciPy: slow, one thread, the same labels.",
+)
 @click.option("--profile", is_flag=True, help="Print where the time went, on stderr, and with --json on stdout.")
 @output_options
 def classify(
-    source: Path, output: Path, overwrite: bool, segment_ids: bool,
+    source: Path, output: Path, overwrite: bool, segment_ids: bool, engine: Engine,
     as_json: bool, quiet: bool, verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Give every shot of IN its class and write OUT.
@@ -54,15 +61,17 @@ def classify(
     """
     if segment_ids:
         options["assignments"] = (*options["assignments"], "output.segment_ids=true")
-    threads, wants_profile = options.pop("threads") or default_threads(), options.pop("profile")
+    threads, wants_profile = threads_of(engine, options.pop("threads")), options.pop("profile")
     loaded = config_from(options)
     with profiling() if wants_profile else nullcontext() as profile:
         if source.is_file():  # otherwise refuse it without waiting for the compiler
             with compiling_note(quiet=quiet), timed("loading compiled loops"):
-                load_classifier(loaded)
+                load_classifier(loaded, engine)
         start = time.perf_counter()
         with line_progress(source.name, quiet=quiet) as progress:
-            summary = classify_file(source, output, loaded, overwrite=overwrite, progress=progress, threads=threads)
+            summary = classify_file(
+                source, output, loaded, overwrite=overwrite, progress=progress, threads=threads, engine=engine
+            )
         seconds = time.perf_counter() - start
     if as_json:
         result = summary.record.as_dict()

@@ -21,11 +21,13 @@ BROKEN = 1
     metavar="FOLDER",
     help="Also ask a folder for outputs for what prc batch needs of it.",
 )
-@click.option("--no-run", is_flag=True, help="Without the small run from end to end.")
+@click.option("--no-run", is_flag=True, help="Without the small runs from end to end and by both engines.")
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print only what is not as it should be.")
 def doctor(out: Path | None, no_run: bool, as_json: bool, quiet: bool) -> None:
     """Check the installation: packages, LAZ, compiled loops, memory, disks, and a small run from end to end.
+
+    The compiled loops must give the same labels as --engine reference of prc classify.
 
     Every check is ok, warn (slower, or not for everything) or bad, and says what to do. Exit code 1 if one is bad.
 

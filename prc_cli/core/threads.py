@@ -14,6 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextvars import copy_context
 from pathlib import Path
 from types import TracebackType
 from typing import Generic, TypeVar
@@ -247,7 +248,7 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
     Parameters
     ----------
     items : iterable
-        Iterated in the other thread, and closed there at the end if it has ``close``.
+        Run, and closed at the end if it can be, in the other thread, with the context variables of this one.
     depth : int
         Most items that wait ready; one more is in progress.
     patience_s : float, seconds
@@ -278,8 +279,8 @@ def read_ahead(items: Iterable[_A], *, depth: int = 2, patience_s: float = PATIE
             error = raised
         channel.end(error)
 
-    # a daemon, so that a blocked read from a pipe cannot keep the program from ending
-    thread = threading.Thread(target=run, name="read-ahead", daemon=True)
+    # a daemon: a read from a pipe that never comes back must not keep the program from ending
+    thread = threading.Thread(target=copy_context().run, args=(run,), name="read-ahead", daemon=True)
     thread.start()
     try:
         yield from channel

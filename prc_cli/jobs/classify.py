@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from prc_cli.classifiers.base import MethodParams, Wanted
 from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
@@ -38,7 +38,7 @@ from prc_cli.formats.writing.record import (
     fingerprint,
     record_path,
 )
-from prc_cli.kernels import load_kernels
+from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.streams.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
@@ -169,9 +169,18 @@ def label_blocks(
     yield from run_blocks(blocks, params.method(), threads=threads, wanted=wanted, shots_at_once=shots_at_once)
 
 
-def load_classifier(config: LoadedConfig | RunConfig | None = None) -> None:
-    """Load the compiled loops of the classifier; the first time after installation compiles them, which takes long."""
-    load_kernels(_loaded(config).config.classifier.method().needs.kernels)
+def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled") -> None:
+    """Load the loops of the classifier; after installation they are compiled once, which takes a while.
+
+    Raises
+    ------
+    ConfigError
+        When the engine is the reference and the method is not written there.
+    PrcError
+        When the compiler is needed and cannot be loaded.
+    """
+    with use_engine(engine):
+        load_kernels(_loaded(config).config.classifier.method().needs.kernels)
 
 
 def classify(
@@ -182,6 +191,7 @@ def classify(
     overwrite: bool = False,
     progress: Progress | None = None,
     threads: int | None = None,
+    engine: Engine = "compiled",
 ) -> RunSummary:
     """Classify one file and write its labels; the output is complete or absent.
 
@@ -198,8 +208,11 @@ def classify(
     progress : callable, optional
         Called with the number of lines just finished.
     threads : int, optional
-        Classifying threads; default: one per core. With more than one, reading, writing and hashing the input have a
-        thread each in addition; with one, everything runs in the caller's thread. The output does not depend on it.
+        Threads that classify; default: one for every core. With more than one, reading, writing and the fingerprint of
+        the input have a thread each beside them; with one, all is done in this one. The output does not depend on it.
+    engine : str
+        ``compiled`` or ``reference``: the papers' methods in plain NumPy, SciPy and scikit-image, slow, in one thread,
+        with the same labels.
 
     Returns
     -------
@@ -212,10 +225,29 @@ def classify(
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     loaded = _loaded(config)
-    source, output = Path(source), Path(output)
+    if engine != "compiled":  # refused before anything is read
+        load_classifier(loaded, engine)
+    with use_engine(engine):
+        return _classify(
+            Path(source), Path(output), loaded,
+            overwrite=overwrite, progress=progress, threads=threads_of(engine, threads), engine=engine,
+        )  # fmt: skip
+
+
+def threads_of(engine: Engine, threads: int | None = None) -> int:
+    """Return the threads that classify: those asked for, by default one a core; the reference has one."""
+    if engine == "reference":
+        return 1
+    return default_threads() if threads is None else threads
+
+
+def _classify(
+    source: Path, output: Path, loaded: LoadedConfig,
+    *, overwrite: bool, progress: Progress | None, threads: int, engine: Engine,
+) -> RunSummary:  # fmt: skip
+    """Classify one file with the engine that is set; see :func:`classify`."""
     trajectory = loaded.trajectory
-    keep_memory()  # must precede the first thread
-    threads = default_threads() if threads is None else threads
+    keep_memory()  # before any thread
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
     for path in (output, record_path(output)):
         check_output(path, overwrite=overwrite, inputs=inputs)
@@ -244,7 +276,7 @@ def classify(
         record = run_record(stream.info, counts, loaded, beside.result())
         segments = loaded.config.output.segment_ids
         missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
-        record = replace(record, notices=(*record.notices, *missed))
+        record = replace(record, notices=(*record.notices, *missed), engine=engine)
         after = source.stat()
         if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
@@ -294,6 +326,7 @@ def classify_ranges(
     beam_rad: ArrayLike | None = None,
     xyz_m: ArrayLike | None = None,
     threads: int | None = None,
+    engine: Engine = "compiled",
 ) -> U8:
     """Classify a range image that is in memory.
 
@@ -309,7 +342,9 @@ def classify_ranges(
     xyz_m : (lines, M, 3) float, metres, optional
         Relative to the scanner, z up; without it the sequential-angle classifier uses range and beam angle.
     threads : int, optional
-        Classifying threads; default: one per core. The labels do not depend on it.
+        Threads that classify; default: one for every core. The labels do not depend on it.
+    engine : str
+        ``compiled`` or ``reference``, as for :func:`classify`.
 
     Returns
     -------
@@ -319,7 +354,9 @@ def classify_ranges(
     Raises
     ------
     InputError
-        When an array has the wrong shape, or required beam angles are missing.
+        When an array has another shape than it should have, or beam angles are needed and not given.
+    ConfigError
+        When the engine is the reference and the method is not written there.
 
     Examples
     --------
@@ -335,6 +372,16 @@ def classify_ranges(
     given = np.asarray(range_m)
     if given.dtype.kind not in "fiu":
         raise InputError("range_m", f"found values of type {given.dtype}, expected ranges in metres")
+    if engine != "compiled":
+        load_classifier(config, engine)
+    with use_engine(engine):
+        block = _block_of(given, config, beam_rad, xyz_m)
+        threads = threads_of(engine, threads)
+        return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier, threads=threads)])
+
+
+def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None) -> ScanBlock:
+    """Check the arrays of a range image."""
     ranges, tally = clean_ranges(given, config.input.min_range, config.input.max_range)
     if ranges.ndim != 2 or not ranges.size:
         raise InputError("range_m", f"found an array of shape {ranges.shape}, expected (lines, points per line)")
@@ -347,8 +394,7 @@ def classify_ranges(
     )
     if config.needs_beams and beam_rad is None:
         raise InputError("beam_rad", "not given, expected the angle of every column's beam from straight down")
-    threads = default_threads() if threads is None else threads
-    return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier, threads=threads)])
+    return block
 
 
 def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from prc_cli.kernels.loading import KERNELS, find_kernel, load_kernels, use_reference
+from prc_cli.kernels.loading import ENGINES, KERNELS, Engine, find_kernel, load_compiler, load_kernels, use_engine
 
-__all__ = ["KERNELS", "load_kernels", "use_reference"]
+__all__ = ["ENGINES", "KERNELS", "Engine", "load_compiler", "load_kernels", "use_engine"]
 
 
 def __getattr__(name: str) -> Any:

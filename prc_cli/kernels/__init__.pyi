@@ -16,9 +16,12 @@ from prc_cli.kernels.fused.strips import fill_strips as fill_strips
 from prc_cli.kernels.fused.strips import find_walls as find_walls
 from prc_cli.kernels.fused.strips import widen_levels as widen_levels
 from prc_cli.kernels.fused.strips import widen_slots as widen_slots
+from prc_cli.kernels.loading import ENGINES as ENGINES
 from prc_cli.kernels.loading import KERNELS as KERNELS
+from prc_cli.kernels.loading import Engine as Engine
+from prc_cli.kernels.loading import load_compiler as load_compiler
 from prc_cli.kernels.loading import load_kernels as load_kernels
-from prc_cli.kernels.loading import use_reference as use_reference
+from prc_cli.kernels.loading import use_engine as use_engine
 from prc_cli.kernels.prc.calibration import bend_histogram as bend_histogram
 from prc_cli.kernels.prc.calibration import support_histogram as support_histogram
 from prc_cli.kernels.prc.components import carry_labels as carry_labels

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, get_args
 
-from prc_cli.core.errors import ConfigError
+from prc_cli.core.errors import ConfigError, PrcError
 from prc_cli.core.garbage import no_collecting
 from prc_cli.core.interrupts import held
 
@@ -28,8 +30,37 @@ def _read_table() -> dict[str, str]:
 KERNELS = _read_table()
 """Module of every kernel, by name."""
 
-_loaded: dict[str, Callable[..., Any]] = {}
-_find_home: Callable[[str], str] = KERNELS.__getitem__
+Engine: TypeAlias = Literal["compiled", "reference"]
+"""Which form of the kernels runs: the compiled loops, or their plain twins."""
+ENGINES: tuple[Engine, ...] = get_args(Engine)
+
+# of a thread and what it starts: a run beside this one keeps its own
+_engine: ContextVar[Engine] = ContextVar("engine", default="compiled")
+_loaded: dict[tuple[Engine, str], Callable[..., Any]] = {}
+
+
+@contextmanager
+def use_engine(engine: Engine) -> Iterator[None]:
+    """Let the kernels inside this context be of one engine; with ``reference`` the compiler is never loaded.
+
+    Examples
+    --------
+    >>> with use_engine("reference"):
+    ...     find_kernel("dilate").__module__
+    'prc_cli.reference.prc.stages'
+
+    Raises
+    ------
+    ConfigError
+        When there is no such engine.
+    """
+    if engine not in ENGINES:
+        raise ConfigError("engine", f"found {engine!r}, expected {' or '.join(ENGINES)}")
+    before = _engine.set(engine)
+    try:
+        yield
+    finally:
+        _engine.reset(before)
 
 
 def find_kernel(name: str) -> Callable[..., Any]:
@@ -38,18 +69,32 @@ def find_kernel(name: str) -> Callable[..., Any]:
     Raises
     ------
     ConfigError
-        When :func:`use_reference` was called and the kernel has no twin there.
+        When the engine is the reference, and the kernel has no twin there.
+    PrcError
+        When the compiler cannot be loaded.
     """
-    if name not in _loaded:
-        _loaded[name] = held(getattr(import_module(_find_home(name)), name))
-    return _loaded[name]
+    engine = _engine.get()
+    if (engine, name) not in _loaded:
+        if engine == "compiled":
+            load_compiler()
+        home = KERNELS[name] if engine == "compiled" else reference_home(name)
+        _loaded[engine, name] = held(getattr(import_module(home), name))
+    return _loaded[engine, name]
 
 
-def use_reference() -> None:
-    """Use the plain twin of every kernel in this process from now on, without loading the compiler."""
-    global _find_home
-    _find_home = reference_home
-    _loaded.clear()
+def load_compiler() -> None:
+    """Load numba.
+
+    Raises
+    ------
+    PrcError
+        When it cannot be loaded.
+    """
+    try:
+        import_module("numba")
+    except (ImportError, OSError) as error:
+        hint = "pip install --force-reinstall numba; until then prc classify --engine reference is the slow way"
+        raise PrcError("numba", f"cannot be loaded ({error})", hint) from error
 
 
 def reference_home(name: str) -> str:
@@ -62,8 +107,8 @@ def reference_home(name: str) -> str:
     for home in (f"{_REFERENCE}{method}.{module}", f"{_REFERENCE}{method}.stages"):
         if find_spec(f"{_REFERENCE}{method}") and find_spec(home) and hasattr(import_module(home), name):
             return home
-    problem = f"found reference, but {method}.{module}.{name} is written as a compiled loop alone"
-    raise ConfigError("engine", problem, "choose prc or sequential-angle")
+    problem = f"found reference, but {method} is written as compiled loops alone ({module}.{name})"
+    raise ConfigError("engine", problem, "use --preset urban, forest or street-scan, or leave out --engine")
 
 
 def load_kernels(modules: frozenset[str] | None = None) -> None:
@@ -79,11 +124,14 @@ def load_kernels(modules: frozenset[str] | None = None) -> None:
     Raises
     ------
     ConfigError
-        When :func:`use_reference` was called and a kernel has no twin there.
+        When the engine is the reference, and a kernel has no twin there.
+    PrcError
+        When the compiler cannot be loaded.
     """
     wanted = {name: home for name, home in KERNELS.items() if modules is None or _is_in(home, modules)}
     with no_collecting():
-        if _find_home is not reference_home:
+        if _engine.get() == "compiled":
+            load_compiler()
             from prc_cli.kernels.compiling import compile_missing  # which loads the compiler
 
             compile_missing(sorted(set(wanted.values())))

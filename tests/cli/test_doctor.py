@@ -11,10 +11,12 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from prc_cli.cli import main
 from prc_cli.core.errors import OutputError
+from prc_cli.core.types import F32
 from prc_cli.formats.las.check import classes_by_laspy
 from prc_cli.jobs import doctor
 from prc_cli.jobs.doctor import Check, examine, file_system
@@ -40,6 +42,7 @@ def test_this_installation_is_sound_from_end_to_end(tmp_path: Path, capsys: pyte
     assert code == 0, found
     assert found["counts"]["bad"] == 0
     assert by_name["end to end"]["details"]["scores"]["recall.ground"] > 0.95
+    assert by_name["engines"]["details"]["different"] == {"urban": 0, "forest": 0, "street-scan": 0}
     assert by_name["LAZ"]["status"] == "ok"
     assert by_name["journal in it"]["details"]["journal_mode"] in ("wal", "delete")
     # the folder is asked about, not made, and nothing stays in the one that is there
@@ -251,6 +254,26 @@ def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> Non
     (found,) = [check for check in examine() if check.name == "end to end"]
     assert found.status == "bad"
     assert found.found.endswith("laspy reads other classes than were written")
+
+
+def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(range_m: F32, *_: object, engine: str = "compiled", **__: object) -> F32:
+        return np.full_like(range_m, engine == "compiled")
+
+    monkeypatch.setattr("prc_cli.jobs.classify.classify_ranges", wrong)
+    monkeypatch.setattr(doctor, "COMPARED", {"forest": doctor.COMPARED["forest"]})
+    (found,) = [check for check in examine() if check.name == "engines"]
+    assert (found.status, found.details["different"]) == ("bad", {"forest": 48_000})
+    assert "labels differ (forest 48,000), expected the same" in found.found
+    assert "prc classify --engine reference" in found.hint
+
+
+@pytest.mark.parametrize("name", ["processor", "compiled loops"])
+def test_without_numba_the_other_engine_is_named(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setitem(sys.modules, "numba", None)
+    found = checks()[name]
+    assert (found.status, found.found.partition(" (")[0]) == ("bad", "numba: cannot be loaded")
+    assert "prc classify --engine reference" in found.hint
 
 
 def test_what_laspy_refuses_is_an_error_of_ours(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+import threading
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any
@@ -15,6 +16,8 @@ from hypothesis import strategies as st
 from numpy.random import Generator
 
 from prc_cli import kernels
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.threads import read_ahead
 from prc_cli.core.types import F32, I32, Mask
 from prc_cli.kernels import KERNELS, load_kernels
 from prc_cli.reference.prc import stages as oracle
@@ -259,17 +262,15 @@ def test_reading_the_parameters_does_not_load_the_compiler() -> None:
 REFERENCE = """
 import sys
 import numpy as np
-from prc_cli import kernels
 from prc_cli.config import load_config
 from prc_cli.jobs.classify import classify_ranges
 
-if sys.argv[1] == "reference":
-    kernels.use_reference()
 ranges = 20 + np.random.default_rng(1).normal(0, 0.005, (24, 90))
 ranges[5:9, 30:60] = 7.0
 for preset in ("urban", "forest", "street-scan"):
     config = load_config(preset=preset, options={"prc": {"lines_per_block": 7}}).config
-    print(classify_ranges(ranges, config, beam_rad=np.linspace(0.5, 2.2, 90), threads=2).tobytes().hex())
+    beams = np.linspace(0.5, 2.2, 90)
+    print(classify_ranges(ranges, config, beam_rad=beams, threads=2, engine=sys.argv[1]).tobytes().hex())
 print("numba" in sys.modules, file=sys.stderr)
 """
 
@@ -284,6 +285,24 @@ def test_the_reference_runs_through_the_same_composition_without_the_compiler() 
 
 
 def test_a_kernel_without_a_twin_in_the_reference_is_refused() -> None:
-    code = "from prc_cli import kernels; kernels.use_reference(); kernels.load_kernels(frozenset({'fused.ground'}))"
-    done = patience.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "engine: found reference, but fused.ground.walk_ground is written as a compiled loop alone" in done.stderr
+    problem = (
+        r"engine: found reference, but fused is written as compiled loops alone \(ground.walk_ground\); use --preset"
+    )
+    with kernels.use_engine("reference"), pytest.raises(ConfigError, match=problem):
+        kernels.load_kernels(frozenset({"fused.ground"}))
+
+
+def test_an_engine_holds_in_its_context_and_in_its_thread() -> None:
+    compiled = kernels.dilate
+    with kernels.use_engine("reference"):
+        plain = kernels.dilate
+        found: list[object] = []
+        beside = threading.Thread(target=lambda: found.append(kernels.dilate))
+        beside.start()
+        beside.join()
+        with kernels.use_engine("compiled"):
+            assert kernels.dilate is compiled
+        assert list(read_ahead(kernels.dilate for _ in range(1))) == [plain]
+    assert plain.__module__ == "prc_cli.reference.prc.stages"
+    assert found == [compiled]
+    assert kernels.dilate is compiled is not plain

@@ -76,15 +76,17 @@ class RunRecord:
     classes: tuple[ClassCount, ...] = ()
     """Records by class code as written; filled in by the writer."""
     notices: tuple[str, ...] = ()
-    """Notices about the input; the writer adds its own."""
+    """What is unusual about the input; the writer adds what it had to decide."""
+    engine: str = "compiled"
+    """Which form of the loops ran; noted only where it is another."""
 
     def with_written(self, classes: tuple[ClassCount, ...], notices: tuple[str, ...]) -> RunRecord:
         """Return the record with counts and notices of the writer."""
         return replace(self, classes=classes, notices=(*self.notices, *notices))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the record as nested dicts of plain values."""
-        return {
+        """Return the record as nested plain values."""
+        found = {
             "program": PROGRAM,
             "version": __version__,
             "config": _without_folders(self.config),
@@ -102,6 +104,7 @@ class RunRecord:
             "classes": [asdict(item) for item in self.classes],
             "notices": list(self.notices),
         }
+        return found if self.engine == "compiled" else {**found, "engine": self.engine}
 
     def to_json(self) -> bytes:
         """Return the record as ASCII JSON, sorted keys, ending in a line feed."""

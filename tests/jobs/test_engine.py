@@ -1,0 +1,165 @@
+"""``--engine reference``: the labels of the compiled loops bit for bit, from every format, and without numba."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import prc_cli
+from prc_cli import kernels
+from prc_cli.cli import main
+from prc_cli.config import load_config
+from prc_cli.core.errors import ConfigError
+from prc_cli.core.types import F32
+from prc_cli.formats.writing.record import record_path
+from prc_cli.jobs.classify import classify, classify_ranges
+from tests import patience
+from tests.formats.organised_files import grid_points, ptx_scan, write_text
+from tests.street import angles, street, write_csv, write_npz, write_raw
+
+LINES = slice(50, 90)
+SIMULATED = {
+    "urban": "street --lines 60 --set scanner.points_per_line=200",
+    "forest": "forest --lines 60 --set scanner.points_per_line=300 --set sight_m=20",
+    "street-scan": "street-scan --seed 3 --set scanner.points_per_line=80 --set scanner.azimuth_step_deg=4 "
+    "--set station.turn_deg=70",
+}
+WITHOUT_NUMBA = """
+import json, sys
+sys.modules["numba"] = sys.modules["llvmlite"] = None
+from prc_cli.cli import main
+for words in json.loads(sys.argv[1]):
+    try:
+        main(words)
+    except SystemExit as stop:
+        print(stop.code)
+"""
+
+
+def piece() -> F32:
+    """A few lines of the street, (40, M) float32 [m]; one of them has no returns."""
+    return street()[LINES]
+
+
+def prc(*words: str | Path) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main([str(word) for word in words])
+    return int(stop.value.code or 0)
+
+
+def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
+    """Classify with both engines through the command line."""
+    outputs = []
+    for engine in kernels.ENGINES:
+        outputs.append(source.with_name(f"{source.name}.{engine}{suffix}"))
+        assert prc("classify", source, outputs[-1], *options, "--engine", engine, "-q") == 0
+    return outputs[0], outputs[1]
+
+
+@pytest.mark.parametrize("preset", ["urban", "forest", "street-scan", "street-scan-published"])
+def test_both_engines_give_the_same_labels_and_segments(tmp_path: Path, preset: str) -> None:
+    source = tmp_path / "scan.npz"
+    assert prc("simulate", *SIMULATED[preset.removesuffix("-published")].split(), "-o", source, "-q") == 0
+    compiled, plain = by_both(source, ".csv", "--preset", preset, "--segment-ids")
+    assert compiled.read_bytes() == plain.read_bytes()
+    assert len({line.split(",")[-2] for line in plain.read_text().splitlines()}) > 3
+
+
+def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", piece())
+    compiled, plain = (json.loads(record_path(path).read_text()) for path in by_both(source, ".npy"))
+    assert plain.pop("engine") == "reference"
+    assert plain == compiled
+
+
+def every_format(folder: Path) -> dict[str, Path]:
+    """Write the street in every format that is read, small."""
+    image = piece()
+    made = {"npz": write_npz(folder / "drive.npz", image), "csv": write_csv(folder / "drive.csv", image)}
+    made["csv.gz"] = write_csv(folder / "drive.csv.gz", image)
+    made["bin"] = write_raw(folder / "drive.bin", image)
+    made["npy"] = folder / "drive.npy"
+    np.save(made["npy"], image)
+    for suffix in ("laz", "las", "csv.zst"):
+        made[suffix] = folder / f"made.{suffix}"
+        assert prc("convert", made["npz"], made[suffix], "-q") == 0
+    return made
+
+
+def test_every_format_is_read_by_both_engines(tmp_path: Path) -> None:
+    for name, source in every_format(tmp_path).items():
+        options = ("-M", str(angles().size)) if name == "bin" else ()
+        compiled, plain = by_both(source, ".npy", *options)
+        assert compiled.read_bytes() == plain.read_bytes(), name
+
+
+def test_organised_scans_are_read_by_both_engines(tmp_path: Path) -> None:
+    points = grid_points(12, 40)
+    made = [write_text(tmp_path / "scan.ptx", ptx_scan(points)), tmp_path / "scan.e57"]
+    assert prc("convert", made[0], made[1], "-q") == 0
+    rows = "\n".join(" ".join(f"{100 * value:.3f}" for value in point[:3]) for point in points.reshape(-1, 4))
+    made.append(write_text(tmp_path / "scan000.3d", rows + "\n"))
+    write_text(tmp_path / "scan000.pose", "0 0 0\n0 0 0\n")
+    for source in made:
+        options = ("--lines", "elevation:20", "--range", "sensor-xyz") if source.suffix == ".3d" else ()
+        compiled, plain = by_both(source, ".npy", "--preset", "urban", *options)
+        assert compiled.read_bytes() == plain.read_bytes(), source.name
+
+
+def test_a_compiled_run_after_a_reference_run_is_compiled(tmp_path: Path) -> None:
+    source = write_npz(tmp_path / "drive.npz", piece())
+    classify(source, tmp_path / "plain.npy", engine="reference")
+    with kernels.use_engine("reference"):
+        plain = kernels.support_mask
+    assert plain.__module__.startswith("prc_cli.reference")
+    assert kernels.support_mask.__module__.startswith("prc_cli.kernels")
+    summary = classify(source, tmp_path / "compiled.npy")
+    assert "engine" not in summary.record.as_dict()
+    with pytest.raises(ConfigError):  # a run that fails leaves it as it was, too
+        classify(source, tmp_path / "fused.npy", load_config(preset="fused"), engine="reference")
+    assert kernels.support_mask.__module__.startswith("prc_cli.kernels")
+
+
+def test_fused_is_refused_before_anything_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = write_npz(tmp_path / "drive.npz", piece())
+    capsys.readouterr()
+    assert prc("classify", source, tmp_path / "out.npy", "--preset", "fused", "--engine", "reference") == 2
+    told = capsys.readouterr().err
+    assert told.startswith("error: engine: found reference, but fused is written as compiled loops alone")
+    assert "--preset urban, forest or street-scan" in told
+    assert told.count("\n") == 1
+    assert list(tmp_path.iterdir()) == [source]
+    with pytest.raises(ConfigError, match="fused"):
+        classify_ranges(piece(), load_config(preset="fused"), beam_rad=angles(), engine="reference")
+
+
+def test_an_unknown_engine_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="found 'quick', expected compiled or reference"):
+        classify_ranges(piece(), engine="quick")  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="found 'quick'"):
+        prc_cli.classify(tmp_path / "a.npz", tmp_path / "b.npy", engine="quick")
+
+
+def test_without_numba_the_reference_classifies(tmp_path: Path) -> None:
+    made = every_format(tmp_path)
+    commands = [
+        ["classify", made["npz"], tmp_path / "compiled.npy"],
+        *(
+            ["classify", made[name], tmp_path / f"{name}.out.npy", "--engine", "reference", "-q"]
+            for name in ("npz", "csv", "laz")
+        ),
+    ]
+    command = [sys.executable, "-c", WITHOUT_NUMBA, json.dumps(commands, default=str)]
+    done = patience.run(command, capture_output=True, text=True)
+    assert done.stdout.split() == ["1", "0", "0", "0"]
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: numba: cannot be loaded")
+    assert "prc classify --engine reference" in done.stderr
+    assert not (tmp_path / "compiled.npy").exists()
+    for name in ("npz", "csv", "laz"):
+        expected = classify(made[name], tmp_path / f"{name}.expected.npy").output
+        assert (tmp_path / f"{name}.out.npy").read_bytes() == expected.read_bytes()
