@@ -27,6 +27,7 @@ from typing import Any
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
+from prc_cli.core.files import make_folder
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -136,11 +137,7 @@ class Journal:
         self._database: sqlite3.Connection | None = None
 
     def __enter__(self) -> Journal:
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            problem = f"cannot be made ({error.strerror or error})"
-            raise OutputError(str(self._folder), problem, "check the output folder and its permissions") from error
+        make_folder(self._folder)
         with _errors(self.path):
             # autocommit: every statement is a transaction of its own, whole or not at all
             self._database = sqlite3.connect(self.path, timeout=WAIT_S, isolation_level=None)
