@@ -114,8 +114,6 @@ class Lock:
         Our own folder in the output tree; made if it is missing.
     shard : Shard, optional
         The part of the archive that this run works on.
-    beat_s : float
-        For tests: see :data:`BEAT_S`.
 
     Raises
     ------
@@ -125,14 +123,13 @@ class Lock:
         When the folder cannot be written.
     """
 
-    def __init__(self, folder: Path, shard: Shard | None = None, *, beat_s: float = BEAT_S) -> None:
+    def __init__(self, folder: Path, shard: Shard | None = None) -> None:
         self.path = lock_path(folder, shard)
         self.owner = Owner(shard="" if shard is None else str(shard))
         self.inherited_from: Owner | None = None
         """The dead owner that the lock was taken over from."""
         self._folder = folder
         self._shard = shard
-        self._beat_s = beat_s
         self._lock = _file_lock(self.path.with_suffix(""))
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
@@ -164,9 +161,8 @@ class Lock:
             return
         if found is None or found.token != self.owner.token:
             how = "its file is gone" if found is None else f"taken over by {found}"
-            raise BusyError(
-                str(self.path), f"the lock was lost: {how}", "this run stopped; run again to do what is left"
-            )
+            hint = "this run stopped; run again to do what is left"
+            raise BusyError(str(self.path), f"the lock was lost: {how}", hint)
 
     def _take(self) -> None:
         remove_stale(self.path)
@@ -188,7 +184,7 @@ class Lock:
     def _refuse(self, wait_s: float) -> None:
         """Raise if a living run has files in common with this one."""
         now = _file_system_time(self.path)
-        for path in _lock_paths(self._folder):
+        for path in self._folder.glob("lock*.json"):
             if path != self.path and self._shard is not None and path.name.endswith(f"-of-{self._shard.count}.json"):
                 continue
             holder = _holder(path, now, wait_s, self.owner)
@@ -201,7 +197,7 @@ class Lock:
             temporary.write_text(json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii")
 
     def _beat(self) -> None:
-        while not self._stop.wait(self._beat_s):
+        while not self._stop.wait(BEAT_S):
             with contextlib.suppress(OSError):
                 found = _read(self.path)
                 if found is None or found.token != self.owner.token:
@@ -227,7 +223,7 @@ def holders(folder: Path) -> list[Holder]:
 
     Heartbeats are compared with the clock of this machine.
     """
-    found = (_holder(path, time.time(), STATUS_S) for path in _lock_paths(folder))
+    found = (_holder(path, time.time(), STATUS_S) for path in sorted(folder.glob("lock*.json")))
     return [holder for holder in found if holder is not None]
 
 
@@ -243,21 +239,10 @@ def has_locks(folder: Path) -> bool:
     return _is_held(folder / "lock", LOOK_S) is not None
 
 
-def _lock_paths(folder: Path) -> list[Path]:
-    return sorted(folder.glob("lock*.json"))
-
-
 def _holder(path: Path, now: float, wait_s: float, myself: Owner | None = None) -> Holder | None:
     """Return who is named in a file, and whether that process lives; None without such a file, or if it names us.
 
-    Parameters
-    ----------
-    path : Path
-    now : float
-        Time of the file system [s].
-    wait_s : float
-        How long to wait for the lock [s].
-    myself : Owner, optional
+    ``now`` is the time of the file system [s], ``wait_s`` how long to wait for the lock [s].
     """
     try:
         owner, silent = _read(path), max(0.0, now - path.stat().st_mtime)

@@ -198,13 +198,14 @@ def test_a_file_that_names_nobody_stops_nobody(folder: Path, content: bytes) -> 
 @pytest.mark.parametrize("event", ["taken over", "removed"])
 @pytest.mark.parametrize("locks", [True, False])
 def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
-    folder: Path, request: pytest.FixtureRequest, event: str, locks: bool
+    folder: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, event: str, locks: bool
 ) -> None:
     """As after somebody removed files, or a machine slept and was taken for dead."""
     if not locks:
         request.getfixturevalue("without_locks")
+    monkeypatch.setattr(subject, "BEAT_S", 0.02)
     other = beating()
-    with Lock(folder, beat_s=0.02) as lock:
+    with Lock(folder) as lock:
         if event == "taken over":
             leave(lock.path, other)
         else:
@@ -269,8 +270,11 @@ def test_without_locks_a_second_run_is_refused_and_told_of_shards(
     assert os.listdir(folder) == []
 
 
-def test_the_heartbeat_beats_while_the_lock_is_held(folder: Path, without_locks: None) -> None:
-    with Lock(folder, beat_s=0.02) as lock:
+def test_the_heartbeat_beats_while_the_lock_is_held(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None
+) -> None:
+    monkeypatch.setattr(subject, "BEAT_S", 0.02)
+    with Lock(folder) as lock:
         os.utime(lock.path, (1000, 1000))
         wait_until(lambda: lock.path.stat().st_mtime > 1000)
         assert holders(folder)[0].silent_s is not None
@@ -369,7 +373,7 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
         with suppress(BusyError):
             inside.append(stack.enter_context(Lock(folder, shard)))
 
-    for name in ("_read", "_is_held", "_file_system_time", "_lock_paths"):
+    for name in ("_read", "_is_held", "_file_system_time"):
         monkeypatch.setattr(subject, name, stepped(getattr(subject, name)))
     for name in ("replace", "unlink"):
         monkeypatch.setattr(Path, name, stepped(getattr(Path, name)))
