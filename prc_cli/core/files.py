@@ -80,6 +80,21 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
         raise OutputError(str(folder), "output folder is not writable", "change its permissions or choose another")
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder of ours and those above it where they are missing.
+
+    Raises
+    ------
+    OutputError
+        When that fails.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        problem = f"cannot be made ({error.strerror or error})"
+        raise OutputError(str(folder), problem, "check the output folder and its permissions") from error
+
+
 def temporary_name(path: Path) -> Path:
     """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic).
 

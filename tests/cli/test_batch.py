@@ -155,7 +155,7 @@ def test_status_says_what_failed_and_summary_json_holds_it(office: tuple[Path, P
 def test_what_a_dead_run_left_is_not_called_at_work_while_another_run_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    alive = replace(Owner.myself(), pid=11)
+    alive = replace(Owner(), pid=11)
     dead = replace(alive, pid=22)
     runs = [JournalRun(str(n), "", "0", str(who), f"2026-01-0{n}", None, None) for n, who in ((1, dead), (2, alive))]
     entries = [

@@ -32,11 +32,11 @@ from prc_cli.jobs.batch.types import OWN_FOLDER
 
 SAME = "same"
 FORMATS = (SAME, *(suffix.removeprefix(".") for suffix in sorted(SUFFIXES)))
-"""Formats of outputs: ``same`` keeps LAS and LAZ what they are and writes labels alone for everything else."""
+"""Output formats: ``same`` writes LAS for LAS, LAZ for LAZ, and a label file for every other format."""
 LABELS = ".labels"
-"""Stands between the name of an input and the suffix of a file of labels alone."""
+"""Put between the name of an input and the suffix of its label file."""
 PATIENCE_S = 60.0
-"""A file system that lists nothing for so long hangs [s]."""
+"""Time limit for one answer of the file system [s]."""
 _READABLE = frozenset((*READERS, *IMAGE_READERS))
 _UNITS = {"s": 1, "min": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 
@@ -55,14 +55,14 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Discovery:
-    """What an archive holds."""
+    """Contents of an archive."""
 
     files: tuple[Found, ...]
-    """Inputs of this run, in the order of their names' bytes."""
+    """Inputs of this run, sorted by the bytes of their names."""
     left_out: tuple[LeftOut, ...]
-    """What no run takes, though somebody may think so."""
+    """Files and folders that no run takes although they look like inputs."""
     n_not_selected: int
-    """Inputs that patterns, times or the shard keep for other runs."""
+    """Inputs excluded from this run by patterns, times or the shard."""
 
 
 def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Discovery:
@@ -73,20 +73,21 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
     settings : BatchSettings
         Archive, output folder, patterns, time and shard.
     patience_s : float, seconds
-        How long the file system may take for an answer.
+        Time limit for one answer of the file system.
 
     Returns
     -------
     Discovery
-        Hidden files, outputs of this program, symbolic links that lead out of the archive, and things that are no
-        regular files are left out; all but the hidden ones are told.
+        Hidden files, outputs of this program, symbolic links out of the archive, and everything that is not a regular
+        file are left out; all except hidden files are reported.
 
     Raises
     ------
     ConfigError
-        Archive and output folder are the same, the archive lies in the output folder, or a pattern or time is wrong.
+        When archive and output folder are the same, the archive lies in the output folder, or a pattern or time is
+        invalid.
     InputError
-        The archive cannot be listed, or the file system does not answer.
+        When the archive cannot be listed, or the file system does not answer.
     """
     files: list[Found] = []
     left_out: list[LeftOut] = []
@@ -105,7 +106,7 @@ def discover(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> Disc
 
 
 def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | LeftOut | None]:
-    """List the archive; None stands for an input that was not selected. All that may hang is done here."""
+    """List the archive; None marks an input that was not selected. All calls that may hang are made here."""
     archive, out = _folders(settings)
     tells_case = _tells_case(archive)
     include = Patterns(settings.include, tells_case=tells_case)
@@ -124,7 +125,7 @@ def _select(settings: BatchSettings, since_ns: int | None) -> Iterator[Found | L
 
 
 def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
-    """Refuse what makes no sense before anything is made; raises as :func:`discover`."""
+    """Check the settings before anything is written; raises as :func:`discover`."""
     Patterns((*settings.include, *settings.exclude))
     output_name("a.laz", settings.to)
     if settings.since is not None:
@@ -134,7 +135,7 @@ def check(settings: BatchSettings, *, patience_s: float = PATIENCE_S) -> None:
 
 
 def _folders(settings: BatchSettings) -> tuple[Path, Path]:
-    """Return archive and output folder, as they are called without links."""
+    """Return archive and output folder with links resolved."""
     archive, out = _folder(settings.archive), settings.out.resolve()
     if archive == out or archive.is_relative_to(out):
         problem = "the archive is the output folder or lies in it; inputs are never modified"
@@ -156,7 +157,7 @@ def _folder(archive: Path) -> Path:
 
 
 def _tells_case(folder: Path) -> bool:
-    """Tell whether ``a`` and ``A`` are two files here, as on most systems they are."""
+    """Tell whether ``a`` and ``A`` are two files here, as on most systems."""
     other = folder.with_name(folder.name.swapcase())
     if other.name == folder.name:
         return os.path.normcase("A") == "A"
@@ -173,7 +174,7 @@ _ItemT = TypeVar("_ItemT")
 
 
 def _walk(archive: Path, out: Path, exclude: Patterns) -> Iterator[_Item]:
-    """Go through all folders, deepest last; no recursion, since a hostile tree may be thousands of folders deep."""
+    """Visit all folders without recursion, because a hostile tree may be thousands of folders deep."""
     waiting: list[tuple[str, Path]] = [("", archive)]
     while waiting:
         prefix, folder = waiting.pop()
@@ -201,7 +202,7 @@ def _walk(archive: Path, out: Path, exclude: Patterns) -> Iterator[_Item]:
 
 
 def _look(entry: os.DirEntry[str], name: str, archive: Path) -> _Item | str | None:
-    """Return an input, why it is none, the prefix of the names in a folder, or None for what nobody asks about."""
+    """Return an input, the reason why it is left out, the name prefix of a folder, or None for other files."""
     try:
         is_link = entry.is_symlink()
         if entry.is_dir(follow_symlinks=False):
@@ -224,7 +225,7 @@ def _look(entry: os.DirEntry[str], name: str, archive: Path) -> _Item | str | No
 
 
 def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool) -> str | None:
-    """Return why a symbolic link is left out; a readable file of the archive may have a second name."""
+    """Return why a symbolic link is left out; None for a link to a readable file of the archive."""
     try:
         target = Path(entry.path).resolve(strict=True)
     except (OSError, RuntimeError):
@@ -237,9 +238,9 @@ def _why_not_followed(entry: os.DirEntry[str], archive: Path, *, readable: bool)
 
 
 def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Iterator[_ItemT]:
-    """Run an iterator in a thread, and give up when it says nothing for long.
+    """Run an iterator in a thread, and raise when it yields nothing for too long.
 
-    A thread that hangs in the system cannot be ended; it is a daemon, so that the program can.
+    A thread that hangs in a system call cannot be ended; as a daemon it does not keep the program alive.
     """
     answers: queue.SimpleQueue[tuple[_ItemT] | BaseException | None] = queue.SimpleQueue()
 
@@ -247,7 +248,7 @@ def _in_time(items: Iterable[_ItemT], archive: Path, patience_s: float) -> Itera
         try:
             for item in items:
                 answers.put((item,))
-        except BaseException as error:  # raised again where the items are taken
+        except BaseException as error:  # raised again by the consumer
             answers.put(error)
         else:
             answers.put(None)
@@ -275,9 +276,8 @@ class Patterns:
     Parameters
     ----------
     patterns : iterable of str
-        ``*`` and ``?`` stand for characters other than the slash, ``[a-z]`` and ``[!a-z]`` for one of a set, ``**`` for
-        any number of folders. A pattern with a slash is compared with the whole name, one without with the last part
-        of it.
+        ``*`` and ``?`` match characters other than the slash, ``[a-z]`` and ``[!a-z]`` one of a set, ``**`` any number
+        of folders. A pattern with a slash is compared with the whole name, one without a slash with its last part.
     tells_case : bool
         Whether ``a`` and ``A`` differ.
 
@@ -304,13 +304,13 @@ class Patterns:
         return bool(self._whole or self._last)
 
     def match(self, name: str) -> bool:
-        """Tell whether any pattern takes a name."""
+        """Tell whether any pattern matches a name."""
         last = name.rpartition("/")[2]
         return any(one.fullmatch(name) for one in self._whole) or any(one.fullmatch(last) for one in self._last)
 
 
 def _regex(pattern: str) -> str:
-    """Translate a glob; parts between slashes alone, so that no star crosses one."""
+    """Translate a glob, each part between slashes on its own, so that no star matches a slash."""
     parts = []
     segments = pattern.split("/")
     for i, segment in enumerate(segments):
@@ -329,7 +329,7 @@ def _segment(text: str) -> str:
         character = text[i]
         i += 1
         if character == "*":
-            if not found or found[-1] != "[^/]*":  # several stars in a row are one: no exponential search
+            if not found or found[-1] != "[^/]*":  # several stars in a row count as one, to avoid an exponential search
                 found.append("[^/]*")
         elif character == "?":
             found.append("[^/]")
@@ -342,7 +342,7 @@ def _segment(text: str) -> str:
 
 
 def _set(inside: str) -> str:
-    """Translate what stands between brackets."""
+    """Translate the text between brackets."""
     negated = inside.startswith("!")
     inside = inside[negated:]
     ranges = []
@@ -366,8 +366,8 @@ def parse_since(text: str, now: Callable[[], datetime] = lambda: datetime.now(UT
     Parameters
     ----------
     text : str
-        A duration before now (``90min 12h 7d 2w``), a date or a time as ISO 8601 has them (without an offset: local
-        time), or a file, whose time of change it is.
+        A duration before now (``90min 12h 7d 2w``), a date or time in ISO 8601 (local time without an offset), or a
+        file, for the time of its last change.
     now : callable
         The clock.
 
@@ -410,8 +410,8 @@ def _nanoseconds(time: datetime) -> int:
 def output_name(name: str, to: str) -> str:
     """Return the name of an output in its tree.
 
-    The whole name of the input stays in it, so that ``a.las``, ``a.laz`` and ``a.csv`` never meet; a LAS or LAZ file
-    that stays one keeps its name, so that the tree of outputs can stand for that of the inputs.
+    It contains the whole name of the input, so that ``a.las``, ``a.laz`` and ``a.csv`` have different outputs. A LAS or
+    LAZ output of an input of the same format keeps its name, so that the output tree can replace the input tree.
 
     Parameters
     ----------
@@ -438,7 +438,7 @@ def output_name(name: str, to: str) -> str:
 
 
 def collisions(names: Iterable[str]) -> frozenset[str]:
-    """Return the outputs that more than one input would write, also where upper and lower case are the same.
+    """Return the outputs that more than one input would write, ignoring upper and lower case.
 
     >>> sorted(collisions(["a.las", "b.las", "A.LAS"]))
     ['A.LAS', 'a.las']

@@ -1,4 +1,4 @@
-"""Tells a file whose classes are far from those of the archive's earlier files.
+"""Find files whose class shares are far from those of the archive's earlier files.
 
 A sensor that loses range, a wrong preset or a covered window do not make a file fail, they change what is found in it.
 The shares of the classes are compared with those of earlier files of the same configuration. Robust statistics are
@@ -14,11 +14,11 @@ import numpy as np
 from prc_cli.core.types import F64
 
 MIN_EARLIER = 8
-"""With fewer earlier files nothing is said."""
+"""Least number of earlier files for an alarm."""
 FLOOR = 0.05
-"""Shares that moved by less, all classes together, are never an alarm."""
+"""Least total change of the shares for an alarm."""
 SPREADS = 6.0
-"""So many robust standard deviations above the usual distance is far."""
+"""Least distance for an alarm, in robust standard deviations above the median distance."""
 KNOWN_FRACTION = 0.05
 """An archive holds several kinds of drive: a file is not odd if so many earlier ones are like it."""
 KNOWN_FILES = 3

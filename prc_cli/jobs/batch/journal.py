@@ -1,11 +1,11 @@
-"""What was done, kept in SQLite in the output folder: one journal for a run over the whole archive, one a shard.
+"""Journal of the finished files, in SQLite in the output folder: one for the whole archive, one per shard.
 
-A row is written before a worker begins and when it has ended, each in a transaction that is on the disk when the call
-returns. So a kill at any moment leaves the journal as it was before or after one of these steps, and a file whose
-output may have been written without the journal knowing is still called running.
+A row is written before a worker starts a file and when it has ended, each in a transaction that is on the disk when the
+call returns. A kill at any moment leaves the journal as it was before or after one of these steps. A file whose output
+may have been written without a final entry is still ``running``.
 
-Only the owner of the lock writes (:mod:`prc_cli.jobs.batch.lock`). Who only reads works on a copy, because a reader of
-another machine must not open a journal in use: SQLite's WAL keeps its index in shared memory.
+Only the owner of the lock writes (:mod:`prc_cli.jobs.batch.lock`). Readers open a copy, because another machine must
+not open a journal in use: SQLite's WAL keeps its index in shared memory.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from typing import Any
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
+from prc_cli.core.files import make_folder
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -41,15 +42,15 @@ from prc_cli.jobs.batch.types import (
 )
 
 SCHEMA = 1
-"""Version of the tables; a journal of a newer one is refused, for older ones there will be steps upwards."""
+"""Version of the tables; a journal with a newer version is refused."""
 APPLICATION = 0x5052434A
-"""``PRCJ`` in the header of the file, so that other databases are told apart."""
+"""``PRCJ`` in the header of the file, to recognise other databases."""
 WAIT_S = 30.0
-"""So long a statement waits for whoever holds the file, such as a backup [s]."""
+"""Time that a statement waits for another program that holds the file, such as a backup [s]."""
 COPY_ATTEMPTS = 40
 COPY_PAUSE_S = 0.05
 DAMAGED_COPIES = 3
-"""A journal of which so many copies are damaged is damaged itself."""
+"""After this number of damaged copies the journal itself counts as damaged."""
 
 _TABLES = """
 CREATE TABLE runs (
@@ -70,7 +71,7 @@ _OUTCOME = (
     "cpu_seconds", "peak_mib", "n_lines", "n_shots", "n_records", "labels", "notices", "problem_kind",
     "problem_where", "problem", "problem_hint",
 )  # fmt: skip
-"""Columns that tell how an attempt ended; names of our own, never of a user, so they may stand in a statement."""
+"""Columns of the outcome of an attempt. These names are constants, so they can be put into a statement."""
 _START = """
 INSERT INTO files (name, state, config_sha256, version, run, attempts, started, owner, owns_output)
 VALUES (:name, 'running', :config, :version, :run, 1, :now, :owner, 1)
@@ -90,7 +91,7 @@ ON CONFLICT (name) DO UPDATE SET
 
 
 def journal_path(folder: Path, shard: Shard | None = None) -> Path:
-    """Return the journal of a shard, or of runs over the whole archive.
+    """Return the journal file of a shard, or of the whole archive.
 
     >>> journal_path(Path(".prc"), Shard(3, 8)).name
     'journal.3-of-8.sqlite'
@@ -99,15 +100,15 @@ def journal_path(folder: Path, shard: Shard | None = None) -> Path:
 
 
 def journal_paths(folder: Path) -> list[Path]:
-    """Return all journals of an output, that of the whole archive first."""
+    """Return all journals of an output folder, that of the whole archive first."""
     return sorted(folder.glob("journal*.sqlite"), key=lambda path: (path.name != "journal.sqlite", path.name))
 
 
 class Journal:
     """The journal of one run; the only writer of its file.
 
-    What the other journals of the folder know counts as well, the newest entry of a file first: an archive may be
-    classified whole in one month and in shards in the next. They are read once, when the journal is opened.
+    Entries of the other journals of the folder are used too, and the newest entry of a file counts: an archive may be
+    classified as a whole in one month and in shards in the next. They are read once, when the journal is opened.
 
     Parameters
     ----------
@@ -136,11 +137,7 @@ class Journal:
         self._database: sqlite3.Connection | None = None
 
     def __enter__(self) -> Journal:
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            problem = f"cannot be made ({error.strerror or error})"
-            raise OutputError(str(self._folder), problem, "check the output folder and its permissions") from error
+        make_folder(self._folder)
         with _errors(self.path):
             # autocommit: every statement is a transaction of its own, whole or not at all
             self._database = sqlite3.connect(self.path, timeout=WAIT_S, isolation_level=None)
@@ -159,7 +156,7 @@ class Journal:
         """Close the file; also called by ``with``."""
         database, self._database = self._database, None
         if database is not None:
-            with contextlib.suppress(sqlite3.Error):  # what was committed is safe
+            with contextlib.suppress(sqlite3.Error):  # committed data is safe
                 database.close()
 
     def _open(self, database: sqlite3.Connection) -> None:
@@ -183,7 +180,7 @@ class Journal:
         _check_whole(database, self.path)
 
     def _read_others(self) -> dict[str, Entry]:
-        """Read the journals of other divisions of the archive; shards of the same number have other files."""
+        """Read the journals of the whole archive or of other shard counts; shards of one count share no files."""
         count = None if self._shard is None else self._shard.count
         paths = []
         for path in journal_paths(self._folder):
@@ -200,7 +197,7 @@ class Journal:
         return self._database
 
     def begin_run(self, owner: str) -> str:
-        """Record that a run begins.
+        """Record that a run starts.
 
         Parameters
         ----------
@@ -222,7 +219,7 @@ class Journal:
         return self.run
 
     def end_run(self, exit_code: int, totals: Mapping[str, int] | None = None) -> None:
-        """Record how the run ended; after a signal 128 + its number, and what was running was interrupted."""
+        """Record how the run ended; the exit code after a signal is 128 + its number."""
         with _errors(self.path):
             self._open_database.execute(
                 "UPDATE runs SET finished = ?, exit_code = ?, totals = ? WHERE id = ?",
@@ -230,7 +227,7 @@ class Journal:
             )
 
     def start(self, task: Task, owner: str) -> None:
-        """Record that a worker is sent to write an output; to be called before it is sent."""
+        """Record that a worker will write an output; called before the worker gets the task."""
         values = {
             "name": os.fsencode(task.name),
             "config": task.config_sha256,
@@ -243,9 +240,9 @@ class Journal:
             self._open_database.execute(_START, values)
 
     def finish(self, outcome: Outcome) -> None:
-        """Record how the work on a file ended, or that a file was refused before any work.
+        """Record the outcome of a file, or that a file was refused before any work.
 
-        A file that failed because its output belongs to somebody else is not taken for ours afterwards.
+        An output that belongs to somebody else does not become ours.
         """
         foreign = isinstance(outcome, Failed) and outcome.problem.kind == "OutputExistsError"
         known = isinstance(outcome, Done) or self._has_begun(outcome.name)
@@ -267,7 +264,7 @@ class Journal:
         return entry is not None and entry.owns_output
 
     def entry(self, name: str) -> Entry | None:
-        """Return what is known of a file, by the newest journal that knows it; None for a new one."""
+        """Return the newest entry of a file in all journals; None for a new file."""
         with _errors(self.path):
             cursor = self._open_database.execute("SELECT * FROM files WHERE name = ?", (os.fsencode(name),))
             own = next(_entries(cursor), None)
@@ -275,14 +272,14 @@ class Journal:
         return next(iter(_newest(entry for entry in (other, own) if entry is not None).values()), None)
 
     def entries(self) -> list[Entry]:
-        """Return all entries by name, of all journals as far as they were there when this one was opened."""
+        """Return all entries sorted by name; those of other journals as read when this one was opened."""
         with _errors(self.path):
             own = list(_entries(self._open_database.execute("SELECT * FROM files")))
         found = _newest([*self._others.values(), *own])
         return [found[name] for name in sorted(found)]
 
     def forget(self, names: Iterable[str]) -> int:
-        """Forget files in every journal of the folder; return how many were known.
+        """Remove files from every journal of the folder; return how many were in one.
 
         The caller holds the lock of the whole archive if there are journals of shards.
         """
@@ -300,7 +297,7 @@ class Journal:
 
 
 def read_entries(folder: Path) -> list[Entry]:
-    """Return what all journals of a folder know, by name, the newest entry of every file; touches nothing.
+    """Return the newest entry of every file in all journals of a folder, sorted by name; changes nothing.
 
     Raises
     ------
@@ -312,7 +309,7 @@ def read_entries(folder: Path) -> list[Entry]:
 
 
 def read_runs(folder: Path) -> list[Run]:
-    """Return the runs of all journals of a folder, oldest first; touches nothing.
+    """Return the runs of all journals of a folder, oldest first; changes nothing.
 
     Raises
     ------
@@ -327,7 +324,7 @@ def read_runs(folder: Path) -> list[Run]:
 
 
 def _delete(path: Path, keys: list[tuple[bytes]]) -> None:
-    """Delete files from a journal that nobody has open."""
+    """Delete files from a journal that no process has open."""
     with _errors(path), contextlib.closing(sqlite3.connect(path, timeout=WAIT_S, isolation_level=None)) as database:
         _check_schema(database, path)
         with _transaction(database):
@@ -341,7 +338,7 @@ def _copied_entries(path: Path) -> list[Entry]:
 
 @contextlib.contextmanager
 def _copy(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a copy of a journal, with what its log holds, taken while nobody wrote."""
+    """Open a copy of a journal with its log, taken while no process wrote."""
     with tempfile.TemporaryDirectory(prefix="prc-journal-") as folder:
         database = _stable_copy(path, Path(folder) / "journal.sqlite")
         try:
@@ -368,7 +365,7 @@ def _stable_copy(path: Path, copy: Path) -> sqlite3.Connection:
             try:
                 return _opened_copy(path, copy)
             except OutputError:
-                # a writer may have been quicker than the clock of the file system; real damage stays
+                # writes within one tick of the file system clock go unnoticed; real damage is found again
                 n_damaged += 1
                 if n_damaged == DAMAGED_COPIES:
                     raise
@@ -397,7 +394,7 @@ def _check_whole(database: sqlite3.Connection, path: Path) -> None:
 
 
 def _versions(path: Path) -> dict[str, tuple[int, int, int]]:
-    """Return what tells versions of a journal and its logs apart, by suffix of the file."""
+    """Return inode, size and time of a journal and its logs, by suffix of the file."""
     found = {}
     for suffix in ("", "-wal", "-journal"):
         with contextlib.suppress(FileNotFoundError):
@@ -521,7 +518,7 @@ def _runs(database: sqlite3.Connection) -> Iterator[Run]:
 
 
 def _newest(entries: Iterable[Entry]) -> dict[str, Entry]:
-    """Return the entry of every file that was begun last."""
+    """Return the entry of every file that was started last."""
     found: dict[str, Entry] = {}
     for entry in entries:
         if entry.name not in found or found[entry.name].started <= entry.started:
@@ -530,7 +527,7 @@ def _newest(entries: Iterable[Entry]) -> dict[str, Entry]:
 
 
 def _text(text: str) -> str:
-    """Return text that a database takes: bytes of names that are not UTF-8 are spelled out."""
+    """Return text that SQLite accepts: bytes of names that are not UTF-8 are escaped."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 

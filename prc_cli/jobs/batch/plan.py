@@ -1,4 +1,4 @@
-"""What a batch run will do with every file, and what that will take."""
+"""Plan of a batch run: what to do with every file, and the time and memory it will take."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from prc_cli.jobs.batch.types import (
 Reason: TypeAlias = Literal[
     "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing"
 ]
-"""Why a file is to be done."""
+"""Why a file is to be classified."""
 
 TRAJECTORY = "trajectory:"
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 BEGIN_S = 2.0
-"""What workers take to begin and to load the compiled loops; all of the time that a small archive takes [s]."""
+"""Time that workers take to start and to load the compiled loops [s]."""
 _MAX_RECORD = 1 << 24
-"""A run record is smaller [bytes]."""
+"""Largest run record that is read [bytes]."""
 
 
 # -- what a plan is ---------------------------------------------------------------------------------------------------
@@ -52,57 +52,57 @@ _MAX_RECORD = 1 << 24
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """A file that is to be classified."""
+    """A file to classify."""
 
     task: Task
     reason: Reason
     size: int
-    """Of the input [bytes]."""
+    """Size of the input [bytes]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a plan will take."""
+    """Estimated time and memory of a plan."""
 
     seconds: float | None
-    """Wall time [s]; None where nothing is known of any format in the plan."""
+    """Wall time [s]; None if nothing is known about any format in the plan."""
     peak_mib: float | None
-    """Memory of all workers together [MiB]; None where nothing is known."""
+    """Memory of all workers together [MiB]; None if unknown."""
     sources: tuple[str, ...]
-    """Where the figures come from, a sentence a format."""
+    """Source of the figures, one sentence per format."""
     n_unknown: int = 0
-    """Files that are not in the figures, because nothing is known of their format."""
+    """Number of files that are not in the figures, because nothing is known about their format."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What a run will do."""
+    """Plan of a run."""
 
     todo: tuple[Planned, ...]
-    """In the order of names."""
+    """Files to classify, sorted by name."""
     done: tuple[str, ...] = ()
-    """Names of files that are done already, with the same input, configuration and program."""
+    """Names of files that are already done with the same input, configuration and program version."""
     adopted: tuple[tuple[Task, Done], ...] = ()
-    """Outputs that no journal knew and that are what would be written."""
+    """Outputs in no journal whose run record equals the one that would be written."""
     confirmed: tuple[Done, ...] = ()
-    """Done files whose input has another time but the same content; their names are in ``done`` too."""
+    """Done files whose input has a new time but the same content; their names are also in ``done``."""
     refused: tuple[Failed, ...] = ()
-    """Files that cannot be begun."""
+    """Files that cannot be started."""
     left_out: tuple[LeftOut, ...] = ()
-    """Things in the archive that no run takes."""
+    """Files and folders in the archive that no run takes."""
     n_beyond_limit: int = 0
-    """Files to do that a limit leaves for another run."""
+    """Number of files left for another run by ``--limit``."""
     n_not_selected: int = 0
-    """Inputs that patterns, times or the shard keep for other runs."""
+    """Number of inputs excluded by patterns, times or the shard."""
 
     @property
     def n_bytes(self) -> int:
-        """Size of the inputs to do [bytes]."""
+        """Size of the inputs to classify [bytes]."""
         return sum(item.size for item in self.todo)
 
     @property
     def n_found(self) -> int:
-        """Inputs of this run, done or not."""
+        """Number of inputs of this run, done or not."""
         known = len(self.done) + len(self.adopted) + len(self.refused)
         return len(self.todo) + known + self.n_beyond_limit
 
@@ -113,22 +113,22 @@ class Plan:
 class BatchConfig:
     """The configuration of every file of an archive.
 
-    The TOML file may hold ``[[override]]`` tables beside the keys of every run: ``match`` names files by patterns
-    (:class:`~prc_cli.jobs.batch.discovery.Patterns`), ``preset`` replaces the preset of the whole file, all other keys
-    are laid over its keys. Where several match, later ones win. What the command line says wins over all.
+    The TOML file may contain ``[[override]]`` tables: ``match`` selects files by patterns
+    (:class:`~prc_cli.jobs.batch.discovery.Patterns`), ``preset`` replaces the preset of the TOML file, and all other
+    keys replace its keys. If several tables match, the last one wins. Options of the command line override them all.
 
-    A trajectory may have placeholders: ``{name}`` and ``{stem}`` of the input, ``{folder}`` it lies in, and
-    ``{subfolder}``, the same relative to the archive.
+    The name of a trajectory may contain placeholders: ``{name}`` and ``{stem}`` of the input, its ``{folder}``, and
+    ``{subfolder}``, the folder relative to the archive.
 
     Parameters
     ----------
     layers : ConfigLayers
-        Where the configuration comes from.
+        Sources of the configuration.
 
     Raises
     ------
     ConfigError
-        Anything in it that makes no sense, in an override too, before any file is asked for.
+        When anything in it is invalid, also in an override; raised before any file is looked up.
     """
 
     def __init__(self, layers: ConfigLayers) -> None:
@@ -163,7 +163,7 @@ class BatchConfig:
         return _Override(where, Patterns(patterns), preset, self._placed(rest))
 
     def _placed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Let a trajectory start at the folder of the configuration file, unless it starts at that of the input."""
+        """Resolve a trajectory relative to the folder of the configuration file, unless it begins with ``{folder}``."""
         rule = table["input"].get("range") if isinstance(table.get("input"), Mapping) else None
         if self._layers.path is None or (isinstance(rule, str) and rule.startswith(f"{TRAJECTORY}{{folder}}")):
             return table
@@ -193,14 +193,14 @@ class BatchConfig:
         Parameters
         ----------
         name : str
-            In the archive.
+            Name in the archive.
         path : Path
-            Where it is.
+            Path of the file.
 
         Raises
         ------
         ConfigError
-            An unknown placeholder.
+            When a placeholder is unknown.
         InputError
             When the file's trajectory cannot be read.
         """
@@ -219,7 +219,7 @@ class BatchConfig:
         return self.base_sha256 if config is self.base.config else config_hash(config, trajectory_sha256)
 
     def _print(self, path: Path) -> str:
-        """Return the hash of a trajectory, taken once a run."""
+        """Return the hash of a trajectory, computed once per run."""
         try:
             status = path.stat()
             if not path.is_file():
@@ -242,7 +242,7 @@ class _Override:
 
 
 def _fill(template: str, name: str, path: Path) -> str:
-    """Put the parts of a file's name into a template; names are put in as they are, whatever characters they have."""
+    """Replace the placeholders of a template by the parts of a file's name, without escaping any character."""
     values = {
         "name": path.name,
         "stem": path.name.removesuffix(suffix_of_name(path.name)),
@@ -260,7 +260,7 @@ def _fill(template: str, name: str, path: Path) -> str:
 
 
 def suffix_of_name(name: str) -> str:
-    """Return the suffix that decides the format, in the case it is written in.
+    """Return the suffix that decides the format, in its original case.
 
     >>> suffix_of_name("drive.1.CSV.gz")
     '.CSV.gz'
@@ -270,9 +270,9 @@ def suffix_of_name(name: str) -> str:
 
 
 def config_hash(config: RunConfig, trajectory_sha256: str | None) -> str:
-    """Return the hash of what an output depends on: the configuration, and the content of the file that it names.
+    """Return the hash of the configuration and of the content of the trajectory it names.
 
-    Neither folders nor the parameters of other classifiers matter.
+    It does not depend on folders or on the parameters of other classifiers.
     """
     table = config.of_run()
     if trajectory_sha256 is not None:
@@ -294,7 +294,7 @@ def make_plan(
     Parameters
     ----------
     settings : BatchSettings
-        Formats of outputs, limits and permissions.
+        Output format, limits and permissions.
     files : sequence of Found
         Inputs, in the order of their names.
     config : BatchConfig
@@ -305,7 +305,8 @@ def make_plan(
     Returns
     -------
     Plan
-        Without what was left out while the archive was listed.
+        ``left_out`` and ``n_not_selected``, which are known from :func:`~prc_cli.jobs.batch.discovery.discover`, are
+        not filled in.
     """
     if settings.only_failed:
         files = [item for item in files if item.name in known and known[item.name].state != "done"]
@@ -349,12 +350,12 @@ def _same_output(out: Path, name: str) -> OutputExistsError:
 
 
 def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSettings) -> Planned | Done | None:
-    """Return what is to be done; the entry that adopts or confirms an output; None for a file that is done.
+    """Return the plan for a file, the outcome that adopts or confirms its output, or None if it is done.
 
     Raises
     ------
     OutputExistsError
-        When an output is there that is not ours, or that somebody changed.
+        When the output exists and is not ours, or was changed by somebody else.
     """
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
@@ -376,7 +377,7 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
 def _compare(
     item: Found, task: Task, entry: Entry, written: os.stat_result | None, settings: BatchSettings
 ) -> tuple[Reason | None, Done | None]:
-    """Compare a file with what the journal says of it: why it is to be done, or None and what to note."""
+    """Compare a file with its journal entry; return why it is to be done, or None and the outcome to note."""
     before = entry.outcome
     if entry.state == "running" or (entry.state == "done" and not isinstance(before, Done)):
         return "unfinished", None
@@ -384,7 +385,7 @@ def _compare(
         return "failed before", None
     if entry.version not in (__version__, *settings.keep_versions):
         return "changed version", None
-    # a version may have keys that another has not, so that the hash of its configuration says nothing here
+    # versions may differ in their configuration keys, so hashes are compared only within one version
     if entry.version == __version__ and entry.config_sha256 != task.config_sha256:
         return "changed config", None
     if item.size != before.input.size:
@@ -413,14 +414,14 @@ def _foreign(output: Path, *, adopt: bool) -> OutputExistsError:
 
 
 def _check_untouched(output: Path, written: os.stat_result, before: Done) -> None:
-    """Refuse to replace an output that somebody worked on."""
+    """Refuse to replace an output that was changed after it was written."""
     if (written.st_size, written.st_mtime_ns) != (before.output_size, before.output_mtime_ns):
         problem = "was changed after it was written, and would have to be written again"
         raise OutputExistsError(str(output), problem, "move it away to keep it, or --overwrite")
 
 
 def _adopt(item: Found, task: Task, written: os.stat_result) -> Done | None:
-    """Return the entry of an output whose record says that it is what would be written."""
+    """Return the outcome of an existing output if its run record equals the one that would be written."""
     try:
         path = record_path(task.output)
         if path.stat().st_size > _MAX_RECORD:
@@ -451,18 +452,18 @@ def _adopt(item: Found, task: Task, written: os.stat_result) -> Done | None:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """What files of a format took."""
+    """Time and memory of earlier files of a format."""
 
     seconds_per_byte: float
     peak_mib: float | None
     source: str
-    """Where it comes from, to be read after the name of the format."""
+    """Source of the figures; printed after the name of the format."""
 
 
 def journal_rates(todo: Iterable[Planned], known: Mapping[str, Entry]) -> dict[str, Rate]:
-    """Return the rates of the formats of a plan that earlier files of the archive give, by suffix.
+    """Return the rates of the formats of a plan by suffix, from earlier files of the archive.
 
-    Files with a configuration of the plan count; where there are none, those with any.
+    Files with a configuration of the plan are used; if there are none, files with any configuration.
     """
     todo = list(todo)
     wanted = {item.task.config_sha256 for item in todo}
@@ -488,27 +489,27 @@ def _rate(outcomes: Sequence[Done], source: str) -> Rate:
 
 
 def sample_rate(outcome: Done, shown: str) -> Rate:
-    """Return the rate of a file that was classified to measure it."""
+    """Return the rate of a sample file."""
     return _rate([outcome], f"measured on a sample of {shown}")
 
 
 def estimate(todo: Sequence[Planned], rates: Mapping[str, Rate], jobs: int) -> Estimate:
-    """Estimate what a plan takes.
+    """Estimate time and memory of a plan.
 
     Parameters
     ----------
     todo : sequence of Planned
-        Files, in the order they are begun.
+        Files, in the order they are started.
     rates : mapping
-        By suffix; formats that are missing are counted as unknown.
+        Rates by suffix; files of other formats count as unknown.
     jobs : int
         Files at a time.
 
     Returns
     -------
     Estimate
-        Wall time as workers that always take the next file need it, with their beginning; memory of the ``jobs``
-        largest together.
+        Wall time with every free worker taking the next file, including :data:`BEGIN_S`; memory of the ``jobs`` largest
+        files together.
     """
     free = [0.0] * max(1, jobs)
     peaks: list[float] = []

@@ -54,7 +54,7 @@ from prc_cli.jobs.batch.types import (
 from prc_cli.jobs.batch.work import may_pass
 
 INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, as in shells."""
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 """Before files are tried again; twice as long every time [s]."""
 ALONE = frozenset({"killed", "memory"})
@@ -66,19 +66,19 @@ SAMPLE_BYTES = 64 << 20
 SAMPLE_S = 60.0
 """A sample that takes longer is given up [s]."""
 SAMPLE_FILES = 3
-"""So many files of a format may fail before nothing is known of it."""
+"""Number of samples of a format that may fail before its time is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noted:
-    """Something about the run that the operator should know."""
+    """A message about the run for the operator."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """The plan is made, and work begins."""
+    """The plan is made, and work starts."""
 
     plan: Plan
     jobs: int
@@ -106,7 +106,7 @@ def _ignore(event: RunEvent) -> None:
 def plan_batch(
     settings: BatchSettings, engine: Engine | None = None, listener: Listener = _ignore
 ) -> tuple[Plan, Estimate]:
-    """Return what :func:`run_batch` would do, and what it would take; nothing is written.
+    """Return the plan of :func:`run_batch` and its estimate; nothing is written.
 
     What a format takes is known from earlier files of the archive, else from a file that is classified, twice, into
     a temporary folder of the system.
@@ -213,10 +213,10 @@ class _Run:
         except (KeyboardInterrupt, SystemExit) as raised:
             ended, stop = "interrupted", raised
             self._give_up_running()
-        except BusyError:  # the journal is somebody else's now
+        except BusyError:  # the journal now belongs to another run
             raise
         except PrcError as error:
-            with contextlib.suppress(PrcError):  # it may be the journal itself that cannot be written
+            with contextlib.suppress(PrcError):  # the journal itself may not be writable
                 self._give_up_running()
                 self._journal.end_run(error.exit_code)
             raise
@@ -245,7 +245,7 @@ class _Run:
                 self._journal.finish(failed)
 
     def _classify(self, plan: Plan) -> None:
-        """Run the files, and those again whose problem may pass."""
+        """Run the files; repeat those whose problem may pass."""
         jobs, threads = share_cores(self._settings.jobs, self._settings.threads, len(plan.todo))
         self._listener(Ready(plan, jobs, threads))
         for failed in plan.refused:
@@ -272,7 +272,7 @@ class _Run:
         for item in todo:
             outcome = self._outcomes.get(item.task.name)
             if isinstance(outcome, Failed) and self._may_go_on(outcome, attempt - 1):
-                # what a worker has renamed just before it died is ours
+                # the worker may have renamed its output just before it died
                 found.append((replace(item, task=replace(item.task, overwrite=True)), outcome.problem.kind in ALONE))
         return found
 
@@ -321,7 +321,7 @@ class _Run:
             self._outcomes.pop(name, None)
 
     def _compare_classes(self, plan: Plan, earlier: _Earlier) -> None:
-        """Raise an alarm for every file whose classes are unlike those of the archive's earlier runs."""
+        """Raise an alarm for every file whose class shares are far from those of earlier runs."""
         if not self._settings.drift:
             return
         for item in plan.todo:
@@ -399,7 +399,7 @@ class _Earlier:
 
 @contextlib.contextmanager
 def _closed(events: Iterator[Event]) -> Iterator[None]:
-    """Stop an engine's workers at the end, however it comes."""
+    """Stop an engine's workers at the end, also after an error."""
     try:
         yield
     finally:
@@ -415,7 +415,7 @@ def _exit_code(stop: BaseException) -> int:
 def _sample(
     known: set[str], todo: Sequence[Planned], engine: Engine, threads: int, listener: Listener
 ) -> dict[str, Rate]:
-    """Classify a file of every format that nothing is known of into a temporary folder; return what it took."""
+    """Measure formats without known rates: classify a sample of each into a temporary folder; return the rates."""
     rates: dict[str, Rate] = {}
     candidates = {
         suffix: _candidates([item for item in todo if suffix_of(item.task.source) == suffix])
@@ -428,14 +428,14 @@ def _sample(
         with tempfile.TemporaryDirectory(prefix="prc-sample-") as folder:
             outputs = {name: Path(folder) / name / task.output.name for name, task in chosen.items()}
             tasks = [replace(task, output=outputs[name], overwrite=True) for name, task in chosen.items()]
-            # the second time libraries are loaded and the file is in memory, as for most files of a long run
+            # measured the second time, when libraries are loaded and the file is cached, as in a long run
             for done in _run_sample([task for task in tasks for _ in range(2)], engine, threads):
                 rates[suffix_of(Path(done.name))] = sample_rate(done, done.name)
     return rates
 
 
 def _candidates(items: Sequence[Planned]) -> list[Planned]:
-    """Choose files of a format that tell something and do not take long."""
+    """Choose sample files of a format, see :data:`SAMPLE_BYTES`."""
     by_size = sorted(items, key=lambda item: item.size)
     short = [item for item in by_size if item.size <= SAMPLE_BYTES]
     return (short[::-1] or by_size)[:SAMPLE_FILES]

@@ -1,4 +1,4 @@
-"""What a batch run is asked for; values only."""
+"""Settings of a batch run; values only."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from prc_cli.jobs.batch.types import Shard
 
 @dataclass(frozen=True, slots=True)
 class ConfigLayers:
-    """Where the configuration comes from; each over the one before."""
+    """Sources of the configuration; each overrides the one before."""
 
     path: Path | None = None
-    """TOML file; beside the keys of every run it may hold ``[[override]]`` tables."""
+    """TOML file, which may contain ``[[override]]`` tables."""
     preset: str | None = None
-    """Wins over every preset that the file names."""
+    """Replaces every preset that the file names."""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """Nested table, laid over everything else."""
+    """Nested table that overrides everything else."""
     files: tuple[Path, ...] = ()
-    """Further files that were read for it, such as a layout."""
+    """Further files of the configuration, such as a layout."""
 
 
 @dataclass(frozen=True, slots=True)
 class BatchSettings:
-    """What a batch run is asked for."""
+    """Settings of a batch run."""
 
     archive: Path
     """Folder of the inputs."""
@@ -35,39 +35,39 @@ class BatchSettings:
     """Folder of the outputs."""
     config: ConfigLayers = field(default_factory=ConfigLayers)
     include: tuple[str, ...] = ()
-    """Patterns of names that are taken; none: all that a reader takes."""
+    """Patterns of names to include; none: every file with a readable format."""
     exclude: tuple[str, ...] = ()
-    """Patterns of names, and of whole folders, that are not."""
+    """Patterns of names and folders to exclude."""
     since: str | None = None
-    """Only inputs changed since then: a date, a duration such as 7d, or a file, whose time it is."""
+    """Only inputs changed since a date, for a duration such as 7d, or since the time of a file."""
     limit: int | None = None
-    """At most so many files are classified."""
+    """Largest number of files to classify."""
     only_failed: bool = False
-    """Only files that the journal calls failed or unfinished."""
+    """Only files that are failed or unfinished in the journal."""
     shard: Shard | None = None
     to: str = "same"
-    """Format of the outputs, see :data:`prc_cli.jobs.batch.discovery.FORMATS`."""
+    """Output format, see :data:`prc_cli.jobs.batch.discovery.FORMATS`."""
     jobs: int | None = None
-    """Files at a time; default: one for every core."""
+    """Files at a time; default: one per core."""
     threads: int | None = None
-    """Threads a file; default: the cores shared among the jobs."""
+    """Threads per file; default: the cores divided by the jobs."""
     retry: int = 0
-    """How often a file is tried again in this run where the problem may pass."""
+    """Further attempts at a file in this run if the problem may pass."""
     fail_fast: bool = False
-    """After the first failure no more files are begun."""
+    """Start no more files after the first failure."""
     overwrite: bool = False
-    """Outputs that no journal knows may be replaced."""
+    """Replace outputs that are in no journal."""
     adopt: bool = False
-    """Outputs that no journal knows are taken as done where their record says that they are what would be written."""
+    """Count outputs that are in no journal as done if their run record equals the one that would be written."""
     verify: bool = False
     """Compare the content of every input, not only size and time."""
     stall_s: float = 600.0
-    """A file without progress for so long is given up [s]."""
+    """A file is given up after this time without progress [s]."""
     memory_limit_mib: int | None = None
-    """Memory that a worker may take [MiB]."""
+    """Memory limit of a worker [MiB]."""
     reference: ReferenceSettings | None = None
-    """What the outputs are compared with, if anything."""
+    """Reference to compare the outputs with, if any."""
     drift: bool = True
-    """Whether a file whose classes are unlike those of earlier ones raises an alarm."""
+    """Raise an alarm for files whose class shares are far from those of earlier files."""
     keep_versions: tuple[str, ...] = ()
     """Outputs of these older versions of the program stay, whatever the configuration was, until the input changes."""

@@ -1,7 +1,7 @@
-"""What the parts of a batch run say to each other; plain values, so that they can go to other processes.
+"""Data types shared by the parts of a batch run; plain values, so that they can be sent to other processes.
 
-The *name* of a file is its path relative to the archive with POSIX slashes. A name that is not UTF-8 holds its odd
-bytes as surrogates, as :func:`os.fsdecode` gives them.
+The *name* of a file is its path relative to the archive with POSIX slashes. Bytes of
+a name that are not UTF-8 are held as surrogates, as by :func:`os.fsdecode`.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError, PrcError
 
 OWN_FOLDER = ".prc"
-"""Folder in the output tree that holds journal and lock."""
+"""Folder in the output tree for journal and lock."""
 
 State: TypeAlias = Literal["running", "done", "failed"]
-"""What the journal knows of a file: an entry that stays running was left by a killed run."""
+"""State of a file in the journal. ``running`` without a living run means that the run was killed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """One of several equal parts of an archive, each for a run of its own."""
+    """One of several equal parts of an archive, each classified by its own run."""
 
     index: int
-    """Which part, from 1."""
+    """Number of the part, from 1."""
     count: int
-    """How many parts there are."""
+    """Number of parts."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.index <= self.count:
@@ -40,7 +40,7 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Return the shard that ``i/n`` names.
+        """Parse ``i/n``.
 
         Raises
         ------
@@ -59,7 +59,7 @@ class Shard:
         return cls(int(found[1]), int(found[2]))
 
     def holds(self, name: str) -> bool:
-        """Tell whether a file belongs to this shard; the answer is the same on every machine, for ever."""
+        """Tell whether a file belongs to this shard; the same on every machine and in every version."""
         return int.from_bytes(sha256(os.fsencode(name)).digest()[:8], "big") % self.count == self.index - 1
 
     def __str__(self) -> str:
@@ -75,21 +75,21 @@ class Task:
     output: Path
     config: LoadedConfig
     config_sha256: str
-    """Hash of the effective configuration, with the fingerprints of the files it names."""
+    """Hash of the effective configuration, including the fingerprints of the files it names."""
     overwrite: bool = False
-    """The output may be replaced, because the journal or the user says so."""
+    """Whether the output may be replaced: the journal lists it as ours, or the user allows it."""
 
 
 @dataclass(frozen=True, slots=True)
 class InputPrint:
-    """What tells an input from its later versions."""
+    """Size, time and hash of an input, to detect that it changed."""
 
     size: int
     """Size [bytes]."""
     mtime_ns: int
     """Time of the last change [ns since 1970]."""
     sha256: str | None
-    """Hash of the content, hexadecimal; None where the file was never read to its end."""
+    """Hash of the content, hexadecimal; None if the file was not read to its end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ class Problem:
 
     @classmethod
     def of(cls, error: BaseException) -> Problem:
-        """Return the problem that an exception tells of."""
+        """Return the problem that an exception describes."""
         if isinstance(error, PrcError):
             return cls(type(error).__name__, error.where, error.problem, error.hint)
         return cls(type(error).__name__, "", str(error) or type(error).__name__)
@@ -116,7 +116,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A file that was classified; its output has its final name."""
+    """A classified file; its output has its final name."""
 
     name: str
     input: InputPrint
@@ -129,7 +129,7 @@ class Done:
     cpu_seconds: float
     """CPU time of the worker [s]."""
     peak_mib: float | None
-    """Highest resident memory of the worker so far [MiB]; None where the system does not tell."""
+    """Highest resident memory of the worker so far [MiB]; None if unknown."""
     n_lines: int
     """Scan lines."""
     n_shots: int
@@ -139,16 +139,16 @@ class Done:
     labels: tuple[tuple[str, int], ...]
     """Records by label name."""
     notices: tuple[str, ...] = ()
-    """What is unusual about the input."""
+    """Unusual properties of the input."""
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """A file that could not be classified; there is no output of this attempt."""
+    """A file that could not be classified; this attempt left no output."""
 
     name: str
     input: InputPrint | None
-    """None where the file could not even be looked at."""
+    """None if not even the size of the file could be read."""
     seconds: float
     """Wall time [s]."""
     problem: Problem
@@ -159,7 +159,7 @@ Outcome: TypeAlias = Done | Failed
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A worker has begun with a file."""
+    """A worker has started a file."""
 
     name: str
     worker: str
@@ -179,7 +179,7 @@ Event: TypeAlias = Started | Progress | Done | Failed
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What a journal knows of one file."""
+    """Journal entry of one file."""
 
     name: str
     state: State
@@ -189,22 +189,22 @@ class Entry:
     run: str
     """Id of the run."""
     attempts: int
-    """How often the file was begun since it was last done, the last time included."""
+    """Number of attempts since the file was last done, including the current one."""
     started: str
     """UTC, ISO 8601."""
     finished: str | None
     """UTC, ISO 8601; None while running."""
     owner: str
-    """Host and process that began with it."""
+    """Host and process that started it."""
     outcome: Outcome | None
-    """Of the last attempt that ended, which need not be the last one begun."""
+    """Outcome of the last attempt that ended; a later attempt may have been cut off."""
     owns_output: bool = True
-    """A worker was sent to write the output, so what has its name is ours; False for a file that was only refused."""
+    """Whether the output belongs to this program, because a worker was sent to write it; False for refused files."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """What a journal knows of one run."""
+    """Journal entry of one run."""
 
     id: str
     shard: str
@@ -217,30 +217,30 @@ class Run:
     """UTC, ISO 8601; None for a run that is at work or was killed."""
     exit_code: int | None
     totals: tuple[tuple[str, int], ...] = ()
-    """What it counted, by name."""
+    """Counts by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class EngineSettings:
-    """How an engine works; none of it changes a byte of an output."""
+    """Settings of an engine; none of them changes a byte of an output."""
 
     jobs: int = 1
     """Files at a time."""
     threads: int = 1
-    """Threads a file."""
+    """Threads per file."""
     stall_s: float = 600.0
-    """A file without progress for so long is given up [s]."""
+    """A file is given up after this time without progress [s]."""
     memory_limit_mib: int | None = None
-    """Memory that a worker may take [MiB]."""
+    """Memory limit of a worker [MiB]."""
 
 
 class Engine(Protocol):
-    """What runs the tasks."""
+    """Runs the tasks."""
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
-        """Run tasks; give events in the order they happen.
+        """Run tasks; yield events in the order they happen.
 
-        An exception of one file never ends it. Closing the iterator stops the workers within seconds and leaves no
-        process behind.
+        An exception in one file does not end the run. Closing the iterator stops the workers within seconds and leaves
+        no process behind.
         """
         ...

@@ -1,4 +1,4 @@
-"""One file in one process: every error becomes an outcome, only interrupts pass."""
+"""Classify one file in this process; every error becomes an outcome, only interrupts are raised."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from prc_cli.jobs.classify import (
 )
 
 MEMORY, CHANGED, VANISHED = "memory", "changed", "vanished"
-"""Kinds of problems that the file's content has no part in."""
+"""Kinds of problems that the content of the file does not cause."""
 
 
 def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) -> Outcome:
@@ -35,9 +35,9 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
     Parameters
     ----------
     task : Task
-        The file; the folder of its output is made where it is missing.
+        The file; the folder of its output is made if it is missing.
     threads : int
-        Threads that classify; they do not change a byte.
+        Threads that classify; the output does not depend on their number.
     progress : callable, optional
         Called with the number of lines that were just finished.
 
@@ -49,7 +49,7 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
     Raises
     ------
     KeyboardInterrupt, SystemExit
-        When a signal arrives; nothing is left behind then, either.
+        When a signal arrives; this leaves nothing behind either.
     """
     begun = time.perf_counter()
     before: InputPrint | None = None
@@ -67,12 +67,12 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
 
 
 def stat_input(path: Path) -> InputPrint:
-    """Return size and time of an input, without its content.
+    """Return size and time of an input, without the hash of its content.
 
     Raises
     ------
     OSError
-        When it cannot be looked at.
+        When the file system refuses.
     """
     status = path.stat()
     return InputPrint(status.st_size, status.st_mtime_ns, None)
@@ -98,7 +98,7 @@ def _done(task: Task, before: InputPrint, summary: RunSummary, seconds: float, c
 
 
 def problem_of(error: Exception, task: Task, before: InputPrint | None) -> Problem:
-    """Return why a file failed; what it cannot help, which may pass, is told from what is wrong with it."""
+    """Return why a file failed: separates causes outside the file, which may pass, from faults of the file."""
     found = Problem.of(error)
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "start new thread" in str(error)):
         hint = "fewer --jobs or threads, or a higher --memory-limit"
@@ -118,14 +118,14 @@ def problem_of(error: Exception, task: Task, before: InputPrint | None) -> Probl
         after = stat_input(task.source)
     except OSError as gone:
         return Problem(VANISHED, found.where, f"the input went away while it was read ({gone.strerror})", found.hint)
-    if after != before:  # whatever was found wrong with it may come from that
+    if after != before:  # the change may have caused the error
         hint = "run again when the copy is complete"
         return Problem(CHANGED, str(task.source), "changed while it was read", hint)
     return found
 
 
 def may_pass(problem: Problem) -> bool:
-    """Tell whether trying again may help: not for damaged files and wrong configurations.
+    """Tell whether another attempt may help; not for damaged files and wrong configurations.
 
     >>> may_pass(Problem("killed", "a.laz", "")), may_pass(Problem("InputError", "a.laz", "cut short"))
     (True, False)
@@ -136,7 +136,7 @@ def may_pass(problem: Problem) -> bool:
 
 
 def _system_errors() -> set[str]:
-    """Return the names of the system's errors."""
+    """Return the names of OutputError, OSError and its built-in subclasses."""
     found, waiting = {"OutputError"}, [OSError]
     while waiting:
         kind = waiting.pop()
@@ -146,7 +146,7 @@ def _system_errors() -> set[str]:
 
 
 def peak_mib() -> float | None:
-    """Return the highest resident memory of this process since :func:`_reset_peak` [MiB], where the system tells."""
+    """Return the highest resident memory of this process since :func:`_reset_peak` [MiB]; None if unknown."""
     with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("VmHWM:"):
@@ -160,6 +160,6 @@ def peak_mib() -> float | None:
 
 
 def _reset_peak() -> None:
-    """Let the peak begin anew where the system can (Linux); elsewhere it is that of the process so far."""
+    """Reset the peak on Linux; elsewhere it is the peak since the process started."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

@@ -37,7 +37,7 @@ MOST_LIVES = 20_000
 def main() -> None:
     folder, seed, n_wanted, n_inherited = Path(sys.argv[1]), *map(int, sys.argv[2:5])
     kinds = [None if kind == "whole" else Shard.parse(kind) for kind in sys.argv[5].split(",")]
-    subject.POLL_S, subject.LOOK_S = 0.001, 0.05
+    subject.LOOK_S = 0.05
     (folder / "inside").mkdir()
     log = folder / "log"
     log.touch()

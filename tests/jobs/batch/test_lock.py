@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from filelock import FileLock
 
 from prc_cli.core.errors import BusyError, ConfigError, OutputError
 from prc_cli.jobs.batch import lock as subject
-from prc_cli.jobs.batch.lock import GATE, Lock, Owner, holders, lock_path
+from prc_cli.jobs.batch.lock import Lock, Owner, holders, lock_path
 from prc_cli.jobs.batch.types import Shard
 from tests.patience import run, start, wait_until
 
@@ -66,7 +66,7 @@ def leave(path: Path, owner: Owner, silent_s: float = 0.0) -> None:
 
 
 def beating() -> Owner:
-    return replace(Owner.myself(beats=True), host="elsewhere")
+    return Owner(host="elsewhere", beats=True)
 
 
 @contextmanager
@@ -198,13 +198,14 @@ def test_a_file_that_names_nobody_stops_nobody(folder: Path, content: bytes) -> 
 @pytest.mark.parametrize("event", ["taken over", "removed"])
 @pytest.mark.parametrize("locks", [True, False])
 def test_an_owner_that_lost_its_lock_finds_out_and_leaves_the_others(
-    folder: Path, request: pytest.FixtureRequest, event: str, locks: bool
+    folder: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, event: str, locks: bool
 ) -> None:
     """As after somebody removed files, or a machine slept and was taken for dead."""
     if not locks:
         request.getfixturevalue("without_locks")
+    monkeypatch.setattr(subject, "BEAT_S", 0.02)
     other = beating()
-    with Lock(folder, beat_s=0.02) as lock:
+    with Lock(folder) as lock:
         if event == "taken over":
             leave(lock.path, other)
         else:
@@ -238,36 +239,10 @@ def test_a_lock_that_may_not_be_opened_is_said_so(folder: Path, monkeypatch: pyt
         monkeypatch.setattr(FileLock, "acquire", acquire)
         # who may not ask believes what is written
         assert [(holder.owner, holder.alive) for holder in holders(folder)] == [(lock.owner, True)]
-        with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"), Lock(folder):
+        with pytest.raises(BusyError, match="another run is at work"), Lock(folder):
             pass
-
-
-def test_a_gate_that_stays_shut_is_said_so(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subject, "GATE_S", 0.05)
-    folder.mkdir()
-    gate = FileLock(folder / GATE)
-    with gate, pytest.raises(BusyError, match=r"taking its lock for 0\.05 s; try again"), Lock(folder):
+    with pytest.raises(OutputError, match=r"cannot be written \(Permission denied\)"), Lock(folder / "new"):
         pass
-
-
-def test_a_lock_on_a_file_that_lost_its_name_does_not_count(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As on NFS, where a file that somebody has open is renamed when it is removed."""
-    fcntl = pytest.importorskip("fcntl")
-    folder.mkdir()
-    path, flock = folder / "lock", fcntl.flock
-
-    def late(handle: int, operation: int) -> None:
-        monkeypatch.setattr(fcntl, "flock", flock)
-        path.rename(folder / ".nfs0001")
-        flock(handle, operation)
-
-    monkeypatch.setattr(fcntl, "flock", late)
-    lock = subject._LockFile(path)
-    lock.acquire(5.0)
-    assert (folder / ".nfs0001").exists()
-    assert path.exists()
-    lock.release()
-    assert os.listdir(folder) == [".nfs0001"]
 
 
 # -- file systems without locks ---------------------------------------------------------------------------------------
@@ -295,8 +270,11 @@ def test_without_locks_a_second_run_is_refused_and_told_of_shards(
     assert os.listdir(folder) == []
 
 
-def test_the_heartbeat_beats_while_the_lock_is_held(folder: Path, without_locks: None) -> None:
-    with Lock(folder, beat_s=0.02) as lock:
+def test_the_heartbeat_beats_while_the_lock_is_held(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None
+) -> None:
+    monkeypatch.setattr(subject, "BEAT_S", 0.02)
+    with Lock(folder) as lock:
         os.utime(lock.path, (1000, 1000))
         wait_until(lambda: lock.path.stat().st_mtime > 1000)
         assert holders(folder)[0].silent_s is not None
@@ -349,19 +327,18 @@ def test_clocks_of_machines_do_not_matter(
 def test_without_locks_one_of_two_that_start_together_stops(
     folder: Path, monkeypatch: pytest.MonkeyPatch, without_locks: None
 ) -> None:
-    """Both found the same dead owner; the later one removes the file of the earlier one, which finds out."""
+    """Both found the same dead owner; the later one replaces the file of the earlier one, which finds out."""
     leave(lock_path(folder), beating(), silent_s=180)
     with ExitStack() as stack:
         first = Lock(folder)
-        unlink = Path.unlink
+        replace = Path.replace
 
-        def slow(path: Path, missing_ok: bool = False) -> None:
-            if path == lock_path(folder):
-                monkeypatch.setattr(Path, "unlink", unlink)
-                stack.enter_context(first)
-            unlink(path, missing_ok=missing_ok)
+        def slow(path: Path, target: Path) -> Path:
+            monkeypatch.setattr(Path, "replace", replace)
+            stack.enter_context(first)
+            return replace(path, target)
 
-        monkeypatch.setattr(Path, "unlink", slow)
+        monkeypatch.setattr(Path, "replace", slow)
         second = stack.enter_context(Lock(folder))
         second.check()
         with pytest.raises(BusyError, match="taken over by"):
@@ -396,14 +373,13 @@ def test_a_rival_that_comes_at_any_step_of_another_makes_one_owner(
         with suppress(BusyError):
             inside.append(stack.enter_context(Lock(folder, shard)))
 
-    for name in ("_read", "_is_held", "_file_system_time", "_gate", "_lock_paths"):
+    for name in ("_read", "_is_held", "_file_system_time"):
         monkeypatch.setattr(subject, name, stepped(getattr(subject, name)))
     for name in ("replace", "unlink"):
         monkeypatch.setattr(Path, name, stepped(getattr(Path, name)))
     monkeypatch.setattr(FileLock, "acquire", stepped(FileLock.acquire))
-    monkeypatch.setattr(subject, "GATE_S", 0.01)
     monkeypatch.setattr(subject, "LOOK_S", 0.01)
-    dead = Owner.myself()
+    dead = Owner()
     for n_steps in count(1):
         folder, inside = tmp_path / f"{n_steps}", list[Lock]()
         if found != "nothing":
