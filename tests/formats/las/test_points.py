@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prc_cli.formats.las.points import set_classes, standard_bytes
+from prc_cli.formats.las.header import standard_bytes
+from prc_cli.formats.las.points import set_classes
 
 
 @pytest.mark.parametrize("form", range(6))
