@@ -1,38 +1,60 @@
 """Put single faults into the program and see which of them no test notices.
 
-``python -m tests.mutants --count 200 --seed 14`` measures once which test runs which line, then takes seeded places in
-the rooms named by ``--rooms``, changes one operator or number at a time in a copy of the checkout, and runs the tests
-that reach its line. It prints every survivor and the share that was killed. Compiled loops are left out: their twins
-hold them bit for bit.
+``python -m tests.mutants --count 200 --seed 14 --coverage /tmp/mutants.sqlite`` measures once which test runs which
+line (a file kept from an earlier run is taken as it is), then takes seeded places in the rooms named by ``--rooms``,
+changes one operator or number at a time, and runs the tests that reach its statement. It prints every survivor and the
+share that was killed. No file is changed: the fault is in the code that a forked process imports. Compiled loops are
+left out, as their twins hold them bit for bit; so are the constants named by ``SIZES``.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import importlib
+import json
 import os
 import random
-import shutil
+import re
+import runpy
+import signal
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from functools import partial
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from queue import SimpleQueue
+from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = ("classifiers", "formats", "streams", "matching", "jobs")
-TIMEOUT_S = 300.0
+LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz", "tests/kernels")
+"""Tests that take long, or that run no line of the rooms in their own process."""
+SIZES = re.compile(
+    r"_?(MAX|CHUNK|BLOCK|BUFFER|BATCH|COPY|READ|WRITE|PAGE|KEPT|HEAD|LOOK|FLUSH|RUN|CHECK|PROBE|SORT|MERGE|STEP|LARGE"
+    r"|SHARED|SERIAL|PLAIN|TOGETHER|TEXT)(_[A-Z]+)*_(BYTES|RECORDS|SHOTS|POINTS|ITEMS|ROWS|CELLS)|_?BATCH"
+    r"|[A-Z]+_AT_ONCE"
+    r"|_?(GATE|LOOK|STATUS|POLL|BEAT|SILENT|PATIENCE|PROGRESS|STOP|AGAIN|CONNECT|WORKERS|CHECK|SHARE|START|KILL|ABANDON"
+    r"|WAIT|LONGEST_CHECK|COPY_PAUSE)_S"
+)
+"""Names of constants that only say how much is read, kept or worked on at a time, or how long is waited."""
+TIMEOUT_S = 240.0
 """A mutant that runs so long hangs, which is noticed."""
-MAX_TESTS = 400
-"""Tests of a line that many share are taken from the files nearest to it."""
+FIRST = 60
+"""So many tests, the nearest ones, are run before the others are looked at."""
+BUDGET_S = 60.0
+"""Tests of a statement that many share are taken, the nearest and then the quickest first, until they take so long."""
 
-COMPARED = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!=", ast.NotEq: "=="}
-CALCULATED = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Mod: "//"}
+COMPARED = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq}
+CALCULATED = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.FloorDiv,
+}  # fmt: skip
 SWAPPED = {"max": "min", "min": "max", "any": "all", "all": "any"}
 
 
@@ -46,6 +68,8 @@ class Mutant:
     stop: int
     before: str
     after: str
+    reach: tuple[int, int]
+    """First and last line of what runs when the fault does."""
 
     def __str__(self) -> str:
         return f"{self.file}:{self.line}: {self.before!r} -> {self.after!r}"
@@ -53,156 +77,292 @@ class Mutant:
 
 def mutants_of(path: Path) -> Iterator[Mutant]:
     """Yield every fault of a module that is an operator or a number changed."""
-    text = path.read_text(encoding="utf-8")
+    raw = path.read_bytes()
     begins = [0]
-    for line in text.split("\n"):
-        begins.append(begins[-1] + len(line.encode()) + 1)
-    raw = text.encode()
-    for node in ast.walk(ast.parse(text)):
+    for line in raw.split(b"\n"):
+        begins.append(begins[-1] + len(line) + 1)
+    for node, reach in _code(ast.parse(raw), (1, len(begins))):
         changed = _changed(node)
         if changed is None:
             continue
-        start = begins[node.lineno - 1] + node.col_offset  # type: ignore[attr-defined]
-        stop = begins[node.end_lineno - 1] + node.end_col_offset  # type: ignore[attr-defined]
-        before = raw[start:stop].decode()
-        yield Mutant(str(path.relative_to(ROOT)), node.lineno, start, stop, before, changed)  # type: ignore[attr-defined]
+        start = begins[node.lineno - 1] + node.col_offset
+        stop = begins[node.end_lineno - 1] + node.end_col_offset
+        yield Mutant(str(path.relative_to(ROOT)), node.lineno, start, stop, raw[start:stop].decode(), changed, reach)
+
+
+def _code(node: ast.AST, reach: tuple[int, int]) -> Iterator[tuple[Any, tuple[int, int]]]:
+    """Yield what is calculated, and the lines of the statement; not types, texts and sizes.
+
+    What is calculated on import counts as run by whatever runs the function or module that it belongs to.
+    """
+    for field, value in ast.iter_fields(node):
+        if field in ("annotation", "returns"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            if not isinstance(child, ast.AST) or isinstance(child, ast.JoinedStr) or _is_size(child):
+                continue
+            if field == "slice" and isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal":
+                continue
+            inner = reach
+            if isinstance(child, ast.FunctionDef):
+                inner = (child.lineno, child.end_lineno or child.lineno)
+            elif isinstance(child, ast.stmt) and _is_in_function(node, reach):
+                body = getattr(child, "body", None)
+                inner = (child.lineno, body[0].lineno - 1 if body else child.end_lineno or child.lineno)
+                inner = (inner[0], max(inner))
+            yield child, inner
+            yield from _code(child, inner)
+
+
+def _is_in_function(node: ast.AST, reach: tuple[int, int]) -> bool:
+    return reach[0] != 1 and not isinstance(node, ast.ClassDef | ast.Module)
+
+
+def _is_size(node: ast.AST) -> bool:
+    """Tell whether a statement is ``KEPT_BYTES = 32 << 20`` or the like."""
+    if isinstance(node, ast.Assign | ast.AnnAssign):
+        target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+        return isinstance(target, ast.Name) and SIZES.fullmatch(target.id) is not None
+    return False
 
 
 def _changed(node: ast.AST) -> str | None:
     """Return the source of a node with one fault, None where it can have none."""
+    other: ast.expr
     match node:
-        case ast.Compare(ops=[operator]) if type(operator) in COMPARED:
-            return f"({ast.unparse(node.left)} {COMPARED[type(operator)]} {ast.unparse(node.comparators[0])})"
-        case ast.BinOp(op=operator) if type(operator) in CALCULATED and not _is_text(node):
-            return f"({ast.unparse(node.left)} {CALCULATED[type(operator)]} {ast.unparse(node.right)})"
-        case ast.BoolOp(op=ast.And()):
-            return "(" + " or ".join(f"({ast.unparse(value)})" for value in node.values) + ")"
-        case ast.BoolOp(op=ast.Or()):
-            return "(" + " and ".join(f"({ast.unparse(value)})" for value in node.values) + ")"
-        case ast.UnaryOp(op=ast.Not()):
-            return f"({ast.unparse(node.operand)})"
+        case ast.Compare(left=left, ops=[operator], comparators=right) if type(operator) in COMPARED:
+            other = ast.Compare(left, [COMPARED[type(operator)]()], right)
+        case ast.BinOp(left=left, op=operator, right=right) if type(operator) in CALCULATED and not _is_text(node):
+            other = ast.BinOp(left, CALCULATED[type(operator)](), right)
+        case ast.BoolOp(op=operator, values=values):
+            other = ast.BoolOp(ast.Or() if isinstance(operator, ast.And) else ast.And(), values)
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            other = operand
         case ast.Constant(value=value) if type(value) in (int, float):
             return repr(value + 1) if isinstance(value, int) else repr(float(str(value)) * 1.5 + 1e-3)
         case ast.Call(func=ast.Name(id=name)) if name in SWAPPED:
-            return SWAPPED[name] + ast.unparse(node)[len(name) :]
-    return None
+            other = ast.Call(ast.Name(SWAPPED[name]), node.args, node.keywords)
+        case _:
+            return None
+    return f"({ast.unparse(other)})"
 
 
 def _is_text(node: ast.BinOp) -> bool:
-    sides = (node.left, node.right)
-    return any(isinstance(side, ast.JoinedStr | ast.Constant) and not _is_number(side) for side in sides) or (
-        isinstance(node.op, ast.BitOr)
+    return any(
+        isinstance(side, ast.JoinedStr) or (isinstance(side, ast.Constant) and isinstance(side.value, str | bytes))
+        for side in (node.left, node.right)
     )
 
 
-def _is_number(node: ast.expr) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, int | float)
+# -- which test runs which line: this module is a plug-in of the measured run -----------------------------------------
+
+SECONDS: dict[str, float] = {}
+
+
+def _context(name: str) -> None:
+    from coverage import Coverage
+
+    if (measuring := Coverage.current()) is not None:
+        measuring.switch_context(name)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """What a test runs is counted for its function."""
+    name, begun = item.nodeid.partition("[")[0], time.monotonic()
+    _context(name)
+    try:
+        return (yield)
+    finally:
+        SECONDS[name] = SECONDS.get(name, 0.0) + time.monotonic() - begun
+        _context("")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(fixturedef: Any, request: Any) -> Generator[None, object, object]:
+    """What a fixture shared by several tests runs is counted for all tests of the file."""
+    item = getattr(request, "_pyfuncitem", None)
+    if fixturedef.scope == "function" or item is None:
+        return (yield)
+    _context(item.nodeid.partition("::")[0])
+    try:
+        return (yield)
+    finally:
+        _context(item.nodeid.partition("[")[0])
+
+
+def pytest_sessionfinish() -> None:
+    """Keep how long every test took."""
+    if "PRC_MUTANTS_SECONDS" in os.environ:
+        Path(os.environ["PRC_MUTANTS_SECONDS"]).write_text(json.dumps(SECONDS), encoding="utf-8")
 
 
 def measure(data: Path) -> None:
-    """Run the suite once and keep which test runs which line."""
+    """Run the suite once and keep which test runs which line, and how long each takes."""
     setup = data.with_suffix(".ini")
-    setup.write_text("[run]\nsource = prc_cli\ndynamic_context = test_function\ncore = ctrace\n", encoding="utf-8")
+    setup.write_text("[run]\nsource = prc_cli\nsigterm = true\n", encoding="utf-8")
     command = [
         sys.executable, "-m", "coverage", "run", f"--rcfile={setup}", f"--data-file={data}",
-        "-m", "pytest", "-q", "-x", "tests", "-p", "no:cacheprovider", "--ignore", "tests/golden",
+        "-m", "pytest", "-q", "-p", "tests.mutants", "-p", "no:cacheprovider", "tests", "prc_cli",
+        *(f"--ignore={folder}" for folder in LEFT_OUT),
     ]  # fmt: skip
-    subprocess.run(command, cwd=ROOT, check=True, stdin=subprocess.DEVNULL)
+    environment = {**os.environ, "PRC_MUTANTS_SECONDS": str(data.with_suffix(".json"))}
+    subprocess.run(command, cwd=ROOT, check=True, stdin=subprocess.DEVNULL, env=environment)
 
 
 class Reached:
-    """Which tests run a line."""
+    """Which tests run a statement."""
 
     def __init__(self, data: Path) -> None:
-        self._base = sqlite3.connect(data)
-        rows = self._base.execute("select id, context from context")
-        self._tests = {number: name for number, name in rows if name}
+        base = sqlite3.connect(data)
+        names = dict(base.execute("select id, context from context"))
+        paths = dict(base.execute("select id, path from file"))
+        self._seconds: dict[str, float] = json.loads(data.with_suffix(".json").read_text(encoding="utf-8"))
+        self._lines: dict[str, list[tuple[str, bytes]]] = {}
+        for file, context, bits in base.execute("select file_id, context_id, numbits from line_bits"):
+            if names[context]:
+                self._lines.setdefault(paths[file], []).append((names[context], bits))
 
-    def tests(self, file: str, line: int) -> list[str]:
-        """Return the tests (files and functions) that run a line, those of the nearest files first."""
-        rows = self._base.execute(
-            "select context_id, numbits from line_bits join file on file.id = file_id where path = ?",
-            (str(ROOT / file),),
-        )
-        names = {self._tests[number] for number, bits in rows if number in self._tests and _has(bits, line)}
-        folder = Path(file).parent.name
-        found = sorted({place for name in names if (place := _node(name)) is not None})
-        return sorted(found, key=lambda name: (folder not in name, name))[:MAX_TESTS]
+    def tests(self, mutant: Mutant) -> list[str]:
+        """Return the tests, or files of tests, that run a statement: the nearest first, of these the quickest first."""
+        first, last = mutant.reach
+        found = {
+            name
+            for name, bits in self._lines.get(str(ROOT / mutant.file), [])
+            if any(line // 8 < len(bits) and bits[line // 8] >> line % 8 & 1 for line in range(first, last + 1))
+        }
+        found = {name for name in found if "::" not in name or name.partition("::")[0] not in found}
+        spent = 0.0
+        taken: list[str] = []
+        for name in sorted(found, key=lambda name: (_distance(mutant.file, name), self._took(name), name)):
+            spent += self._took(name)
+            if taken and spent > BUDGET_S:
+                break
+            taken.append(name)
+        return taken
+
+    def _took(self, name: str) -> float:
+        if "::" in name:
+            return self._seconds.get(name, 0.0)
+        return sum(seconds for test, seconds in self._seconds.items() if test.startswith(f"{name}::"))
 
 
-def _has(bits: bytes, line: int) -> bool:
-    return line // 8 < len(bits) and bool(bits[line // 8] >> line % 8 & 1)
+def _distance(file: str, test: str) -> int:
+    """Return 0 for a module's doctests and the test file of its name, 1 for its folder, 2 for its room, 3 else."""
+    own, other = Path(file), Path(test.partition("::")[0])
+    stem = own.parent.name if own.stem == "__init__" else own.stem
+    inside, tested = own.parent.parts[1:], other.parent.parts[1:]
+    if own == other or (other.stem == f"test_{stem}" and tested[:1] == inside[:1]):
+        return 0
+    return 1 if tested == inside else 2 if tested[:1] == inside[:1] else 3
 
 
-def _node(context: str) -> str | None:
-    """Turn ``tests.streams.test_lines.test_wrap`` into pytest's name of it."""
-    module, _, function = context.rpartition(".")
-    while module and not (path := Path(*module.split("."))).with_suffix(".py").exists():
-        module, _, outer = module.rpartition(".")
-        function = f"{outer}::{function}"
-    return f"{path.with_suffix('.py')}::{function}" if module.startswith("tests") and "test_" in function else None
+# -- one fault at a time ----------------------------------------------------------------------------------------------
 
 
-def is_killed(mutant: Mutant, tests: list[str], copy: Path) -> bool:
-    """Run tests on a copy of the checkout with one fault in it; leave the copy as it was."""
-    path = copy / mutant.file
-    sound = path.read_bytes()
-    path.write_bytes(sound[: mutant.start] + mutant.after.encode() + sound[mutant.stop :])
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "no:randomly", *tests]
-    try:
-        return subprocess.run(
-            command, cwd=copy, env={**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"},
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=TIMEOUT_S,
-            check=False,
-        ).returncode != 0  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return True
-    finally:
-        path.write_bytes(sound)
+def judge(mutant: Mutant, tests: list[str]) -> str:
+    """Return whether the tests, or else the check of the generated pages, notice a fault."""
+    begun = time.monotonic()
+    if (ROOT / mutant.file).read_bytes()[mutant.start : mutant.stop].decode() != mutant.before:
+        return "not run: the file was changed meanwhile"
+    # pytest would import modules whose doctests are run by itself, without the fault, to rewrite assertions
+    options = ["-q", "-x", "-p", "no:cacheprovider", "--randomly-dont-reorganize", "--tb=no", "--assert=plain"]
+    is_number_of_import = mutant.reach[0] == 1
+    if is_number_of_import and _fork(mutant, _check_pages) != 0:
+        return "killed (generated pages)"
+    for some in (tests[:FIRST], tests[FIRST:]):
+        if not some:
+            continue
+        code = _fork(mutant, partial(pytest.main, [*options, *some]))
+        if code in (1, 2):
+            return f"killed ({len(tests)} tests, {time.monotonic() - begun:.0f} s)"
+        if code is None:
+            return f"killed (hangs, {time.monotonic() - begun:.0f} s)"
+        if code != 0:
+            return f"not run: pytest ends with {code}"
+    return f"survived ({len(tests)} tests, {time.monotonic() - begun:.0f} s)" if tests else "reached by no test"
+
+
+def _check_pages() -> int:
+    """Compare the reference pages, which list every default and bound of the configuration, as ``.ci/run`` does."""
+    sys.argv = ["docs/generate.py", "--check"]
+    return int(runpy.run_path("docs/generate.py")["main"]())
+
+
+def _fork(mutant: Mutant, check: Callable[[], int]) -> int | None:
+    """Return the exit code of a check with one fault in the program; None where it hangs."""
+    child = os.fork()
+    if child == 0:
+        os.setsid()
+        silent = os.open(os.devnull, os.O_RDWR)
+        for descriptor in (0, 1, 2):
+            os.dup2(silent, descriptor)
+        code = 1
+        try:
+            _put_in(mutant)
+            code = int(check())
+        finally:
+            os._exit(code)
+    end = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < end:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            # a crash of the interpreter is noticed, too
+            return os.waitstatus_to_exitcode(status) if os.WIFEXITED(status) else 1
+        time.sleep(0.05)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return None
+
+
+def _put_in(mutant: Mutant) -> None:
+    """Let this process import a module with a fault."""
+    path, sound = str(ROOT / mutant.file), SourceFileLoader.get_code
+    raw = Path(path).read_bytes()
+    faulty = raw[: mutant.start] + mutant.after.encode() + raw[mutant.stop :]
+
+    def get_code(self: SourceFileLoader, fullname: str) -> Any:
+        return compile(faulty, path, "exec") if self.path == path else sound(self, fullname)
+
+    SourceFileLoader.get_code = get_code  # type: ignore[assignment, method-assign]
+
+
+def load_kernels() -> None:
+    """Import once, for all forked processes, what takes long and has no fault."""
+    for path in sorted((ROOT / "prc_cli" / "kernels").rglob("*.py")):
+        importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
+    loaded = [name for name in sys.modules if name.startswith(tuple(f"prc_cli.{room}" for room in ROOMS))]
+    if loaded:
+        message = f"kernels import {', '.join(loaded)}: faults there would not be seen"
+        raise RuntimeError(message)
 
 
 def main() -> None:
     """Measure, mutate, report."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--skip", type=int, default=0, help="so many were run before")
+    parser.add_argument("--only", default="", help="part of the file names to put faults into")
     parser.add_argument("--seed", type=int, default=14)
     parser.add_argument("--rooms", nargs="*", default=ROOMS)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--coverage", type=Path, help="kept from an earlier run")
+    parser.add_argument("--coverage", type=Path, required=True, help="measured where it does not exist")
     chosen = parser.parse_args()
-    work = Path(tempfile.mkdtemp(prefix="prc-mutants-"))
-    data = chosen.coverage or work / "coverage.sqlite"
-    if not data.exists():
-        measure(data)
-    reached = Reached(data)
+    os.chdir(ROOT)
+    if not chosen.coverage.exists():
+        measure(chosen.coverage)
+    load_kernels()
+    reached = Reached(chosen.coverage)
     files = [path for room in chosen.rooms for path in sorted((ROOT / "prc_cli" / room).rglob("*.py"))]
     places = [mutant for path in files for mutant in mutants_of(path)]
     random.Random(chosen.seed).shuffle(places)
-    copies: SimpleQueue[Path] = SimpleQueue()
-    for number in range(chosen.jobs):
-        copy = work / f"copy{number}"
-        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache", "site"))
-        copies.put(copy)
-
-    def judge(mutant: Mutant) -> tuple[Mutant, str]:
-        tests = reached.tests(mutant.file, mutant.line)
-        if not tests:
-            return mutant, "reached by no test"
-        copy, begun = copies.get(), time.monotonic()
-        try:
-            verdict = "killed" if is_killed(mutant, tests, copy) else "survived"
-        finally:
-            copies.put(copy)
-        return mutant, f"{verdict} ({len(tests)} tests, {time.monotonic() - begun:.0f} s)"
-
-    survivors = 0
-    with ThreadPoolExecutor(chosen.jobs) as pool:
-        for number, (mutant, verdict) in enumerate(pool.map(judge, places[: chosen.count]), 1):
-            survivors += not verdict.startswith("killed")
-            print(f"{number:4} {verdict:28} {mutant}", flush=True)
-    n = min(chosen.count, len(places))
-    print(f"{n} mutants of {len(places)}, {n - survivors} killed: {100 * (n - survivors) / max(n, 1):.1f} %")
-    shutil.rmtree(work, ignore_errors=True)
+    killed = tried = 0
+    for number, mutant in enumerate(places[: chosen.count], 1):
+        if number <= chosen.skip or chosen.only not in mutant.file:
+            continue
+        verdict = judge(mutant, reached.tests(mutant))
+        tried, killed = tried + 1, killed + verdict.startswith("killed")
+        print(f"{number:4} {verdict:28} {mutant}", flush=True)
+    print(f"{tried} mutants of {len(places)}, {killed} killed: {100 * killed / max(tried, 1):.1f} %")
 
 
 if __name__ == "__main__":

@@ -219,6 +219,7 @@ def test_the_figure_marks_what_was_chosen_and_stays_in_its_frame(tmp_path: Path)
         assert max(ends) <= frame + 0.1
         points = " ".join(e.attrib["points"] for e in root.iter() if e.tag.endswith("polyline")).split()
         assert max(float(point.split(",")[0]) for point in points) <= frame + 0.1
+        assert max(float(e.attrib["y"]) for e in root.iter() if e.tag.endswith("text")) <= 440, "the legend, too"
 
 
 def labelled(folder: Path, n_lines: int = N_LINES) -> tuple[Path, Path]:

@@ -15,11 +15,12 @@ from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
+from prc_cli.imaging.sheet import Axis
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
 from prc_cli.jobs.render.frames import turns
 from prc_cli.jobs.render.options import FIGURE_1, choose_steps
-from prc_cli.jobs.render.scan import choose_part, draw_scan
+from prc_cli.jobs.render.scan import _elevations, choose_part, draw_scan
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -433,3 +434,10 @@ def test_a_cloud_says_how_many_returns_it_leaves_out(tmp_path: Path) -> None:
     outside = sum(int(note.split()[0].replace(",", "")) for note in result.notes if "outside" in note)
     assert left_out > 0
     assert result.n_points + outside + left_out == len(points)
+
+
+def test_columns_in_no_even_steps_of_elevation_are_counted() -> None:
+    beam_rad = np.deg2rad(np.array([0.0, 1.0, 5.0, 6.0, 30.0]))
+    order = np.arange(5)
+    assert _elevations(beam_rad, order, 5) == Axis("column", 0, 5)
+    assert _elevations(beam_rad, order[::-1], 5) == Axis("column", 5, 0)

@@ -16,7 +16,7 @@ from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import open_stream
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.down import down_of_ground
+from prc_cli.streams.down import _middle_of_lines, down_of_ground
 from tests.classifiers.fused.street_lines import BEAM, street_lines
 
 
@@ -101,3 +101,9 @@ def test_the_refusal_asks_for_what_is_enough(tmp_path: Path) -> None:
     for preset, hint in asked.items():
         with pytest.raises(InputError, match=hint):
             open_stream(tmp_path / "drive.npy", load_config(preset=preset))
+
+
+def test_the_middle_of_lines_is_a_median_of_what_is_there() -> None:
+    nan = np.nan
+    lines = np.array([[9, 5, nan, nan], [1, 2, 4, nan], [8, nan, 6, nan], [2, 1, nan, 3], [7, 4, nan, 3]], np.float32)
+    np.testing.assert_array_equal(_middle_of_lines(lines), [7, 4, nan, nan])

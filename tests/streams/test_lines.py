@@ -8,7 +8,7 @@ import pytest
 from prc_cli.core.errors import InputError, OrderError
 from prc_cli.core.types import I64, Mask
 from prc_cli.streams.angles import Sweep, find_sweep
-from prc_cli.streams.limits import Admission, admit_lines
+from prc_cli.streams.limits import Admission, CellLimit, admit_lines
 from prc_cli.streams.lines import (
     LineState,
     lines_by_dimension,
@@ -162,3 +162,8 @@ def test_shots_without_line_are_not_admitted() -> None:
     admitted, state = admit_lines(line, known, np.arange(3), LineState(), RULE)
     assert admitted.tolist() == [True, False, True]
     assert state.top == 1
+
+
+def test_one_line_is_always_allowed() -> None:
+    limit = CellLimit(points_per_line=1000, n_known=0, n_spare=10)
+    assert limit.most_lines(np.array([0, 1, 2])).tolist() == [1, 1, 2]

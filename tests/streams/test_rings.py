@@ -12,6 +12,7 @@ from prc_cli.formats.options import InputConfig, Layout, LayoutField
 from prc_cli.streams import rings
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.open import open_input
+from prc_cli.streams.ring_turns import _cut_turns, _cuts
 from prc_cli.streams.rings import open_rings
 from tests.streams.beam_lines import worst_deg
 from tests.streams.record_lists import MemorySource, Whole, read
@@ -243,3 +244,18 @@ def test_any_records_become_a_frame_or_are_refused_in_one_line() -> None:
         assert np.count_nonzero(whole.record >= 0) + len(whole.extras) + whole.tally.n_unplaced == n
     assert min(n_read, len(refusals)) > 20
     assert not any("\n" in message for message in refusals)
+
+
+def test_few_shots_before_the_first_whole_ring_belong_to_it() -> None:
+    # 2 shots before the cut, then two rings of 300 shots
+    along = np.concatenate([[-0.02, -0.01], np.linspace(0, 4 * np.pi, 600, endpoint=False) + 0.001])
+    ring, within = _cut_turns(along)
+    assert ring.tolist() == [0] * 302 + [1] * 300
+    assert within[:2].tolist() == [0, 0]
+
+
+def test_rings_may_begin_in_the_middle_of_the_longest_gap() -> None:
+    # no azimuths in 100 to 140 and in 200 to 210 deg
+    azimuth = np.array([angle for angle in range(720) if not (100 <= angle % 360 < 140 or 200 <= angle % 360 < 210)])
+    *_, gap = _cuts(np.deg2rad(azimuth + 0.5), np.deg2rad(1.0))
+    assert np.rad2deg(gap) == pytest.approx(120)

@@ -83,7 +83,7 @@ class Cloud:
             if not missing:
                 return cls(source, loaded, station, records)
             shown = ", ".join(records.dimensions[:20])
-            if not by_sensor and rules.range == "auto":
+            if rules.range == "auto":
                 problem = f"no coordinates for a cloud: the file has no {missing[0]}, but {shown}"
                 raise InputError(str(source), problem, _HINT)
         return cls(source, loaded, station, None)

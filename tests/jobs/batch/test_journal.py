@@ -376,3 +376,10 @@ def test_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL and fork")
 def test_many_killed_writers_lose_nothing_that_was_committed(folder: Path) -> None:
     kill_writers(folder, 2, 200, 200)
+
+
+def test_the_journal_of_the_whole_archive_comes_first(tmp_path: Path) -> None:
+    names = ["journal.sqlite", "journal.1-of-2.sqlite", "journal.2-of-2.sqlite"]
+    for name in reversed(names):
+        (tmp_path / name).touch()
+    assert [path.name for path in subject.journal_paths(tmp_path)] == names

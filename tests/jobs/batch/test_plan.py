@@ -133,6 +133,15 @@ def test_a_change_that_keeps_size_and_time_is_found_by_verify(settings: BatchSet
     assert reasons(plan_of(replace(settings, verify=True), known))["a.npz"] == "changed input"
 
 
+def test_a_grown_file_is_noticed_even_where_its_time_was_kept(settings: BatchSettings) -> None:
+    known = entry(settings, "a.npz")
+    source = settings.archive / "a.npz"
+    times = source.stat()
+    source.write_bytes(source.read_bytes() + b"+")
+    os.utime(source, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert reasons(plan_of(settings, known))["a.npz"] == "changed input"
+
+
 def test_a_missing_output_is_made_again(settings: BatchSettings) -> None:
     known = entry(settings, "a.npz")
     output(settings, "a.npz").unlink()
