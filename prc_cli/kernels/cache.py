@@ -92,11 +92,12 @@ def _fields_folder(tuples: Tuples) -> str:
     """Name the sub-folder of the cache for kernels that take tuples; empty without any.
 
     Numba tells NamedTuples apart by class and number of fields, and looks only at the kernel's own source for changes:
-    without this, a cached loop would go on reading the places where fields were before they changed order.
+    without this, a cached loop would go on reading the places where fields were before they changed order. The module
+    of a class is part of the name, because numba cannot read an index that names a class which has moved.
     """
     if not tuples:
         return ""
-    known = repr([(cls.__name__, getattr(cls, "_fields", ())) for cls in tuples])
+    known = repr([(cls.__module__, cls.__name__, getattr(cls, "_fields", ())) for cls in tuples])
     return f"tuples-{sha256(known.encode()).hexdigest()[:8]}"
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
+import prc_cli
 from prc_cli.kernels import compiling
 
 FORBIDDEN = (
@@ -40,6 +41,8 @@ CHANGES = {
 """Events whose first arguments are names of files that are changed."""
 COMPILER = compiling.__file__
 """Begins processes that compile loops, once after installation."""
+TEMPLATES = tuple(Path(prc_cli.__path__[0], room, "templates") for room in ("evaluation", "imaging"))
+"""The program's own pages, which jinja2 turns into code."""
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_TRUNC
 
 
@@ -92,7 +95,9 @@ class Guard:
             return "" if own or _is_import() else f"{event} {arguments!r}"[:300]
         if event == "exec":
             code = arguments[0]
-            plain = isinstance(code, CodeType) and Path(code.co_filename).suffix == ".py"
+            plain = isinstance(code, CodeType) and (
+                Path(code.co_filename).suffix == ".py" or Path(code.co_filename).parent in TEMPLATES
+            )
             return "" if plain or _is_import() else f"exec {code!r}"[:300]
         if event == "pickle.find_class":
             return "" if _is_import() else f"pickle {arguments!r}"[:300]

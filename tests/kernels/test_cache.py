@@ -6,6 +6,7 @@ import importlib.util
 import os
 import sys
 import tempfile
+from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -192,3 +193,10 @@ def test_mistake_in_a_kernel_is_not_hidden(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(sys.modules[__name__], "MODULE", MODULE.replace("2 * number", "number.spam"))
     with pytest.raises(numba.core.errors.TypingError):
         compile_module(tmp_path)
+
+
+def test_a_class_that_moved_gets_a_folder_of_its_own() -> None:
+    """Numba cannot read an index that names a class which is no longer there, and would compile in every run."""
+    here, there = (namedtuple("Limits", "low high", module=name) for name in ("some.module", "another"))
+    assert cache._fields_folder([here]) == cache._fields_folder([here])
+    assert cache._fields_folder([here]) != cache._fields_folder([there])
