@@ -374,20 +374,20 @@ def read_records(source: Source, header: LasHeader, n: int) -> Generator[U8]:
     """
     # uncompressed records are read faster than one thread can hand them to another
     ahead = header.compressed and header.n_records > n
-    # with a thread reading ahead, one batch is in use, others wait, one is being filled
-    batches = _exactly(read_batches(source, header, n, n_buffers=_AHEAD + 2 if ahead else 1), header, n)
+    # arrays that wait for the caller are copies: a batch may be decoded while nothing is taken, and reuse their buffer
+    batches = _exactly(read_batches(source, header, n, n_buffers=2 if ahead else 1), header, n, copied=ahead)
     yield from read_ahead(batches, depth=_AHEAD) if ahead else batches
 
 
-def _exactly(batches: Iterator[tuple[int, memoryview]], header: LasHeader, n: int) -> Generator[U8]:
-    """Join and cut batches to ``n`` records each, fewer in the last."""
+def _exactly(batches: Iterator[tuple[int, memoryview]], header: LasHeader, n: int, *, copied: bool) -> Generator[U8]:
+    """Join and cut batches to ``n`` records each, fewer in the last; ``copied``: into memory of their own."""
     n_left, n_held = header.n_records, 0
     for _, raw in batches:
         rows = np.frombuffer(raw, np.uint8).reshape(-1, header.record_bytes)
         while len(rows):
             wanted = min(n, n_left)
             if n_held == 0 and len(rows) >= wanted:
-                yield rows[:wanted]
+                yield rows[:wanted].copy() if copied else rows[:wanted]
                 rows = rows[wanted:]
                 n_left -= wanted
                 continue

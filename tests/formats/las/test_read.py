@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 import struct
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,8 @@ from hypothesis import strategies as st
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.formats.las.copy import copy_las, read_las
+from prc_cli.formats.las.header import open_source
+from prc_cli.formats.las.laz import read_records
 from prc_cli.formats.las.read import LasSource
 from prc_cli.streams.order import OrderWatch
 
@@ -785,3 +788,18 @@ def test_a_signalling_nan_is_no_warning(tmp_path: Path) -> None:
     (chunk,) = LasSource(path).chunks(("range",))
     assert np.isnan(chunk.values["range"][0])
     assert chunk.values["range"][1] == 1.0
+
+
+def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches that end inside a chunk are joined: reading goes on while earlier records still wait."""
+    path = tmp_path / "a.laz"
+    laz(path, 6)
+    header = read_las(path)
+    expected = laspy.lib.read_las(path, laz_backend=laspy.LazBackend.Lazrs).points.array.tobytes()
+    monkeypatch.setattr("prc_cli.formats.las.laz._SHARED_BYTES", 1_000_000)
+    with open_source(path) as source:
+        found = []
+        for rows in read_records(source, header, 7_000):
+            time.sleep(0.01)  # lets the thread that reads ahead go as far as it can
+            found.append(rows.tobytes())
+    assert b"".join(found) == expected
