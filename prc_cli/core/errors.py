@@ -1,8 +1,8 @@
 """Exceptions of the package: where, what was found, what was expected, what to do.
 
 The command line catches :class:`PrcError` once and turns it into one line and an exit code that scripts can
-trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 the classes of a file drifted
-from those of earlier runs, 5 another run is at work in the output folder.
+trust: 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 done, but look at it
+(doubts, or classes that drifted from those of earlier runs), 5 another run is at work in the output folder.
 """
 
 from __future__ import annotations
@@ -40,6 +40,10 @@ class InputError(PrcError):
 
 class OrderError(InputError):
     """An input whose records are not in the order the shots were fired."""
+
+
+class EvidenceError(InputError):
+    """An input that is not what it is said to be, by what it shows itself."""
 
 
 class OutputError(PrcError):

@@ -19,7 +19,7 @@ from prc_cli.formats import open_source
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.evidence import (
+from prc_cli.streams.evidence.estimates import (
     PeriodEstimate,
     RangeCorrelation,
     estimate_line_frequency,

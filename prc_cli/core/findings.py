@@ -1,0 +1,86 @@
+"""Findings: the answers of the checks of an input and of its labels.
+
+A check asks one question of a stream, for example whether its lines repeat after M shots. :mod:`prc_cli.streams.evidence`
+has the checks; every command reports their findings in the same words.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+from prc_cli.core.errors import EvidenceError
+
+
+class Verdict(IntEnum):
+    """The answer of a check, in ascending order of what it means for the labels."""
+
+    FINE = 0
+    """Nothing speaks against the input, or too little is there to tell."""
+    DOUBTFUL = 1
+    """Labels are written, the user is told, the exit code is 4."""
+    AGAINST = 2
+    """Labels would be wrong: the input is refused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """The answer of one check."""
+
+    check: str
+    """Name of the check, as for ``--accept-doubt``."""
+    verdict: Verdict
+    found: str
+    """What was found, with its figure."""
+    expected: str
+    """What was expected, with the limit."""
+    hint: str = ""
+    """What to do, as something that can be typed or checked."""
+    is_accepted: bool = False
+    """Whether the user accepts it (``--accept-doubt``): it is recorded, and does no more."""
+
+    @property
+    def problem(self) -> str:
+        """Return what was found against what was expected.
+
+        >>> Finding("units", Verdict.DOUBTFUL, "the scanner is 6.6 m above the ground", "at most 5 m").problem
+        'the scanner is 6.6 m above the ground, expected at most 5 m'
+        """
+        return f"{self.found}, expected {self.expected}" if self.expected else self.found
+
+    def sentence(self) -> str:
+        """Return the finding with its name, and what to do.
+
+        >>> Finding("units", Verdict.DOUBTFUL, "the scanner is 6.6 m above the ground", "at most 5 m").sentence()
+        'units: the scanner is 6.6 m above the ground, expected at most 5 m'
+        """
+        accepted = " (accepted)" if self.is_accepted else ""
+        return f"{self.check}{accepted}: {self.problem}" + (f"; {self.hint}" if self.hint else "")
+
+
+def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, ...]:
+    """Mark the findings that the user accepts by name; those that are fine are left as they are."""
+    known = set(names)
+    return tuple(
+        replace(one, is_accepted=True) if one.check in known and one.verdict > Verdict.FINE else one
+        for one in findings
+    )
+
+
+def doubts(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings that the user has to look at: not fine, and not accepted."""
+    return tuple(one for one in findings if one.verdict > Verdict.FINE and not one.is_accepted)
+
+
+def refuse(path: str, findings: Iterable[Finding]) -> None:
+    """Raise the first finding that speaks against the input, if there is one.
+
+    Raises
+    ------
+    EvidenceError
+    """
+    for one in doubts(findings):
+        if one.verdict is Verdict.AGAINST:
+            insist = f"or insist with --accept-doubt {one.check}"
+            raise EvidenceError(path, one.problem, f"{one.hint}, {insist}" if one.hint else insist)

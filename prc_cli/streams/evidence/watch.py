@@ -1,0 +1,118 @@
+"""Watches a stream while it passes, and asks all checks of it.
+
+Nothing is read twice: a bounded sample of the lines is kept while blocks pass. Evidence against the input is raised as
+soon as the sample is full for the first time, and again at the end; outputs get their final name later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from prc_cli.core.findings import Finding, accept, refuse
+from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
+from prc_cli.core.types import F64
+from prc_cli.streams.evidence.checks import ask_all
+from prc_cli.streams.evidence.sample import LineSample
+from prc_cli.streams.evidence.seen import Seen
+
+MAX_SCANNERS = 4
+"""Most scanners whose lines are sampled; the counts hold all."""
+
+
+@dataclass(slots=True)
+class _Scanner:
+    """What has been seen of one scanner."""
+
+    sample: LineSample
+    angle_rad: F64 | None = None
+    beam_rad: F64 | None = None
+    n_lines: int = 0
+    n_shots: int = 0
+    n_missing: int = 0
+
+
+@dataclass(slots=True)
+class EvidenceStream:
+    """A stream that is watched while its blocks pass, unchanged.
+
+    Parameters
+    ----------
+    source : ScanStream
+        Any stream.
+    accepted : tuple of str
+        Names of checks whose findings the user accepts.
+    refuses : bool
+        Raise as soon as the evidence is against the input; False = only report it in :meth:`findings`.
+    """
+
+    source: ScanStream
+    accepted: tuple[str, ...] = ()
+    refuses: bool = True
+    _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
+    _tally: ReadTally = field(default_factory=ReadTally, init=False)
+
+    @property
+    def info(self) -> StreamInfo:
+        """Metadata of the stream."""
+        return self.source.info
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start; see :meth:`prc_cli.core.stream.ScanStream.blocks`.
+
+        Raises
+        ------
+        EvidenceError
+            When the evidence is against the input.
+        """
+        self._scanners, self._tally = {}, ReadTally()
+        for block in self.source.blocks():
+            if self._see(block) and self.refuses:
+                refuse(self.info.path, self.findings(is_whole=False))
+            yield block
+        if self.refuses:
+            refuse(self.info.path, self.findings())
+
+    def _see(self, block: ScanBlock) -> bool:
+        """Take what is needed of a block; return whether the sample of its scanner became full just now."""
+        self._tally += block.tally
+        one = self._scanners.get(block.scanner)
+        if one is None:
+            one = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
+        one.angle_rad, one.beam_rad = block.angle_rad, block.beam_rad
+        one.n_lines += block.n_lines
+        one.n_shots += block.range_m.size
+        one.n_missing += int(np.count_nonzero(np.isnan(block.range_m)))
+        if len(self._scanners) > MAX_SCANNERS:
+            return False
+        before = one.sample.n_full
+        one.sample.add(block)
+        return before == 0 < one.sample.n_full
+
+    def seen(self, *, is_whole: bool = True) -> tuple[Seen, ...]:
+        """Return what has been seen so far, by scanner."""
+        info = self.info
+        return tuple(
+            Seen(
+                info=info, scanner=scanner, windows=one.sample.windows(), n_lines=one.n_lines, n_shots=one.n_shots,
+                n_missing=one.n_missing, tally=self._tally,
+                angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
+                beam_rad=one.beam_rad, is_whole=is_whole,
+            )
+            for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
+        )  # fmt: skip
+
+    def findings(self, *, is_whole: bool = True) -> tuple[Finding, ...]:
+        """Return the answers of all checks to what has been seen so far."""
+        found: dict[str, Finding] = {}
+        seen = self.seen(is_whole=is_whole)
+        for one in seen:
+            for finding in ask_all(one):
+                told = finding if len(seen) == 1 else replace(finding, found=f"scanner {one.scanner}: {finding.found}")
+                # of several scanners, the worst answer stands for the check
+                if finding.check not in found or finding.verdict > found[finding.check].verdict:
+                    found[finding.check] = told
+        return accept(found.values(), self.accepted)
+
