@@ -1,7 +1,7 @@
 """Findings: the answers of the checks of an input and of its labels.
 
-A check asks one question of a stream, for example whether its lines repeat after M shots. :mod:`prc_cli.streams.evidence`
-has the checks; every command reports their findings in the same words.
+A check asks one question of a stream, for example whether its lines repeat after M shots. The checks are in
+:mod:`prc_cli.streams.evidence`; every command reports their findings in the same words.
 """
 
 from __future__ import annotations
