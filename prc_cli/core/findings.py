@@ -63,8 +63,7 @@ def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, 
     """Mark the findings that the user accepts by name; those that are fine are left as they are."""
     known = set(names)
     return tuple(
-        replace(one, is_accepted=True) if one.check in known and one.verdict > Verdict.FINE else one
-        for one in findings
+        replace(one, is_accepted=True) if one.check in known and one.verdict > Verdict.FINE else one for one in findings
     )
 
 

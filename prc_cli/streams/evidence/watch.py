@@ -115,4 +115,3 @@ class EvidenceStream:
                 if finding.check not in found or finding.verdict > found[finding.check].verdict:
                     found[finding.check] = told
         return accept(found.values(), self.accepted)
-
