@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,12 @@ import click
 
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.profile import print_profile, profile_of
-from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_classes
-from prc_cli.core.classes import Label
+from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_classes, print_doubts
+from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
 from prc_cli.jobs.classify import classify as classify_file
 from prc_cli.kernels import ENGINES, Engine
-
-MANY = 0.01
-"""Share of unplaced records above which the rules for lines and columns are probably wrong."""
 
 
 @click.command()
@@ -82,6 +78,8 @@ def classify(
         _print_summary(summary, seconds, verbose=verbose)
     if profile is not None and not (quiet and as_json):
         print_profile(profile, summary.counts.n_shots, threads)
+    if code := print_doubts(summary.doubts):
+        raise SystemExit(code)
 
 
 def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> None:
@@ -89,31 +87,15 @@ def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> Non
     print_classes(summary)
     if verbose:
         print_assumptions(record.assumptions, record.tally)
-    for warning in _warnings(summary):
-        console().print(f"warning: {warning}", soft_wrap=True)
+    if record.tally.n_time_steps_back:
+        told = f"note: the time goes back {record.tally.n_time_steps_back:,} times: see prc info"
+        console().print(told, soft_wrap=True)
     for notice in record.notices:
-        console().print(f"note: {notice}", soft_wrap=True)
+        if not is_doubt(notice):
+            console().print(f"note: {notice}", soft_wrap=True)
     rate = counts.n_shots / seconds / 1e6 if seconds else 0.0
     console().print(
         f"{summary.output}: {counts.n_lines:,} lines of {record.points_per_line:,} shots "
         f"in {seconds:.1f} s ({rate:.2g} million shots a second)",
         soft_wrap=True,
     )
-
-
-def _warnings(summary: RunSummary) -> Iterator[str]:
-    counts, tally = summary.counts, summary.counts.tally
-    n_records, n_returned = summary.record.n_records or 1, counts.n_shots - int(counts.labels[Label.MISSING])
-    if not n_returned:
-        reason = "all ranges lie beyond its limits" if tally.n_beyond else "check --range and the layout"
-        yield f"no shot has a range: {reason}"
-    if counts.n_far > MANY * n_returned:
-        yield f"{counts.n_far / n_returned:.1%} of the ranges exceed 20 km: check --range and its coordinate system"
-    if tally.n_unplaced > MANY * n_records:
-        share = tally.n_unplaced / n_records
-        yield f"{share:.1%} of the records found no cell and stay unclassified: check --lines, --columns and -M"
-    if tally.n_collisions > MANY * n_records:
-        share = tally.n_collisions / n_records
-        yield f"{share:.1%} of the records met another shot in their cell: check --lines, --columns and -M"
-    if tally.n_time_steps_back:
-        yield f"the time goes back {tally.n_time_steps_back:,} times: see prc info"

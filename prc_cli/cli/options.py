@@ -17,6 +17,7 @@ import click
 from prc_cli.classifiers.methods import METHODS
 from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
+from prc_cli.core.findings import CHECK_NAMES
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
@@ -41,6 +42,8 @@ _INPUT_OPTIONS = [
     click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line."),
     click.option("--max-range", type=float, metavar="METRES", help="Ranges beyond are missing."),
     click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first."),
+    click.option("--accept-doubt", "accept_doubts", multiple=True, metavar="NAME", type=click.Choice(CHECK_NAMES),
+                 help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several."),
     click.option("--trust-order", "trust_order", is_flag=True, help="Take the order of the records as it is."),
 ]  # fmt: skip
 
@@ -115,6 +118,7 @@ def layers_from(options: dict[str, Any]) -> Layers:
         "points_per_line": options["points_per_line"],
         "max_range": options["max_range"],
         "order": order,
+        "accept_doubts": list(options["accept_doubts"]) or None,
     }
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
+import click
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -18,8 +19,13 @@ from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.classes import ClassCodes, Label
 
 if TYPE_CHECKING:
+    from prc_cli.core.findings import Finding
     from prc_cli.core.stream import Assumption, ReadTally
     from prc_cli.jobs.classify import Progress, RunSummary
+
+
+LOOK = 4
+"""Exit code of a run that is done, but must be looked at."""
 
 
 class SafeConsole(Console):
@@ -71,6 +77,17 @@ def line_progress(name: str, *, quiet: bool) -> Iterator[Progress | None]:
 
     with tqdm(desc=printable(name), unit=" lines", unit_scale=True, leave=False) as bar:
         yield bar.update
+
+
+def print_doubts(doubts: Iterable[Finding]) -> int:
+    """Print every doubt on stderr, quiet or not; return the exit code."""
+    code = 0
+    for doubt in doubts:
+        insist = f"accept it with --accept-doubt {doubt.check}"
+        told = f"warning: {doubt.sentence()}; {'or ' if doubt.hint else ''}{insist}"
+        click.echo(printable(told), err=True)
+        code = LOOK
+    return code
 
 
 def print_classes(summary: RunSummary) -> None:

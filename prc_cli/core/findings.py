@@ -12,6 +12,16 @@ from enum import IntEnum
 
 from prc_cli.core.errors import EvidenceError
 
+CHECK_NAMES = (
+    "ranges", "shot-order", "line-length", "line-order", "standing", "repeated-lines", "times", "collisions",
+    "unplaced", "returns", "dropouts", "units", "angle-step", "down", "ground-below", "below-ground", "noise-share",
+    "classes-along",
+)  # fmt: skip
+"""Names of all checks, in the order in which they are reported."""
+ORDER_CHECKS = ("shot-order", "line-order", "times")
+"""Checks that ``--trust-order`` accepts."""
+_DOUBT, _ACCEPTED = "doubt ", "accepted doubt "
+
 
 class Verdict(IntEnum):
     """The answer of a check, in ascending order of what it means for the labels."""
@@ -55,8 +65,20 @@ class Finding:
         >>> Finding("units", Verdict.DOUBTFUL, "the scanner is 6.6 m above the ground", "at most 5 m").sentence()
         'units: the scanner is 6.6 m above the ground, expected at most 5 m'
         """
-        accepted = " (accepted)" if self.is_accepted else ""
-        return f"{self.check}{accepted}: {self.problem}" + (f"; {self.hint}" if self.hint else "")
+        return f"{self.check}: {self.problem}" + (f"; {self.hint}" if self.hint else "")
+
+    def notice(self) -> str:
+        """Return the sentence for the run record; :func:`is_doubt` knows it again."""
+        return f"{_ACCEPTED if self.is_accepted else _DOUBT}{self.sentence()}"
+
+
+def is_doubt(notice: str) -> bool:
+    """Tell whether a notice of a run record is a doubt that nobody accepted.
+
+    >>> is_doubt(Finding("units", Verdict.DOUBTFUL, "odd", "").notice())
+    True
+    """
+    return notice.startswith(_DOUBT)
 
 
 def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, ...]:

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from prc_cli.core.config import Params
+from prc_cli.core.findings import CHECK_NAMES
 
 MAX_RECORD_BYTES = 1 << 20
 """Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
@@ -38,6 +39,16 @@ def _rule(*patterns: str) -> AfterValidator:
 LineRule = Annotated[str, _rule("auto", "dimension:*", "fixed", "angle-wrap", "time:#", "rings", "elevation:#")]
 ColumnRule = Annotated[str, _rule("auto", "dimension:*", "angle", "time:#", "order")]
 RangeRule = Annotated[str, _rule("auto", "dimension:*", "trajectory:*", "origin:*", "sensor-xyz")]
+
+
+def _known_check(name: str) -> str:
+    if name not in CHECK_NAMES:
+        message = f"names of checks: {', '.join(CHECK_NAMES)}"
+        raise ValueError(message)
+    return name
+
+
+CheckName = Annotated[str, AfterValidator(_known_check)]
 
 
 class InputConfig(Params):
@@ -100,6 +111,10 @@ class InputConfig(Params):
     )
     max_gap_lines: int = Field(
         100_000, ge=0, description="more missing lines in a row than this are an error, not a gap"
+    )
+
+    accept_doubts: tuple[CheckName, ...] = Field(
+        (), description="names of checks whose doubts the office knows better; they are recorded, and do no more"
     )
 
     @model_validator(mode="after")

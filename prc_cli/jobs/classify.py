@@ -22,6 +22,7 @@ from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import check_output, remove_stale, suffix_of
+from prc_cli.core.findings import Finding, Verdict, doubts
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
@@ -39,6 +40,7 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.kernels import Engine, load_kernels, use_engine
+from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.open import open_input
 
 Progress: TypeAlias = Callable[[int], None]
@@ -90,6 +92,13 @@ class RunSummary:
     """Provenance and what was written, as stored in the output; ``.notices`` holds warnings for the user."""
     counts: Counts
     """Lines, shots and labels of the stream."""
+    findings: tuple[Finding, ...] = ()
+    """Answers of all checks of the input and of its labels."""
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """Findings that the user has to look at."""
+        return doubts(self.findings)
 
 
 def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None) -> ScanStream:
@@ -257,7 +266,7 @@ def _classify(
     with timed("opening"):
         # times and intensities are needed only where a point cloud is made from another kind of input
         only_ranges = suffix_of(output) not in LAS_SUFFIXES or suffix_of(source) in LAS_SUFFIXES
-        stream = _open(source, loaded.config, geometry=False, only_ranges=only_ranges)
+        stream = watched(_open(source, loaded.config, geometry=False, only_ranges=only_ranges), loaded.config.input)
     with (
         FingerprintBeside(source, threads=threads) as beside,
         open_writer(
@@ -276,13 +285,15 @@ def _classify(
         record = run_record(stream.info, counts, loaded, beside.result())
         segments = loaded.config.output.segment_ids
         missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
-        record = replace(record, notices=(*record.notices, *missed), engine=engine)
+        found = stream.findings()
+        told = (finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
+        record = replace(record, notices=(*record.notices, *missed, *told), engine=engine)
         after = source.stat()
         if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
         with timed("finishing the output"):
             record = writer.finish(record)
-    return RunSummary(output, record, counts)
+    return RunSummary(output, record, counts, found)
 
 
 def _write_labels(

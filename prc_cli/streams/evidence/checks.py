@@ -9,6 +9,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from prc_cli.core.findings import Finding
+from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_unplaced
+from prc_cli.streams.evidence.figures import figures_of
+from prc_cli.streams.evidence.lines import check_dropouts, check_line_length, check_line_order, check_shot_order
 from prc_cli.streams.evidence.seen import Seen
 
 
@@ -32,5 +35,16 @@ CHECKS: tuple[Check, ...] = ()
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
-    """Ask every check of a scanner that was seen; a check that cannot tell gives no finding."""
-    yield from ()
+    """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
+    figures = figures_of(seen.windows)
+    asked = (
+        check_ranges(seen),
+        check_shot_order(figures),
+        check_line_length(seen, figures),
+        check_line_order(seen, figures),
+        check_collisions(seen),
+        check_unplaced(seen),
+        check_returns(seen),
+        check_dropouts(figures),
+    )
+    yield from (finding for finding in asked if finding is not None)

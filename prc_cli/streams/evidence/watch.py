@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from prc_cli.core.findings import Finding, accept, refuse
+from prc_cli.core.findings import ORDER_CHECKS, Finding, accept, refuse
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
+from prc_cli.formats.options import InputConfig
 from prc_cli.streams.evidence.checks import ask_all
 from prc_cli.streams.evidence.sample import LineSample
 from prc_cli.streams.evidence.seen import Seen
@@ -53,6 +54,7 @@ class EvidenceStream:
     refuses: bool = True
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
+    _final: tuple[Finding, ...] = field(default=(), init=False)
 
     @property
     def info(self) -> StreamInfo:
@@ -70,10 +72,11 @@ class EvidenceStream:
         self._scanners, self._tally = {}, ReadTally()
         for block in self.source.blocks():
             if self._see(block) and self.refuses:
-                refuse(self.info.path, self.findings(is_whole=False))
+                refuse(self.info.path, self._ask(is_whole=False))
             yield block
+        self._final = self._ask(is_whole=True)
         if self.refuses:
-            refuse(self.info.path, self.findings())
+            refuse(self.info.path, self._final)
 
     def _see(self, block: ScanBlock) -> bool:
         """Take what is needed of a block; return whether the sample of its scanner became full just now."""
@@ -91,7 +94,7 @@ class EvidenceStream:
         one.sample.add(block)
         return before == 0 < one.sample.n_full
 
-    def seen(self, *, is_whole: bool = True) -> tuple[Seen, ...]:
+    def _seen(self, *, is_whole: bool) -> tuple[Seen, ...]:
         """Return what has been seen so far, by scanner."""
         info = self.info
         return tuple(
@@ -104,10 +107,14 @@ class EvidenceStream:
             for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
         )  # fmt: skip
 
-    def findings(self, *, is_whole: bool = True) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the answers of all checks once the stream was read to its end; before that, none."""
+        return self._final
+
+    def _ask(self, *, is_whole: bool) -> tuple[Finding, ...]:
         """Return the answers of all checks to what has been seen so far."""
         found: dict[str, Finding] = {}
-        seen = self.seen(is_whole=is_whole)
+        seen = self._seen(is_whole=is_whole)
         for one in seen:
             for finding in ask_all(one):
                 told = finding if len(seen) == 1 else replace(finding, found=f"scanner {one.scanner}: {finding.found}")
@@ -115,3 +122,9 @@ class EvidenceStream:
                 if finding.check not in found or finding.verdict > found[finding.check].verdict:
                     found[finding.check] = told
         return accept(found.values(), self.accepted)
+
+
+def watched(stream: ScanStream, config: InputConfig, *, refuses: bool = True) -> EvidenceStream:
+    """Watch a stream; ``config`` says which findings the user accepts."""
+    trusted = ORDER_CHECKS if config.order == "trust" else ()
+    return EvidenceStream(stream, (*config.accept_doubts, *trusted), refuses)

@@ -1,0 +1,79 @@
+"""Checks of the counts of a reader: records without a cell, cells with two shots, ranges that cannot be."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.stream import FAR_M
+from prc_cli.streams.evidence.seen import Seen
+
+MANY = 0.01
+"""Share of records that are lost or meet before doubt begins."""
+MOST = 0.2
+"""Share of records from which an input is refused."""
+LEAST_RECORDS = 100
+"""Fewer records are not judged."""
+NEAR_M = 0.02
+"""Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
+COUNTED = 0.01
+"""Share of ranges beyond any scanner from which numbers are misread."""
+LEAST_RETURNS = 0.02
+"""Share of shots with a range below which lines and columns, or ranges, are probably wrong."""
+MOST_COUNTED = 1 << 16
+"""Ranges that the median is taken of."""
+
+
+def check_collisions(seen: Seen) -> Finding | None:
+    """Ask whether every shot has a cell of its own."""
+    share = _share(seen, seen.tally.n_collisions)
+    if share is None:
+        return None
+    found = f"{share:.1%} of the records met another shot in their cell"
+    hint = "check --lines, --columns and -M; several scanners in one file: --scanner point_source_id"
+    return Finding("collisions", _by_share(share), found, f"at most {MANY:.0%}", hint)
+
+
+def check_unplaced(seen: Seen) -> Finding | None:
+    """Ask whether every record has a cell."""
+    share = _share(seen, seen.tally.n_unplaced)
+    if share is None:
+        return None
+    found = f"{share:.1%} of the records found no cell and stay unclassified"
+    hint = "check --lines, --columns and -M; a recording that was begun anew: split the file there"
+    return Finding("unplaced", _by_share(share), found, f"at most {MANY:.0%}", hint)
+
+
+def _share(seen: Seen, count: int) -> float | None:
+    n_records = seen.tally.n_records or seen.n_shots
+    return count / n_records if n_records >= LEAST_RECORDS else None
+
+
+def _by_share(share: float) -> Verdict:
+    return Verdict.AGAINST if share > MOST else Verdict.DOUBTFUL if share > MANY else Verdict.FINE
+
+
+def check_returns(seen: Seen) -> Finding | None:
+    """Ask whether the shots have returns."""
+    if seen.n_shots < LEAST_RECORDS:
+        return None
+    share = 1 - seen.n_missing / seen.n_shots
+    found = f"{share:.2%} of the shots have a range"
+    hint = "check --range, --max-range, the layout, and --columns and -M"
+    verdict = Verdict.DOUBTFUL if share < LEAST_RETURNS else Verdict.FINE
+    return Finding("returns", verdict, found, f"at least {LEAST_RETURNS:.0%}", hint)
+
+
+def check_ranges(seen: Seen) -> Finding | None:
+    """Ask whether the ranges are numbers that a scanner can measure."""
+    parts = [window.range_m.ravel() for window in seen.windows]
+    shots = np.concatenate(parts) if parts else np.empty(0, np.float32)
+    known = shots[np.isfinite(shots)]
+    if len(known) < LEAST_RECORDS:
+        return None
+    far = float(np.mean(known > FAR_M))
+    median = float(np.median(known[:: max(len(known) // MOST_COUNTED, 1)]))
+    found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
+    hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
+    verdict = Verdict.AGAINST if far > COUNTED or median < NEAR_M else Verdict.FINE
+    return Finding("ranges", verdict, found, f"at least {NEAR_M:g} m, and at most {COUNTED:.0%} that far", hint)

@@ -1,0 +1,232 @@
+"""Figures of a sample of lines: how alike neighbouring shots and neighbouring lines are.
+
+Likeness is the median difference of the logarithms of two ranges, so that near and far surfaces count alike: 0 = equal,
+about 0.5 to 1 for ranges picked at random from a street or a forest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.types import F32, F64, Mask
+from prc_cli.streams.evidence.sample import Window
+
+SHOTS_EACH = 1 << 15
+"""Approximate shots of a window that are compared at a lag."""
+MOST_RUNS = 4
+"""Runs of lines that are compared."""
+LEAST_PAIRS = 1000
+"""Fewer pairs of ranges tell nothing."""
+LINE_LAGS = 4
+"""Lines compared with the 1st to the 4th line after them."""
+MOVED = 0.9
+"""Share of the pairs that are more alike than those that tell whether anything moves."""
+SMOOTH = 0.01
+"""Ranges that differ by less than a hundredth lie on the same surface."""
+_SEED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """How alike shots are, by their distance in the stream; NaN = too few pairs."""
+
+    random: float
+    """Of ranges picked at random."""
+    shot: tuple[float, float]
+    """Of a shot and the next, and of a shot and the one after that."""
+    line: tuple[float, ...]
+    """Of a line and the 1st to 4th line after it, in the same column."""
+    half_line: float
+    """Of a shot and the one half a line later; NaN where M is odd."""
+    reversed_line: float
+    """Of a line and the next one, turned round."""
+    far_line: float
+    """Of lines far from each other, in the same column."""
+    moved: tuple[float, float]
+    """The least of the tenth that is least alike, of neighbouring lines and of lines far from each other."""
+    roughness: float
+    """Median distance of a range from the middle of its two neighbours in the line."""
+    lonely_missing: float
+    """Share of missing shots among those between two equal ranges on either side."""
+    n_between: int
+    """Number of such shots."""
+
+
+def likeness(first: NDArray[Any], second: NDArray[Any], share: float = 0.5) -> float:
+    """Return the median difference of two arrays of logarithms, or another quantile; NaN with too few pairs."""
+    off = np.abs(first - second).ravel()
+    off = off[np.isfinite(off)]
+    if len(off) < LEAST_PAIRS:
+        return float("nan")
+    at = int(share * (len(off) - 1))
+    return float(np.partition(off, at)[at])
+
+
+def middle(values: Iterable[float]) -> float:
+    """Return the median of the values that are known, NaN if none is."""
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.median(known)) if known else float("nan")
+
+
+def figures_of(windows: tuple[Window, ...]) -> Figures:
+    """Measure a sample of lines.
+
+    Parameters
+    ----------
+    windows : tuple of Window
+        In the order of the stream.
+
+    Examples
+    --------
+    >>> line = np.linspace(5, 50, 2000, dtype=np.float32)
+    >>> found = figures_of((Window(0, np.tile(line, (32, 1))),))
+    >>> found.line[0], 0 < found.shot[0] < found.shot[1] < found.random
+    (0.0, True)
+    """
+    logs = [np.log(rows) for rows in spread(windows)]
+    by_lag = [middle(_line_likeness(rows, lag) for rows in logs) for lag in range(1, LINE_LAGS + 1)]
+    half = len(logs) // 2
+    opposite = zip(logs[: len(logs) - half], logs[half:], strict=True)
+    pairs = [(a[: len(b)], b[: len(a)]) for a, b in opposite if a is not b]
+    missing = [_lonely(rows) for rows in logs]
+    n_between = sum(n for _, n in missing)
+    return Figures(
+        random=middle(_random_likeness(rows) for rows in logs),
+        shot=(middle(_shot_likeness(rows, 1) for rows in logs), middle(_shot_likeness(rows, 2) for rows in logs)),
+        line=tuple(by_lag),
+        half_line=middle(_shot_likeness(rows, rows.shape[1] // 2) for rows in logs if rows.shape[1] % 2 == 0),
+        reversed_line=middle(likeness(rows[:-1], rows[1:, ::-1]) for rows in logs),
+        far_line=middle(likeness(a, b) for a, b in pairs),
+        moved=(
+            middle(likeness(rows[:-1], rows[1:], MOVED) for rows in logs),
+            middle(likeness(a, b, MOVED) for a, b in pairs),
+        ),
+        roughness=middle(_roughness(rows) for rows in logs),
+        lonely_missing=sum(lonely for lonely, _ in missing) / n_between if n_between else float("nan"),
+        n_between=n_between,
+    )
+
+
+def spread(windows: tuple[Window, ...]) -> list[F32]:
+    """Return the ranges of a few runs of lines, even over the stream; a short stream is cut into as many."""
+    n = min(len(windows), MOST_RUNS)
+    chosen = [windows[round(i * (len(windows) - 1) / max(n - 1, 1))].range_m for i in range(n)]
+    each = -(-MOST_RUNS // max(n, 1))
+    runs = []
+    for rows in chosen:
+        length = max(len(rows) // each, 2 * LINE_LAGS)
+        runs += [rows[i : i + min(length, _rows(rows) + LINE_LAGS)] for i in range(0, len(rows), length)]
+    return [rows for rows in runs if len(rows) > LINE_LAGS]
+
+
+def _rows(range_m: F32) -> int:
+    n: int = SHOTS_EACH // range_m.shape[1]
+    return max(n, LINE_LAGS)
+
+
+def _line_likeness(rows: F32, lag: int) -> float:
+    return likeness(rows[:-lag], rows[lag:])
+
+
+def _shot_likeness(rows: F32, lag: int) -> float:
+    flat = rows.ravel()
+    return likeness(flat[:-lag], flat[lag:])
+
+
+def _random_likeness(rows: F32) -> float:
+    known = rows[np.isfinite(rows)]
+    if len(known) < LEAST_PAIRS:
+        return float("nan")
+    return likeness(known, np.random.default_rng(_SEED).permutation(known))
+
+
+def _roughness(rows: F32) -> float:
+    return likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2)
+
+
+def _lonely(rows: F32) -> tuple[int, int]:
+    """Count missing shots between smooth neighbours, two on either side, and all shots between such neighbours."""
+    left, near_left, at, near_right, right = (rows[:, i : rows.shape[1] - 4 + i] for i in range(5))
+    with np.errstate(invalid="ignore"):
+        smooth: Mask = (np.abs(near_left - near_right) < SMOOTH) & (np.abs(left - near_left) < SMOOTH)
+        smooth &= np.abs(right - near_right) < SMOOTH
+    return int(np.count_nonzero(smooth & np.isnan(at))), int(np.count_nonzero(smooth))
+
+
+def fold(windows: tuple[Window, ...], points_per_line: int) -> float:
+    """Return how alike lines far apart are if lines had another length, NaN if that cannot be told.
+
+    The stream behind each window is cut into lines of the given length, counted from the start of the stream. With the
+    right length, what moves with the scanner (its dead angle, the ground) keeps its columns all along; with a length
+    that is off by one it turns through all of them.
+
+    Parameters
+    ----------
+    windows : tuple of Window
+        Windows of ``M`` columns.
+    points_per_line : int
+        The other length.
+    """
+    step = max(points_per_line // FOLD_COLUMNS, 1)
+    profiles: list[F64] = []
+    for window in pieces(windows):
+        flat = window.range_m.ravel()
+        first = -(window.first_line * window.range_m.shape[1]) % points_per_line
+        n_lines = min((len(flat) - first) // points_per_line, FOLD_LINES)
+        if n_lines < FOLD_LINES // 2:
+            continue
+        lines = flat[first : first + n_lines * points_per_line].reshape(n_lines, points_per_line)[:, ::step]
+        profiles.append(_profile(lines))
+    offs = [_profile_off(a, b) for i, a in enumerate(profiles) for b in profiles[i + 1 :]]
+    return middle(offs)
+
+
+def pieces(windows: tuple[Window, ...]) -> list[Window]:
+    """Cut a few lines out of the windows, at uneven distances.
+
+    At even distances a wrong length that shifts the lines by whole turns between two pieces would look right.
+    """
+    each = -(-FOLD_PIECES // max(len(windows), 1))
+    found: list[Window] = []
+    for window in windows:
+        n_lines = len(window.range_m) // each
+        spare = max(n_lines - FOLD_LINES - 1, 0)
+        for i in range(each):
+            start = i * n_lines + int(spare * (GOLDEN * (len(found) + 1) % 1.0))
+            if start + FOLD_LINES + 1 <= len(window.range_m):
+                found.append(Window(window.first_line + start, window.range_m[start : start + FOLD_LINES + 1]))
+    return found
+
+
+GOLDEN = (5**0.5 - 1) / 2
+"""Multiples of the golden ratio spread unevenly and never meet."""
+FOLD_PIECES = 8
+"""Places along the stream that are compared, if it is long enough."""
+FOLD_LINES = 8
+"""Lines of a window that are folded."""
+FOLD_COLUMNS = 1024
+"""Approximate columns that are compared."""
+MISSING_OFF = 1.0
+"""Difference of a column that is missing in one of two profiles."""
+
+
+def _profile(lines: F32) -> F64:
+    """Return the logarithm of the median range of every column, NaN where most lines miss it."""
+    ordered = np.sort(lines, axis=0)  # NaN sorts last
+    held = np.count_nonzero(np.isfinite(lines), axis=0)
+    median: F64 = ordered[np.maximum(held - 1, 0) // 2, np.arange(lines.shape[1])].astype(np.float64)
+    return np.where(2 * held > len(lines), np.log(median), np.nan)
+
+
+def _profile_off(first: F64, second: F64) -> float:
+    """Return the mean difference of two profiles, at most :data:`MISSING_OFF` a column; NaN with too few."""
+    known = np.isfinite(first) | np.isfinite(second)
+    if np.count_nonzero(known) < FOLD_COLUMNS // 32:
+        return float("nan")
+    off = np.abs(first[known] - second[known])
+    return float(np.minimum(np.where(np.isfinite(off), off, MISSING_OFF), MISSING_OFF).mean())

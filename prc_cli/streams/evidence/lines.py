@@ -1,0 +1,153 @@
+"""Checks of shots and lines by their ranges alone: in firing order, lines as long as they are said to be.
+
+PRC compares a shot with its neighbours in the line and in the lines before and after (Lehtola et al. 2019, section II).
+All that follows asks whether these neighbours are alike, as consecutive shots of a scanner are.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prc_cli.core.findings import Finding, Verdict
+from prc_cli.streams.evidence.estimates import estimate_points_per_line
+from prc_cli.streams.evidence.figures import LEAST_PAIRS, Figures, fold
+from prc_cli.streams.evidence.seen import Seen
+
+LEAST_LINES = 24
+"""Shorter streams are not judged."""
+ORDER_DOUBTFUL, ORDER_AGAINST = 0.3, 0.7
+"""Likeness of neighbouring shots, as a share of that of random shots: at most 0.05 in all scans at hand, 1 in shuffled
+ones and in misread numbers."""
+LINE_DOUBTFUL, LINE_AGAINST = 0.12, 0.4
+"""The same of neighbouring lines: at most 0.03 in all scans at hand."""
+SECOND = 0.5
+"""A second neighbour this much more like a shot than the first: every other shot or line is of something else. In scans
+the second is less alike than the first."""
+HALF = 2.0
+"""Half a line later as alike as the next line, within this factor: a line is two turns."""
+FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
+"""How much better another line length must agree along the stream: at most 0.9 in all scans at hand, with M off by one
+1.16 to 7."""
+FOLD_REACH = 4
+"""Line lengths tried on either side of M."""
+FOLD_RANDOM, FOLD_NOTHING = 0.85, 0.97
+"""Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
+scans at hand, 0.5 to 1 where lines and columns are exchanged."""
+MOVED_SAME = 1.4
+"""Lines far apart must differ by so much more than neighbours: at least 2.1 in all scans at hand, 0.8 to 1.2 with
+shuffled lines and while standing."""
+MOVED_NOISE = 4.0
+"""Changes of less than so many times the roughness of surfaces are noise: the platform stands."""
+STANDING_LINES = 200
+"""Lines of a stream before standing is told: a stop at a light is none."""
+LONELY = 0.085
+"""Share of missing shots amid smooth surfaces: at most 0.06 in all scans at hand, 0.1 if a tenth of them is lost."""
+WEAK_PERIOD = 0.5
+"""Least strength of a period that is offered as M."""
+
+_ORDER_HINT = "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
+
+
+def check_shot_order(figures: Figures) -> Finding | None:
+    """Ask whether consecutive shots see the same surfaces."""
+    ratio = figures.shot[0] / figures.random if figures.random else math.nan
+    if not np.isfinite(ratio):
+        return None
+    name = "shot-order"
+    found = f"ranges of neighbouring shots differ {ratio:.2g} times as much as those of random shots"
+    expected = f"below {ORDER_DOUBTFUL:g}"
+    if ratio >= ORDER_AGAINST:
+        return Finding(name, Verdict.AGAINST, found, expected, _ORDER_HINT)
+    if figures.shot[1] < SECOND * figures.shot[0]:
+        found = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
+        hint = "two scanners or several returns alternate: split them with --scanner, or give the return number"
+        return Finding(name, Verdict.AGAINST, found, "neighbours more alike than others", hint)
+    return Finding(name, Verdict.DOUBTFUL if ratio >= ORDER_DOUBTFUL else Verdict.FINE, found, expected, _ORDER_HINT)
+
+
+def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
+    """Ask whether lines repeat after M shots, and not after another number."""
+    m, first = seen.points_per_line, figures.line[0]
+    ratio = first / figures.random if figures.random else math.nan
+    if not np.isfinite(ratio) or seen.n_lines < LEAST_LINES:
+        return None
+    name, expected = "line-length", f"lines of M = {m} shots that are alike"
+    steps = [step for step in range(2, len(figures.line) + 1) if figures.line[step - 1] < SECOND * first]
+    if steps and ratio >= LINE_DOUBTFUL:
+        return _alternating(figures, m, steps[0])
+    if 0 < figures.half_line <= min(HALF * first, LINE_DOUBTFUL * figures.random):
+        found = f"the ranges repeat after {m // 2} shots already"
+        return Finding(name, Verdict.AGAINST, found, expected, f"give -M {m // 2}")
+    folded = {m + off: fold(seen.windows, m + off) for off in range(-FOLD_REACH, FOLD_REACH + 1) if m + off > 1}
+    if ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM:
+        other = _period(seen)
+        if other is not None and abs(other - m) > FOLD_REACH:
+            found = f"the ranges repeat after {other} shots, not after {m}"
+            return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}")
+    better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
+    gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
+    if gain >= FOLD_DOUBTFUL:
+        found = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
+        verdict = Verdict.AGAINST if gain >= FOLD_AGAINST else Verdict.DOUBTFUL
+        return Finding(name, verdict, found, f"no length that agrees better by {FOLD_DOUBTFUL:g}", f"give -M {better}")
+    hint = "check -M and --lines, and whether lines and columns are exchanged"
+    if folded[m] > FOLD_RANDOM:
+        found = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
+        verdict = Verdict.AGAINST if folded[m] > FOLD_NOTHING else Verdict.DOUBTFUL
+        return Finding(name, verdict, found, f"at most {FOLD_RANDOM:g}", hint)
+    found, expected = f"neighbouring lines differ {ratio:.2g} times as much as random shots", f"below {LINE_DOUBTFUL:g}"
+    if ratio >= LINE_DOUBTFUL:
+        return Finding(name, Verdict.AGAINST if ratio >= LINE_AGAINST else Verdict.DOUBTFUL, found, expected, hint)
+    return Finding(name, Verdict.FINE, found, expected)
+
+
+def _alternating(figures: Figures, m: int, step: int) -> Finding:
+    """Tell lines that alternate: scanned to and fro, of several scanners, or M too small."""
+    if step == 2 and figures.reversed_line <= HALF * figures.line[1]:
+        found = "every second line runs the other way"
+        return Finding("line-length", Verdict.AGAINST, found, "lines scanned the same way", "reverse every second line")
+    found = f"a line is like the {step}{'nd' if step == 2 else 'rd' if step == 3 else 'th'} line after it, not the next"
+    hint = f"give -M {m * step} if lines are longer, or split several scanners with --scanner"
+    return Finding("line-length", Verdict.AGAINST, found, f"lines of M = {m} shots that are alike", hint)
+
+
+def _or_inf(value: float) -> float:
+    return value if np.isfinite(value) else math.inf
+
+
+def _period(seen: Seen) -> int | None:
+    """Return the period of the ranges in the longest window, None if it is weak."""
+    if not seen.windows:
+        return None
+    longest = max(seen.windows, key=lambda one: len(one.range_m))
+    estimate = estimate_points_per_line(longest.range_m)
+    return estimate.points_per_line if estimate.strength >= WEAK_PERIOD else None
+
+
+def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
+    """Ask whether the scene changes along the stream, but not from line to line."""
+    near, far = figures.moved
+    if seen.n_lines < LEAST_LINES or not near > 0 or not np.isfinite(far):
+        return None
+    ratio = far / near
+    found = f"lines far apart differ {ratio:.2g} times as much as neighbouring lines"
+    expected = f"at least {MOVED_SAME:g}"
+    stands = not near >= MOVED_NOISE * figures.roughness
+    if stands:
+        doubtful = ratio < MOVED_SAME and seen.n_lines >= STANDING_LINES
+        hint = "the platform stands: cut such stretches out, or accept them"
+        return Finding("standing", Verdict.DOUBTFUL if doubtful else Verdict.FINE, found, expected, hint)
+    hint = "put the lines into the order in which they were scanned"
+    return Finding("line-order", Verdict.AGAINST if ratio < MOVED_SAME else Verdict.FINE, found, expected, hint)
+
+
+def check_dropouts(figures: Figures) -> Finding | None:
+    """Ask whether shots are lost where surfaces are smooth."""
+    if figures.n_between < LEAST_PAIRS:
+        return None
+    found = f"{figures.lonely_missing:.1%} of the shots amid smooth surfaces are missing"
+    hint = "check whether records were lost or filtered out; isolated gaps cost classes at their edges"
+    verdict = Verdict.DOUBTFUL if figures.lonely_missing > LONELY else Verdict.FINE
+    return Finding("dropouts", verdict, found, f"at most {LONELY:.1%}", hint)
