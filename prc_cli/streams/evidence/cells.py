@@ -74,6 +74,9 @@ def check_ranges(seen: Seen) -> Finding | None:
     far = float(np.mean(known > FAR_M))
     median = float(np.median(known[:: max(len(known) // MOST_COUNTED, 1)]))
     found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
+    expected = f"at least {NEAR_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
-    verdict = Verdict.AGAINST if far > COUNTED or median < NEAR_M else Verdict.FINE
-    return Finding("ranges", verdict, found, f"at least {NEAR_M:g} m, and at most {COUNTED:.0%} that far", hint)
+    if median < NEAR_M or far > MOST:
+        return Finding("ranges", Verdict.AGAINST, found, expected, hint)
+    verdict = Verdict.DOUBTFUL if far > COUNTED else Verdict.FINE
+    return Finding("ranges", verdict, found, expected, hint)

@@ -28,6 +28,8 @@ MOVED = 0.9
 """Share of the pairs that are more alike than those that tell whether anything moves."""
 SMOOTH = 0.01
 """Ranges that differ by less than a hundredth lie on the same surface."""
+AROUND = 5
+"""A shot and two on either side."""
 _SEED = 7
 
 
@@ -151,7 +153,9 @@ def _roughness(rows: F32) -> float:
 
 def _lonely(rows: F32) -> tuple[int, int]:
     """Count missing shots between smooth neighbours, two on either side, and all shots between such neighbours."""
-    left, near_left, at, near_right, right = (rows[:, i : rows.shape[1] - 4 + i] for i in range(5))
+    if rows.shape[1] < AROUND:
+        return 0, 0
+    left, near_left, at, near_right, right = (rows[:, i : rows.shape[1] - AROUND + 1 + i] for i in range(AROUND))
     with np.errstate(invalid="ignore"):
         smooth: Mask = (np.abs(near_left - near_right) < SMOOTH) & (np.abs(left - near_left) < SMOOTH)
         smooth &= np.abs(right - near_right) < SMOOTH

@@ -38,8 +38,9 @@ scans at hand, 0.5 to 1 where lines and columns are exchanged."""
 MOVED_SAME = 1.4
 """Lines far apart must differ by so much more than neighbours: at least 2.1 in all scans at hand, 0.8 to 1.2 with
 shuffled lines and while standing."""
-MOVED_NOISE = 4.0
-"""Changes of less than so many times the roughness of surfaces are noise: the platform stands."""
+MOVED_NOISE = 15.0
+"""Changes of less than so many times the roughness of surfaces, in the tenth that changes most, may be noise and stray
+shots: at least 18 with shuffled lines, at most 2 while standing."""
 STANDING_LINES = 200
 """Lines of a stream before standing is told: a stop at a light is none."""
 LONELY = 0.085

@@ -19,8 +19,9 @@ class Seen:
     """Lines spread over what was read, in order."""
     n_lines: int = 0
     n_shots: int = 0
-    """Cells read, missing shots included."""
+    """Cells read of all scanners, missing shots included."""
     n_missing: int = 0
+    """Of all scanners."""
     tally: ReadTally = field(default_factory=ReadTally)
     """Counts of the reader, of all scanners."""
     angle_rad: F64 | None = None

@@ -96,11 +96,12 @@ class EvidenceStream:
 
     def _seen(self, *, is_whole: bool) -> tuple[Seen, ...]:
         """Return what has been seen so far, by scanner."""
-        info = self.info
+        info, every = self.info, self._scanners.values()
+        n_shots, n_missing = sum(one.n_shots for one in every), sum(one.n_missing for one in every)
         return tuple(
             Seen(
-                info=info, scanner=scanner, windows=one.sample.windows(), n_lines=one.n_lines, n_shots=one.n_shots,
-                n_missing=one.n_missing, tally=self._tally,
+                info=info, scanner=scanner, windows=one.sample.windows(), n_lines=one.n_lines, n_shots=n_shots,
+                n_missing=n_missing, tally=self._tally,
                 angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
                 beam_rad=one.beam_rad, is_whole=is_whole,
             )
