@@ -45,7 +45,6 @@ from benchmarks.trust_cases import (
     Told,
     frame_file,
     methods_of,
-    not_told,
     right_forms,
 )
 from benchmarks.trust_scans import PARTS, Frame, Part, Source, Window, frames, sources
@@ -62,8 +61,8 @@ CASES, QUICK_CASES = 2, 1
 Outcome: TypeAlias = Literal["silent", "doubted", "refused", "harmless"]
 OUTCOMES: tuple[Outcome, ...] = ("silent", "doubted", "refused", "harmless")
 WARNING = "warning: "
-TOLD, FROM_FILE = "told", "down from the file"
-"""What a rightly told window is told of straight down."""
+TOLD = "right: told"
+"""Row of the windows that are rightly told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +158,7 @@ class Trial:
         """Run a case and say what became of it."""
         done, command = self.classify(told, case.options)
         f1 = float("nan") if done.labels is None else macro_f1(case.mapping, done.labels, told.truth)
-        said = next((line for line in done.stderr.splitlines() if line.strip()), "")
+        said = next((line for line in done.stderr.splitlines() if line.strip()), "").replace(f"{self.folder}/", "")
         outcome = outcome_of(done, f1, f1_right)
         result = Result(case.row, case.scan, case.first_line, case.method, outcome, done.exit_code, f1, f1_right,
                         said, command, is_right)  # fmt: skip
@@ -309,7 +308,7 @@ def print_summary(results: list[Result]) -> None:
     """One row per corruption."""
     print("## In short\n")
     wrong = [one for one in results if not one.is_right]
-    names = [name for name in dict.fromkeys([*(row.name for row in ROWS), *(row.name for row in FRAME_ROWS)])]
+    names = dict.fromkeys(row.name for row in (*ROWS, *FRAME_ROWS))
     print("| what is wrong | cases | silent | doubted | refused | harmless |\n|---|---:|---:|---:|---:|---:|")
     for name in names:
         own = [one for one in wrong if one.row == name]
@@ -325,9 +324,9 @@ def _counts(results: list[Result]) -> str:
 def print_alarms(results: list[Result]) -> None:
     """False alarms by scan: every window told all, and told nothing of straight down."""
     print("## False alarms\n")
-    say("""Windows along the scan that are rightly told, in turn as a plain dump, .npz, records, text and LAS, with every
-    method; and in other forms with nothing wrong. Not told: scan angles in the file, nothing of straight down; what is
-    refused or doubted there may be so with reason.""")
+    say("""Windows along the scan that are rightly told, in turn as a plain dump, .npz, records, text and LAS, with
+    every method; and in other forms with nothing wrong. Not told: scan angles in the file, nothing of straight down;
+    what is refused or doubted there may be so with reason.""")
     print("| scan | rightly told | doubted | refused | down not told | doubted | refused | silent |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for name in [*dict.fromkeys(one.scan for one in results), ""]:

@@ -454,6 +454,12 @@ def permuted_blocks(n: int) -> Callable[[Window, Context], Made]:
     return make
 
 
+def unseen_blocks(window: Window, context: Context) -> Made:
+    """Blocks shuffled, so few that less than one step in ten thousand goes back."""
+    n_returns = int(np.count_nonzero(~np.isnan(window.range_m)))
+    return permuted_blocks(max(n_returns // 8_000, 4))(window, context)
+
+
 def lines_twice(window: Window, context: Context) -> Made:
     """Fifty lines are in the file twice, as after a copy that was resumed."""
     cells = np.arange(window.range_m.size).reshape(window.range_m.shape)
@@ -592,6 +598,7 @@ ROWS: tuple[Row, ...] = (
     Row("halves swapped, with times", swapped_halves),
     Row("8 blocks permuted, with times", permuted_blocks(8)),
     Row("100 blocks shuffled, with times", permuted_blocks(100)),
+    Row("blocks shuffled, few steps back", unseen_blocks),
     Row("50 lines twice, with times", lines_twice),
     Row("scan_line goes back", line_numbers_begin_anew),
     Row("GPS week ends", week_ends),

@@ -189,8 +189,8 @@ def riegl() -> Scan:
 
     Shots without return are no rows of the files; the angle says where they are missing.
     """
-    floats = ("x_sensor y_sensor z_sensor x_origin_sensor y_origin_sensor z_origin_sensor x y z x_origin y_origin "
-              "z_origin range theta phi").split()  # fmt: skip
+    vectors = [f"{axis}{of}" for of in ("_sensor", "_origin_sensor", "", "_origin") for axis in "xyz"]
+    floats = [*vectors, "range", "theta", "phi"]
     after = ("amplitude", "reflectance", "deviation", "background_radiation")
     kind = np.dtype([
         ("time", ">f8"), *((name, ">f4") for name in floats), ("num_echo", "u1"), ("nb_of_echo", "u1"),
