@@ -22,6 +22,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -114,7 +115,8 @@ Runner: TypeAlias = Callable[[list[str]], tuple[int, str]]
 def in_process(arguments: list[str]) -> tuple[int, str]:
     """Run the command line in this process; return its exit code and stderr."""
     said = io.StringIO()
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    is_main = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT) if is_main}
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
             prc_main(arguments)
@@ -308,7 +310,7 @@ def print_summary(results: list[Result]) -> None:
     """One row per corruption."""
     print("## In short\n")
     wrong = [one for one in results if not one.is_right]
-    names = dict.fromkeys(row.name for row in (*ROWS, *FRAME_ROWS))
+    names = dict.fromkeys([*(row.name for row in ROWS), *(row.name for row in FRAME_ROWS)])
     print("| what is wrong | cases | silent | doubted | refused | harmless |\n|---|---:|---:|---:|---:|---:|")
     for name in names:
         own = [one for one in wrong if one.row == name]

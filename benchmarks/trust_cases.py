@@ -29,7 +29,7 @@ Random: TypeAlias = np.random.Generator
 METHODS: dict[str, tuple[str, ...]] = {
     "prc": ("--preset", "urban"),
     "prc push-broom": ("--config", str(ROOT / "sample_configs" / "sick_push_broom.toml")),
-    "prc forest": ("--preset", "forest"),
+    "prc forest": ("--preset", "forest", "--set", "prc.support.zeta_s=1", "--set", "prc.support.zeta_p=0.1"),
     "fused": ("--preset", "fused"),
     "fused-forest": ("--preset", "fused-forest"),
     "sequential-angle": ("--preset", "street-scan"),
@@ -613,6 +613,52 @@ ROWS: tuple[Row, ...] = (
     Row("forest, range noise 3 cm", noisier(0.03)),
     Row("right: seam elsewhere", seam_elsewhere, aimed_only=True, is_right=True),
     Row("right: with times", with_times, is_right=True),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class QuickCase:
+    """A case of the tests, on a small scan."""
+
+    row: str
+    toy: str
+    method: str
+    holds: bool = True
+    """Whether it is not silent (or, of a right one, not a false alarm); the others wait for a check that sees them."""
+
+
+QUICK_CASES: tuple[QuickCase, ...] = (
+    QuickCase("down not told", "street", "fused"),
+    QuickCase("scan_line goes back", "street", "fused"),
+    QuickCase("100 blocks shuffled, with times", "street", "prc"),
+    QuickCase("M doubled", "street", "fused"),
+    QuickCase("GPS week ends", "push-broom", "fused"),
+    QuickCase("times begin anew", "street", "fused"),
+    QuickCase("heights in the file, angles told", "street", "fused"),
+    QuickCase("right: with times", "street", "fused"),
+    QuickCase("right: with times", "push-broom", "prc push-broom"),
+    QuickCase("right: seam elsewhere", "street", "fused"),
+    QuickCase("right: seam elsewhere", "push-broom", "fused", holds=False),
+    QuickCase("down wrong by 45°", "street", "fused", holds=False),
+    QuickCase("down wrong by 180°", "push-broom", "fused", holds=False),
+    QuickCase("angle step × 0.5", "push-broom", "fused", holds=False),
+    QuickCase("M wrong by one", "push-broom", "fused", holds=False),
+    QuickCase("M halved", "street", "prc", holds=False),
+    QuickCase("ranges × 100", "street", "fused", holds=False),
+    QuickCase("ranges × 0.001", "push-broom", "prc push-broom", holds=False),
+    QuickCase("wrong byte order", "street", "prc", holds=False),
+    QuickCase("two bytes off", "push-broom", "fused", holds=False),
+    QuickCase("u4 mm read as f4", "street", "fused", holds=False),
+    QuickCase("dump of prc convert without its layout", "street", "fused", holds=False),
+    QuickCase("transposed", "street", "fused", holds=False),
+    QuickCase("header read as shots", "street", "fused", holds=False),
+    QuickCase("a buffer lost", "push-broom", "fused", holds=False),
+    QuickCase("shots shuffled", "push-broom", "prc push-broom", holds=False),
+    QuickCase("lines shuffled", "forest", "fused-forest", holds=False),
+    QuickCase("zigzag lines", "forest", "fused-forest", holds=False),
+    QuickCase("restart sorted by time", "street", "fused", holds=False),
+    QuickCase("two scanners, not split", "push-broom", "fused", holds=False),
+    QuickCase("30 % of the shots lost", "push-broom", "fused", holds=False),
 )
 
 

@@ -288,6 +288,13 @@ _PLANS: dict[Part, tuple[_Plan, ...]] = {
         _Plan("dense spruce, gap up, slant 20°", 6, "dense-spruce", mount={"centre_deg": 0.0}, **_WALK),
     ),
 }  # fmt: skip
+_TOYS: dict[str, _Plan] = {
+    "street": _Plan("street", 45, "residential",
+                    mount={**GAP_DOWN, "points_per_line": 718, "line_hz": 48.0, "divergence_mrad": 2.0}, noise=0.02),
+    "push-broom": _Plan("push-broom", 115, "residential", "sick-push-broom", noise=0.02),
+    "forest": _Plan("forest", 1.7, "mixed", mount={"points_per_line": 1424}, **_WALK),
+}  # fmt: skip
+TOY_SEED = 59_000
 _QUICK: dict[Part, tuple[int, ...]] = {"tuning": (1, 3, 5), "held-out": (0, 7, 10)}
 """Scans of a quick run."""
 
@@ -303,6 +310,11 @@ def sources(part: Part, seed: int = 0, *, is_quick: bool = False) -> Iterator[So
             yield Source(f"Oakland strip {strip}", part, partial(data.oakland, strip), 256)
     if part == "held-out" and (data.DATA / "riegl").exists() and not is_quick:
         yield Source("RIEGL strip", part, riegl, 100, is_labelled=False)
+
+
+def toy(name: str) -> Source:
+    """Return a small scan for tests."""
+    return _TOYS[name].source("tuning", TOY_SEED, is_short=False)
 
 
 def frames(part: Part, *, is_quick: bool = False) -> Iterator[Frame]:
