@@ -517,8 +517,30 @@ def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             print(f"| {method.name} | `{method.command()}` | {between} |")
     print()
     say("""The sequential-angle classifier also gets the ranging noise of the scanner (10 mm for push-brooms, 20 mm for
-    KITTI, else the preset's 5 mm). All methods get the angle of every shot from down within the scan plane.
-    Vertical surfaces count as building, horizontal ones as ground; the method has no noise class.""")
+    KITTI, else the preset's 5 mm). Vertical surfaces count as building, horizontal ones as ground; the method has no
+    noise class.""")
+    print_door(contest, runs)
+
+
+def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
+    """Where straight down had to be told, and what the program doubted or refused."""
+    print("## Through the door\n")
+    say("""Every run is <code>prc classify -q</code> on a file with ranges and scan angles, straight down not told.
+    Where that is refused, it is told (<code>--set input.nadir=DEG</code>).""")
+    print("| | scans | down had to be told | doubted | refused |\n|---|---:|---:|---:|---:|")
+    for name, own in runs.items():
+        found = list(own.values())
+        doubted = [run for run in found if any(line.startswith("4: ") or "warning: " in line for line in run.said)]
+        refused = [run for run in found if any(line.startswith(("1: ", "2: ")) for line in run.said)]
+        told = sum(run.is_down_told for run in found)
+        print(f"| {name} | {len(found)} | {told or ''} | {len(doubted) or ''} | {len(refused) or ''} |")
+    print()
+    titles = {item.how: title_of(item) for item in contest.items}
+    for name, own in runs.items():
+        for how, run in own.items():
+            for line in run.said:
+                print(f"- {name}, {titles[how]}: exit code {line}")
+    print()
 
 
 Part = Callable[[Contest, dict[str, dict[str, Run]]], None]

@@ -14,15 +14,10 @@ false alarm. Reads ../shared/data or $PRC_DATA for the real scans.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import json
 import shlex
-import signal
-import subprocess
 import sys
 import tempfile
-import threading
 import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -49,7 +44,7 @@ from benchmarks.trust_cases import (
     right_forms,
 )
 from benchmarks.trust_scans import PARTS, Frame, Part, Source, Window, frames, sources
-from prc_cli.cli import main as prc_main
+from benchmarks.user import Runner, in_own_process, in_process
 from prc_cli.core.types import I64, U8
 from prc_cli.evaluation.splits import GroupedCounts, cells_of
 
@@ -107,34 +102,6 @@ class Result:
     @property
     def is_alarm(self) -> bool:
         return self.is_right and self.outcome in ("doubted", "refused")
-
-
-Runner: TypeAlias = Callable[[list[str]], tuple[int, str]]
-
-
-def in_process(arguments: list[str]) -> tuple[int, str]:
-    """Run the command line in this process; return its exit code and stderr."""
-    said = io.StringIO()
-    is_main = threading.current_thread() is threading.main_thread()
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT) if is_main}
-    try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
-            prc_main(arguments)
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    else:
-        code = 0
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    return code, said.getvalue()
-
-
-def in_own_process(arguments: list[str]) -> tuple[int, str]:
-    """Run the command line as a user's shell does."""
-    command = [sys.executable, "-m", "prc_cli", *arguments]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    return done.returncode, done.stderr
 
 
 @dataclass(slots=True)

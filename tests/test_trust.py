@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.trust import Case, Done, Trial, in_own_process, macro_f1, outcome_of, random_of, try_row
+from benchmarks.trust import Case, Done, Trial, macro_f1, outcome_of, random_of, try_row
 from benchmarks.trust_cases import METHODS, QUICK_CASES, ROWS, Context, QuickCase, Told, plain, right_forms
 from benchmarks.trust_scans import FIRST_SEED, SEEDS_APART, Window, sources, toy
+from benchmarks.user import in_own_process
 
 MACRO = 0.4
 """Macro F1 that every method reaches on the small scans."""
