@@ -527,19 +527,20 @@ def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
     print("## Through the door\n")
     say("""Every run is <code>prc classify -q</code> on a file with ranges and scan angles, straight down not told.
     Where that is refused, it is told (<code>--set input.nadir=DEG</code>).""")
-    print("| | scans | down had to be told | doubted | refused |\n|---|---:|---:|---:|---:|")
-    for name, own in runs.items():
-        found = list(own.values())
-        doubted = [run for run in found if any(line.startswith("4: ") or "warning: " in line for line in run.said)]
-        refused = [run for run in found if any(line.startswith(("1: ", "2: ")) for line in run.said)]
-        told = sum(run.is_down_told for run in found)
-        print(f"| {name} | {len(found)} | {told or ''} | {len(doubted) or ''} | {len(refused) or ''} |")
-    print()
+    print("| | scans | down had to be told | doubted | refused still |\n|---|---:|---:|---:|---:|")
+    where: dict[tuple[str, str], list[str]] = {}
     titles = {item.how: title_of(item) for item in contest.items}
     for name, own in runs.items():
+        told = sum(run.is_down_told for run in own.values())
+        doubted = sum(any("warning: " in line for line in run.said) for run in own.values())
+        refused = sum(sum("error: " in line for line in run.said) > run.is_down_told for run in own.values())
+        print(f"| {name} | {len(own)} | {told or ''} | {doubted or ''} | {refused or ''} |")
         for how, run in own.items():
             for line in run.said:
-                print(f"- {name}, {titles[how]}: exit code {line}")
+                where.setdefault((name, line), []).append(titles[how])
+    print()
+    for (name, line), scans in where.items():
+        print(f"- {name}, exit code {line} ({'; '.join(scans)})")
     print()
 
 

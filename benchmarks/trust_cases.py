@@ -43,6 +43,10 @@ _TYPES = {
     "scan_line": "<u4", "column": "<u4", "user_data": "<u1",
 }  # fmt: skip
 WEEK_S = 604_800.0
+PLACE_M = (650_000.0, 6_860_000.0, 40.0)
+"""Where the scans lie in registered coordinates [m]."""
+TRAJECTORY_ENDS_S = 3.0
+"""Time by which a trajectory reaches beyond the scan [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +125,7 @@ def shots_of(window: Window, *, returns_only: bool = False) -> Shots:
         "truth": window.codes.ravel(),
     }
     if window.world_m is not None:
-        found |= {axis: window.world_m[..., i].ravel() for i, axis in enumerate("xyz")}
+        found |= {axis: window.world_m[..., i].ravel() + PLACE_M[i] for i, axis in enumerate("xyz")}
     return taken(found, np.flatnonzero(~np.isnan(found["range"]))) if returns_only else found
 
 
@@ -216,7 +220,7 @@ def las(window: Window, context: Context) -> Told:
     shots = shots_of(window, returns_only=True)
     path = context.folder / "scan.las"
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
+    header.scales, header.offsets = np.full(3, 0.001), np.array(PLACE_M)
     for name, kind in (("range", "f4"), ("scan_line", "u4"), ("column", "u4")):
         header.add_extra_dim(laspy.ExtraBytesParams(name, kind))
     points = laspy.ScaleAwarePointRecord.zeros(len(shots["range"]), header=header)
@@ -277,6 +281,37 @@ def registered(window: Window, context: Context) -> Made:
     layout = dump(path, shots, ("range", "x", "y", "z", "scan_line", "column"))
     options = (*layout, "-M", str(window.points_per_line), *aim(window, context, nadir=None))
     return Told(path, options, shots["truth"])
+
+
+def registered_as_own(window: Window, context: Context) -> Made:
+    """Registered coordinates told to be relative to the scanner."""
+    if window.world_m is None:
+        return None
+    shots = shots_of(window, returns_only=True)
+    path = context.folder / "scan.dat"
+    layout = dump(path, shots, ("x", "y", "z", "scan_line", "column"))
+    return Told(path, (*layout, "-M", str(window.points_per_line), "--range", "sensor-xyz"), shots["truth"])
+
+
+def trajectory_late(window: Window, context: Context) -> Made:
+    """Registered points and a trajectory whose clock is a second off; right is the same without."""
+    if window.world_m is None or window.scanner_m is None:
+        return None
+    shots = shots_of(window, returns_only=True)
+    path, drive = context.folder / "scan.dat", context.folder / "drive.csv"
+    layout = dump(path, shots, ("x", "y", "z", "time", "angle", "scan_line", "column"))
+    time_s, places = window.time_s.mean(axis=1), window.scanner_m + PLACE_M
+    ends = np.array([-TRAJECTORY_ENDS_S, TRAJECTORY_ENDS_S])
+    speed = (places[-1] - places[0]) / (time_s[-1] - time_s[0])
+    time_s = np.concatenate([time_s[:1] + ends[:1], time_s, time_s[-1:] + ends[1:]])
+    places = np.concatenate([places[:1] + ends[0] * speed, places, places[-1:] + ends[1] * speed])
+    rows = np.column_stack([time_s, places])
+    np.savetxt(drive, rows, delimiter=",", header="time,x,y,z", comments="", fmt="%.6f")
+    options = (*layout, "-M", str(window.points_per_line), "--range", f"trajectory:{drive}",
+               "--set", f"input.trajectory_max_gap={2 * TRAJECTORY_ENDS_S}",
+               *aim(window, context, angles=False))  # fmt: skip
+    late = (*options, "--set", "input.trajectory_time_offset=1")
+    return Pair(Told(path, late, shots["truth"]), Told(path, options, shots["truth"]))
 
 
 def step_times(factor: float) -> Callable[[Window, Context], Made]:
@@ -572,6 +607,8 @@ ROWS: tuple[Row, ...] = (
     Row("down wrong by 45°", down_off(45.0), aimed_only=True),
     Row("down wrong by 180°", down_off(180.0), aimed_only=True),
     Row("heights in the file, angles told", registered, aimed_only=True),
+    Row("registered told as relative", registered_as_own),
+    Row("trajectory a second late", trajectory_late),
     Row("angle step × 0.9", step_times(0.9), aimed_only=True),
     Row("angle step × 0.5", step_times(0.5), aimed_only=True),
     Row("angles the other way", angles_mirrored, aimed_only=True),

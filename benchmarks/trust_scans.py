@@ -55,6 +55,8 @@ class Window:
     """(lines, M) float64 [s]."""
     world_m: F64 | None = None
     """(lines, M, 3) float64, registered [m]."""
+    scanner_m: F64 | None = None
+    """(lines, 3) float64, where the scanner was amid every line [m]."""
     is_labelled: bool = True
     """Otherwise the labels of the scan rightly told are the reference."""
 
@@ -171,6 +173,7 @@ def cut(name: str, scan: Scan, first: int, n_lines: int, *, is_labelled: bool = 
         nadir_deg=float(-degrees[0]),
         time_s=np.ascontiguousarray(time_s[lines]),
         world_m=None if scan.world_m is None else scan.world_m[lines],
+        scanner_m=None if scan.scanner_m is None else scan.scanner_m[lines],
         is_labelled=is_labelled,
     )
 
