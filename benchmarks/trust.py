@@ -252,6 +252,8 @@ def run_set(trial: Trial, part: Part, seed: int, *, is_quick: bool, only: str, t
         windows = source.windows(QUICK_WINDOWS if is_quick else WINDOWS)
         chosen = chosen_windows(rows, len(windows), QUICK_CASES if is_quick else CASES, source.name, seed)
         for i, window in enumerate(windows):
+            if only and not chosen[i]:
+                continue
             try_window(trial, source, window, chosen[i], i, seed)
         told(f"{source.name}: {len(windows)} windows, {time.perf_counter() - start:.0f} s")
     for frame in frames(part, is_quick=is_quick):

@@ -771,7 +771,7 @@ FRAME_ROWS: tuple[FrameRow, ...] = (
     FrameRow("wrong byte order", _frame_bytes(lambda points: points.astype(">f4"))),
     FrameRow("two bytes off", _frame_bytes(_two_off)),
     FrameRow("shots shuffled", _frame_taken(lambda n, random: random.permutation(n))),
-    FrameRow("halves swapped, with times", _frame_taken(_halves)),
+    FrameRow("halves of the frame swapped", _frame_taken(_halves)),
     FrameRow("30 % of the shots lost", _frame_taken(lambda n, random: np.flatnonzero(random.random(n) > 0.3))),
 )
 """They have the names of the rows that they are like."""
