@@ -109,7 +109,7 @@ class Prc(Classifier[int, PrcState]):
     def usual(self) -> UsualLabels:
         """Some noise in streets, and much in forests, as published."""
         if self.params.environment == "forest":
-            return UsualLabels(0.93, 0.99)
+            return UsualLabels(0.96, 0.99)
         return UsualLabels(0.5, 0.8, vanished_share=0.3)
 
     def scanner(self, first: ScanBlock) -> int:

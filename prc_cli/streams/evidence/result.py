@@ -22,6 +22,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F32, F64, I64, U8, Mask
+from prc_cli.streams.evidence.checks import Check
 
 MAX_SCANNERS = 4
 """Most scanners whose labels are looked at."""
@@ -367,3 +368,61 @@ def longest_run(mask: Mask) -> tuple[int, int]:
         return 0, 0
     at = int(np.argmax(ends - starts))
     return int(starts[at]), int(ends[at] - starts[at])
+
+
+RESULT_CHECKS: tuple[Check, ...] = (
+    Check(
+        "noise-share",
+        "Is more noise than any scanner has, or more without a class than the method leaves?",
+        "Noise: PRC in streets doubtful above 50 %, refused above 80 %; PRC in forests 96 %, 99 %; fused and "
+        "fused-forest 20 %, 40 %. Without a class: sequential-angle doubtful above 10 %",
+        "Rightly told, 48 to 260 lines each: PRC in streets at most 11 %, on the KITTI frame 41 %; PRC in forests up "
+        "to 94 %; fused and fused-forest 9 %, with a tenth of background light. Shuffled shots give at least 87 %, "
+        "100 %, 29 % and 31 %. Sequential-angle leaves less than 0.1 % without a class, and 17 % or more of floats in "
+        "the wrong byte order",
+        "Errors that keep neighbours together: M off by one, a wrong unit, ranges that are all nearly zero.",
+    ),
+    Check(
+        "ground-below",
+        "Is ground what lies within 60 deg of straight down?",
+        "Of what is not noise there: fused at least 60 %, fused-forest 45 %, sequential-angle 50 % with other level "
+        "surfaces. Fused where nearly nothing is there: at least 10 % of all. Needs the direction of down: not PRC",
+        "Rightly told, 128 lines each: fused at least 77 %, fused-forest 58 % (undergrowth, and stems beside the "
+        "scanner), sequential-angle 62 %; between low walls 75 %, in a lane 6 m wide between walls 83 %, in garages "
+        "and tunnels 95 %. Down wrong by 45 deg: 10 % or less in most",
+        "Down wrong by less than 30 deg (ground-lean sees that), a wrong unit, and an angle step wrong by a tenth. "
+        "Grass higher than 1.2 m on both sides of a lane of 3 m raises doubt (57 %).",
+    ),
+    Check(
+        "ground-lean",
+        "Is the ground level across the lines, in the middle of all lines?",
+        "Doubtful above 5 deg, fused-forest 12 deg. Needs the direction of down: not PRC",
+        "Rightly told, 128 lines each: streets at most 1.2 deg, sequential-angle 2.1 deg, Oakland 2.0 deg, a road in "
+        "a hillside of 45 % 4.1 deg, forests 8.1 deg; vehicles lean with their road. Down wrong by 10 deg: 7 deg or "
+        "more in streets, 1 to 17 deg in forests",
+        "Down wrong by 45 deg or more (ground-below sees that), by less than 5 deg in streets or 12 deg in forests; "
+        "scanners without returns within 60 deg of down. A scanner that is held upright on a slope of more than 9 % "
+        "across raises doubt.",
+    ),
+    Check(
+        "below-ground",
+        "Does much lie more than 1 m below the ground on its side of the line?",
+        "Doubtful above 20 % of what is not noise within 20 m and 60 deg of straight down. Needs the direction of "
+        "down: not PRC",
+        "In streets and forests at most 1 %, but 3 % on a dam 8 m wide, 14 % on one 6 m wide, 10 % on a quay, 16 % on "
+        "a bridge 6 m wide: a limit of 2 % would doubt all of these",
+        "Most of what the other two see. It adds half an angle step and down wrong by 45 deg for sequential-angle. "
+        "Bridges narrower than 5 m raise doubt (36 %).",
+    ),
+    Check(
+        "classes-along",
+        "Does ground vanish, or noise come, for a tenth of the stream or more?",
+        "In three of 16 to 32 stretches in a row: ground below 30 % of what three quarters of the stream do not "
+        "exceed, or noise above the limit of noise-share. The ground of PRC in forests comes and goes by column, and "
+        "is not asked for",
+        "Rightly told, drives of 900 m: fused never below 70 % of it, PRC 65 %; 24 scenes from tunnels to fields one "
+        "after the other: fused 58 %, PRC 43 %. Where shots are lost on the way, ground falls to a tenth",
+        "Streams of fewer than 128 lines, shorter stretches, and the other classes, which do come and go.",
+    ),
+)
+"""The checks of the result; the limits are in ``UsualLabels`` of every method."""
