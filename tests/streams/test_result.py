@@ -96,13 +96,14 @@ def test_little_ground_below_the_scanner(share: float, is_fine: bool) -> None:
     assert ("ground-below" not in doubted(found)) == is_fine
 
 
-@pytest.mark.parametrize(("label", "is_fine"), [(Label.GROUND, True), (Label.BUILDING, False)])
-def test_a_scanner_that_sees_nothing_below_it(label: Label, is_fine: bool) -> None:
-    """All around, a tenth must be ground."""
+@pytest.mark.parametrize("preset", ["fused", "street-scan"])
+@pytest.mark.parametrize(("columns", "is_fine"), [((0, 20), True), ((0, 0), False), ((60, 100), False)])
+def test_a_scanner_that_sees_nothing_below_it(columns: tuple[int, int], is_fine: bool, preset: str) -> None:
+    """Of all around, a tenth must be ground that is lower than the scanner."""
     range_m = np.full((64, 100), 8.0, np.float32)
     labels = np.full(range_m.shape, Label.BUILDING, np.uint8)
-    labels[:, :20] = label
-    found = asked(range_m, labels, np.deg2rad(np.linspace(70, 120, 100)))
+    labels[:, slice(*columns)] = Label.GROUND
+    found = asked(range_m, labels, np.deg2rad(np.linspace(70, 120, 100)), usual_of(preset))
     assert ("ground-below" not in doubted(found)) == is_fine
 
 

@@ -223,8 +223,9 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
         """A class for nearly every return, and level ground or other level surfaces below the scanner."""
         level = (Label.GROUND, Label.CURB, Label.HORIZONTAL)
         return UsualLabels(
-            unclassified_share=0.1, level=level, level_share=0.5, below_share=0.2, lean_deg=5.0, vanished_share=0.3
-        )
+            unclassified_share=0.1, level=level, level_share=0.5, ground_share=0.1, below_share=0.2, lean_deg=5.0,
+            vanished_share=0.3,
+        )  # fmt: skip
 
     def scanner(self, first: ScanBlock) -> Beams:
         """Return the beam directions."""

@@ -179,7 +179,7 @@ def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
         is_down = np.abs(sample.beam_rad) < DOWN_RAD
         below = solid & is_down
         scene = _Scene.of(sample, solid, is_down)
-        yield from _ground_below(solid, below, level, usual)
+        yield from _ground_below(solid, below, level, np.cos(sample.beam_rad) > 0, usual)
         yield from _ground_lean(scene, sample, usual)
         yield from _below_ground(scene, usual)
     yield from _along(sample, there, noise, below, level, usual)
@@ -237,11 +237,12 @@ class _Scene:
         return cls(sample.range_m * np.sin(beam), sample.range_m * -np.cos(beam), near, ground, is_down, beam < 0)
 
 
-def _ground_below(solid: Mask, below: Mask, level: Mask, usual: UsualLabels) -> Iterator[Finding]:
+def _ground_below(solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: UsualLabels) -> Iterator[Finding]:
     """Ask whether what lies below the scanner is ground."""
     where, seen, least = " within 60 deg of down", below, usual.level_share
     if np.count_nonzero(below) < LEAST_RETURNS:
-        where, seen, least = "", solid, usual.ground_share
+        # ground that is above the scanner does not count
+        where, seen, least, level = "", solid, usual.ground_share, level & is_lower
     n = int(np.count_nonzero(seen))
     if n < LEAST_RETURNS or least <= 0:
         return
@@ -386,7 +387,8 @@ RESULT_CHECKS: tuple[Check, ...] = (
         "ground-below",
         "Is ground what lies within 60 deg of straight down?",
         "Of what is not noise there: fused at least 60 %, fused-forest 45 %, sequential-angle 50 % with other level "
-        "surfaces. Fused where nearly nothing is there: at least 10 % of all. Needs the direction of down: not PRC",
+        "surfaces. Where nearly nothing is there: at least 10 % of all is ground lower than the scanner. Needs the "
+        "direction of down: not PRC",
         "Rightly told, 128 lines each: fused at least 77 %, fused-forest 58 % (undergrowth, and stems beside the "
         "scanner), sequential-angle 62 %; between low walls 75 %, in a lane 6 m wide between walls 83 %, in garages "
         "and tunnels 95 %. Down wrong by 45 deg: 10 % or less in most",
