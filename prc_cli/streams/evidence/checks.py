@@ -1,37 +1,22 @@
-"""The table of all checks: what each asks, its limit, why the limit is that number, and what it cannot see.
+"""Asks all checks of what was seen of a stream.
 
-``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use these names.
+``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use the names of the table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
-from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_unplaced
 from prc_cli.streams.evidence.figures import figures_of
 from prc_cli.streams.evidence.lines import check_dropouts, check_line_length, check_line_order, check_shot_order
+from prc_cli.streams.evidence.result import RESULT_CHECKS
 from prc_cli.streams.evidence.seen import Seen
+from prc_cli.streams.evidence.table import INPUT_CHECKS, Check
 
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """A question that is asked of every input."""
-
-    name: str
-    """Name, as for ``--accept-doubt``."""
-    asks: str
-    """The question."""
-    limit: str
-    """Where doubt begins, and where the input is refused."""
-    reason: str
-    """Why the limit is that number."""
-    blind: str
-    """What the check cannot see."""
-
-
-CHECKS: tuple[Check, ...] = ()
+CHECKS: tuple[Check, ...] = tuple(sorted((*INPUT_CHECKS, *RESULT_CHECKS), key=lambda one: CHECK_NAMES.index(one.name)))
+"""All checks, in the order in which they are reported."""
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:

@@ -22,7 +22,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import F32, F64, I64, U8, Mask
-from prc_cli.streams.evidence.checks import Check
+from prc_cli.streams.evidence.table import Check
 
 MAX_SCANNERS = 4
 """Most scanners whose labels are looked at."""
