@@ -402,17 +402,29 @@ def buffer_lost(window: Window, context: Context) -> Made:
     return flat(window, context, window.range_m.ravel()[keep], window.codes.ravel()[keep])
 
 
+def converted(window: Window, context: Context) -> Made:
+    """A dump of ``prc convert`` with its layout beside it, which is not named."""
+    words = ("-M", str(window.points_per_line), *aim(window, context))
+    return Told(_converted(window, context), words, window.codes.ravel())
+
+
 def converted_without_layout(window: Window, context: Context) -> Made:
-    """A dump of ``prc convert`` read as plain floats."""
+    """The same where the layout is gone: eight fields a shot read as plain ranges."""
+    path = _converted(window, context)
+    path.with_name("scan.bin.toml").unlink()
+    words = path.stat().st_size // 4 // window.range_m.size
+    truth = np.zeros((window.range_m.size, words), np.int64)
+    truth[:, 0] = window.codes.ravel()  # the range comes first
+    return Told(path, ("-M", str(window.points_per_line), *aim(window, context)), truth.ravel())
+
+
+def _converted(window: Window, context: Context) -> Path:
     source = context.folder / "before.npz"
     intensity = np.where(np.isnan(window.range_m), np.nan, 100.0).astype(np.float32)
     np.savez(source, range_m=window.range_m, angle_deg=window.angle_deg(), time_s=window.time_s, intensity=intensity)
     path = context.folder / "scan.bin"
     convert(source, path, overwrite=True)
-    words = path.stat().st_size // 4 // window.range_m.size
-    truth = np.zeros((window.range_m.size, words), np.int64)
-    truth[:, 0] = window.codes.ravel()  # the range comes first
-    return Told(path, ("-M", str(window.points_per_line), *aim(window, context)), truth.ravel())
+    return path
 
 
 def transposed(window: Window, context: Context) -> Made:
@@ -625,7 +637,8 @@ ROWS: tuple[Row, ...] = (
     Row("u4 mm read as f4", millimetres_as_floats),
     Row("header read as shots", header_as_shots),
     Row("a buffer lost", buffer_lost),
-    Row("dump of prc convert without its layout", converted_without_layout),
+    Row("dump of prc convert, its layout not named", converted),
+    Row("dump of prc convert, its layout gone", converted_without_layout),
     Row("transposed", transposed),
     Row("transposed array", transposed_array),
     Row("shots shuffled", shuffled_shots),
@@ -675,27 +688,28 @@ QUICK_CASES: tuple[QuickCase, ...] = (
     QuickCase("right: with times", "street", "fused"),
     QuickCase("right: with times", "push-broom", "prc push-broom"),
     QuickCase("right: seam elsewhere", "street", "fused"),
-    QuickCase("right: seam elsewhere", "push-broom", "fused", holds=False),
-    QuickCase("down wrong by 45°", "street", "fused", holds=False),
-    QuickCase("down wrong by 180°", "push-broom", "fused", holds=False),
-    QuickCase("angle step × 0.5", "push-broom", "fused", holds=False),
-    QuickCase("M wrong by one", "push-broom", "fused", holds=False),
-    QuickCase("M halved", "street", "prc", holds=False),
-    QuickCase("ranges × 100", "street", "fused", holds=False),
-    QuickCase("ranges × 0.001", "push-broom", "prc push-broom", holds=False),
-    QuickCase("wrong byte order", "street", "prc", holds=False),
-    QuickCase("two bytes off", "push-broom", "fused", holds=False),
-    QuickCase("u4 mm read as f4", "street", "fused", holds=False),
-    QuickCase("dump of prc convert without its layout", "street", "fused", holds=False),
-    QuickCase("transposed", "street", "fused", holds=False),
-    QuickCase("header read as shots", "street", "fused", holds=False),
-    QuickCase("a buffer lost", "push-broom", "fused", holds=False),
-    QuickCase("shots shuffled", "push-broom", "prc push-broom", holds=False),
-    QuickCase("lines shuffled", "forest", "fused-forest", holds=False),
-    QuickCase("zigzag lines", "forest", "fused-forest", holds=False),
-    QuickCase("restart sorted by time", "street", "fused", holds=False),
-    QuickCase("two scanners, not split", "push-broom", "fused", holds=False),
-    QuickCase("30 % of the shots lost", "push-broom", "fused", holds=False),
+    QuickCase("right: seam elsewhere", "push-broom", "fused"),
+    QuickCase("down wrong by 45°", "street", "fused"),
+    QuickCase("down wrong by 180°", "push-broom", "fused"),
+    QuickCase("angle step × 0.5", "push-broom", "fused"),
+    QuickCase("M wrong by one", "push-broom", "fused"),
+    QuickCase("M halved", "street", "prc"),
+    QuickCase("ranges × 100", "street", "fused"),
+    QuickCase("ranges × 0.001", "push-broom", "prc push-broom"),
+    QuickCase("wrong byte order", "street", "prc"),
+    QuickCase("two bytes off", "push-broom", "fused"),
+    QuickCase("u4 mm read as f4", "street", "fused"),
+    QuickCase("dump of prc convert, its layout not named", "street", "fused"),
+    QuickCase("dump of prc convert, its layout gone", "street", "fused"),
+    QuickCase("transposed", "street", "fused"),
+    QuickCase("header read as shots", "street", "fused"),
+    QuickCase("a buffer lost", "push-broom", "fused"),
+    QuickCase("shots shuffled", "push-broom", "prc push-broom"),
+    QuickCase("lines shuffled", "forest", "fused-forest"),
+    QuickCase("zigzag lines", "forest", "fused-forest"),
+    QuickCase("restart sorted by time", "street", "fused"),
+    QuickCase("two scanners, not split", "push-broom", "fused"),
+    QuickCase("30 % of the shots lost", "push-broom", "fused"),
 )
 
 

@@ -52,7 +52,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "line-order",
         "Does the scene change along the stream, but little from line to line?",
-        "Refused where lines far apart differ less than 1.4 times as much as neighbours, in the tenth that changes most",
+        "Refused where lines far apart differ less than 1.4 times as much as neighbours, in the tenth that changes "
+        "most",
         "Rightly told at least 2.1; with shuffled lines 0.8 to 1.2",
         "A few large parts out of place, in a stream without times.",
     ),
@@ -73,8 +74,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "times",
         "Do the times rise from record to record?",
-        "Refused where more than 1 in 10 000 steps go back, or one goes back by more than 5 000 shots or a tenth of the "
-        "whole time",
+        "Refused where more than 1 in 10 000 steps go back, or one goes back by more than 5 000 shots or a tenth of "
+        "the whole time",
         "Threads of a writer swap neighbouring records; a block out of place is a long step back, but a rare one",
         "Times that were made up from the order of the records.",
     ),
