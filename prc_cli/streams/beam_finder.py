@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
-from prc_cli.streams.directions import Beams, fit_beams, turn_evenly
+from prc_cli.streams.directions import Beams, fit_beams, forward_steps, turn_evenly
 from prc_cli.streams.down import (
     MIN_TILT_RAD,
     LevelLinesError,
@@ -306,7 +306,7 @@ def from_angles(angle_rad: F64, down_rad: float) -> F64:
     Returns
     -------
     (M,) float64
-        In (-pi, pi]; strictly monotone when unwrapped, even where rounded angles are equal.
+        In (-pi, pi]; they turn strictly one way, even where rounded angles are equal.
 
     Raises
     ------
@@ -322,7 +322,7 @@ def from_angles(angle_rad: F64, down_rad: float) -> F64:
         return wrap(np.asarray(angle_rad, np.float64) - down_rad)
     way = math.copysign(1.0, float(np.sign(wrap(np.diff(angle_rad))).sum()))
     beam = way * (angle_rad - down_rad)
-    along = np.diff(np.unwrap(beam))
+    along = forward_steps(beam)
     if (along > 0).all() and along.sum() <= 2 * math.pi:
         return wrap(angle_rad - down_rad)
     m = len(beam)
