@@ -227,7 +227,7 @@ class DownGuess:
         return f"{math.degrees(self.down_rad):.1f} deg (guessed from level ground; {rival})"
 
 
-def guess_down(angle_rad: F64, range_m: F32) -> DownGuess | None:
+def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> DownGuess | None:
     """Guess the scan angle of straight down: level ground below, and much sky above.
 
     Every direction gets a score: the angle filled by the plane across it, over the root of the plane's distance, times
@@ -241,6 +241,8 @@ def guess_down(angle_rad: F64, range_m: F32) -> DownGuess | None:
     range_m : (lines, M) float32, metres
         Lines with returns, best spread over a stretch of the drive; NaN = missing. :data:`MOST_LINES` of them and
         :data:`MOST_COLUMNS` columns, evenly spread, are used.
+    is_coarse : bool
+        Use a third of these columns and of the directions: nine times as fast, and good to some degrees.
 
     Returns
     -------
@@ -258,12 +260,13 @@ def guess_down(angle_rad: F64, range_m: F32) -> DownGuess | None:
     """
     if len(range_m) < LEAST_LINES:
         return None
-    angle, lines = _thinned(angle_rad, range_m)
-    middle = _middle_of_lines(lines)
+    few = 3 if is_coarse else 1
+    angle, lines = _thinned(angle_rad, range_m, MOST_COLUMNS // few)
+    middle = middle_of_lines(lines)
     if np.count_nonzero(np.isfinite(middle)) < 3:
         return None
     step = float(np.median(np.abs(wrap(np.diff(angle)))))
-    down = np.arange(-math.pi, math.pi, SEARCH_STEP_RAD)
+    down = np.arange(-math.pi, math.pi, few * SEARCH_STEP_RAD)
     # cosine of the angle between every direction and every column
     along = np.cos(down)[:, None] * np.cos(angle) + np.sin(down)[:, None] * np.sin(angle)
     fill, depth, inside = _planes(along, middle, step)
@@ -311,17 +314,19 @@ def spread_rows(n: int, most: int) -> NDArray[np.intp]:
     return np.arange(most) * (n - 1) // (most - 1)
 
 
-def _thinned(angle_rad: F64, range_m: F32) -> tuple[F64, F32]:
+def _thinned(angle_rad: F64, range_m: F32, most_columns: int) -> tuple[F64, F32]:
     """Return some lines and columns, evenly spread."""
-    every = -(-range_m.shape[1] // MOST_COLUMNS)
+    every = -(-range_m.shape[1] // most_columns)
     return angle_rad[every // 2 :: every], range_m[spread_rows(len(range_m), MOST_LINES), every // 2 :: every]
 
 
-def _middle_of_lines(range_m: F32) -> F64:
+def middle_of_lines(range_m: F32) -> F64:
     """Return the median range of every column, NaN where no more than half of the lines have one."""
     n_held = np.count_nonzero(np.isfinite(range_m), axis=0)
     ordered = np.sort(range_m.astype(np.float64), axis=0)  # NaN sorts last
-    middle: F64 = ordered[n_held // 2, np.arange(range_m.shape[1])] if len(range_m) else np.empty(0)
+    if not len(range_m):
+        return np.full(range_m.shape[1], np.nan)
+    middle: F64 = ordered[np.minimum(n_held // 2, len(range_m) - 1), np.arange(range_m.shape[1])]
     return np.where(2 * n_held > len(range_m), middle, np.nan)
 
 

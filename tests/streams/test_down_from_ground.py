@@ -17,7 +17,7 @@ from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
 from prc_cli.jobs.classify import open_stream
 from prc_cli.streams.beams import with_beams
-from prc_cli.streams.down import _middle_of_lines, guess_down
+from prc_cli.streams.down import guess_down, middle_of_lines
 from tests.classifiers.fused.street_lines import BEAM, street_lines
 
 
@@ -59,7 +59,8 @@ def road(n_lines: int, van: slice, dead_deg: float, *, house_m: float = 9.0) -> 
     lines[van] = np.minimum(lines[van], np.where(-flank * down < 2.4, flank, np.inf))
     lines += rng.normal(0.0, 0.005, lines.shape)
     lines[(lines > 60.0) | (np.abs(AROUND) < np.deg2rad(dead_deg / 2))] = np.nan
-    return lines.astype(np.float32)
+    found: F32 = lines.astype(np.float32)
+    return found
 
 
 def test_a_van_beside_a_scanner_that_does_not_see_below_is_not_the_ground() -> None:
@@ -183,7 +184,7 @@ def test_the_lines_are_spread_where_down_is_guessed() -> None:
     assert "64 lines" in found.info.assumptions[-1].why
 
 
-def test_the_middle_of_lines_is_a_median_of_what_is_there() -> None:
+def test_themiddle_of_lines_is_a_median_of_what_is_there() -> None:
     nan = np.nan
     lines = np.array([[9, 5, nan, nan], [1, 2, 4, nan], [8, nan, 6, nan], [2, 1, nan, 3], [7, 4, nan, 3]], np.float32)
-    np.testing.assert_array_equal(_middle_of_lines(lines), [7, 4, nan, nan])
+    np.testing.assert_array_equal(middle_of_lines(lines), [7, 4, nan, nan])
