@@ -426,8 +426,11 @@ def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
         problem = f"found {np.abs(beams).max():g}, expected radians from -pi to pi"
         raise InputError("beam_rad", problem, "np.deg2rad turns degrees")
     turned: F64 = np.pi - np.remainder(np.pi - beams, 2 * np.pi)
-    along = np.diff(np.unwrap(turned))
-    if (along < 0).any() and (along > 0).any():
+    step = np.diff(np.unwrap(turned))
+    step *= 1.0 if np.sign(step).sum() >= 0 else -1.0
+    # a sector that is not measured may lie within the line
+    n_back = np.count_nonzero(step < 0)
+    if n_back and step.sum() + 2 * np.pi * n_back > 2 * np.pi:
         raise InputError("beam_rad", "found angles that turn back, expected them to rise or fall with the column")
     return turned
 

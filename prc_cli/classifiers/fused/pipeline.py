@@ -149,7 +149,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         """Blocks with beam angles, and look-ahead for all lines that labels depend on."""
         is_forest = self.params.environment == "forest"
         kernels = FOREST_KERNELS if is_forest else KERNELS
-        return Needs(kernels, self.params.lines_per_block, AROUND_LINES, nadir_from_ground=not is_forest)
+        return Needs(kernels, self.params.lines_per_block, AROUND_LINES, nadir_from_ground=True)
 
     @property
     def usual(self) -> UsualLabels:
