@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_unplaced
 from prc_cli.streams.evidence.figures import figures_of
+from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import check_dropouts, check_line_length, check_line_order, check_shot_order
 from prc_cli.streams.evidence.result import RESULT_CHECKS
 from prc_cli.streams.evidence.seen import Seen
@@ -30,6 +31,9 @@ def ask_all(seen: Seen) -> Iterator[Finding]:
         yield from _known(length)
         if not _is_against(length):
             yield from _known(check_line_order(seen, figures), check_dropouts(figures))
+            if not _is_against(height := check_height(seen)):
+                yield from _known(check_down(seen), check_angle_step(seen))
+            yield from _known(height)
     yield from _known(check_collisions(seen), check_unplaced(seen), check_returns(seen))
 
 
