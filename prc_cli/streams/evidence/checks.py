@@ -22,19 +22,28 @@ CHECKS: tuple[Check, ...] = tuple(sorted((*INPUT_CHECKS, *RESULT_CHECKS), key=la
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
     """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
-    figures = figures_of(seen.windows)
-    yield from _known(check_ranges(seen))
-    order = check_shot_order(figures)
-    yield from _known(order)
-    if not _is_against(order):  # without an order there are no lines, and without lines no order of lines
-        length = check_line_length(seen, figures)
-        yield from _known(length)
-        if not _is_against(length):
-            yield from _known(check_line_order(seen, figures), check_dropouts(figures))
-            if not _is_against(height := check_height(seen)):
-                yield from _known(check_down(seen), check_angle_step(seen))
-            yield from _known(height)
+    yield from _known(*_of_ranges(seen))
     yield from _known(check_collisions(seen), check_unplaced(seen), check_returns(seen))
+
+
+def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
+    """Ask about ranges, shots, lines and angles, each only if those before it can be true."""
+    yield (ranges := check_ranges(seen))
+    if _is_against(ranges):
+        return
+    figures = figures_of(seen.windows)
+    yield (order := check_shot_order(figures))
+    if _is_against(order):
+        return
+    yield (length := check_line_length(seen, figures))
+    if _is_against(length):
+        return
+    yield check_line_order(seen, figures)
+    yield check_dropouts(figures)
+    yield (height := check_height(seen))
+    if not _is_against(height):
+        yield check_down(seen)
+        yield check_angle_step(seen)
 
 
 def _known(*findings: Finding | None) -> Iterator[Finding]:
