@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
-from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_unplaced
+from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_rounding, check_unplaced
 from prc_cli.streams.evidence.figures import figures_of
 from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import check_dropouts, check_line_length, check_line_order, check_shot_order
@@ -31,6 +31,7 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
     yield (ranges := check_ranges(seen))
     if _is_against(ranges):
         return
+    yield check_rounding(seen)
     figures = figures_of(seen.windows)
     yield (order := check_shot_order(figures))
     if _is_against(order):

@@ -32,6 +32,13 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "Numbers of the right size.",
     ),
     Check(
+        "rounding",
+        "Are the ranges finer than the thresholds of the methods?",
+        "Doubtful where all ranges are multiples of more than 0.03 m",
+        "Scanners state ranges to 1 to 10 mm. Rounded to 0.1 m, a wall is a stair",
+        "Rounding of angles, and coordinates that were rounded before ranges were computed from them.",
+    ),
+    Check(
         "shot-order",
         "Do consecutive shots see the same surfaces?",
         "The median step of the range from shot to shot, as a share of that of random shots: doubtful from 0.3, "

@@ -133,12 +133,19 @@ def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, wo
     [
         (standing, "standing"),
         (lambda ranges: lost(ranges, 0.1), "dropouts"),
+        (lambda ranges: (np.round(ranges / 0.1) * 0.1).astype(np.float32), "rounding"),
+        (lambda ranges: (np.round(ranges / 0.031) * 0.031).astype(np.float32), "rounding"),
         (lambda ranges: lost(ranges, 0.99), "returns"),
         (lambda ranges: np.concatenate([ranges[:200], ranges[150:]]), "repeated-lines"),
     ],
 )
 def test_an_odd_scan_is_doubted(odd: Callable[[F32], F32], check: str) -> None:
     assert told(odd(scan())).get(check) is Verdict.DOUBTFUL
+
+
+@pytest.mark.parametrize("step_m", [0.001, 0.01, 0.02, 0.029])
+def test_ranges_in_steps_of_centimetres_are_usual(step_m: float) -> None:
+    assert "rounding" not in told((np.round(scan() / step_m) * step_m).astype(np.float32))
 
 
 def test_a_lost_shot_in_thirty_is_usual() -> None:
