@@ -393,8 +393,8 @@ RESULT_CHECKS: tuple[Check, ...] = (
         "scanner), sequential-angle 62 %; between low walls 75 %, in a lane 6 m wide between walls 83 %, in garages "
         "and tunnels 95 %. Down wrong by 45 deg: 10 % or less in most",
         "Down wrong by less than 30 deg (ground-lean sees that), a wrong unit, and an angle step wrong by a tenth. "
-        "Grass higher than 1.2 m on both sides of a lane of 3 m raises doubt (57 %), and the vehicle itself may where it "
-        "is seen: input.min_range takes it out.",
+        "Grass higher than 1.2 m on both sides of a lane of 3 m raises doubt (57 %), and the vehicle itself may "
+        "where it is seen: input.min_range takes it out.",
     ),
     Check(
         "ground-lean",
