@@ -110,7 +110,7 @@ class Prc(Classifier[int, PrcState]):
         """Some noise in streets, and much in forests, as published."""
         if self.params.environment == "forest":
             return UsualLabels(0.96, 0.99)
-        return UsualLabels(0.5, 0.8, vanished_share=0.3)
+        return UsualLabels(0.5, 0.8)
 
     def scanner(self, first: ScanBlock) -> int:
         """Return M."""

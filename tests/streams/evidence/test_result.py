@@ -146,13 +146,13 @@ def test_returns_without_a_class(preset: str, is_fine: bool) -> None:
     assert ("noise-share" not in doubted(asked(range_m, labels, usual=usual_of(preset)))) == is_fine
 
 
-@pytest.mark.parametrize("preset", ["fused", "street-scan", "urban"])
+@pytest.mark.parametrize("preset", ["fused", "fused-forest", "street-scan"])
 @pytest.mark.parametrize(("lines", "is_fine"), [((200, 215), True), ((200, 330), False)])
 def test_ground_that_vanishes(preset: str, lines: tuple[int, int], is_fine: bool) -> None:
     range_m, labels = street(512)
     rows = labels[slice(*lines)]
     rows[rows == Label.GROUND] = Label.BUILDING
-    found = asked(range_m, labels, None if preset == "urban" else ANGLE, usual_of(preset))
+    found = asked(range_m, labels, usual=usual_of(preset))
     assert ("classes-along" not in doubted(found)) == is_fine
     if not is_fine:
         first, last = (int(one) for one in found["classes-along"].found.split("lines ")[1].split(" to "))
@@ -170,11 +170,12 @@ def test_noise_in_a_part_of_the_stream() -> None:
     assert found["classes-along"].found.startswith("much noise in lines ")
 
 
-def test_forests_of_prc_have_ground_in_columns_and_no_limit_along() -> None:
+@pytest.mark.parametrize("preset", ["urban", "forest"])
+def test_prc_loses_the_ground_of_some_rightly_told_scans(preset: str) -> None:
     range_m, labels = street(512)
     rows = labels[200:330]
     rows[rows == Label.GROUND] = Label.VEGETATION
-    assert doubted(asked(range_m, labels, None, usual_of("forest"))) == set()
+    assert doubted(asked(range_m, labels, None, usual_of(preset))) == set()
 
 
 @pytest.mark.parametrize("shape", [(1, 9), (31, 2000), (499, 2)])
