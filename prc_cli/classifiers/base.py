@@ -103,7 +103,7 @@ class Needs:
     beams: bool = True
     """Whether blocks must hold beam angles (``beam_rad``)."""
     nadir_from_ground: bool = False
-    """Whether nadir may be guessed from the ranges: right to a degree or two in streets, to 15 degrees in forests."""
+    """Whether nadir may be guessed from the ranges: right to a degree or two in streets, to 10 degrees in forests."""
 
 
 @dataclass(frozen=True, slots=True)

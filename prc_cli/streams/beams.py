@@ -29,7 +29,7 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
         ``nadir``, and how the stream was opened.
     from_ground : bool
         As a last resort, with scan angles, guess straight down from level ground; within a degree or two in streets,
-        up to 15 degrees in forests.
+        up to 10 degrees in forests.
 
     Returns
     -------

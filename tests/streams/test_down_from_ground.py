@@ -15,7 +15,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.formats.options import InputConfig
-from prc_cli.jobs.classify import open_stream
+from prc_cli.jobs.classify import classify, classify_ranges, open_stream
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.down import guess_down, middle_of_lines
 from tests.classifiers.fused.street_lines import BEAM, street_lines
@@ -188,3 +188,35 @@ def test_themiddle_of_lines_is_a_median_of_what_is_there() -> None:
     nan = np.nan
     lines = np.array([[9, 5, nan, nan], [1, 2, 4, nan], [8, nan, 6, nan], [2, 1, nan, 3], [7, 4, nan, 3]], np.float32)
     np.testing.assert_array_equal(middle_of_lines(lines), [7, 4, nan, nan])
+
+
+def test_a_guess_is_in_the_record_of_the_run(tmp_path: Path) -> None:
+    np.savez(tmp_path / "street.npz", range_m=street_lines(40)[0], angle_deg=np.rad2deg(BEAM) + 20.0)
+    loaded = load_config(preset="fused")
+    guessed = classify(tmp_path / "street.npz", tmp_path / "labels.npy", loaded)
+    (note,) = [one for one in guessed.record.notices if "straight down" in one]
+    assert "20." in note or "19." in note
+    told = load_config(preset="fused", options={"input": {"nadir": 20.0}})
+    exact = classify(tmp_path / "street.npz", tmp_path / "exact.npy", told)
+    assert not any("straight down" in one for one in exact.record.notices)
+
+
+@pytest.mark.parametrize("first", [3, 150, 400])
+def test_labels_do_not_depend_on_where_column_0_lies(first: int) -> None:
+    """But for shots whose neighbours are at the other end of the line then."""
+    side = np.rad2deg(BEAM) > 10
+    ranges, beam = street_lines(40)[0][:, side], BEAM[side]
+    loaded = load_config(preset="fused")
+    labels = classify_ranges(ranges, loaded, beam_rad=beam)
+    rolled = classify_ranges(np.roll(ranges, first, axis=1), loaded, beam_rad=np.roll(beam, first))
+    differ = np.roll(rolled, -first, axis=1) != labels
+    assert differ.mean() < 0.01
+    far = np.abs(np.arange(len(beam)) - (len(beam) - first)) > 60
+    assert not differ[:, far].any()
+
+
+def test_beams_that_turn_back_are_refused() -> None:
+    ranges, loaded = np.full((4, 6), 5.0), load_config(preset="fused")
+    with pytest.raises(InputError, match="angles that turn back"):
+        classify_ranges(ranges, loaded, beam_rad=np.deg2rad([0.0, 10.0, 20.0, 15.0, 30.0, 40.0]))
+    assert classify_ranges(ranges, loaded, beam_rad=np.deg2rad([20.0, 30.0, 40.0, -10.0, 0.0, 10.0])).shape == (4, 6)

@@ -42,14 +42,15 @@ STEEP_RAD = math.radians(80.0)
 ON_GROUND = 0.012
 """Deviation from the plane up to which a shot lies on it, as a share of its inverse range at the depth."""
 N_FITS = 6
-LOW_FACTOR, HIGH_FACTOR, FAR_FACTOR = 0.85, 1.07, 1.2
-"""Factors below the first and above the second are doubtful, above the third against. Good streets have .97 to 1.03;
+LOW_FACTOR, HIGH_FACTOR, HIGHER_FACTOR, FAR_FACTOR = 0.85, 1.07, 1.2, 1.6
+"""Factors below the first and above the second are doubtful where the ground is clear, above the third where it is not
+as well, above the fourth against. Good streets have .97 to 1.03;
 ground that rises on both sides, as in forests, has down to .9."""
 GROUND_SHARE, LESS_GROUND = 0.8, 0.9
 """Least share of shots on the ground for doubt, and the most ground that the step in use may show of what the better
 one shows."""
 FAR_LESS_GROUND, LOW_SHARE = 0.4, 0.95
-"""The latter for evidence against, and the former for factors below 1: walls that stand near look like such ground."""
+"""The latter where the ground is not clear, and the former for factors below 1: near walls look like such ground."""
 
 USUAL_M = 2.0
 """Scans are scaled to this depth, so that planes are found in any unit."""
@@ -154,8 +155,9 @@ def check_angle_step(seen: Seen) -> Finding | None:
     is_usual = LOW_FACTOR <= fit.factor <= HIGH_FACTOR
     least_share = GROUND_SHARE if fit.factor > 1 else LOW_SHARE
     is_clear = fit.share > least_share and fit.with_one < LESS_GROUND
-    is_against = fit.factor > FAR_FACTOR and fit.with_one < FAR_LESS_GROUND
-    verdict = _verdict(is_doubtful=not is_usual and is_clear, is_against=is_against)
+    is_far = fit.factor > HIGHER_FACTOR and fit.with_one < FAR_LESS_GROUND
+    is_doubtful = is_far or (not is_usual and is_clear)
+    verdict = _verdict(is_doubtful=is_doubtful, is_against=is_far and fit.factor > FAR_FACTOR)
     found = f"the ground is flat with angles {fit.factor:.2f} times as large"
     if not is_usual and not verdict:
         found = f"the ground does not tell the angle step (flat with {fit.factor:.2f} times, but not for sure)"
