@@ -115,8 +115,8 @@ class InputConfig(Params):
         100_000, ge=0, description="more missing lines in a row than this are an error, not a gap"
     )
 
-    accept_doubts: tuple[CheckName, ...] = Field(
-        (), description="names of checks whose doubts the office knows better; they are recorded, and do no more"
+    accept_doubts: tuple[CheckName, ...] | None = Field(
+        None, description="names of checks whose doubts the office knows better; they are recorded, and do no more"
     )
 
     @model_validator(mode="after")

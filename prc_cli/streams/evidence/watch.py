@@ -133,4 +133,4 @@ class EvidenceStream:
 def watched(stream: ScanStream, config: InputConfig, *, refuses: bool = True) -> EvidenceStream:
     """Watch a stream; ``config`` says which findings the user accepts."""
     trusted = ORDER_CHECKS if config.order == "trust" else ()
-    return EvidenceStream(stream, (*config.accept_doubts, *trusted), refuses)
+    return EvidenceStream(stream, (*(config.accept_doubts or ()), *trusted), refuses)
