@@ -32,6 +32,9 @@ FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
 1.16 to 7."""
 FOLD_REACH = 4
 """Line lengths tried on either side of M."""
+FOLD_LONG = 12
+"""Lines of a stream, as a part of M: with M off by one all columns turn by 30 deg in so many, and before that moving
+things shift as much."""
 FOLD_RANDOM, FOLD_NOTHING = 0.85, 0.97
 """Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
 scans at hand, 0.5 to 1 where lines and columns are exchanged."""
@@ -89,7 +92,8 @@ def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
             found = f"the ranges repeat after {other} shots, not after {m}"
             return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}", f"-M {other}")
     better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
-    gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
+    is_long = seen.n_lines * FOLD_LONG >= m
+    gain = folded[m] / folded[better] if is_long and np.isfinite(folded[m]) and folded[better] > 0 else math.nan
     if gain >= FOLD_DOUBTFUL:
         found = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
         verdict = Verdict.AGAINST if gain >= FOLD_AGAINST else Verdict.DOUBTFUL

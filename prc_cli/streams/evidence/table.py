@@ -54,7 +54,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "along the stream; doubtful from 1.05",
         "Rightly told at most 0.9, with M off by one 1.16 to 7: what moves with the scanner, its dead angle and the "
         "ground, keeps its columns only with the right M",
-        "Streams of fewer than 24 lines; M that is off by one in fewer than about 100 lines.",
+        "Streams of fewer than 24 lines; M that is off by one in fewer lines than a twelfth of M.",
     ),
     Check(
         "line-order",
