@@ -422,7 +422,9 @@ def _converted(window: Window, context: Context) -> Path:
     source = context.folder / "before.npz"
     intensity = np.where(np.isnan(window.range_m), np.nan, 100.0).astype(np.float32)
     np.savez(source, range_m=window.range_m, angle_deg=window.angle_deg(), time_s=window.time_s, intensity=intensity)
-    path = context.folder / "scan.bin"
+    # in a folder of its own: the layout would be taken for that of other dumps of this name
+    path = context.folder / "converted" / "scan.bin"
+    path.parent.mkdir(exist_ok=True)
     convert(source, path, overwrite=True)
     return path
 
