@@ -11,6 +11,7 @@ in parallel.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -102,6 +103,8 @@ class Needs:
     """Lines of look-ahead after a block, at least 1; None = :func:`prc_cli.core.blocks.look_ahead_lines`."""
     beams: bool = True
     """Whether blocks must hold beam angles (``beam_rad``)."""
+    most_noise_m: float = math.inf
+    """Most range noise that the thresholds stand [m]; more is doubted."""
     nadir_from_ground: bool = False
     """Whether nadir may be guessed from the ranges: right to a degree or two in streets, to 10 degrees in forests."""
 

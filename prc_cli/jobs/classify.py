@@ -269,7 +269,9 @@ def _classify(
     with timed("opening"):
         # times and intensities are needed only where a point cloud is made from another kind of input
         only_ranges = suffix_of(output) not in LAS_SUFFIXES or suffix_of(source) in LAS_SUFFIXES
-        stream = watched(_open(source, loaded.config, geometry=False, only_ranges=only_ranges), loaded.config.input)
+        opened = _open(source, loaded.config, geometry=False, only_ranges=only_ranges)
+        needs = loaded.config.classifier.method().needs
+        stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
     with (
         FingerprintBeside(source, threads=threads) as beside,
         open_writer(

@@ -122,7 +122,8 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     stream, refusal = _try_open(path, loaded)
     judged = loaded.config.input.order == "require"
     if stream is not None:
-        stream = watched(stream, loaded.config.input, refuses=False)
+        needs = loaded.config.classifier.method().needs
+        stream = watched(stream, loaded.config.input, refuses=False, most_noise_m=needs.most_noise_m)
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")

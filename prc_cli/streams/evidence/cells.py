@@ -6,6 +6,7 @@ import numpy as np
 
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import FAR_M
+from prc_cli.core.types import F32
 from prc_cli.streams.evidence.seen import Seen
 
 MANY = 0.01
@@ -16,6 +17,10 @@ LEAST_RECORDS = 100
 """Fewer records are not judged."""
 NEAR_M = 0.02
 """Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
+CODED = 0.01
+"""Share of ranges that are equal to the largest: chance gives one in thousands."""
+HIGH_M, FAR_MEDIAN_M = 150.0, 1000.0
+"""Median ranges that are doubtful, and that are none of a vehicle's surroundings [m]: 3 to 20 m are usual."""
 COUNTED = 0.01
 """Share of ranges beyond any scanner from which numbers are misread."""
 LEAST_RETURNS = 0.02
@@ -66,11 +71,32 @@ def check_returns(seen: Seen) -> Finding | None:
     return Finding("returns", verdict, found, f"at least {LEAST_RETURNS:.0%}", hint)
 
 
+def check_missing_code(seen: Seen) -> Finding | None:
+    """Ask whether one and the same largest range stands for no return."""
+    known = _known_ranges(seen)
+    if len(known) < LEAST_RECORDS:
+        return None
+    longest = float(known.max())
+    share = float(np.mean(known == longest))
+    found = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
+    is_code = share > CODED and longest > 2 * float(np.median(known))
+    option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
+    hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
+    verdict = Verdict.DOUBTFUL if is_code else Verdict.FINE
+    return Finding("missing-code", verdict, found, f"at most {CODED:.0%}", hint, option if is_code else "")
+
+
+def _known_ranges(seen: Seen) -> F32:
+    """Return some of the ranges of the sample, in the order of the stream."""
+    parts = [window.range_m.ravel() for window in seen.windows]
+    shots = np.concatenate(parts) if parts else np.empty(0, np.float32)
+    known: F32 = shots[np.isfinite(shots)]
+    return known[:: max(len(known) // MOST_COUNTED, 1)]
+
+
 def check_rounding(seen: Seen) -> Finding | None:
     """Ask whether the ranges are finer than the thresholds of the methods."""
-    parts = [window.range_m.ravel() for window in seen.windows]
-    known = np.concatenate(parts) if parts else np.empty(0, np.float32)
-    known = known[np.isfinite(known)][:MOST_COUNTED].astype(np.float64)
+    known = _known_ranges(seen).astype(np.float64)
     if len(known) < LEAST_ROUNDED:
         return None
     steps = np.diff(np.unique(np.round(known, ROUNDED_DIGITS)))
@@ -87,17 +113,14 @@ def check_rounding(seen: Seen) -> Finding | None:
 
 def check_ranges(seen: Seen) -> Finding | None:
     """Ask whether the ranges are numbers that a scanner can measure."""
-    parts = [window.range_m.ravel() for window in seen.windows]
-    shots = np.concatenate(parts) if parts else np.empty(0, np.float32)
-    known = shots[np.isfinite(shots)]
+    known = _known_ranges(seen)
     if len(known) < LEAST_RECORDS:
         return None
-    far = float(np.mean(known > FAR_M))
-    median = float(np.median(known[:: max(len(known) // MOST_COUNTED, 1)]))
+    far, median = float(np.mean(known > FAR_M)), float(np.median(known))
     found = f"the median range is {median:.4g} m, and {far:.2%} of the ranges lie beyond {FAR_M / 1000:g} km"
-    expected = f"at least {NEAR_M:g} m, and at most {COUNTED:.0%} that far"
+    expected = f"{NEAR_M:g} to {HIGH_M:g} m, and at most {COUNTED:.0%} that far"
     hint = "check the layout (byte order, types, scale, header bytes), and --range with its coordinate system"
-    if median < NEAR_M or far > MOST:
+    if not NEAR_M <= median <= FAR_MEDIAN_M or far > MOST:
         return Finding("ranges", Verdict.AGAINST, found, expected, hint)
-    verdict = Verdict.DOUBTFUL if far > COUNTED else Verdict.FINE
+    verdict = Verdict.DOUBTFUL if far > COUNTED or median > HIGH_M else Verdict.FINE
     return Finding("ranges", verdict, found, expected, hint)

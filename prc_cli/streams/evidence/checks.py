@@ -8,15 +8,31 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
-from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_rounding, check_unplaced
-from prc_cli.streams.evidence.figures import figures_of
-from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
-from prc_cli.streams.evidence.lines import check_dropouts, check_line_length, check_line_order, check_shot_order
+from prc_cli.streams.evidence.cells import (
+    check_collisions,
+    check_missing_code,
+    check_ranges,
+    check_returns,
+    check_rounding,
+    check_unplaced,
+)
+from prc_cli.streams.evidence.figures import figures_of, most_turned
+from prc_cli.streams.evidence.geometry import GEOMETRY_CHECKS, check_angle_step, check_down, check_height
+from prc_cli.streams.evidence.lines import (
+    check_columns_along,
+    check_dropouts,
+    check_line_length,
+    check_line_order,
+    check_noise,
+    check_shot_order,
+)
 from prc_cli.streams.evidence.result import RESULT_CHECKS
 from prc_cli.streams.evidence.seen import Seen
 from prc_cli.streams.evidence.table import INPUT_CHECKS, Check
 
-CHECKS: tuple[Check, ...] = tuple(sorted((*INPUT_CHECKS, *RESULT_CHECKS), key=lambda one: CHECK_NAMES.index(one.name)))
+CHECKS: tuple[Check, ...] = tuple(
+    sorted((*INPUT_CHECKS, *GEOMETRY_CHECKS, *RESULT_CHECKS), key=lambda one: CHECK_NAMES.index(one.name))
+)
 """All checks, in the order in which they are reported."""
 
 
@@ -32,14 +48,20 @@ def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
     if _is_against(ranges):
         return
     yield check_rounding(seen)
+    yield check_missing_code(seen)
     figures = figures_of(seen.windows)
     yield (order := check_shot_order(figures))
     if _is_against(order):
         return
-    yield (length := check_line_length(seen, figures))
+    turned = most_turned(seen.windows)
+    yield (length := check_line_length(seen, figures, turned))
     if _is_against(length):
         return
+    yield (columns := check_columns_along(seen, turned))
+    if _is_against(columns):
+        return
     yield check_line_order(seen, figures)
+    yield check_noise(seen, figures)
     yield check_dropouts(figures)
     yield (height := check_height(seen))
     if not _is_against(height):

@@ -7,7 +7,7 @@ about 0.5 to 1 for ranges picked at random from a street or a forest.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,9 @@ class Figures:
     """Of lines far from each other, in the same column."""
     moved: tuple[float, float]
     """The least of the tenth that is least alike, of neighbouring lines and of lines far from each other."""
+    noise_m: float
+    """Range noise [m], or above it where hardly anything is smooth: from the twentieth of the shots that lie nearest to
+    the middle of their neighbours."""
     roughness: float
     """Median distance of a range from the middle of its two neighbours in the line."""
     lonely_missing: float
@@ -108,6 +111,7 @@ def figures_of(windows: tuple[Window, ...]) -> Figures:
             middle(likeness(rows[:-1], rows[1:], MOVED) for rows in logs),
             middle(likeness(a, b, MOVED) for a, b in pairs),
         ),
+        noise_m=middle(_noise(window) for window in spread(windows)),
         roughness=middle(_roughness(rows) for rows in logs),
         lonely_missing=sum(lonely for lonely, _ in missing) / n_between if n_between else float("nan"),
         n_between=n_between,
@@ -149,6 +153,17 @@ def _random_likeness(rows: F32) -> float:
 
 def _roughness(rows: F32) -> float:
     return likeness(rows[:, 1:-1], (rows[:, :-2] + rows[:, 2:]) / 2)
+
+
+def _noise(range_m: F32) -> float:
+    """Return the standard deviation that the least deviations from the middle of the neighbours would have."""
+    off = likeness(range_m[:, 1:-1], (range_m[:, :-2] + range_m[:, 2:]) / 2, LEAST_OFF)
+    return off / LEAST_OFF_SIGMA
+
+
+LEAST_OFF = 0.05
+LEAST_OFF_SIGMA = 0.0627 * 1.5**0.5
+"""A twentieth of normal deviations is within 0.0627 standard deviations; the middle of two neighbours has noise too."""
 
 
 def _lonely(rows: F32) -> tuple[int, int]:
@@ -217,6 +232,52 @@ FOLD_COLUMNS = 1024
 """Approximate columns that are compared."""
 MISSING_OFF = 1.0
 """Difference of a column that is missing in one of two profiles."""
+
+
+@dataclass(frozen=True, slots=True)
+class Turned:
+    """A place of the stream from which on all columns are shifted."""
+
+    line: int
+    """First line of the piece behind it."""
+    share: float
+    """Shift, as a share of a line, -0.5 to 0.5."""
+    gain: float
+    """Difference of the pieces with that shift, as a share of that without."""
+    distance: int
+    """Lines from the piece before to the one behind."""
+    n_places: int = 1
+    """Number of places where a shift helps as much."""
+
+
+def most_turned(windows: tuple[Window, ...]) -> Turned | None:
+    """Return the place along the stream where a shift of all columns helps most; None in short streams."""
+    places = pieces(windows)
+    found: list[Turned] = []
+    profiles = [_profile(one.range_m[:FOLD_LINES, :: max(one.range_m.shape[1] // TURN_COLUMNS, 1)]) for one in places]
+    for i in range(len(places) - 1):
+        first, second = profiles[i], profiles[i + 1]
+        n = len(first)
+        offs = np.array([_profile_off(first, np.roll(second, shift)) for shift in range(n)])
+        if not offs[0] > 0 or not np.isfinite(offs).any():
+            continue
+        best = int(np.nanargmin(offs))
+        share = (best if best <= n // 2 else best - n) / n
+        if abs(share) >= LEAST_TURN:
+            line, gain = places[i + 1].first_line, float(offs[best] / offs[0])
+            found.append(Turned(line, -share, gain, line - places[i].first_line))
+    if not found:
+        return None
+    return replace(min(found, key=lambda one: one.gain), n_places=sum(one.gain < TURNED for one in found))
+
+
+TURN_COLUMNS = 256
+"""Approximate columns that are compared."""
+TURNED = 0.65
+"""With the right shift places along the stream differ by less than this part: at least 0.8 in all scans at hand, 0.07
+to 0.55 where a buffer of shots was lost."""
+LEAST_TURN = 0.03
+"""Smaller shifts, as a share of a line: surfaces that pass by shift as much."""
 
 
 def _profile(lines: F32) -> F64:

@@ -12,7 +12,7 @@ import numpy as np
 
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.streams.evidence.estimates import estimate_points_per_line
-from prc_cli.streams.evidence.figures import LEAST_PAIRS, Figures, fold
+from prc_cli.streams.evidence.figures import LEAST_PAIRS, TURNED, Figures, Turned, fold
 from prc_cli.streams.evidence.seen import Seen
 
 LEAST_LINES = 24
@@ -32,6 +32,8 @@ FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
 1.16 to 7."""
 FOLD_REACH = 4
 """Line lengths tried on either side of M."""
+SHIFT_NEAR = 0.012
+"""A shift is known to this share of a line."""
 FOLD_LONG = 12
 """Lines of a stream, as a part of M: with M off by one all columns turn by 30 deg in so many, and before that moving
 things shift as much."""
@@ -72,8 +74,12 @@ def check_shot_order(figures: Figures) -> Finding | None:
     return Finding(name, verdict, found, expected, _ORDER_HINT)
 
 
-def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
-    """Ask whether lines repeat after M shots, and not after another number."""
+def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Finding | None:
+    """Ask whether lines repeat after M shots, and not after another number.
+
+    ``turned`` is from :func:`~prc_cli.streams.evidence.figures.most_turned`: where all columns shift at one place,
+    shots were lost there, and M is right.
+    """
     m, first = seen.points_per_line, figures.line[0]
     ratio = first / figures.random if figures.random else math.nan
     if not np.isfinite(ratio) or seen.n_lines < LEAST_LINES:
@@ -85,6 +91,9 @@ def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
     if 0 < figures.half_line <= min(HALF * first, LINE_DOUBTFUL * figures.random):
         found = f"the ranges repeat after {m // 2} shots already"
         return Finding(name, Verdict.AGAINST, found, expected, f"give -M {m // 2}", f"-M {m // 2}")
+    if is_shifted(turned, m):
+        found = f"neighbouring lines differ {ratio:.2g} times as much as random shots"
+        return Finding(name, Verdict.FINE, found, f"below {LINE_DOUBTFUL:g}")
     folded = {m + off: fold(seen.windows, m + off) for off in range(-FOLD_REACH, FOLD_REACH + 1) if m + off > 1}
     if ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM:
         other = _period(seen)
@@ -108,6 +117,38 @@ def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
     if ratio >= LINE_DOUBTFUL:
         return Finding(name, Verdict.AGAINST if ratio >= LINE_AGAINST else Verdict.DOUBTFUL, found, expected, hint)
     return Finding(name, Verdict.FINE, found, expected)
+
+
+def is_shifted(turned: Turned | None, points_per_line: int) -> bool:
+    """Tell whether all columns shift at a single place; a wrong M shifts them from every line to the next."""
+    if turned is None or turned.gain >= TURNED or turned.n_places > 1:
+        return False
+    n_shots, near = abs(turned.share) * points_per_line, SHIFT_NEAR * points_per_line
+    return all(abs(n_shots - wrong * turned.distance) > near for wrong in range(1, FOLD_REACH + 1))
+
+
+def check_columns_along(seen: Seen, turned: Turned | None) -> Finding | None:
+    """Ask whether all columns keep their place along the stream."""
+    if turned is None:
+        return None
+    expected = f"at least {TURNED:g} times"
+    if not is_shifted(turned, seen.points_per_line):
+        found = f"no single shift of all columns makes places along the stream differ less than {turned.gain:.2g} times"
+        return Finding("columns-along", Verdict.FINE, found, expected)
+    n_shots = round(abs(turned.share) * seen.points_per_line)
+    found = f"before line {turned.line} all columns shift by {n_shots} shots ({turned.gain:.2g} times the difference)"
+    hint = "shots were lost or added there: split the file, or restore them"
+    return Finding("columns-along", Verdict.AGAINST, found, expected, hint)
+
+
+def check_noise(seen: Seen, figures: Figures) -> Finding | None:
+    """Ask whether the range noise is one that the method stands."""
+    if not np.isfinite(seen.most_noise_m) or not np.isfinite(figures.noise_m):
+        return None
+    found = f"ranges have noise of about {figures.noise_m:.3f} m"
+    hint = "the thresholds of this method are for less: widen them (prc calibrate), or take another method"
+    verdict = Verdict.DOUBTFUL if figures.noise_m > seen.most_noise_m else Verdict.FINE
+    return Finding("range-noise", verdict, found, f"at most {seen.most_noise_m:g} m", hint)
 
 
 def _alternating(figures: Figures, m: int, step: int) -> Finding:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from prc_cli.core.stream import ReadTally, StreamInfo
@@ -28,6 +29,8 @@ class Seen:
     """(M,) float64, scan angle of every column [rad]; None = unknown."""
     beam_rad: F64 | None = None
     """(M,) float64, angle of every column from straight down as it is used [rad]; None = unknown or not needed."""
+    most_noise_m: float = math.inf
+    """Most range noise that the method stands [m]."""
     is_whole: bool = True
     """Whether the stream was read to its end."""
 

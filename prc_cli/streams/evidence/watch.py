@@ -6,6 +6,7 @@ soon as the sample is full for the first time, and again at the end; outputs get
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -48,11 +49,14 @@ class EvidenceStream:
         Names of checks whose findings the user accepts.
     refuses : bool
         Raise as soon as the evidence is against the input; False = only report it in :meth:`findings`.
+    most_noise_m : float
+        Most range noise that the method stands [m].
     """
 
     source: ScanStream
     accepted: tuple[str, ...] = ()
     refuses: bool = True
+    most_noise_m: float = math.inf
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
     _repeats: LineRepeats = field(default_factory=LineRepeats, init=False)
@@ -106,7 +110,7 @@ class EvidenceStream:
                 info=info, scanner=scanner, windows=one.sample.windows(), n_lines=one.n_lines, n_shots=n_shots,
                 n_missing=n_missing, tally=self._tally,
                 angle_rad=info.angle_rad if one.angle_rad is None else one.angle_rad,
-                beam_rad=one.beam_rad, is_whole=is_whole,
+                beam_rad=one.beam_rad, most_noise_m=self.most_noise_m, is_whole=is_whole,
             )
             for scanner, one in sorted(self._scanners.items())[:MAX_SCANNERS]
         )  # fmt: skip
@@ -130,7 +134,9 @@ class EvidenceStream:
         return accept(sorted(found.values(), key=lambda one: CHECK_NAMES.index(one.check)), self.accepted)
 
 
-def watched(stream: ScanStream, config: InputConfig, *, refuses: bool = True) -> EvidenceStream:
+def watched(
+    stream: ScanStream, config: InputConfig, *, refuses: bool = True, most_noise_m: float = math.inf
+) -> EvidenceStream:
     """Watch a stream; ``config`` says which findings the user accepts."""
     trusted = ORDER_CHECKS if config.order == "trust" else ()
-    return EvidenceStream(stream, (*(config.accept_doubts or ()), *trusted), refuses)
+    return EvidenceStream(stream, (*(config.accept_doubts or ()), *trusted), refuses, most_noise_m)

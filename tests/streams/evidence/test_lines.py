@@ -118,6 +118,8 @@ def test_a_scan_that_is_read_rightly_is_fine() -> None:
         (lambda ranges: cut(ranges, 487), "line-length", f"-M {M}"),
         (lambda ranges: np.ascontiguousarray(ranges.T).reshape(-1, M), "line-length", ""),
         (zigzag, "line-length", "runs the other way"),
+        (lambda ranges: cut(np.delete(ranges.ravel(), slice(M * 240, M * 240 + 200)), M), "columns-along", "200 shots"),
+        (lambda ranges: ranges * np.float32(100), "units", "above the ground"),
         (two_scanners, "line-length", "--scanner"),
         (lambda ranges: rng().permutation(ranges), "line-order", "order in which they were scanned"),
     ],
@@ -136,6 +138,9 @@ def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, wo
         (lambda ranges: (np.round(ranges / 0.1) * 0.1).astype(np.float32), "rounding"),
         (lambda ranges: (np.round(ranges / 0.031) * 0.031).astype(np.float32), "rounding"),
         (lambda ranges: lost(ranges, 0.99), "returns"),
+        (lambda ranges: np.where(np.isnan(ranges), np.float32(120.0), ranges), "missing-code"),
+        (lambda ranges: ranges * np.float32(3.28084), "units"),
+        (lambda ranges: ranges * np.float32(40), "ranges"),
         (lambda ranges: np.concatenate([ranges[:200], ranges[150:]]), "repeated-lines"),
     ],
 )
@@ -192,6 +197,26 @@ def test_what_the_user_accepts_is_said_and_does_no_more(config: InputConfig) -> 
     (found,) = [finding for finding in stream.findings() if finding.verdict]
     assert (found.check, found.is_accepted) == ("shot-order", True)
     assert found.notice().startswith("accepted doubt shot-order: ")
+
+
+@pytest.mark.parametrize(
+    ("noise_m", "most_m", "is_told"), [(0.0, 0.012, False), (0.02, 0.012, True), (0.02, 9.0, False)]
+)
+def test_range_noise_is_doubted_for_methods_that_do_not_stand_it(noise_m: float, most_m: float, is_told: bool) -> None:
+    noisy = (scan() + rng().normal(0.0, noise_m, (LINES, M))).astype(np.float32)
+    stream = EvidenceStream(Arrays(noisy), refuses=False, most_noise_m=most_m)
+    for _ in stream.blocks():
+        pass
+    assert ("range-noise" in {one.check for one in stream.findings() if one.verdict}) is is_told
+
+
+def test_the_option_that_mends_is_offered() -> None:
+    coded = np.where(np.isnan(scan()), np.float32(120.0), scan())
+    found = asked(coded)["missing-code"]
+    name, _, value = found.option.partition(" ")
+    assert name == "--max-range"
+    assert np.float32(119.9) < np.float32(value) < np.float32(120.0)
+    assert asked(cut(scan(), M + 1))["line-length"].option == f"-M {M}"
 
 
 def test_tiny_and_uniform_streams_are_not_judged() -> None:
