@@ -81,6 +81,20 @@ def is_doubt(notice: str) -> bool:
     return notice.startswith(_DOUBT)
 
 
+def doubt_of(notice: str) -> tuple[str, str] | None:
+    """Return the check and the sentence of a doubt in a run record; None for any other notice.
+
+    >>> doubt_of(Finding("units", Verdict.DOUBTFUL, "the median range is 700 m", "at most 100 m").notice())
+    ('units', 'units: the median range is 700 m, expected at most 100 m')
+    >>> doubt_of("the time goes back") is None
+    True
+    """
+    if not is_doubt(notice):
+        return None
+    sentence = notice.removeprefix(_DOUBT)
+    return sentence.partition(":")[0], sentence
+
+
 def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, ...]:
     """Mark the findings that the user accepts by name; those that are fine are left as they are."""
     known = set(names)
