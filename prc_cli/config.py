@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,9 @@ from prc_cli.classifiers.methods import METHODS, MethodName, MethodTables, table
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_toml
 from prc_cli.core.errors import ConfigError
+from prc_cli.core.files import suffix_of
 from prc_cli.core.samples import samples_folder
-from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.options import LAYOUT_SUFFIXES, InputConfig, Layout
 from prc_cli.formats.writing.options import OutputConfig
 
 
@@ -85,6 +86,8 @@ class LoadedConfig:
     """Layer by dotted key; other keys hold their default."""
     files: tuple[Path, ...] = ()
     """Files it was read from; a run never overwrites them."""
+    notes: tuple[str, ...] = ()
+    """What was taken without being told, one sentence each."""
 
     @property
     def trajectory(self) -> Path | None:
@@ -223,6 +226,57 @@ def preset_summaries() -> list[PresetSummary]:
     return summaries
 
 
+def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
+    """Add the layout that lies beside a dump (``drive.bin.toml`` or ``drive.toml``), if none was given.
+
+    Parameters
+    ----------
+    path : Path
+        Input file; other files than raw dumps and text have no layout.
+    loaded : LoadedConfig
+        What was told; values that were given win over those of the file beside the dump.
+
+    Returns
+    -------
+    LoadedConfig
+        With ``[layout]`` and ``[input]`` of the file, and a note that says so.
+
+    Raises
+    ------
+    ConfigError
+        When the file is no valid configuration.
+    """
+    if loaded.config.layout is not None or suffix_of(path) not in LAYOUT_SUFFIXES:
+        return loaded
+    for beside in dict.fromkeys((path.with_name(f"{path.name}.toml"), path.with_suffix(".toml"))):
+        if beside in loaded.files or not beside.is_file():
+            continue
+        found = read_toml(beside)
+        if not isinstance(found.get("layout"), dict):
+            continue
+        own: dict[str, Any] = {key: found[key] for key in ("input", "layout") if key in found}
+        own = dict(from_folder(own, beside.parent))
+        usual = dict(flatten(RunConfig().to_table()))
+        table = merge(loaded.config.to_table(), own)
+        for key, value in flatten(loaded.config.to_table()):
+            if key in loaded.sources or value != usual.get(key):
+                table = merge(table, _nested(key, value))
+        config = build(RunConfig, table, str(beside))
+        sources = {**{key: str(beside) for key, _ in flatten(own)}, **loaded.sources}
+        note = f"the layout is that of {beside.name} beside the dump; --layout gives another"
+        return replace(
+            loaded, config=config, sources=sources, files=(*loaded.files, beside), notes=(*loaded.notes, note)
+        )
+    return loaded
+
+
+def _nested(key: str, value: Any) -> dict[str, Any]:
+    nested: Any = value
+    for part in reversed(key.split(".")):
+        nested = {part: nested}
+    return dict(nested)
+
+
 def parse_assignment(text: str) -> dict[str, Any]:
     """Turn ``prc.support.zeta_p=0.1`` into a nested table; the value is TOML, a bare word is a string.
 
@@ -232,10 +286,7 @@ def parse_assignment(text: str) -> dict[str, Any]:
     key, equals, value = text.partition("=")
     if not equals or not all(key.split(".")):
         raise ConfigError("--set", f"found {text!r}, expected KEY=VALUE such as prc.support.zeta_p=0.1")
-    nested: Any = _parse_value(value.strip())
-    for part in reversed(key.strip().split(".")):
-        nested = {part: nested}
-    return dict(nested)
+    return _nested(key.strip(), _parse_value(value.strip()))
 
 
 def _parse_value(text: str) -> Any:

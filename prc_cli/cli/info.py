@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.core.errors import PrcError
+from prc_cli.core.files import suffix_of
+from prc_cli.core.findings import Finding, Verdict
+from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.jobs.info import Inspection, inspect
 
 
@@ -39,22 +43,57 @@ def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **o
             found.append({"path": str(path), "error": str(error), "classifiable": False})
             code = max(code, error.exit_code)
             continue
-        found.append(inspection.as_dict())
+        command = _command(inspection, options)
+        found.append(inspection.as_dict() | {"command": command})
         if not as_json and not quiet:
-            _print(inspection, verbose=verbose)
+            _print(inspection, command, verbose=verbose)
     if as_json:
         click.echo(json.dumps(found[0] if len(files) == 1 else found, indent=2))
     if code:
         raise SystemExit(code)
 
 
-def _print(inspection: Inspection, *, verbose: bool) -> None:
+def _print(inspection: Inspection, command: str, *, verbose: bool) -> None:
     table = Table(title=inspection.path, show_header=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column()
     for key, value in _rows(inspection, verbose=verbose):
         table.add_row(key, value)
     results().print(table)
+    if command:
+        results().print(f"type: {printable(command)}", soft_wrap=True)
+
+
+FLAGS = {
+    "method": "--method", "preset": "--preset", "config_file": "--config", "layout_file": "--layout",
+    "points_per_line": "-M", "lines": "--lines", "columns": "--columns", "range_": "--range", "scanner": "--scanner",
+    "return_": "--return", "max_range": "--max-range", "assignments": "--set", "accept_doubts": "--accept-doubt",
+    "sort_by_time": "--sort-by-time", "trust_order": "--trust-order",
+}  # fmt: skip
+"""Options of the command line by parameter, in the order in which they are offered."""
+
+
+def _command(inspection: Inspection, options: dict[str, Any]) -> str:
+    """Return the command that classifies the file: the options given, and those that mend what was found.
+
+    Empty where no option is known that would do.
+    """
+    mends = [one.option for one in inspection.doubts if one.option]
+    if inspection.problem and not mends:
+        return ""
+    path = Path(inspection.path)
+    is_las = suffix_of(path) in LAS_SUFFIXES
+    output = path.with_name(f"{path.name.split('.')[0]}_{'classified' + suffix_of(path) if is_las else 'labels.npy'}")
+    words = ["prc", "classify", str(path), str(output)]
+    if not any(options.get(name) for name in ("method", "preset", "config_file")):
+        words += ["--preset", "urban"]
+    for name, flag in FLAGS.items():
+        value = options.get(name)
+        if not value or any(mend.startswith(f"{flag} ") and flag != "--set" for mend in mends):
+            continue
+        for one in value if isinstance(value, tuple) else (value,):
+            words += [flag] if one is True else [flag, str(one)]
+    return shlex.join(words) + "".join(f" {mend}" for mend in mends)
 
 
 def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
@@ -77,11 +116,23 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
         rows.extend((name, f"{count:,}") for name, count in tally)
     if verbose and inspection.header:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
+    rows.extend((f"check: {one.check}", _said(one)) for one in inspection.findings)
     hint = f"; {inspection.hint}" if inspection.hint else ""
-    verdict = f"no: {inspection.problem}{hint}" if inspection.problem else "yes, as it is"
+    names = ", ".join(one.check for one in inspection.doubts)
+    verdict = f"yes, but look at: {names}" if names else "yes, as it is"
+    if inspection.problem:
+        verdict = f"no: {inspection.problem}{hint}"
     name = {"prc": "PRC"}.get(inspection.method, inspection.method)
     rows.append((f"{name} can classify it", verdict))
     return rows
+
+
+def _said(finding: Finding) -> str:
+    """Return a finding as a cell of the table."""
+    verdict = "accepted" if finding.is_accepted else finding.verdict.name.lower()
+    if finding.verdict is Verdict.FINE:
+        return f"{verdict}: {finding.problem}"
+    return f"{verdict}: {finding.problem}; {finding.hint}"
 
 
 def _stream_rows(inspection: Inspection) -> list[tuple[str, str]]:

@@ -47,6 +47,8 @@ class Finding:
     """What was expected, with the limit."""
     hint: str = ""
     """What to do, as something that can be typed or checked."""
+    option: str = ""
+    """The option of the command line that mends it, if one does."""
     is_accepted: bool = False
     """Whether the user accepts it (``--accept-doubt``): it is recorded, and does no more."""
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from prc_cli.classifiers.base import MethodParams, Wanted
 from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
@@ -122,7 +122,8 @@ def open_stream(path: Path | str, config: LoadedConfig | RunConfig | None = None
     InputError
         When the file is damaged, or ranges cannot be computed from it.
     """
-    return _open(Path(path), _loaded(config).config, geometry=True)
+    path = Path(path)
+    return _open(path, with_layout_beside(path, _loaded(config)).config, geometry=True)
 
 
 def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = False) -> ScanStream:
@@ -255,6 +256,7 @@ def _classify(
     *, overwrite: bool, progress: Progress | None, threads: int, engine: Engine,
 ) -> RunSummary:  # fmt: skip
     """Classify one file with the engine that is set; see :func:`classify`."""
+    loaded = with_layout_beside(source, loaded)
     trajectory = loaded.trajectory
     keep_memory()  # before any thread
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
@@ -455,7 +457,7 @@ def run_record(
         n_missing=int(counts.labels[Label.MISSING]),
         assumptions=info.assumptions,
         tally=counts.tally,
-        notices=info.facts.notes,
+        notices=(*loaded.notes, *info.facts.notes),
     )
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_output, remove_stale, suffix_of, temporary_name
@@ -126,6 +126,7 @@ def convert(
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    loaded = with_layout_beside(Path(source), loaded)
     source, output = Path(source), Path(output)
     prepare_output(source, output, loaded, overwrite=overwrite)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in _LAS:
@@ -234,6 +235,7 @@ def open_items(
     codes, xyz : bool
         Whether to include the classes and the registered coordinates of the input.
     """
+    loaded = with_layout_beside(source, loaded)
     stream = open_input(source, loaded.config.input, loaded.config.layout)
     blocks = stream.blocks() if blocks_of is None else blocks_of(stream)
     first = next(blocks, None)

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.config import LoadedConfig, with_layout_beside
+from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
+from prc_cli.core.findings import Finding, Verdict, doubts, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
 from prc_cli.formats import open_source
@@ -26,15 +27,13 @@ from prc_cli.streams.evidence.estimates import (
     estimate_points_per_line,
     range_correlation,
 )
+from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import open_input
-from prc_cli.streams.order import OrderEvidence, OrderWatch
+from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
 
 SAMPLE_SHOTS = 4_000_000
 """Number of ranges kept from the start of a file, for the median, the correlation and the estimate of M."""
-
-RANDOM_ORDER = 0.7
-"""Ratio of neighbouring to random range steps above which the order shows no spatial correlation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +74,24 @@ class Inspection:
     notes: tuple[str, ...] = ()
     method: str = "prc"
     """The chosen classifier."""
+    findings: tuple[Finding, ...] = ()
+    """Answers of all checks that need no labels."""
     problem: str = ""
     """Why it cannot classify the file; empty if it can."""
     hint: str = ""
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """Findings that the user has to look at."""
+        return doubts(self.findings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
         table: dict[str, Any] = _plain(asdict(self))
         table["classifiable"] = not self.problem
+        table["doubts"] = [one.check for one in self.doubts]
+        for finding in table["findings"]:
+            finding["verdict"] = Verdict(finding["verdict"]).name.lower()
         if self.order is not None:
             table["order"]["sentence"] = self.order.sentence()
         return table
@@ -103,13 +112,17 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     InputError
         When the file is damaged. An intact file that the classifier cannot process is described.
     """
-    return replace(_inspect(path, loaded), method=loaded.config.method)
+    loaded = with_layout_beside(path, loaded)
+    found = _inspect(path, loaded)
+    return replace(found, method=loaded.config.method, notes=(*loaded.notes, *found.notes))
 
 
 def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     source = open_source(path, loaded.config.layout)
     stream, refusal = _try_open(path, loaded)
     judged = loaded.config.input.order == "require"
+    if stream is not None:
+        stream = watched(stream, loaded.config.input, refuses=False)
     if source is None:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
@@ -122,7 +135,26 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         if "range" in source.dimensions:
             inspection = replace(inspection, period=estimate_points_per_line(_sample(source)))
         return inspection
-    return _describe(path, source, stream, order, refusal, judged=judged)
+    found = _describe(path, source, stream, order, refusal, judged=judged)
+    if found.problem or not judged or found.facts is None or not _is_odd(found.facts.tally):
+        return found
+    told = _refused_as_told(path, loaded)
+    return found if told is None else replace(found, problem=told.problem, hint=told.hint)
+
+
+def _is_odd(tally: ReadTally) -> bool:
+    """Tell whether an input that was read with its order trusted may be refused where it is not."""
+    return bool(tally.n_time_steps_back or tally.n_unplaced or tally.n_collisions)
+
+
+def _refused_as_told(path: Path, loaded: LoadedConfig) -> InputError | None:
+    """Read the input under its own rules, as ``prc classify`` does; return why it is refused."""
+    try:
+        for _ in open_input(path, loaded.config.input, loaded.config.layout).blocks():
+            pass
+    except InputError as error:
+        return error
+    return None
 
 
 def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, InputError | ConfigError | None]:
@@ -169,7 +201,8 @@ def _describe(
             # records out of order cause incomplete lines: report the order, not the line
             if order is None or order.is_chronological:
                 raise
-    problem, hint = _verdict(order, facts, refusal, judged=judged)
+    findings = stream.findings() if isinstance(stream, EvidenceStream) and with_ranges else ()
+    problem, hint = _verdict(order, findings, refusal, judged=judged)
     info = None if stream is None else stream.info
     told = info.facts if info is not None else source.facts if source is not None else SourceFacts()
     n_records = None if source is None else source.n_records
@@ -186,6 +219,7 @@ def _describe(
         assumptions=() if info is None else info.assumptions,
         header=told.describe(),
         notes=told.notes,
+        findings=findings,
         problem=problem,
         hint=hint,
     )
@@ -193,21 +227,20 @@ def _describe(
 
 def _verdict(
     order: OrderEvidence | None,
-    facts: StreamFacts | None,
+    findings: tuple[Finding, ...],
     refusal: InputError | ConfigError | None,
     *,
     judged: bool,
 ) -> tuple[str, str]:
     if judged and order is not None and not order.is_chronological:
-        hint = "sort with --sort-by-time if every record is there, or insist with --trust-order"
-        if order.what == "time_s":  # lines of a range image are not sorted
-            hint = "insist with --trust-order"
-        return f"not in the order the shots were fired: {order.sentence()}", hint
+        problem = f"not in the order the shots were fired: {order.sentence()}"
+        return problem, order_hint(order, can_sort=order.what != "time_s")
     if refusal is not None:
         return refusal.problem, refusal.hint
-    correlation = None if facts is None else facts.correlation
-    if judged and order is None and correlation is not None and correlation.ratio >= RANDOM_ORDER:
-        return f"not in the order the shots were fired: {correlation.verdict}", "insist with --trust-order"
+    try:
+        refuse("", findings)
+    except EvidenceError as error:
+        return error.problem, error.hint
     return "", ""
 
 

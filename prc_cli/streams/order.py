@@ -22,6 +22,13 @@ Policy: TypeAlias = Literal["require", "trust", "sort-time"]
 
 MAX_SHARE_BACK = 1e-4
 """Largest share of steps back: files written by several threads contain swapped pairs."""
+MAX_SHOTS_BACK = 5000
+"""Largest step back, in mean steps of the input: about two lines. Steps of writers' threads are shorter; where a block
+of lines is out of place, a single step back is longer, however small its share."""
+MAX_SPAN_BACK = 0.1
+"""The same for short inputs, as a share of the whole time."""
+MAX_RUNS = 64
+"""Runs of rising times that are kept."""
 CHECK_RECORDS = 1 << 20
 """The share is checked after this many records each, independent of chunks, and at the end."""
 _WEEK_S = 604_800.0
@@ -59,6 +66,10 @@ class OrderEvidence:
     """First step back, None if there is none."""
     largest: StepBack | None
     """Largest step back, None if there is none."""
+    span: float = 0.0
+    """Latest time less the earliest [s]."""
+    begins_anew: int | None = None
+    """First record whose times run a second time over those before; None if there is none."""
 
     @property
     def share_back(self) -> float:
@@ -71,9 +82,15 @@ class OrderEvidence:
         return self.largest.before - self.largest.value if self.largest else 0.0
 
     @property
+    def most_back(self) -> float:
+        """Largest step back that is accepted [s]."""
+        mean = self.span / self.n_steps if self.n_steps else 0.0
+        return min(MAX_SHOTS_BACK * mean, MAX_SPAN_BACK * self.span)
+
+    @property
     def is_chronological(self) -> bool:
         """Whether the order is accepted under ``require``."""
-        return self.share_back <= MAX_SHARE_BACK
+        return self.share_back <= MAX_SHARE_BACK and self.largest_back <= self.most_back
 
     def sentence(self) -> str:
         """Return the evidence as one line, without a verdict.
@@ -86,7 +103,7 @@ class OrderEvidence:
         unknown = f"; {_grouped(self.n_not_finite)} records have none" if self.n_not_finite else ""
         if self.first is None or self.largest is None:
             return f"{self.what} never decreases in {_grouped(self.n_steps)} steps{unknown}"
-        if self.share_back >= 1e-3:
+        if self.share_back > MAX_SHARE_BACK and self.share_back >= 1e-3:
             share, place, step = f"{100 * self.share_back:.1f} %", "first", self.first
         else:
             share, place, step = _grouped(self.n_back), "largest", self.largest
@@ -145,6 +162,11 @@ class OrderWatch:
         self._last: float | None = None
         self._first: StepBack | None = None
         self._largest: StepBack | None = None
+        self._low, self._high = math.inf, -math.inf
+        self._starts: list[tuple[int, float]] = []
+        """First record and first time of every run of rising times."""
+        self._tops: list[float] = []
+        """Last time of every run that has ended."""
 
     @property
     def n_back(self) -> int:
@@ -183,10 +205,13 @@ class OrderWatch:
             values, record = values[finite], record[finite]
         if not len(values):
             return
-        if self._last is not None:
+        if self._last is None:
+            self._starts.append((int(record[0]), float(values[0])))
+        else:
             self._compare(np.array([self._last]), values[:1], record[:1])
         self._compare(values[:-1], values[1:], record[1:])
         self._last = float(values[-1])
+        self._low, self._high = min(self._low, float(values.min())), max(self._high, float(values.max()))
         self._n_finite += len(values)
 
     def _compare(self, before: F64, after: F64, record: I64) -> None:
@@ -202,6 +227,9 @@ class OrderWatch:
         # the step between finite times may overflow
         with np.errstate(over="ignore"):
             steps = [int(back[0]), int(back[np.argmax(before[back] - after[back])])]
+        for i in back[: MAX_RUNS - len(self._tops)].tolist():
+            self._starts.append((int(record[i]), float(after[i])))
+            self._tops.append(float(before[i]))
         first, largest = (StepBack(int(record[i]), float(after[i]), float(before[i])) for i in steps)
         if self._first is None:
             self._first = first
@@ -221,7 +249,7 @@ class OrderWatch:
 
     def evidence(self) -> OrderEvidence:
         """Return the figures so far."""
-        return OrderEvidence(
+        found = OrderEvidence(
             what=self._what,
             n_steps=max(self._n_finite - 1, 0),
             n_back=self._n_back,
@@ -229,19 +257,42 @@ class OrderWatch:
             n_not_finite=self._n_records - self._n_finite,
             first=self._first,
             largest=self._largest,
+            span=self._high - self._low if self._n_finite else 0.0,
         )
+        return replace(found, begins_anew=self._begins_anew(found.most_back))
+
+    def _begins_anew(self, most: float) -> int | None:
+        """Return the first record of a run that goes over more than some seconds of an earlier run again."""
+        if self._last is None or len(self._tops) >= MAX_RUNS:
+            return None
+        first = self._starts[0][1]
+        # with several steps back, runs may have gaps that others fill
+        if len(self._tops) > 1 and any(abs(start - first) > most for _, start in self._starts):
+            return None
+        runs = [(start, top) for (_, start), top in zip(self._starts, [*self._tops, self._last], strict=True)]
+        for i, (start, top) in enumerate(runs):
+            if any(min(top, before) - max(start, begin) > most for begin, before in runs[:i]):
+                return self._starts[i][0]
+        return None
 
     def _judge(self) -> None:
         evidence = self.evidence()
         if evidence.is_chronological:
             return
         problem = f"{evidence.sentence()}; expected shots in the order they were fired"
-        hint = "sort with --sort-by-time if every record is there, or insist with --trust-order"
-        if not self._can_sort:
-            hint = "write the lines in the order they were scanned, or insist with --trust-order"
-        if evidence.n_back == 1 and abs(evidence.largest_back - _WEEK_S) < _WEEK_S / 100:
-            hint = "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
-        raise OrderError(self._path, problem, hint)
+        raise OrderError(self._path, problem, order_hint(evidence, can_sort=self._can_sort))
+
+
+def order_hint(evidence: OrderEvidence, *, can_sort: bool) -> str:
+    """Return what to do with an input whose times are out of order."""
+    if evidence.n_back == 1 and abs(evidence.largest_back - _WEEK_S) < _WEEK_S / 100:
+        return "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
+    if evidence.begins_anew is not None:
+        again = f"the times from record {evidence.begins_anew} on were there before"
+        return f"{again}: split the file there, or leave out what is repeated, or insist with --trust-order"
+    if not can_sort:
+        return "write the lines in the order they were scanned, or insist with --trust-order"
+    return "sort with --sort-by-time if every record is there, or insist with --trust-order"
 
 
 @dataclass(frozen=True, slots=True)

@@ -171,3 +171,52 @@ def test_the_refusal_of_what_cannot_be_sorted_does_not_advise_to_sort() -> None:
 def test_records_without_a_time_are_told() -> None:
     sentence = watch_in_chunks(np.array([1.0, np.nan, 2.0, np.inf]), 5).evidence().sentence()
     assert sentence == "gps_time never decreases in 1 steps; 2 records have none"
+
+
+def stamps(n: int = 60_000, hz: float = 1e5) -> np.ndarray:
+    return np.arange(n) / hz
+
+
+def moved(kind: str) -> np.ndarray:
+    """Times of a file whose parts are out of place, by few steps back."""
+    times = stamps()
+    parts = np.split(times, 8)
+    if kind == "swapped halves":
+        return np.concatenate([times[30_000:], times[:30_000]])
+    if kind == "permuted blocks":
+        return np.concatenate([parts[i] for i in (3, 1, 0, 2, 7, 5, 6, 4)])
+    if kind == "lines twice":
+        return np.concatenate([times[:40_000], times[30_000:40_000], times[40_000:]])
+    return np.concatenate([times, times])
+
+
+@pytest.mark.parametrize(
+    ("kind", "hint"),
+    [
+        ("swapped halves", "sort with --sort-by-time"),
+        ("permuted blocks", "sort with --sort-by-time"),
+        ("lines twice", "the times from record 40000 on were there before: split the file there"),
+        ("begun anew", "the times from record 60000 on were there before: split the file there"),
+    ],
+)
+def test_a_single_large_step_back_is_refused_however_small_its_share(kind: str, hint: str) -> None:
+    times = moved(kind)
+    watch = watch_in_chunks(times, 7000, "require")
+    evidence = watch.evidence()
+    assert evidence.share_back < 2e-4
+    assert not evidence.is_chronological
+    with pytest.raises(OrderError, match=hint):
+        watch.finish()
+
+
+@pytest.mark.parametrize(("shots", "fine"), [(4999, True), (5003, False)])
+def test_a_step_back_of_about_two_lines_is_the_limit(shots: int, fine: bool) -> None:
+    times = stamps(200_000)
+    times[100_000] -= shots / 1e5
+    assert watch_in_chunks(times, 9999).evidence().is_chronological is fine
+
+
+def test_swapped_pairs_of_a_writer_with_threads_do_no_harm() -> None:
+    times = stamps(200_000)
+    times[[50_000, 50_001]] = times[[50_001, 50_000]]
+    assert watch_in_chunks(times, 9999).evidence().is_chronological

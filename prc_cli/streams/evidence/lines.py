@@ -80,19 +80,20 @@ def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
         return _alternating(figures, m, steps[0])
     if 0 < figures.half_line <= min(HALF * first, LINE_DOUBTFUL * figures.random):
         found = f"the ranges repeat after {m // 2} shots already"
-        return Finding(name, Verdict.AGAINST, found, expected, f"give -M {m // 2}")
+        return Finding(name, Verdict.AGAINST, found, expected, f"give -M {m // 2}", f"-M {m // 2}")
     folded = {m + off: fold(seen.windows, m + off) for off in range(-FOLD_REACH, FOLD_REACH + 1) if m + off > 1}
     if ratio >= LINE_DOUBTFUL or not folded[m] < FOLD_RANDOM:
         other = _period(seen)
         if other is not None and abs(other - m) > FOLD_REACH:
             found = f"the ranges repeat after {other} shots, not after {m}"
-            return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}")
+            return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}", f"-M {other}")
     better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
     gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
     if gain >= FOLD_DOUBTFUL:
         found = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
         verdict = Verdict.AGAINST if gain >= FOLD_AGAINST else Verdict.DOUBTFUL
-        return Finding(name, verdict, found, f"no length that agrees better by {FOLD_DOUBTFUL:g}", f"give -M {better}")
+        expected = f"no length that agrees better by {FOLD_DOUBTFUL:g}"
+        return Finding(name, verdict, found, expected, f"give -M {better}", f"-M {better}")
     hint = "check -M and --lines, and whether lines and columns are exchanged"
     if folded[m] > FOLD_RANDOM:
         found = f"lines far apart have nothing in common, not even the ground: they differ by {folded[m]:.2g}"
@@ -111,7 +112,8 @@ def _alternating(figures: Figures, m: int, step: int) -> Finding:
         return Finding("line-length", Verdict.AGAINST, found, "lines scanned the same way", "reverse every second line")
     found = f"a line is like the {step}{'nd' if step == 2 else 'rd' if step == 3 else 'th'} line after it, not the next"
     hint = f"give -M {m * step} if lines are longer, or split several scanners with --scanner"
-    return Finding("line-length", Verdict.AGAINST, found, f"lines of M = {m} shots that are alike", hint)
+    expected = f"lines of M = {m} shots that are alike"
+    return Finding("line-length", Verdict.AGAINST, found, expected, hint, f"-M {m * step}")
 
 
 def _or_inf(value: float) -> float:
