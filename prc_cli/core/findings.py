@@ -7,8 +7,9 @@ A check asks one question of a stream, for example whether its lines repeat afte
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 from prc_cli.core.errors import EvidenceError
 
@@ -60,6 +61,10 @@ class Finding:
         'the scanner is 6.6 m above the ground, expected at most 5 m'
         """
         return f"{self.found}, expected {self.expected}" if self.expected else self.found
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**asdict(self), "verdict": self.verdict.name.lower()}
 
     def sentence(self) -> str:
         """Return the finding with its name, and what to do.
