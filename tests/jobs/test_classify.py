@@ -190,6 +190,23 @@ def test_the_public_functions_are_those_of_the_pipeline(tmp_path: Path) -> None:
             prc_cli.classify_ranges(wrong)
 
 
+def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
+    image = street()
+    shuffled = np.random.default_rng(3).permuted(image, axis=1)
+    with pytest.raises(EvidenceError, match="range_m: ranges of neighbouring shots"):
+        prc_cli.classify_ranges(shuffled)
+    # too few shots to tell
+    prc_cli.classify_ranges(shuffled[:80])
+    thin = np.full((137, 18_000), np.nan, np.float32)
+    thin[:, :POINTS_PER_LINE] = image
+    with pytest.warns(prc_cli.DoubtWarning, match="range_m: returns: .*input.accept_doubts = ..returns") as told:
+        prc_cli.classify_ranges(thin)
+    assert told[0].filename == __file__
+    for odd in (thin, shuffled):
+        accepting = load_config(options={"input": {"accept_doubts": ["returns", "shot-order", "line-length"]}})
+        prc_cli.classify_ranges(odd, accepting)
+
+
 def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path: Path) -> None:
     """A header that promises too few points: the rest is not read, and that is said."""
     source = write_npz(tmp_path / "drive.npz", street())
