@@ -517,8 +517,31 @@ def about(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
             print(f"| {method.name} | `{method.command()}` | {between} |")
     print()
     say("""The sequential-angle classifier also gets the ranging noise of the scanner (10 mm for push-brooms, 20 mm for
-    KITTI, else the preset's 5 mm). All methods get the angle of every shot from down within the scan plane.
-    Vertical surfaces count as building, horizontal ones as ground; the method has no noise class.""")
+    KITTI, else the preset's 5 mm). Vertical surfaces count as building, horizontal ones as ground; the method has no
+    noise class.""")
+    print_door(contest, runs)
+
+
+def print_door(contest: Contest, runs: dict[str, dict[str, Run]]) -> None:
+    """Where straight down had to be told, and what the program doubted or refused."""
+    print("## Through the door\n")
+    say("""Every run is <code>prc classify -q</code> on a file with ranges and scan angles, straight down not told.
+    Where that is refused, it is told (<code>--set input.nadir=DEG</code>).""")
+    print("| | scans | down had to be told | doubted | refused still |\n|---|---:|---:|---:|---:|")
+    where: dict[tuple[str, str], list[str]] = {}
+    titles = {item.how: title_of(item) for item in contest.items}
+    for name, own in runs.items():
+        told = sum(run.is_down_told for run in own.values())
+        doubted = sum(any("warning: " in line for line in run.said) for run in own.values())
+        refused = sum(sum("error: " in line for line in run.said) > run.is_down_told for run in own.values())
+        print(f"| {name} | {len(own)} | {told or ''} | {doubted or ''} | {refused or ''} |")
+        for how, run in own.items():
+            for line in run.said:
+                where.setdefault((name, line), []).append(titles[how])
+    print()
+    for (name, line), scans in where.items():
+        print(f"- {name}, exit code {line} ({'; '.join(scans)})")
+    print()
 
 
 Part = Callable[[Contest, dict[str, dict[str, Run]]], None]

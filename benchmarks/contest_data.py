@@ -74,6 +74,12 @@ class Scan:
     """Height of the scanner above the ground [m], for filters that need it."""
     range_noise_m: float = 0.005
     """Ranging noise for the sequential-angle classifier [m]; its preset has 5 mm."""
+    source: Path | None = None
+    """Its own file, where it is classified from that."""
+    config: Path | None = None
+    """Configuration that reads this file."""
+    record: I64 | None = None
+    """(lines, M) int64, record of every shot in this file, -1 = none."""
 
     @property
     def n_shots(self) -> int:
@@ -359,8 +365,8 @@ def oakland_noisy(strip: int) -> Scan:
 def kitti() -> Scan:
     """Return the labelled frame in vertical lines, as read by the program."""
     source = DATA / "kitti" / "000000.bin"
-    config = load_config(ROOT / "sample_configs" / "kitti_frame.toml", preset="street-scan")
-    blocks = list(open_stream(source, config).blocks())
+    config = ROOT / "sample_configs" / "kitti_frame.toml"
+    blocks = list(open_stream(source, load_config(config, preset="street-scan")).blocks())
     reference = np.fromfile(source.with_suffix(".label"), np.uint32).astype(np.int64) & 0xFFFF
     records = np.concatenate([block.records() for block in blocks])
     extras = [
@@ -376,6 +382,7 @@ def kitti() -> Scan:
         "KITTI frame", ranges, beam_rad, np.where(np.isnan(ranges), 0, reference[records]), "kitti", world_m=xyz,
         scanner_m=np.zeros((len(ranges), 3)), extra=extra, extra_codes=reference[extra.record],
         extra_world_m=raw[extra.record], is_upright=True, height_m=1.73, range_noise_m=0.02,
+        source=source, config=config, record=records,
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from benchmarks import contest_files
 from benchmarks.contest_data import ROOT, Scan
+from benchmarks.user import in_process
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import merge
@@ -40,19 +43,28 @@ class Method:
 
     def config(self, scan: Scan) -> LoadedConfig:
         """Return the configuration for a scan; only the ranging noise of the scanner may differ."""
-        options = self.options
-        if self.preset == "street-scan":
-            options = merge(options, {"sequential_angle": {"angles": {"range_noise_m": scan.range_noise_m}}})
+        options = self._options(scan)
         if self.path is not None:
             return load_config(self.path, options=options)
         return load_config(preset=self.preset, options=options)
+
+    def _options(self, scan: Scan) -> dict[str, Any]:
+        if self.preset != "street-scan":
+            return self.options
+        return merge(self.options, {"sequential_angle": {"angles": {"range_noise_m": scan.range_noise_m}}})
 
     def takes(self, scan: Scan) -> bool:
         """Whether the method is for such a scan."""
         return scan.mapping in self.mappings and self.suits(scan)
 
+    def arguments(self, scan: Scan) -> list[str]:
+        """Return the options of ``prc classify`` for a scan."""
+        chosen = ["--preset", str(self.preset)] if self.path is None else ["--config", str(self.path)]
+        options = self._options(scan)
+        return chosen + [part for key, value in _flat(options) for part in ("--set", f"{key}={value}")]
+
     def command(self) -> str:
-        """Return the options of ``prc classify``."""
+        """Return the same as a text, without what differs between scans."""
         chosen = f"--preset {self.preset}" if self.path is None else f"--config {self.path.relative_to(ROOT)}"
         return " ".join([chosen, *(f"--set {key}={value}" for key, value in _flat(self.options))])
 
@@ -151,10 +163,14 @@ class Labelled:
     cpu_s: float
     """Seconds of all cores together."""
     wall_s: float
+    said: tuple[str, ...] = ()
+    """What was said of the file: doubts and refusals, one line each."""
+    is_down_told: bool = False
+    """Whether straight down had to be told."""
 
 
 def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Labelled:
-    """Run a classifier over a whole scan that is in memory."""
+    """Run a classifier over a whole scan that is in memory, with beam directions."""
     load_classifier(config)
     lookup = ClassCodes().lookup()
     threads = default_threads() if threads is None else threads
@@ -169,5 +185,28 @@ def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Label
 
 
 def label_scan(scan: Scan, method: Method) -> Labelled:
-    """Run a method over a scan."""
-    return label(scan, method.config(scan))
+    """Run a method over a scan as a user does: the scan as a file, straight down not told, ``prc classify -q``.
+
+    Where that is refused, straight down is told, as the refusal says. What is refused still has no labels.
+    """
+    load_classifier(method.config(scan))
+    with tempfile.TemporaryDirectory() as name:
+        file = contest_files.write(scan, Path(name))
+        output = Path(name) / "labels.npy"
+        said: list[str] = []
+        for nadir in ((), file.nadir) if file.nadir else ((),):
+            command = ["classify", str(file.path), str(output), *file.options, *method.arguments(scan), *nadir, "-q"]
+            start, busy = time.perf_counter(), time.process_time()
+            code, stderr = in_process(command)
+            wall_s, cpu_s = time.perf_counter() - start, time.process_time() - busy
+            said += [f"{code}: {line.replace(f'{name}/', '')}" for line in stderr.splitlines() if line.strip()]
+            if output.exists():
+                codes = np.load(output).ravel()
+                break
+        else:
+            last = (
+                scan.n_shots if file.record is None else int(max(file.record.max(), file.extra_record.max(initial=-1)))
+            )
+            codes = np.zeros(last + 1, np.uint8)
+        image, extra = file.image(scan, codes)
+    return Labelled(image, extra, cpu_s, wall_s, tuple(said), bool(nadir))

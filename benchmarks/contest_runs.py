@@ -27,6 +27,8 @@ from benchmarks.contest_methods import Method, label_scan
 Progress = Callable[[str], None]
 POINTS = "points.npz"
 _MAKERS = ("simulation", "kernels/simulation")
+_READERS = ("cli/classify.py", "config.py", "formats", "jobs/classify.py", "streams")
+"""What is between a file and a method."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,10 @@ class Run:
     when: str
     """UTC, to the minute."""
     peak_mib: float = float("nan")
+    said: tuple[str, ...] = ()
+    """What was said of the file, doubts and refusals."""
+    is_down_told: bool = False
+    """Whether straight down had to be told."""
 
 
 @dataclass(slots=True)
@@ -127,14 +133,17 @@ class Store:
         scan = self.scan(item)
         config = method.config(scan).config
         table = json.dumps(config.to_table(), sort_keys=True)
-        key = _digest([content, table, source_hash(sources_of(config.method)), judge_hash()])
+        written = [_file_hash(FOLDER / "contest_files.py"), source_hash(_READERS)]
+        key = _digest([content, table, source_hash(sources_of(config.method)), judge_hash(), *written])
         path = self.folder / f"stream-{key}.json"
         if not path.exists():
             self.told(f"{item.name}: {method.name}")
             self.n_new += 1
             labelled = label_scan(scan, method)
             verdict = judge(scan, labelled.codes, labelled.extra_codes)
-            self._keep(path, json.dumps(_table(verdict, scan, labelled.cpu_s, None)))
+            table_of_run = _table(verdict, scan, labelled.cpu_s, None)
+            door = {"said": labelled.said, "is_down_told": labelled.is_down_told}
+            self._keep(path, json.dumps({**table_of_run, **door}))
         return _run(path)
 
     def peer_runs(self, item: DataSet, chains: dict[str, list[dict[str, Any]]]) -> dict[str, Run]:
@@ -230,7 +239,8 @@ def _table(verdict: Verdict, scan: Scan, cpu_s: float, peak_mib: float | None) -
 
 def _run(path: Path) -> Run:
     table = json.loads(path.read_text(encoding="utf-8"))
-    return Run(**{**table, "verdict": Verdict.of(table["verdict"])})
+    said = tuple(table.get("said", ()))
+    return Run(**{**table, "verdict": Verdict.of(table["verdict"]), "said": said})
 
 
 def sources_of(method: str) -> tuple[str, ...]:

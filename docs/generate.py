@@ -19,6 +19,7 @@ from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
+from prc_cli.streams.evidence.checks import CHECKS
 
 ROOT = Path(__file__).resolve().parent.parent
 GENERATED = "<!-- written by docs/generate.py from the code; do not edit -->\n"
@@ -142,6 +143,25 @@ def _description(label: Label) -> str:
     return ClassCodes.model_fields[label.name.lower()].description or ""
 
 
+def checks_page() -> str:
+    """Return the reference of the checks: what each asks, its limit, the reason for it, and its blind spots."""
+    intro = """\
+        # Checks
+
+        Every check asks one question of an input or of its labels; [How prc knows](../evidence.md) says when. The names
+        are those of `--accept-doubt NAME`. Doubtful: labels are written, exit code 4. Refused: nothing is written, exit
+        code 1.
+        """
+    parts = [GENERATED, textwrap.dedent(intro)]
+    for check in CHECKS:
+        facts = (("Limit", check.limit), ("Why", check.reason), ("Not seen", check.blind))
+        told = "\n".join(
+            textwrap.fill(f"- {name}: {text.rstrip('.')}.", 120, subsequent_indent="  ") for name, text in facts
+        )
+        parts.append(f"## {check.name}\n\n{check.asks}\n\n{told}\n")
+    return "\n".join(parts)
+
+
 def simulation_page() -> str:
     """Return the reference of simulations: scanners side by side, then every parameter of every kind."""
     intro = """\
@@ -181,6 +201,7 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/cli.md": cli_page(),
         ROOT / "docs/reference/configuration.md": configuration_page(),
         ROOT / "docs/reference/classes.md": classes_page(),
+        ROOT / "docs/reference/checks.md": checks_page(),
         ROOT / "docs/reference/simulation.md": simulation_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
     }

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
+from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.errors import InputError
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
@@ -102,7 +103,7 @@ class Needs:
     beams: bool = True
     """Whether blocks must hold beam angles (``beam_rad``)."""
     nadir_from_ground: bool = False
-    """Whether nadir may be estimated from the ranges: accurate to a degree or two in streets, where much is level."""
+    """Whether nadir may be guessed from the ranges: right to a degree or two in streets, to 10 degrees in forests."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +119,33 @@ class Wanted:
 LABELS_ALONE = Wanted()
 
 
+@dataclass(frozen=True, slots=True)
+class UsualLabels:
+    """Labels that a method gives to rightly told scans, asked for by :mod:`prc_cli.streams.evidence.result`.
+
+    The defaults ask for nothing. ``RESULT_CHECKS`` there tells how each was measured.
+    """
+
+    noise_share: float = 1.0
+    """Most noise, of all returns; more is doubtful."""
+    garbage_share: float = 1.0
+    """Most noise of any scanner: more is refused."""
+    unclassified_share: float = 1.0
+    """Most returns without a class."""
+    level: tuple[Label, ...] = (Label.GROUND, Label.CURB)
+    """Labels of what lies on the ground."""
+    level_share: float = 0.0
+    """Least share of ``level`` in what is not noise within 60 deg of straight down."""
+    ground_share: float = 0.0
+    """Least share of ``level`` in all that is not noise, where nearly nothing is within 60 deg of straight down."""
+    below_share: float = 1.0
+    """Most of what is not noise within 20 m and 60 deg of straight down, and lies 1 m or more below the ground."""
+    lean_deg: float = 90.0
+    """Largest lean of the ground across the lines [deg]."""
+    vanished_share: float = 0.0
+    """Ground has vanished where its share is below this part of what three quarters of the stream do not exceed."""
+
+
 class Classifier(Protocol[ScannerT, StateT_co]):
     """A method and its parameters."""
 
@@ -125,6 +153,11 @@ class Classifier(Protocol[ScannerT, StateT_co]):
     @abstractmethod
     def needs(self) -> Needs:
         """What the method requires of its input."""
+
+    @property
+    def usual(self) -> UsualLabels:
+        """What its labels of a rightly told scan look like; by default nothing is known."""
+        return UsualLabels()
 
     @abstractmethod
     def scanner(self, first: ScanBlock) -> ScannerT:

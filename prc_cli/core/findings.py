@@ -14,9 +14,9 @@ from typing import Any
 from prc_cli.core.errors import EvidenceError
 
 CHECK_NAMES = (
-    "ranges", "shot-order", "line-length", "line-order", "standing", "repeated-lines", "times", "collisions",
-    "unplaced", "returns", "dropouts", "units", "angle-step", "down", "ground-below", "below-ground", "noise-share",
-    "classes-along",
+    "ranges", "rounding", "shot-order", "line-length", "line-order", "standing", "repeated-lines", "times",
+    "collisions", "unplaced", "returns", "dropouts", "units", "angle-step", "down", "ground-below", "ground-lean",
+    "below-ground", "noise-share", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
 ORDER_CHECKS = ("shot-order", "line-order", "times")

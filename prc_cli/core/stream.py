@@ -147,7 +147,8 @@ class ScanBlock:
     """(M,) float64, scan angle per column [rad]."""
     beam_rad: F64 | None = None
     """(M,) float64, angle of every column's beam from straight down [rad], in (-pi, pi]; the sign is the side of the
-    scan plane. Unwrapped it is monotone in the column. None = unknown or not requested."""
+    scan plane. It turns one way with the column, by a turn at most; column 0 may lie anywhere. None = unknown or not
+    requested."""
     extra: ExtraReturns = field(default_factory=ExtraReturns.none)
     tally: ReadTally = ReadTally()
     is_last: bool = False

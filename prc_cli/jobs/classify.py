@@ -23,7 +23,7 @@ from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import DoubtWarning, InputError
 from prc_cli.core.files import check_output, remove_stale, suffix_of
-from prc_cli.core.findings import Finding, Verdict, doubts
+from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.profile import timed, timed_items
 from prc_cli.core.stream import FAR_M, LabelledBlock, ReadTally, ScanBlock, ScanStream, StreamInfo
@@ -41,6 +41,7 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.kernels import Engine, load_kernels, use_engine
+from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.open import open_input
 
@@ -286,11 +287,13 @@ def _classify(
             laz_contexts=stream.info.facts.laz_contexts,
         ) as writer,
     ):
-        counts = _write_labels(stream, writer, loaded.config, threads, progress)
+        result = ResultWatch(loaded.config.classifier.method().usual)
+        counts = _write_labels(stream, writer, loaded.config, threads, progress, result)
+        found = (*stream.findings(), *accept(result.findings(), stream.accepted))
+        refuse(str(source), found)
         record = run_record(stream.info, counts, loaded, beside.result())
         segments = loaded.config.output.segment_ids
         missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
-        found = stream.findings()
         told = (finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
         record = replace(record, notices=(*record.notices, *missed, *told), engine=engine)
         after = source.stat()
@@ -302,8 +305,9 @@ def _classify(
 
 
 def _write_labels(
-    stream: ScanStream, writer: LabelWriter, config: RunConfig, threads: int, progress: Progress | None
-) -> Counts:
+    stream: ScanStream, writer: LabelWriter, config: RunConfig, threads: int, progress: Progress | None,
+    result: ResultWatch,
+) -> Counts:  # fmt: skip
     """Read, classify and write in parallel; with one thread one after the other.
 
     All threads have stopped when this returns or raises, so that the writer's temporary file can be removed.
@@ -315,6 +319,7 @@ def _write_labels(
         with timed("writing"):
             writer.add(item)
             counts = counts.add(item)
+            result.see(item)
 
     with ExitStack() as stack:
         blocks = timed_items(stream.blocks(), "reading")
@@ -459,8 +464,11 @@ def _beams(beam_rad: ArrayLike, points_per_line: int) -> F64:
         problem = f"found {np.abs(beams).max():g}, expected radians from -pi to pi"
         raise InputError("beam_rad", problem, "np.deg2rad turns degrees")
     turned: F64 = np.pi - np.remainder(np.pi - beams, 2 * np.pi)
-    along = np.diff(np.unwrap(turned))
-    if (along < 0).any() and (along > 0).any():
+    step = np.diff(np.unwrap(turned))
+    step *= 1.0 if np.sign(step).sum() >= 0 else -1.0
+    # a sector that is not measured may lie within the line
+    n_back = np.count_nonzero(step < 0)
+    if n_back and step.sum() + 2 * np.pi * n_back > 2 * np.pi:
         raise InputError("beam_rad", "found angles that turn back, expected them to rise or fall with the column")
     return turned
 

@@ -21,6 +21,8 @@ MAX_ROUNDED = 0.005
 """Angles count as coarsely rounded from this share of neighbouring shots with equal angles on."""
 MIN_AGREEMENT = 0.75
 """Least share of steps of the scan angle in one direction."""
+SEAM_RAD = math.radians(10.0)
+"""Larger steps beyond the usual one are dead angles within the line."""
 _TURN = 2 * math.pi
 
 
@@ -186,8 +188,8 @@ def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64
     Returns
     -------
     (M,) float64 or None
-        [rad], continuous over the columns; None if fewer than half of the columns are seen, or the angles within
-        columns differ.
+        [rad], continuous over the columns but for dead angles; None if fewer than half of the columns are seen, or
+        the angles within columns differ.
     """
     value = np.asarray(angle, np.float64)
     use: Mask = np.isfinite(value) & (column >= 0) & (column < points_per_line)
@@ -204,6 +206,12 @@ def column_angles(angle: NDArray[Any], column: I64, points_per_line: int) -> F64
     if float(np.median(spread)) > max(abs(slope), 1e-6):
         return None
     angles = np.interp(np.arange(points_per_line), seen, mean)
+    for at in np.flatnonzero(np.abs(np.diff(mean) - slope * np.diff(seen)) > SEAM_RAD):
+        # columns not seen beside a dead angle continue the nearer side
+        left, right = int(seen[at]), int(seen[at + 1])
+        middle = (left + right + 1) // 2
+        angles[left:middle] = mean[at] + slope * np.arange(middle - left)
+        angles[middle:right] = mean[at + 1] - slope * np.arange(right - middle, 0, -1)
     after, before = np.arange(seen[-1] + 1, points_per_line), np.arange(seen[0])
     angles[after] = mean[-1] + slope * (after - seen[-1])
     angles[before] = mean[0] + slope * (before - seen[0])

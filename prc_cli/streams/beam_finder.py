@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
-from prc_cli.streams.directions import Beams, fit_beams, turn_evenly
+from prc_cli.streams.directions import Beams, fit_beams, forward_steps, turn_evenly
 from prc_cli.streams.down import (
     MIN_TILT_RAD,
     LevelLinesError,
@@ -19,15 +19,18 @@ from prc_cli.streams.down import (
     NoDirectionError,
     TooFewReturnsError,
     WrongOriginError,
-    down_of_ground,
     fit_heights,
+    guess_down,
     shown_tilt,
+    spread_rows,
     wrap,
 )
 from prc_cli.streams.ranges import MAX_LENGTH_OFF, MAX_LENGTH_OFF_M, XYZ
 
 SAMPLE_LINES = 64
-"""Number of lines with returns, from the start, used to find directions."""
+"""Number of lines with returns used to find directions."""
+SPREAD = 10
+"""Level ground is looked for in lines spread over this many times as many: facades come and go."""
 MAX_SAMPLE_CELLS = 1 << 23
 """Most cells read per scanner to find these lines: its blocks wait in memory."""
 MADE_UP_RAD = (0.1, math.pi - 0.1)
@@ -54,11 +57,13 @@ class Sample:
     max_seen: int = SAMPLE_LINES
     held: list[ScanBlock] = field(default_factory=list)
     """Blocks that wait for the directions."""
+    n_lines: int = SAMPLE_LINES
+    """Lines with returns to take."""
 
     @property
     def is_complete(self) -> bool:
         """Whether no more lines are needed."""
-        return len(self.range_m) >= SAMPLE_LINES or self.n_seen >= self.max_seen
+        return len(self.range_m) >= self.n_lines or self.n_seen >= self.max_seen
 
     def add(self, block: ScanBlock) -> None:
         """Add lines of the next block of the scanner, as far as needed."""
@@ -99,6 +104,11 @@ class BeamFinder:
     """Dimension with the scanner id."""
     from_ground: bool = False
     """Whether level ground may be used as a last resort."""
+
+    def sample(self, first: ScanBlock) -> Sample:
+        """Return an empty sample for a scanner, from its first block."""
+        knows = self.down_deg is not None or first.xyz_m is not None or self.info.down(first.scanner)[0] is not None
+        return Sample(n_lines=SAMPLE_LINES if knows or not self.from_ground else SPREAD * SAMPLE_LINES)
 
     def put(self, found: Found, block: ScanBlock) -> ScanBlock:
         """Return a block with its directions.
@@ -144,10 +154,7 @@ class BeamFinder:
         if not (np.isfinite(range_m).sum(axis=1) > 1).any():
             return self._made_up(scanner, sample.points_per_line, has_returns=n > 0)
         if xyz is None and self.from_ground and angle is not None:
-            down_rad = down_of_ground(angle, range_m)
-            if down_rad is not None:
-                why = f"{n} lines see level ground around it; give input.nadir to be exact"
-                return self._turned(angle, down_rad, None, f"{math.degrees(down_rad):.1f} deg", why)
+            return self._guessed(scanner, angle, range_m)
         if xyz is None:
             raise self._refusal(scanner, self._lacks(scanner, angle), None)
         if off_m is not None:
@@ -180,6 +187,24 @@ class BeamFinder:
             shown = shown or f"{math.degrees(down_rad):.2f} deg"
             why = f"{why}; xyz is not relative to the scanner ({off_m:.2f} m off the range) and not used"
         return Found(beam_rad, off_m is None, Assumption(KEY, shown, why) if shown else None, cos_tilt)
+
+    def _guessed(self, scanner: int, angle: F64, range_m: F32) -> Found:
+        """Use the direction of level ground, where no other comes near."""
+        range_m = range_m[spread_rows(len(range_m), SAMPLE_LINES)]
+        guess = guess_down(angle, range_m)
+        if guess is None:
+            raise self._refusal(scanner, self._lacks(scanner, angle), None)
+        if not guess.is_sure and guess.rival_rad is not None:
+            ways = [f"{math.degrees(one):.0f}" for one in (guess.down_rad, guess.rival_rad)]
+            problem = f"level ground may be at {ways[0]} deg of the scan angle or at {ways[1]}"
+            problem = f"no vertical direction known: {problem} (only {guess.ratio:.1f} times weaker)"
+            hint = f"give the one that points straight down, --set {KEY}={ways[0]} or --set {KEY}={ways[1]}"
+            raise InputError(self._where(scanner), problem, hint)
+        why = f"{len(range_m)} lines see level ground around it; give {KEY} to be exact"
+        found = self._turned(angle, guess.down_rad, None, guess.shown(), why)
+        which = self._which(scanner)
+        note = f"{which}: " if which else ""
+        return replace(found, note=f"{note}straight down is taken to be at scan angle {guess.shown()}")
 
     def _registered(self, scanner: int, angle: F64 | None, range_m: F32, xyz: F32, off_m: float) -> Found:
         """Use heights of registered coordinates, if there are scan angles."""
@@ -281,7 +306,7 @@ def from_angles(angle_rad: F64, down_rad: float) -> F64:
     Returns
     -------
     (M,) float64
-        In (-pi, pi]; strictly monotone when unwrapped, even where rounded angles are equal.
+        In (-pi, pi]; they turn strictly one way, even where rounded angles are equal.
 
     Raises
     ------
@@ -297,7 +322,7 @@ def from_angles(angle_rad: F64, down_rad: float) -> F64:
         return wrap(np.asarray(angle_rad, np.float64) - down_rad)
     way = math.copysign(1.0, float(np.sign(wrap(np.diff(angle_rad))).sum()))
     beam = way * (angle_rad - down_rad)
-    along = np.diff(np.unwrap(beam))
+    along = forward_steps(beam)
     if (along > 0).all() and along.sum() <= 2 * math.pi:
         return wrap(angle_rad - down_rad)
     m = len(beam)

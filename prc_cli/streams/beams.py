@@ -2,7 +2,7 @@
 
 Sources, in this order: ``input.nadir`` gives the scan angle of straight down; the input gives it (zenith angles, or
 registered heights with range and scan angle); coordinates relative to the scanner are directions. If an error of a
-degree or two is acceptable, level ground is used as well. Without any of them the stream is refused, unless no line has
+few degrees is acceptable, level ground is used as well. Without any of them the stream is refused, unless no line has
 two returns: then placeholder directions do, because nothing can be classified.
 """
 
@@ -28,7 +28,8 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
     config : InputConfig
         ``nadir``, and how the stream was opened.
     from_ground : bool
-        As a last resort, with scan angles, find straight down from level ground; within a degree or two.
+        As a last resort, with scan angles, guess straight down from level ground; within a degree or two in streets,
+        up to 10 degrees in forests.
 
     Returns
     -------
@@ -50,7 +51,7 @@ def with_beams(stream: ScanStream, config: InputConfig, *, from_ground: bool = F
     waiting: dict[int, Sample] = {}
     for block in stream.blocks():
         if block.scanner not in known:
-            sample = waiting.setdefault(block.scanner, Sample())
+            sample = waiting.setdefault(block.scanner, finder.sample(block))
             sample.add(block)
             if sample.is_complete or block.is_last:
                 known[block.scanner] = finder.find(waiting.pop(block.scanner))
@@ -96,7 +97,7 @@ class BeamStream:
             if scanner in known:
                 yield self.finder.put(known[scanner], block)
                 continue
-            sample = waiting.setdefault(scanner, Sample())
+            sample = waiting.setdefault(scanner, self.finder.sample(block))
             sample.add(block)
             sample.held.append(block)
             if sample.is_complete or block.is_last:

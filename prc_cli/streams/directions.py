@@ -27,6 +27,8 @@ from prc_cli.streams.down import (
 
 MAX_SCATTER_RAD = math.radians(5.0)
 """Largest median deviation of the directions of a column from line to line."""
+SEAM_RAD = math.radians(30.0)
+"""Larger steps beyond the usual one are dead angles: scanners with rows of unlike spacing have smaller ones."""
 BACKWARD_RAD = math.radians(10.0)
 """Steps back up to this are scatter; larger ones are steps forward over the rest of the turn."""
 MAX_TURNS = 1.1
@@ -54,7 +56,7 @@ class Beams:
     """Beam directions of the columns of a scanner."""
 
     beam_rad: F64
-    """(M,) float64, angle from straight down [rad], in (-pi, pi]; unwrapped it is strictly monotone."""
+    """(M,) float64, angle from straight down [rad], in (-pi, pi]; it turns one way, by a turn at most."""
     is_straight: bool
     """Whether the angles are linear in the column."""
     n_lines: int
@@ -233,6 +235,17 @@ def _columns(angle: F64, seen: Mask) -> Beams:
     return Beams(beam_rad, is_straight, len(angle))
 
 
+def forward_steps(angle: F64) -> F64:
+    """Return the steps of angles that grow modulo a turn, but for scatter [rad].
+
+    >>> np.rad2deg(forward_steps(np.deg2rad([80.0, 120.0, 10.0]))).round(6).tolist()
+    [40.0, 250.0]
+    """
+    step = wrap(np.diff(angle))
+    step[step < -BACKWARD_RAD] += _TURN
+    return step
+
+
 def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
     """Return angles of all columns from those of some, growing with the column.
 
@@ -250,7 +263,7 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     Returns
     -------
     beam_rad : (M,) float64
-        In (-pi, pi]; unwrapped it is strictly growing.
+        In (-pi, pi]; it grows strictly, modulo a turn. Column 0 may lie anywhere in the sector that is measured.
     is_straight : bool
         Whether they are linear in the column.
 
@@ -259,13 +272,26 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
     NoDirectionError
         When the angles do not grow, or by more than a full turn.
     """
-    step = wrap(np.diff(angle))
-    step[step < -BACKWARD_RAD] += _TURN
+    step = forward_steps(angle)
     along = angle[0] + np.concatenate([[0.0], np.cumsum(step)])
     if along[-1] - along[0] > MAX_TURNS * _TURN:
         turns = (along[-1] - along[0]) / _TURN
         message = f"the directions do not turn with the column: {turns:.1f} turns in a line, expected one at most"
         raise NoDirectionError(message)
+    beyond = step - float(np.median(step / np.diff(columns))) * np.diff(columns)
+    seam = int(np.argmax(beyond)) + 1
+    if beyond[seam - 1] > SEAM_RAD:
+        # the sector that is not measured lies within the line: begin behind it, or amid columns never seen
+        first = (int(columns[seam - 1]) + int(columns[seam]) + 1) // 2
+        turned = np.roll((columns - first) % points_per_line, -seam)
+        beam, is_straight = _grown(turned, np.roll(angle, -seam), np.roll(weight, -seam), points_per_line)
+        return np.roll(beam, first), is_straight
+    return _grown(columns, angle, weight, points_per_line)
+
+
+def _grown(columns: I64, angle: F64, weight: F64, points_per_line: int) -> tuple[F64, bool]:
+    """Return the angles of all columns, without steps of half a turn or more; see :func:`turn_evenly`."""
+    along = angle[0] + np.concatenate([[0.0], np.cumsum(forward_steps(angle))])
     every = np.arange(points_per_line, dtype=np.float64)
     slope, start = _straight(columns.astype(np.float64), along, weight)
     off = np.abs(along - (start + slope * columns))
@@ -285,6 +311,9 @@ def turn_evenly(columns: I64, angle: F64, weight: F64, points_per_line: int) -> 
 
 def _finish(beam: F64) -> F64:
     """Bring growing angles into (-pi, pi]."""
+    if len(beam) and beam[-1] - beam[0] > MAX_TURNS * _TURN:
+        message = f"the directions do not turn with the column: {(beam[-1] - beam[0]) / _TURN:.1f} turns in a line"
+        raise NoDirectionError(message)
     step = float(np.max(np.diff(beam), initial=0.0))
     if step >= math.pi:
         message = f"neighbouring columns look {math.degrees(step):.0f} deg apart, expected less than half a turn"

@@ -1,8 +1,9 @@
 """Finds the scan angle of straight down from registered heights or from level ground.
 
 Registered heights fall with the range times the cosine of the angle from straight down. Ground at distance d with its
-normal at angle a has ranges ``r = d / cos(angle - a)``: it is the nearest plane that fills a large part of the line.
-Roads slope sideways by a degree or two, which limits the accuracy of the second method.
+normal at angle a has ranges ``r = d / cos(angle - a)``: it is a near plane that fills a large part of nearly every
+line, with sky on the other side. Roads slope sideways by a degree or two, which limits the accuracy of the second
+method.
 """
 
 from __future__ import annotations
@@ -38,9 +39,30 @@ REACH_RAD = math.radians(65.0)
 """Largest angle from straight down at which ground is searched."""
 LEAST_RAD = math.radians(25.0)
 """Least angle filled by the ground."""
+LEAST_RIVAL_RAD = math.radians(12.0)
+"""Least angle filled by a plane that may contradict it."""
 BIN_M = 0.1
 """Tolerance of the height of a plane [m]."""
+N_BINS = 400
+"""Planes farther away than this many bins do not count."""
 LEAST_LINES = 4
+MOST_LINES, MOST_COLUMNS = 64, 360
+"""Most lines and columns used."""
+NEAR_PLANE_M = 0.15
+"""Distance from a plane up to which the shot of a single line lies in it [m]."""
+SKY_RAD = math.radians(60.0)
+"""The sky is searched up to this angle from the opposite direction."""
+LEAST_SKY = 0.1
+"""Added to the share of missing shots: in tunnels and forests there is no sky."""
+DEAD_SHARE = 0.5
+"""What a dead angle counts as: columns that do not exist, or are missing in every line."""
+MOST_PEAKS = 8
+PEAK_RAD = math.radians(10.0)
+"""Directions closer to a better one than this are not judged by their own."""
+RIVAL_RAD = math.radians(40.0)
+"""Directions farther away than this contradict the best one."""
+SURE_RATIO = 1.5
+"""Least score over that of a direction that contradicts it."""
 
 _TURN = 2 * math.pi
 
@@ -174,65 +196,196 @@ def _check_heights(solution: F64, off_m: float, matrix: F64) -> None:
         raise NoDirectionError(message)
 
 
-def down_of_ground(angle_rad: F64, range_m: F32) -> float | None:
-    """Find the scan angle of straight down from level ground.
+@dataclass(frozen=True, slots=True)
+class DownGuess:
+    """Straight down as the ranges alone show it, and the next best direction."""
+
+    down_rad: float
+    """Scan angle of straight down [rad]."""
+    depth_m: float
+    """Distance of the plane that is taken for the ground [m]."""
+    rival_rad: float | None = None
+    """Scan angle of the best other direction, more than :data:`RIVAL_RAD` away [rad]; None if there is none."""
+    ratio: float = math.inf
+    """Score over that of the other direction."""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether no other direction comes near."""
+        return self.ratio >= SURE_RATIO
+
+    def shown(self) -> str:
+        """Return a text for messages.
+
+        >>> DownGuess(0.0, 2.0, math.radians(96.0), 3.14).shown()
+        '0.0 deg (guessed from level ground; runner-up at 96 deg is 3.1 times weaker)'
+        """
+        rival = "no runner-up"
+        if self.rival_rad is not None:
+            weaker = f"{self.ratio:.1f}" if self.ratio < 100 else "over 100"
+            rival = f"runner-up at {math.degrees(self.rival_rad):.0f} deg is {weaker} times weaker"
+        return f"{math.degrees(self.down_rad):.1f} deg (guessed from level ground; {rival})"
+
+
+def guess_down(angle_rad: F64, range_m: F32, *, is_coarse: bool = False) -> DownGuess | None:
+    """Guess the scan angle of straight down: level ground below, and much sky above.
+
+    Every direction gets a score: the angle filled by the plane across it, over the root of the plane's distance, times
+    the share of lines that show this plane by themselves (facades come and go), times the share of missing shots
+    around the opposite direction. A dead angle may be sky or not, and counts half.
 
     Parameters
     ----------
     angle_rad : (M,) float64
-        Scan angle of every column, turning one way [rad].
+        Scan angle of every column [rad].
     range_m : (lines, M) float32, metres
-        Lines with returns; NaN = missing.
+        Lines with returns, best spread over a stretch of the drive; NaN = missing. :data:`MOST_LINES` of them and
+        :data:`MOST_COLUMNS` columns, evenly spread, are used.
+    is_coarse : bool
+        Use a third of these columns and of the directions: nine times as fast, and good to some degrees.
 
     Returns
     -------
-    float or None
-        Scan angle [rad], None if no plane fills enough of the lines.
+    DownGuess or None
+        None if no plane fills enough of the lines.
 
     Examples
     --------
     >>> angle = np.deg2rad(np.linspace(0, 180, 361))
     >>> down = np.cos(angle - np.deg2rad(100))
     >>> lines = np.tile(np.where(down > 0.2, 2.0 / np.maximum(down, 0.2), np.nan), (10, 1)).astype(np.float32)
-    >>> round(math.degrees(down_of_ground(angle, lines)), 1)
-    100.0
+    >>> guess = guess_down(angle, lines)
+    >>> round(math.degrees(guess.down_rad), 1), round(guess.depth_m, 2), guess.is_sure
+    (100.0, 2.0, True)
     """
-    middle = _middle_of_lines(range_m)
-    held = np.flatnonzero(np.isfinite(middle))
-    if len(range_m) < LEAST_LINES or len(held) < 3:
+    if len(range_m) < LEAST_LINES:
         return None
-    step = float(np.median(np.abs(wrap(np.diff(angle_rad)))))
-    best, inside = 0.0, held[:0]
-    for nadir in np.arange(-math.pi, math.pi, SEARCH_STEP_RAD):
-        score, columns = _fill(angle_rad, middle, held, float(nadir), step)
-        if score > best:
-            best, inside = score, columns
-    if len(inside) * step < LEAST_RAD:
+    few = 3 if is_coarse else 1
+    angle, lines = _thinned(angle_rad, range_m, MOST_COLUMNS // few)
+    middle = middle_of_lines(lines)
+    if np.count_nonzero(np.isfinite(middle)) < 3:
         return None
-    # 1 / r = cos(angle - nadir) / d, a straight line in cosine and sine of the angle
-    waves = np.stack([np.cos(angle_rad[inside]), np.sin(angle_rad[inside])], axis=1)
-    a, b = np.linalg.lstsq(waves, 1.0 / middle[inside], rcond=None)[0]
-    return math.atan2(b, a)
+    step = float(np.median(np.abs(wrap(np.diff(angle)))))
+    down = np.arange(-math.pi, math.pi, few * SEARCH_STEP_RAD)
+    # cosine of the angle between every direction and every column
+    along = np.cos(down)[:, None] * np.cos(angle) + np.sin(down)[:, None] * np.sin(angle)
+    fill, depth, inside = _planes(along, middle, step)
+    score = fill / np.sqrt(depth) * (LEAST_SKY + _sky(along, lines, step))
+    score[fill < LEAST_RIVAL_RAD] = 0.0
+    found = []
+    for at in _peaks(score, down):
+        columns = np.flatnonzero(inside[at])
+        share = _share_of_lines(lines[:, columns] * along[at, columns], float(depth[at]))
+        plane = _Plane(float(score[at]) * share, *_fit_plane(angle[columns], middle[columns]), float(fill[at]))
+        if plane.score > 0:
+            found.append(plane)
+    return _choose(sorted(found, key=lambda plane: -plane.score))
 
 
-def _middle_of_lines(range_m: F32) -> F64:
+@dataclass(frozen=True, slots=True)
+class _Plane:
+    """A plane that may be the ground."""
+
+    score: float
+    down_rad: float
+    depth_m: float
+    fill_rad: float
+
+
+def _choose(found: list[_Plane]) -> DownGuess | None:
+    """Return the best plane that is wide enough, beside the best that lies elsewhere."""
+    best = next((plane for plane in found if plane.fill_rad >= LEAST_RAD), None)
+    if best is None:
+        return None
+    for other in found:
+        if abs(math.remainder(other.down_rad - best.down_rad, _TURN)) > RIVAL_RAD:
+            return DownGuess(best.down_rad, best.depth_m, other.down_rad, best.score / other.score)
+    return DownGuess(best.down_rad, best.depth_m)
+
+
+def spread_rows(n: int, most: int) -> NDArray[np.intp]:
+    """Return the indices of at most ``most`` of ``n`` rows, evenly spread, ascending.
+
+    >>> spread_rows(5, 3).tolist(), spread_rows(2, 3).tolist()
+    ([0, 2, 4], [0, 1])
+    """
+    if n <= most:
+        return np.arange(n)
+    return np.arange(most) * (n - 1) // (most - 1)
+
+
+def _thinned(angle_rad: F64, range_m: F32, most_columns: int) -> tuple[F64, F32]:
+    """Return some lines and columns, evenly spread."""
+    every = -(-range_m.shape[1] // most_columns)
+    return angle_rad[every // 2 :: every], range_m[spread_rows(len(range_m), MOST_LINES), every // 2 :: every]
+
+
+def middle_of_lines(range_m: F32) -> F64:
     """Return the median range of every column, NaN where no more than half of the lines have one."""
     n_held = np.count_nonzero(np.isfinite(range_m), axis=0)
     ordered = np.sort(range_m.astype(np.float64), axis=0)  # NaN sorts last
-    middle: F64 = ordered[n_held // 2, np.arange(range_m.shape[1])] if len(range_m) else np.empty(0)
+    if not len(range_m):
+        return np.full(range_m.shape[1], np.nan)
+    middle: F64 = ordered[np.minimum(n_held // 2, len(range_m) - 1), np.arange(range_m.shape[1])]
     return np.where(2 * n_held > len(range_m), middle, np.nan)
 
 
-def _fill(
-    angle_rad: F64, middle_m: F64, held: NDArray[np.intp], down_rad: float, step_rad: float
-) -> tuple[float, NDArray[np.intp]]:
-    """Return the score of a plane straight below (filled angle, nearer planes preferred) and its columns."""
-    off = np.abs(wrap(angle_rad[held] - down_rad))
-    near = held[off < REACH_RAD]
-    if not len(near):
-        return 0.0, near
-    depth = middle_m[near] * np.cos(angle_rad[near] - down_rad)
-    counts = np.bincount(np.minimum(depth / BIN_M, 1000).astype(np.int64))
-    fullest = int(np.argmax(counts))
-    inside = near[np.abs(depth - (fullest + 0.5) * BIN_M) < BIN_M]
-    return len(inside) * step_rad / math.sqrt((fullest + 0.5) * BIN_M), inside
+def _planes(along: F64, middle_m: F64, step_rad: float) -> tuple[F64, F64, Mask]:
+    """Return the fullest plane across every direction: angle filled [rad], distance [m], columns.
+
+    Parameters
+    ----------
+    along : (directions, columns) float64
+        Cosine of the angle between direction and column.
+    middle_m : (columns,) float64
+        Median ranges [m].
+    step_rad : float
+        Angle between columns [rad].
+    """
+    near = (along > math.cos(REACH_RAD)) & np.isfinite(middle_m)
+    row, column = np.nonzero(near)
+    depth = middle_m[column] * along[near]
+    height = np.minimum(depth / BIN_M, N_BINS).astype(np.int64) + row * (N_BINS + 1)
+    counts = np.bincount(height, minlength=len(along) * (N_BINS + 1)).reshape(len(along), -1)
+    distance = (np.argmax(counts[:, :N_BINS], axis=1) + 0.5) * BIN_M
+    inside = np.zeros(along.shape, np.bool_)
+    inside[near] = np.abs(depth - distance[row]) < BIN_M
+    return inside.sum(axis=1) * step_rad, distance, inside
+
+
+def _sky(along: F64, range_m: F32, step_rad: float) -> F64:
+    """Return the share of missing shots around the opposite of every direction, dead angles counting half."""
+    missing = np.isnan(range_m).mean(axis=0)
+    missing[missing == 1.0] = DEAD_SHARE
+    above = along < -math.cos(SKY_RAD)
+    n_above = above.sum(axis=1)
+    covered = np.minimum(n_above * step_rad / (2 * SKY_RAD), 1.0)
+    seen = np.where(above, missing, 0.0).sum(axis=1) / np.maximum(n_above, 1)
+    share: F64 = covered * seen + (1.0 - covered) * DEAD_SHARE
+    return share
+
+
+def _peaks(score: F64, down_rad: F64) -> list[int]:
+    """Return the highest scores that are not beside a higher one, in descending order."""
+    left, found = score.copy(), []
+    for _ in range(MOST_PEAKS):
+        at = int(np.argmax(left))
+        if left[at] <= 0:
+            break
+        found.append(at)
+        left[np.abs(wrap(down_rad - down_rad[at])) < PEAK_RAD] = 0.0
+    return found
+
+
+def _share_of_lines(depth_m: NDArray[Any], distance_m: float) -> float:
+    """Return the share of lines of which at least half of the plane's columns, given by depths, lie in the plane."""
+    on_plane = np.abs(depth_m - distance_m) < NEAR_PLANE_M
+    return float(np.mean(on_plane.mean(axis=1) >= 0.5))
+
+
+def _fit_plane(angle_rad: F64, range_m: F64) -> tuple[float, float]:
+    """Return direction [rad] and distance [m] of a plane."""
+    # 1 / r = cos(angle - down) / distance, a straight line in cosine and sine of the angle
+    waves = np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
+    a, b = np.linalg.lstsq(waves, 1.0 / range_m, rcond=None)[0]
+    return round(math.atan2(b, a), DECIMALS), round(1.0 / max(math.hypot(a, b), 1e-9), DECIMALS)

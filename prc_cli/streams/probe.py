@@ -17,7 +17,7 @@ from prc_cli.streams.reading import first_records, nothing_placed
 from prc_cli.streams.rules import GridRules
 from prc_cli.streams.shot_timing import UNKNOWN, ShotTiming, find_timing
 from prc_cli.streams.table import LINE, START, Table, take
-from prc_cli.streams.whole_lines import LineRules, ScanState, advance, whole_shots
+from prc_cli.streams.whole_lines import LineRules, ScanState, WholeLines, advance, whole_shots
 
 PROBE_RECORDS = 1 << 18
 """Number of first records used for estimates."""
@@ -146,21 +146,24 @@ def _timing(rules: GridRules, records: Table, points_per_line: int | None) -> Sh
 
 def probe(
     source: RecordSource, rules: GridRules, points_per_line: int | None, *, geometry: bool
-) -> tuple[dict[int, Estimates], dict[int, Table]]:
+) -> tuple[dict[int, Estimates], dict[int, WholeLines]]:
     """Read the first records of every scanner; estimate sweep, column angles and timing.
 
     Returns
     -------
     estimates : dict by scanner
         Empty if scanners are neither known nor needed.
-    probes : dict of Table by scanner
-        Whole lines of those records, if column angles were requested.
+    probes : dict of WholeLines by scanner
+        Whole lines of those records, if column angles or straight down were requested.
     """
-    for_angles = geometry and rules.has_angle and (rules.columns == "dimension" or rules.lines == "fixed")
+    by_column = rules.columns == "dimension" or rules.lines == "fixed"
+    # angles that are given need no records, but heights beside them tell where down is
+    has_heights = bool(rules.height_names) and rules.gives_angles
+    for_angles = geometry and ((rules.has_angle and by_column) or has_heights)
     needs_timing = _needs_timing(rules, points_per_line)
     if not _needs_probe(rules) and not for_angles and not needs_timing:
         return ({0: Estimates(timing=given_timing(rules, points_per_line))} if rules.scanner is None else {}), {}
-    beside = ("angle", *(rules.height_names if geometry else ())) if rules.has_angle else ()
+    beside = (*(("angle",) if rules.has_angle else ()), *(rules.height_names if geometry else ()))
     names = tuple(dict.fromkeys((*rules.names, *beside)))
     limit = PROBE_RECORDS if rules.scanner is None else PROBE_RECORDS_EACH
     # find every scanner where the rules depend on its angles or timing
@@ -169,7 +172,7 @@ def probe(
     if not first:
         raise nothing_placed(source.path)
     estimates: dict[int, Estimates] = {}
-    probes: dict[int, Table] = {}
+    probes: dict[int, WholeLines] = {}
     for scanner, records in first.items():
         where = source.path if rules.scanner is None else f"{source.path}: {rules.scanner} {scanner}"
         sweep = find_sweep(records["angle"], where) if rules.lines == "angle-wrap" else None
@@ -188,7 +191,7 @@ def probe(
                 timing = replace(timing, shot_s=min(timing.shot_s, 1 / (rules.line_hz * grid.n_columns)))
         estimates[scanner] = Estimates(sweep, grid, timing)
         if whole is not None:
-            probes[scanner] = whole.records
+            probes[scanner] = whole
     return estimates, probes
 
 

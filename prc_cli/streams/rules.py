@@ -78,6 +78,11 @@ class GridRules:
         return tuple(dict.fromkeys(name for name, is_wanted in wanted if name is not None and is_wanted))
 
     @property
+    def gives_angles(self) -> bool:
+        """Whether the configuration gives the scan angle of every column."""
+        return self.angle_start_deg is not None and self.angle_step_deg is not None
+
+    @property
     def is_dense(self) -> bool:
         """Whether the records are dense: one per cell, in order."""
         fixed = self.lines == "fixed" and self.columns == "order" and self.range.startswith("dimension:")
@@ -144,7 +149,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         has_return_number="return_number" in has,
         has_intensity="intensity" in has,
         has_sensor_xyz=_has_sensor_xyz(source, range_, taken),
-        height_names=_height_names(has, range_) if config.nadir is None else (),
+        height_names=_height_names(source, config, range_),
         assumptions=tuple(taken),
         points_per_line=config.points_per_line,
         time_origin_s=config.time_origin,
@@ -157,10 +162,11 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
     )
 
 
-def _height_names(has: tuple[str, ...], range_: str) -> tuple[str, ...]:
-    """Return the dimensions for heights, if there are registered coordinates, ranges and scan angles."""
-    is_there = range_.startswith("dimension:") and {"angle", *XYZ} <= set(has)
-    return (range_.partition(":")[2], "z") if is_there else ()
+def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tuple[str, ...]:
+    """Return the dimensions for heights, if there are heights, ranges and scan angles, and down is not given."""
+    has_angles = "angle" in source.dimensions or (config.angle_start is not None and config.angle_step is not None)
+    is_there = range_.startswith("dimension:") and has_angles and "z" in source.dimensions
+    return (range_.partition(":")[2], "z") if is_there and config.nadir is None else ()
 
 
 def _argument(rule: str) -> str | None:

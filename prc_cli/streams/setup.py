@@ -22,7 +22,7 @@ from prc_cli.streams.ranges import RangeRule, clean_measured
 from prc_cli.streams.reading import whole_lines
 from prc_cli.streams.rules import GridRules
 from prc_cli.streams.table import LINE, START, Table, n_rows
-from prc_cli.streams.whole_lines import LineRules
+from prc_cli.streams.whole_lines import LineRules, WholeLines
 
 DOWN_LINES = 64
 """Number of lines with returns used to find straight down."""
@@ -112,7 +112,8 @@ def find_setups(
         angle = _angles(rules, size, found, probes.get(scanner))
         down_rad, cos_tilt = None, 1.0
         if geometry and angle is not None and rules.height_names and scanner in probes:
-            down_rad, cos_tilt, assumption = _down(rules, ranges, probes[scanner], scanner)
+            whole = _with_angles(probes[scanner], column_rule(rules, found.angle_grid), angle, rules)
+            down_rad, cos_tilt, assumption = _down(rules, ranges, whole, scanner)
             taken.append(assumption)
         n_shots = extents[scanner].n_shots if scanner in extents else 0
         setups[scanner] = ScannerSetup(size, found, angle, down_rad, cos_tilt, n_shots)
@@ -174,6 +175,18 @@ def _survey(source: RecordSource, rules: GridRules, estimates: dict[int, Estimat
     return extents
 
 
+def _with_angles(whole: WholeLines, rule: ColumnRule, angle_rad: F64, rules: GridRules) -> Table:
+    """Return records with scan angles: those of their columns where the configuration gives them."""
+    records = whole.records
+    if not rules.gives_angles:
+        return records
+    column = find_columns(records, rule, whole.origin_s)
+    is_cell = (column >= 0) & (column < len(angle_rad))
+    of_shot = np.where(is_cell, angle_rad[np.where(is_cell, column, 0)], np.nan)
+    # further returns have the angle of their shot
+    return {**records, "angle": of_shot[np.cumsum(records[START]) - 1]}
+
+
 def _down(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> tuple[float | None, float, Assumption]:
     """Find the scan angle of straight down, and the tilt, from heights of the first lines."""
     key = "input.nadir" if rules.scanner is None else f"input.nadir of {rules.scanner} {scanner}"
@@ -189,14 +202,14 @@ def _down(rules: GridRules, ranges: RangeRule, records: Table, scanner: int) -> 
     return fit.down_rad, fit.cos_tilt, Assumption(key, shown, why)
 
 
-def _angles(rules: GridRules, size: int, found: Estimates, records: Table | None) -> F64 | None:
+def _angles(rules: GridRules, size: int, found: Estimates, whole: WholeLines | None) -> F64 | None:
     if found.angle_grid is not None:
         return found.angle_grid.angles(size)
     if (given := given_angles(rules, size)) is not None:
         return given
-    if records is None or "angle" not in records or rules.columns not in ("dimension", "order"):
+    if whole is None or "angle" not in whole.records or rules.columns not in ("dimension", "order"):
         return None
     if rules.columns == "order" and rules.lines != "fixed":
         return None
-    angle = records["angle"][records[START]]
-    return column_angles(angle, find_columns(records, column_rule(rules, None), None), size)
+    angle = whole.records["angle"][whole.records[START]]
+    return column_angles(angle, find_columns(whole.records, column_rule(rules, None), None), size)

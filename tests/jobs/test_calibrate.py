@@ -16,7 +16,7 @@ from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, window_reach
 from prc_cli.config import load_config
 from prc_cli.core.blocks import regroup
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.evaluation.scores import gate_value, scores

@@ -14,7 +14,7 @@ import pytest
 import prc_cli
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import InputError, OutputExistsError
+from prc_cli.core.errors import EvidenceError, InputError, OutputExistsError
 from prc_cli.jobs.classify import classify, classify_ranges, open_stream
 from prc_cli.jobs.evaluate import evaluate
 from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_npz, write_raw

@@ -98,5 +98,9 @@ def worst_deg(found: F64, true: F64) -> float:
 
 
 def is_strictly_monotone(beam_rad: F64) -> bool:
-    step = np.diff(np.unwrap(beam_rad))
-    return bool((step > 0).all() or (step < 0).all())
+    """Return whether angles turn one way, by a turn at most."""
+    step = np.diff(beam_rad)
+    return any(
+        bool((along > 0).all() and along.sum() < 1.1 * 2 * np.pi)
+        for along in (np.remainder(step, 2 * np.pi), np.remainder(-step, 2 * np.pi))
+    )

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.stream import Assumption, ScanBlock, ScanStream
@@ -25,7 +27,7 @@ from tests.streams.beam_lines import (
     stream,
     worst_deg,
 )
-from tests.streams.record_lists import M, open_records, scene
+from tests.streams.record_lists import LINE_HZ, SHOT_HZ, M, open_records, scene
 
 AUTO = InputConfig()
 
@@ -316,6 +318,41 @@ def test_down_from_registered_coordinates_beside_range_and_angle() -> None:
     assert sum(block.n_lines for block in blocks) == len(image)
     # nothing is fitted where the configuration says it
     assert not any(one.key == "input.nadir" for one in open_records(records, nadir=30.0).info.assumptions)
+
+
+def shown_beams(config: dict[str, Any], records: dict[str, NDArray[Any]]) -> F64:
+    found = with_beams(open_records(records, **config), InputConfig(**config), from_ground=True)
+    beam = next(iter(found.blocks())).beam_rad
+    assert beam is not None
+    said = [one for one in found.info.assumptions if one.key == "input.nadir"]
+    assert "found from z" in said[0].why
+    assert not found.info.facts.notes
+    return beam
+
+
+@pytest.mark.parametrize("start_deg", [-180.0, 33.0])
+@pytest.mark.parametrize("how", ["dimensions", "order", "fixed", "time", "own angles", "z alone"])
+def test_heights_tell_where_down_is_on_the_scale_of_given_angles(start_deg: float, how: str) -> None:
+    """Nothing of the file but its heights says it, and no guess is made."""
+    _, records = scene(missing=0.0 if how in ("order", "fixed") else 0.2)
+    if how == "fixed":
+        records = {name: values[records["scan_line"] != 9] for name, values in records.items()}
+    records["z"] = records["z"] + 120.0 + 0.1 * records["scan_line"]
+    records["x"] = records["x"] + 5000.0
+    config: dict[str, Any] = {"angle_start": start_deg, "angle_step": 360 / M, "points_per_line": M}
+    dropped = {
+        "dimensions": ["angle", "time"],
+        "order": ["angle", "time", "column"],
+        "fixed": ["angle", "time", "column", "scan_line"],
+        "time": ["angle", "column", "scan_line"],
+        "own angles": ["time"],
+        "z alone": ["angle", "time", "x", "y"],
+    }[how]
+    records = {name: values for name, values in records.items() if name not in dropped}
+    if how == "time":
+        config |= {"lines": f"time:{LINE_HZ}", "columns": f"time:{SHOT_HZ}"}
+    expected = np.arange(M) * 2 * np.pi / M
+    assert worst_deg(shown_beams(config, records), expected) < 0.1
 
 
 def test_every_scanner_of_an_input_has_a_down_of_its_own() -> None:

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64, I64
+from prc_cli.streams.angles import column_angles
+from prc_cli.streams.beam_finder import from_angles
 from prc_cli.streams.directions import fit_beams, turn_evenly
 from prc_cli.streams.down import (
     LevelLinesError,
@@ -34,6 +36,47 @@ def test_beams_of_every_geometry_are_found(name: str, tilt_deg: float) -> None:
     assert found.is_straight is (name != "rings")
     # angles grow with the column, whichever way the scanner turns
     assert np.unwrap(found.beam_rad)[-1] > np.unwrap(found.beam_rad)[0]
+
+
+ROLLED = ["half circle", "low to high", "high to low", "through the zenith", "through the zenith, backwards"]
+
+
+@pytest.mark.parametrize("name", ROLLED)
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_column_0_may_lie_anywhere(name: str, share: float) -> None:
+    true = GEOMETRIES[name]
+    first = round(share * len(true))
+    block = lines(true, seed=len(name))
+    assert block.xyz_m is not None
+    found = fit_beams(np.roll(block.xyz_m, first, axis=1))
+    assert worst_deg(found.beam_rad, np.roll(true, first)) < 0.25
+    assert found.is_straight
+    assert is_strictly_monotone(found.beam_rad)
+    # columns beside the dead angle that are never seen continue the nearer side
+    hidden = np.roll(np.arange(len(true)) % 7 == 3, 2)
+    hidden[:3] = hidden[-3:] = True
+    block = gone(lines(true, seed=5), hidden)
+    assert block.xyz_m is not None
+    assert worst_deg(fit_beams(np.roll(block.xyz_m, first, axis=1)).beam_rad, np.roll(true, first)) < 2.5
+
+
+@pytest.mark.parametrize("first", [1, 60, 150])
+def test_angles_in_any_rotation_are_taken_as_they_are(first: int) -> None:
+    true = GEOMETRIES["low to high"]
+    for angle in (true, -true, np.round(true, 2)):
+        beam = from_angles(np.roll(angle, first) + 1.0, 1.0)
+        assert worst_deg(beam, np.roll(angle, first)) < 1.1
+        assert is_strictly_monotone(beam)
+
+
+def test_column_angles_do_not_run_across_a_dead_angle() -> None:
+    true = np.deg2rad(np.arange(11.0, 123.0, 0.5))
+    column = np.arange(len(true))
+    seen = (column > 8) & (column < len(true) - 9)
+    rolled = (column[seen] + 100) % len(true)
+    found = column_angles(np.tile(true[seen], 5), np.tile(rolled, 5), len(true))
+    assert found is not None
+    assert worst_deg(found, np.roll(true, 100)) < 1e-6
 
 
 @pytest.mark.parametrize("name", ["whole circle", "half circle", "high to low", "through the zenith"])

@@ -11,13 +11,13 @@ others need the block and five lines before and after it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, Wanted, beams_of
+from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
     CarParams,
@@ -149,7 +149,15 @@ class Fused(Classifier[FusedScanner, FusedState]):
         """Blocks with beam angles, and look-ahead for all lines that labels depend on."""
         is_forest = self.params.environment == "forest"
         kernels = FOREST_KERNELS if is_forest else KERNELS
-        return Needs(kernels, self.params.lines_per_block, AROUND_LINES, nadir_from_ground=not is_forest)
+        return Needs(kernels, self.params.lines_per_block, AROUND_LINES, nadir_from_ground=True)
+
+    @property
+    def usual(self) -> UsualLabels:
+        """Little noise, and level ground below the scanner; in forests plants cover and hills tilt it."""
+        common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
+        if self.params.environment == "forest":
+            return replace(common, level_share=0.45, lean_deg=12.0)
+        return replace(common, level_share=0.6, lean_deg=5.0)
 
     def scanner(self, first: ScanBlock) -> FusedScanner:
         """Return the beam directions."""

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, Wanted
+from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted
 from prc_cli.classifiers.blocks import WHERE, check_block
 from prc_cli.classifiers.prc.background import BackgroundParams, background
 from prc_cli.classifiers.prc.components import Components, ComponentsParams, Joined, identify, join
@@ -104,6 +104,13 @@ class Prc(Classifier[int, PrcState]):
     def needs(self) -> Needs:
         """Blocks of k lines; only ranges are used."""
         return Needs(KERNELS, self.params.lines_per_block, beams=False)
+
+    @property
+    def usual(self) -> UsualLabels:
+        """Some noise in streets, and much in forests, as published."""
+        if self.params.environment == "forest":
+            return UsualLabels(0.96, 0.99)
+        return UsualLabels(0.5, 0.8)
 
     def scanner(self, first: ScanBlock) -> int:
         """Return M."""

@@ -61,7 +61,7 @@ def split_sides(beam_rad: F64) -> Sides:
     Parameters
     ----------
     beam_rad : (M,) float64
-        Angle of every column's beam from straight down, in (-pi, pi] [rad]; unwrapped it is monotone.
+        Angle of every column's beam from straight down, in (-pi, pi] [rad]; it turns one way.
 
     Returns
     -------
@@ -74,9 +74,9 @@ def split_sides(beam_rad: F64) -> Sides:
     array([[ 2,  3,  4],
            [ 1,  0, -1]], dtype=int32)
     """
-    along = np.unwrap(beam_rad)
+    grows = np.sign(np.diff(np.unwrap(beam_rad))).sum() >= 0
     # columns in the direction of growing angles, so that equal angles keep their order
-    turning = np.arange(len(beam_rad)) if along[-1] >= along[0] else np.arange(len(beam_rad))[::-1]
+    turning = np.arange(len(beam_rad)) if grows else np.arange(len(beam_rad))[::-1]
     angle = beam_rad[turning]
     halves = (turning[angle >= 0], turning[angle < 0][::-1])
     found = [half[np.argsort(np.abs(beam_rad[half]), kind="stable")] for half in halves if len(half)]

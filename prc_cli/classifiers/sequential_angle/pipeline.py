@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field
 
 from prc_cli import kernels
-from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, Wanted, beams_of
+from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.classifiers.returns import label_extra_returns
 from prc_cli.classifiers.sequential_angle.angles import AnglesParams, angle_differences, line_angles, signed_angles
 from prc_cli.classifiers.sequential_angle.car import CarParams, cars
@@ -217,6 +217,15 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
     def needs(self) -> Needs:
         """Blocks of any number of lines, with beam angles."""
         return Needs(KERNELS)
+
+    @property
+    def usual(self) -> UsualLabels:
+        """A class for nearly every return, and level ground or other level surfaces below the scanner."""
+        level = (Label.GROUND, Label.CURB, Label.HORIZONTAL)
+        return UsualLabels(
+            unclassified_share=0.1, level=level, level_share=0.5, ground_share=0.1, below_share=0.2, lean_deg=5.0,
+            vanished_share=0.3,
+        )  # fmt: skip
 
     def scanner(self, first: ScanBlock) -> Beams:
         """Return the beam directions."""

@@ -20,6 +20,8 @@ COUNTED = 0.01
 """Share of ranges beyond any scanner from which numbers are misread."""
 LEAST_RETURNS = 0.02
 """Share of shots with a range below which lines and columns, or ranges, are probably wrong."""
+COARSE_M, ROUNDED_DIGITS, LEAST_ROUNDED, ALL_ROUNDED = 0.03, 4, 5000, 0.98
+"""Steps of rounded ranges [m]: scanners state them to 1 to 10 mm; thresholds on surfaces begin at a few centimetres."""
 MOST_COUNTED = 1 << 16
 """Ranges that the median is taken of."""
 
@@ -62,6 +64,25 @@ def check_returns(seen: Seen) -> Finding | None:
     hint = "check --range, --max-range, the layout, and --columns and -M"
     verdict = Verdict.DOUBTFUL if share < LEAST_RETURNS else Verdict.FINE
     return Finding("returns", verdict, found, f"at least {LEAST_RETURNS:.0%}", hint)
+
+
+def check_rounding(seen: Seen) -> Finding | None:
+    """Ask whether the ranges are finer than the thresholds of the methods."""
+    parts = [window.range_m.ravel() for window in seen.windows]
+    known = np.concatenate(parts) if parts else np.empty(0, np.float32)
+    known = known[np.isfinite(known)][:MOST_COUNTED].astype(np.float64)
+    if len(known) < LEAST_ROUNDED:
+        return None
+    steps = np.diff(np.unique(np.round(known, ROUNDED_DIGITS)))
+    steps = steps[steps > COARSE_M / 2]
+    # of ranges that are not rounded, hardly any two neighbours are that far apart
+    step = float(steps.min(initial=np.inf))
+    off = known / step - np.round(known / step)
+    is_rounded = np.isfinite(step) and float(np.mean(np.abs(off) < 0.02)) > ALL_ROUNDED
+    found = f"all ranges are multiples of {step:.3g} m" if is_rounded else "the ranges are finer than any threshold"
+    verdict = Verdict.DOUBTFUL if is_rounded and step > COARSE_M else Verdict.FINE
+    hint = "take the ranges from a file that was not rounded; check the scale of the layout"
+    return Finding("rounding", verdict, found, f"steps of at most {COARSE_M:g} m", hint)
 
 
 def check_ranges(seen: Seen) -> Finding | None:

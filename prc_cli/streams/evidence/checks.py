@@ -1,51 +1,50 @@
-"""The table of all checks: what each asks, its limit, why the limit is that number, and what it cannot see.
+"""Asks all checks of what was seen of a stream.
 
-``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use these names.
+``prc info``, the run record, ``--accept-doubt`` and the page "How prc knows" use the names of the table.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
-from prc_cli.core.findings import Finding, Verdict
-from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_unplaced
+from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
+from prc_cli.streams.evidence.cells import check_collisions, check_ranges, check_returns, check_rounding, check_unplaced
 from prc_cli.streams.evidence.figures import figures_of
+from prc_cli.streams.evidence.geometry import check_angle_step, check_down, check_height
 from prc_cli.streams.evidence.lines import check_dropouts, check_line_length, check_line_order, check_shot_order
+from prc_cli.streams.evidence.result import RESULT_CHECKS
 from prc_cli.streams.evidence.seen import Seen
+from prc_cli.streams.evidence.table import INPUT_CHECKS, Check
 
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """A question that is asked of every input."""
-
-    name: str
-    """Name, as for ``--accept-doubt``."""
-    asks: str
-    """The question."""
-    limit: str
-    """Where doubt begins, and where the input is refused."""
-    reason: str
-    """Why the limit is that number."""
-    blind: str
-    """What the check cannot see."""
-
-
-CHECKS: tuple[Check, ...] = ()
+CHECKS: tuple[Check, ...] = tuple(sorted((*INPUT_CHECKS, *RESULT_CHECKS), key=lambda one: CHECK_NAMES.index(one.name)))
+"""All checks, in the order in which they are reported."""
 
 
 def ask_all(seen: Seen) -> Iterator[Finding]:
     """Ask every check of a scanner that was seen, the gravest faults first; a check that cannot tell finds nothing."""
-    figures = figures_of(seen.windows)
-    yield from _known(check_ranges(seen))
-    order = check_shot_order(figures)
-    yield from _known(order)
-    if not _is_against(order):  # without an order there are no lines, and without lines no order of lines
-        length = check_line_length(seen, figures)
-        yield from _known(length)
-        if not _is_against(length):
-            yield from _known(check_line_order(seen, figures), check_dropouts(figures))
+    yield from _known(*_of_ranges(seen))
     yield from _known(check_collisions(seen), check_unplaced(seen), check_returns(seen))
+
+
+def _of_ranges(seen: Seen) -> Iterator[Finding | None]:
+    """Ask about ranges, shots, lines and angles, each only if those before it can be true."""
+    yield (ranges := check_ranges(seen))
+    if _is_against(ranges):
+        return
+    yield check_rounding(seen)
+    figures = figures_of(seen.windows)
+    yield (order := check_shot_order(figures))
+    if _is_against(order):
+        return
+    yield (length := check_line_length(seen, figures))
+    if _is_against(length):
+        return
+    yield check_line_order(seen, figures)
+    yield check_dropouts(figures)
+    yield (height := check_height(seen))
+    if not _is_against(height):
+        yield check_down(seen)
+        yield check_angle_step(seen)
 
 
 def _known(*findings: Finding | None) -> Iterator[Finding]:

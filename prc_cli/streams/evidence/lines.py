@@ -59,13 +59,14 @@ def check_shot_order(figures: Figures) -> Finding | None:
     name = "shot-order"
     found = f"ranges of neighbouring shots differ {ratio:.2g} times as much as those of random shots"
     expected = f"below {ORDER_DOUBTFUL:g}"
-    if ratio >= ORDER_AGAINST:
-        return Finding(name, Verdict.AGAINST, found, expected, _ORDER_HINT)
     if figures.shot[1] < SECOND * figures.shot[0]:
         found = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
         hint = "two scanners or several returns alternate: split them with --scanner, or give the return number"
         return Finding(name, Verdict.AGAINST, found, "neighbours more alike than others", hint)
-    return Finding(name, Verdict.DOUBTFUL if ratio >= ORDER_DOUBTFUL else Verdict.FINE, found, expected, _ORDER_HINT)
+    verdict = (
+        Verdict.AGAINST if ratio >= ORDER_AGAINST else Verdict.DOUBTFUL if ratio >= ORDER_DOUBTFUL else Verdict.FINE
+    )
+    return Finding(name, verdict, found, expected, _ORDER_HINT)
 
 
 def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
@@ -76,7 +77,7 @@ def check_line_length(seen: Seen, figures: Figures) -> Finding | None:
         return None
     name, expected = "line-length", f"lines of M = {m} shots that are alike"
     steps = [step for step in range(2, len(figures.line) + 1) if figures.line[step - 1] < SECOND * first]
-    if steps and ratio >= LINE_DOUBTFUL:
+    if steps:
         return _alternating(figures, m, steps[0])
     if 0 < figures.half_line <= min(HALF * first, LINE_DOUBTFUL * figures.random):
         found = f"the ranges repeat after {m // 2} shots already"

@@ -12,11 +12,12 @@ from functools import partial
 
 import numpy as np
 
-from prc_cli.core.findings import ORDER_CHECKS, Finding, accept, refuse
+from prc_cli.core.findings import CHECK_NAMES, ORDER_CHECKS, Finding, accept, refuse
 from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.evidence.checks import ask_all
+from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats
 from prc_cli.streams.evidence.sample import LineSample
 from prc_cli.streams.evidence.seen import Seen
 
@@ -55,6 +56,7 @@ class EvidenceStream:
     refuses: bool = True
     _scanners: dict[int, _Scanner] = field(default_factory=dict, init=False)
     _tally: ReadTally = field(default_factory=ReadTally, init=False)
+    _repeats: LineRepeats = field(default_factory=LineRepeats, init=False)
     _final: tuple[Finding, ...] = field(default=(), init=False)
 
     @property
@@ -70,7 +72,7 @@ class EvidenceStream:
         EvidenceError
             When the evidence is against the input.
         """
-        self._scanners, self._tally = {}, ReadTally()
+        self._scanners, self._tally, self._repeats = {}, ReadTally(), LineRepeats()
         for block in self.source.blocks():
             if self._see(block) and self.refuses:
                 refuse(self.info.path, self._ask(is_whole=False))
@@ -82,6 +84,7 @@ class EvidenceStream:
     def _see(self, block: ScanBlock) -> bool:
         """Take what is needed of a block; return whether the sample of its scanner became full just now."""
         self._tally += block.tally
+        self._repeats.add(block)
         one = self._scanners.get(block.scanner)
         if one is None:
             one = self._scanners[block.scanner] = _Scanner(LineSample(block.points_per_line))
@@ -124,11 +127,12 @@ class EvidenceStream:
 
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return what asks all checks of what has been seen so far, now or in another thread."""
-        return partial(_ask_of_all, self._seen(is_whole=is_whole), self.accepted)
+        repeats = (check_repeats(self._repeats),) if is_whole else ()
+        return partial(_ask_of_all, self._seen(is_whole=is_whole), repeats, self.accepted)
 
 
-def _ask_of_all(seen: tuple[Seen, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
-    """Ask all checks of every scanner."""
+def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Ask all checks of every scanner; ``others`` are answers to what was asked of the whole stream."""
     found: dict[str, Finding] = {}
     for one in seen:
         for finding in ask_all(one):
@@ -136,7 +140,8 @@ def _ask_of_all(seen: tuple[Seen, ...], accepted: tuple[str, ...]) -> tuple[Find
             # of several scanners, the worst answer stands for the check
             if finding.check not in found or finding.verdict > found[finding.check].verdict:
                 found[finding.check] = told
-    return accept(found.values(), accepted)
+    every = (*found.values(), *others)
+    return accept(sorted(every, key=lambda one: CHECK_NAMES.index(one.check)), accepted)
 
 
 def watched(stream: ScanStream, config: InputConfig, *, refuses: bool = True) -> EvidenceStream:

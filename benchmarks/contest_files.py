@@ -1,0 +1,98 @@
+"""Scans of the contest as files of a user: what a scanner writes, and nothing of where straight down is.
+
+Profilers: ``.npz`` with ranges, times, intensities and scan angles that count from the first column; with several
+returns a dump of records, one per return. The KITTI frame is the file itself with its sample configuration, whose
+coordinates are relative to the scanner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.contest_data import Scan
+from prc_cli.core.types import F64, I64, U8
+
+_FIELDS = (
+    ("range", "f4"), ("time", "f8"), ("intensity", "f4"), ("angle", "f8"), ("scan_line", "u4"), ("column", "u4"),
+    ("return_number", "u1"), ("number_of_returns", "u1"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFile:
+    """A scan on the disk."""
+
+    path: Path
+    options: tuple[str, ...]
+    """Of ``prc classify``, those of the method left out."""
+    nadir: tuple[str, ...]
+    """The options that tell straight down; empty where the file has it."""
+    record: I64 | None
+    """(lines, M) int64, record of every shot; None = ``line * M + column``."""
+    extra_record: I64
+    """(e,) int64, records of the further returns."""
+
+    def image(self, scan: Scan, codes: U8) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+        """Split codes of records into those of shots, (lines, M), and of further returns, (e,)."""
+        if self.record is None:
+            return codes.reshape(scan.range_m.shape), codes[self.extra_record]
+        found = np.where(self.record >= 0, codes[self.record], 0).astype(np.uint8)
+        return found, codes[self.extra_record]
+
+
+def write(scan: Scan, folder: Path) -> ScanFile:
+    """Write a scan into a folder."""
+    if scan.source is not None:
+        assert scan.record is not None
+        options = () if scan.config is None else ("--config", str(scan.config))
+        return ScanFile(scan.source, options, (), scan.record, scan.extra.record)
+    degrees = np.rad2deg(np.unwrap(scan.angle_rad))
+    angle_deg: F64 = degrees - degrees[0]
+    nadir = ("--set", f"input.nadir={-degrees[0]:.10g}")
+    if len(scan.extra):
+        return _write_records(scan, angle_deg, nadir, folder)
+    path = folder / "scan.npz"
+    values: dict[str, NDArray[np.generic]] = {"range_m": scan.range_m, "angle_deg": angle_deg}
+    if scan.time_s is not None:
+        values["time_s"] = scan.time_s
+    if scan.intensity is not None:
+        values["intensity"] = scan.intensity
+    np.savez(path, **values)  # type: ignore[arg-type]
+    return ScanFile(path, (), nadir, None, np.empty(0, np.int64))
+
+
+def _write_records(scan: Scan, angle_deg: F64, nadir: tuple[str, ...], folder: Path) -> ScanFile:
+    """Write one record per return, those of a shot one after the other."""
+    assert scan.time_s is not None
+    assert scan.intensity is not None
+    m = scan.range_m.shape[1]
+    there = np.flatnonzero(~np.isnan(scan.range_m.ravel()))
+    cell = np.concatenate([there, scan.extra.line.astype(np.int64) * m + scan.extra.column])
+    range_m = np.concatenate([scan.range_m.ravel()[there], scan.extra.range_m])
+    order = np.lexsort((range_m, cell))
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1) != 0)
+    size = np.diff(np.append(first, len(order)))
+    records = np.zeros(len(order), np.dtype([(name, f"<{kind}") for name, kind in _FIELDS]))
+    records["range"] = range_m[order]
+    records["time"] = scan.time_s.ravel()[cell[order]]
+    # the simulator tells the intensity of the strongest return only, which is that of the image
+    strength = np.concatenate([scan.intensity.ravel()[there] + 1.0, np.zeros(len(scan.extra))])
+    records["intensity"] = strength[order]
+    records["scan_line"], records["column"] = np.divmod(cell[order], m)
+    records["angle"] = angle_deg[records["column"]]
+    records["return_number"] = np.arange(len(order)) - np.repeat(first, size) + 1
+    records["number_of_returns"] = np.repeat(size, size)
+    path, layout = folder / "scan.dat", folder / "scan.layout.toml"
+    records.tofile(path)
+    fields = "".join(f'    {{ name = "{name}", type = "{kind}" }},\n' for name, kind in _FIELDS)
+    layout.write_text(f"points_per_line = {m}\nfields = [\n{fields}]\n", encoding="utf-8")
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    record = np.full(scan.range_m.size, -1, np.int64)
+    record[there] = place[: len(there)]
+    options = ("--layout", str(layout), "-M", str(m))
+    return ScanFile(path, options, nadir, record.reshape(scan.range_m.shape), place[len(there) :])

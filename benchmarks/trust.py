@@ -1,0 +1,391 @@
+"""The benchmark of trust: what the program does when it is told something wrong, or when the file is damaged.
+
+    python -m benchmarks.trust                          # held-out scans, minutes
+    python -m benchmarks.trust --quick                  # three small scans, below a minute
+    python -m benchmarks.trust --set tuning             # scans on which limits may be chosen
+    python -m benchmarks.trust --only "M wrong"         # rows whose name holds this text
+
+Every case is a file and a command line, run through ``prc classify -q`` in this process (``--processes``: in one of its
+own). Only the exit code, stderr and the labels count. A case is silent when the exit code is 0, no warning was printed,
+and macro F1 is more than 0.10 below the same scan rightly told. A scan that is rightly told and refused or doubted is a
+false alarm. Reads ../shared/data or $PRC_DATA for the real scans.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from benchmarks.contest_data import ROOT
+from benchmarks.contest_judge import Verdict, mapping_of
+from benchmarks.simulated import say
+from benchmarks.trust_cases import (
+    FRAME_ROWS,
+    KITTI_CONFIG,
+    METHODS,
+    ROWS,
+    Context,
+    Pair,
+    Row,
+    Told,
+    frame_file,
+    methods_of,
+    right_forms,
+)
+from benchmarks.trust_scans import PARTS, Frame, Part, Source, Window, frames, sources
+from benchmarks.user import Runner, in_own_process, in_process
+from prc_cli.core.types import I64, U8
+from prc_cli.evaluation.splits import GroupedCounts, cells_of
+
+LOST = 0.10
+"""Loss of macro F1 from which a result is wrong."""
+WINDOWS, QUICK_WINDOWS = 12, 2
+"""Windows along a scan that are told rightly."""
+CASES, QUICK_CASES = 2, 1
+"""Windows of a scan at which a row is run."""
+Outcome: TypeAlias = Literal["silent", "doubted", "refused", "harmless"]
+OUTCOMES: tuple[Outcome, ...] = ("silent", "doubted", "refused", "harmless")
+WARNING = "warning: "
+TOLD = "right: told"
+"""Row of the windows that are rightly told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What a run of the program says."""
+
+    exit_code: int
+    stderr: str
+    labels: U8 | None
+    """Codes of all records, None where nothing was written."""
+
+    @property
+    def is_refused(self) -> bool:
+        return self.labels is None
+
+    @property
+    def is_doubted(self) -> bool:
+        return not self.is_refused and (self.exit_code != 0 or WARNING in self.stderr)
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A case and what became of it."""
+
+    row: str
+    scan: str
+    first_line: int
+    method: str
+    outcome: Outcome
+    exit_code: int
+    f1: float
+    """Macro F1, NaN where nothing was written."""
+    f1_right: float
+    """The same of the scan rightly told; 1 where that is refused."""
+    said: str
+    """First line on stderr."""
+    command: str
+    is_right: bool = False
+    """Whether nothing was wrong: doubts and refusals are false alarms."""
+
+    @property
+    def is_alarm(self) -> bool:
+        return self.is_right and self.outcome in ("doubted", "refused")
+
+
+@dataclass(slots=True)
+class Trial:
+    """Runs cases, and keeps what the same window gave when it was rightly told."""
+
+    folder: Path
+    run: Runner = in_process
+    results: list[Result] = field(default_factory=list)
+
+    def classify(self, told: Told, method: tuple[str, ...]) -> tuple[Done, str]:
+        """Run ``prc classify``; return what it says and the command line."""
+        output = self.folder / "labels.npy"
+        for left in (output, output.with_name(output.name + ".prc.json")):
+            left.unlink(missing_ok=True)
+        options = [*method, *told.options]
+        code, stderr = self.run(["classify", str(told.path), str(output), *options, "-q"])
+        labels = np.load(output).ravel() if output.exists() else None
+        command = shlex.join(["prc", "classify", told.path.name, output.name, *options])
+        return Done(code, stderr, labels), command.replace(f"{self.folder}/", "").replace(f"{ROOT}/", "")
+
+    def judge(self, case: Case, told: Told, f1_right: float, *, is_right: bool = False) -> Result:
+        """Run a case and say what became of it."""
+        done, command = self.classify(told, case.options)
+        f1 = float("nan") if done.labels is None else macro_f1(case.mapping, done.labels, told.truth)
+        said = next((line for line in done.stderr.splitlines() if line.strip()), "").replace(f"{self.folder}/", "")
+        outcome = outcome_of(done, f1, f1_right)
+        result = Result(case.row, case.scan, case.first_line, case.method, outcome, done.exit_code, f1, f1_right,
+                        said, command, is_right)  # fmt: skip
+        self.results.append(result)
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is run where."""
+
+    row: str
+    scan: str
+    first_line: int
+    method: str
+    mapping: str
+    options: tuple[str, ...]
+    """Of the method."""
+
+
+def outcome_of(done: Done, f1: float, f1_right: float) -> Outcome:
+    """Return what became of a case."""
+    if done.is_refused:
+        return "refused"
+    if done.is_doubted:
+        return "doubted"
+    return "silent" if f1 < f1_right - LOST else "harmless"
+
+
+def macro_f1(mapping: str, codes: U8, truth: I64) -> float:
+    """Return the mean F1 of the classes that exist, of records with a reference class.
+
+    Parameters
+    ----------
+    mapping : str
+        Key of ``contest_judge.MAPPINGS``.
+    codes : (n,) uint8
+        Labels that came out; 0, none, counts as unclassified.
+    truth : (n,) int64
+        Reference codes; 0 = not judged.
+    """
+    if len(codes) != len(truth):
+        problem = f"{len(codes)} labels came out, expected {len(truth)}"
+        raise AssertionError(problem)
+    classes = mapping_of(mapping)
+    judged = truth != 0
+    predicted = codes[judged].astype(np.int64)
+    predicted[predicted == 0] = 1
+    counts = GroupedCounts(classes, "cases")
+    cells = cells_of(classes, predicted, truth[judged])
+    counts.add(np.zeros(len(cells), np.int64), cells)
+    found = Verdict(classes.names("reference"), classes.names("predicted"), counts.scored()).f1()
+    return float(np.mean(np.nan_to_num(list(found.values()))))
+
+
+def random_of(*parts: object) -> np.random.Generator:
+    """Return random numbers that depend on a case alone."""
+    return np.random.default_rng(zlib.crc32(" ".join(map(str, parts)).encode()))
+
+
+def try_window(trial: Trial, source: Source, window: Window, rows: Iterable[Row], form: int, seed: int) -> None:
+    """Run a window rightly told, then the rows, with every method."""
+    for method in methods_of(window):
+        random = random_of(seed, "right", window.scan, window.first_line, method)
+        context = Context(trial.folder, method, random, source.slower if source.can_be_slower else None)
+        case = Case(TOLD, window.scan, window.first_line, method, window.mapping, METHODS[method])
+        forms = right_forms(window)
+        told = forms[form % len(forms)](window, context)
+        if not window.is_labelled:
+            done, _ = trial.classify(told, case.options)
+            if done.labels is None:
+                trial.judge(case, told, 1.0, is_right=True)
+                continue
+            window = replace(window, codes=_as_image(window, done.labels, told))
+            told = forms[form % len(forms)](window, context)
+        right = trial.judge(case, told, 0.0, is_right=True)
+        f1_right = 1.0 if np.isnan(right.f1) else right.f1
+        for row in rows:
+            if not row.aimed_only or context.is_aimed:
+                try_row(trial, row, window, context, f1_right, seed)
+
+
+def _as_image(window: Window, labels: U8, told: Told) -> I64:
+    """Return the labels of records as reference codes of a window."""
+    codes = np.zeros(window.range_m.size, np.int64)
+    there = ~np.isnan(window.range_m.ravel())
+    codes[there] = labels if len(labels) == np.count_nonzero(there) else labels[there]
+    return codes.reshape(window.range_m.shape)
+
+
+def try_row(trial: Trial, row: Row, window: Window, context: Context, f1_right: float, seed: int) -> Result | None:
+    """Run a row at a window."""
+    random = random_of(seed, row.name, window.scan, window.first_line, context.method)
+    made = row.make(window, replace(context, random=random))
+    if made is None:
+        return None
+    case = Case(row.name, window.scan, window.first_line, context.method, window.mapping, METHODS[context.method])
+    if isinstance(made, Pair):
+        right = trial.judge(replace(case, row=f"right: {row.name}"), made.right, 0.0, is_right=True)
+        return trial.judge(case, made.wrong, 1.0 if np.isnan(right.f1) else right.f1)
+    return trial.judge(case, made, f1_right, is_right=row.is_right)
+
+
+def try_frame(trial: Trial, frame: Frame, only: str, seed: int) -> None:
+    """Run a frame of rings rightly told, then its rows."""
+    for method in ("fused", "sequential-angle"):
+        context = Context(trial.folder, method, random_of(seed, frame.scan, method))
+        options = (*KITTI_CONFIG, *METHODS[method])
+        case = Case(TOLD, frame.scan, frame.first_line, method, frame.mapping, options)
+        right = trial.judge(case, frame_file(frame, context), 0.0, is_right=True)
+        for row in FRAME_ROWS:
+            if only in row.name:
+                told = row.make(frame, replace(context, random=random_of(seed, row.name, method)))
+                trial.judge(replace(case, row=row.name), told, 1.0 if np.isnan(right.f1) else right.f1)
+
+
+def run_set(trial: Trial, part: Part, seed: int, *, is_quick: bool, only: str, told: Callable[[str], None]) -> None:
+    """Run all scans of a set."""
+    rows = [row for row in ROWS if only in row.name]
+    for source in sources(part, seed, is_quick=is_quick):
+        start = time.perf_counter()
+        windows = source.windows(QUICK_WINDOWS if is_quick else WINDOWS)
+        chosen = chosen_windows(rows, len(windows), QUICK_CASES if is_quick else CASES, source.name, seed)
+        for i, window in enumerate(windows):
+            if only and not chosen[i]:
+                continue
+            try_window(trial, source, window, chosen[i], i, seed)
+        told(f"{source.name}: {len(windows)} windows, {time.perf_counter() - start:.0f} s")
+    for frame in frames(part, is_quick=is_quick):
+        try_frame(trial, frame, only, seed)
+        told(frame.scan)
+
+
+def chosen_windows(rows: list[Row], n: int, each: int, scan: str, seed: int) -> list[list[Row]]:
+    """Return the rows of every window: those for everywhere, the others at some windows by chance."""
+    found: list[list[Row]] = [[] for _ in range(n)]
+    for row in rows:
+        random = random_of(seed, "where", row.name, scan)
+        where = range(n) if row.everywhere else random.choice(n, min(each, n), replace=False).tolist()
+        for i in where:
+            found[i].append(row)
+    return found
+
+
+# What is printed
+
+
+def print_summary(results: list[Result]) -> None:
+    """One row per corruption."""
+    print("## In short\n")
+    wrong = [one for one in results if not one.is_right]
+    names = dict.fromkeys([*(row.name for row in ROWS), *(row.name for row in FRAME_ROWS)])
+    print("| what is wrong | cases | silent | doubted | refused | harmless |\n|---|---:|---:|---:|---:|---:|")
+    for name in names:
+        own = [one for one in wrong if one.row == name]
+        if own:
+            print(f"| {name} | {len(own)} | {_counts(own)} |")
+    print(f"| all | {len(wrong)} | {_counts(wrong)} |\n")
+
+
+def _counts(results: list[Result]) -> str:
+    return " | ".join(str(sum(one.outcome == outcome for one in results) or "") for outcome in OUTCOMES)
+
+
+def print_alarms(results: list[Result]) -> None:
+    """False alarms by scan: every window told all, and told nothing of straight down."""
+    print("## False alarms\n")
+    say("""Windows along the scan that are rightly told, in turn as a plain dump, .npz, records, text and LAS, with
+    every method; and in other forms with nothing wrong. Not told: scan angles in the file, nothing of straight down;
+    what is refused or doubted there may be so with reason.""")
+    print("| scan | rightly told | doubted | refused | down not told | doubted | refused | silent |")
+    print("|---|---:|---:|---:|---:|---:|---:|---:|")
+    for name in [*dict.fromkeys(one.scan for one in results), ""]:
+        own = [one for one in results if name in ("", one.scan)]
+        right = [one for one in own if one.is_right]
+        untold = [one for one in own if one.row == "down not told"]
+        cells = [len(right), *(_n(right, kind) for kind in ("doubted", "refused")), len(untold)]
+        cells += [_n(untold, kind) for kind in ("doubted", "refused", "silent")]
+        print(f"| {name or 'all'} | {' | '.join(str(cell or '') for cell in cells)} |")
+    print()
+    alarms = [one for one in results if one.is_alarm]
+    n_right = sum(one.is_right for one in results)
+    if n_right:
+        print(f"{len(alarms)} of {n_right} rightly told runs are false alarms ({len(alarms) / n_right:.1%}).\n")
+    wrong = [one for one in results if one.is_right and one.outcome == "silent"]
+    for one in [*alarms, *wrong]:
+        print(
+            f"- {one.row}, {one.scan}, line {one.first_line}, {one.method}: {one.outcome}, F1 {one.f1:.2f}: {one.said}"
+        )
+    if alarms or wrong:
+        print()
+
+
+def _n(results: list[Result], outcome: Outcome) -> int:
+    return sum(one.outcome == outcome for one in results)
+
+
+def print_silent(results: list[Result]) -> None:
+    """Every silent failure."""
+    silent = [one for one in results if not one.is_right and one.outcome == "silent"]
+    print("## Silent failures\n")
+    if not silent:
+        print("None.\n")
+        return
+    print("| what is wrong | scan | from line | method | macro F1 | rightly told |\n|---|---|---:|---|---:|---:|")
+    for one in silent:
+        print(f"| {one.row} | {one.scan} | {one.first_line} | {one.method} | {one.f1:.2f} | {one.f1_right:.2f} |")
+    print()
+
+
+def print_words(results: list[Result]) -> None:
+    """What is said first, by row: whether it leads to the right command."""
+    print("## What is said\n")
+    print("| what is wrong | exit code | first line |\n|---|---:|---|")
+    seen: set[tuple[str, int]] = set()
+    for one in results:
+        if one.said and (one.row, one.exit_code) not in seen:
+            seen.add((one.row, one.exit_code))
+            print(f"| {one.row} | {one.exit_code} | {one.said.replace('|', '/')} |")
+    print()
+
+
+def as_json(results: list[Result]) -> Iterator[dict[str, object]]:
+    for one in results:
+        values = asdict(one)
+        yield {key: None if isinstance(value, float) and np.isnan(value) else value for key, value in values.items()}
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--set", dest="part", choices=PARTS, default="held-out")
+    parser.add_argument("--quick", action="store_true", help="three small scans")
+    parser.add_argument("--seed", type=int, default=0, help="other streets, other windows, other damage")
+    parser.add_argument("--only", metavar="NAME", default="", help="only rows whose name holds this text")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write every run")
+    parser.add_argument("--processes", action="store_true", help="a process for every run, as in a shell; slow")
+    arguments = parser.parse_args()
+    start = time.perf_counter()
+    told: Callable[[str], None] = lambda text: print(text, file=sys.stderr, flush=True)  # noqa: E731
+    with tempfile.TemporaryDirectory() as name:
+        trial = Trial(Path(name), in_own_process if arguments.processes else in_process)
+        run_set(trial, arguments.part, arguments.seed, is_quick=arguments.quick, only=arguments.only, told=told)
+    results = trial.results
+    print("<!-- written by python -m benchmarks.trust; do not edit -->\n\n# Trust: figures\n")
+    say(f"""Scans that are {"held out: no limit was chosen on them" if arguments.part == "held-out" else "for tuning"},
+    seed {arguments.seed}; {len(results)} runs of prc classify -q. Silent: exit code 0, no warning, and macro F1 more
+    than {LOST:.2f} below the same scan rightly told. Doubted: a warning, or exit code 4. Refused: nothing is written.
+    Harmless: macro F1 within {LOST:.2f}. The RIEGL strip has no reference: its labels when rightly told are the
+    reference.""")
+    print_summary(results)
+    print_alarms(results)
+    print_silent(results)
+    print_words(results)
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(list(as_json(results)), indent=1), encoding="utf-8")
+    told(f"{len(results)} runs, {time.perf_counter() - start:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,326 @@
+"""Scans of the benchmark of trust: windows all along simulated drives and walks, and real scans.
+
+A window has what a scanner writes, and the truth: the class of every shot and the scan angle of straight down. Scan
+angles count from the first column, as an encoder does. Scans whose set is ``tuning`` may be used to choose limits;
+those of ``held-out`` (other seeds, other scanners and mountings, other strips) are only reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from benchmarks import contest_data as data
+from benchmarks.contest_data import GAP_DOWN, Scan, Simulated
+from prc_cli.core.types import F32, F64, I64
+from prc_cli.simulation.scanners import SCANNERS
+from prc_cli.streams.down import fit_heights
+
+Part = Literal["tuning", "held-out"]
+PARTS: tuple[Part, ...] = ("tuning", "held-out")
+FIRST_SEED: dict[Part, int] = {"tuning": 20_000, "held-out": 60_000}
+"""Seeds of a set begin here; ``--seed N`` adds ``N * 1000``. No other benchmark uses these."""
+SEEDS_APART = 1000
+FEW_COLUMNS = 400
+"""Scanners with fewer shots a line are push-brooms: PRC runs with their parameters, and sequential-angle too."""
+USUAL_M = 0.15
+"""Drives whose lines are closer than this are slow already [m]."""
+OAKLAND_LINES_HZ = 37.5
+RIEGL_COLUMNS = 2917
+RIEGL_LINES_HZ = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Consecutive lines of a scan, and the truth about them."""
+
+    scan: str
+    first_line: int
+    range_m: F32
+    """(lines, M) float32 [m]; NaN = missing."""
+    codes: I64
+    """(lines, M) int64, reference codes of ``mapping``; 0 = not judged."""
+    mapping: str
+    """Mapping of the codes: a key of ``contest_judge.MAPPINGS``."""
+    start_deg: float
+    step_deg: float
+    """Scan angle of the first column, and from column to column [deg]."""
+    nadir_deg: float
+    """Scan angle of straight down [deg]."""
+    time_s: F64
+    """(lines, M) float64 [s]."""
+    world_m: F64 | None = None
+    """(lines, M, 3) float64, registered [m]."""
+    scanner_m: F64 | None = None
+    """(lines, 3) float64, where the scanner was amid every line [m]."""
+    is_labelled: bool = True
+    """Otherwise the labels of the scan rightly told are the reference."""
+
+    @property
+    def points_per_line(self) -> int:
+        return int(self.range_m.shape[1])
+
+    @property
+    def n_lines(self) -> int:
+        return int(self.range_m.shape[0])
+
+    @property
+    def is_forest(self) -> bool:
+        return self.mapping == "forest"
+
+    @property
+    def is_push_broom(self) -> bool:
+        return self.points_per_line < FEW_COLUMNS
+
+    @property
+    def line_hz(self) -> float:
+        """Scan lines a second [Hz]."""
+        return float((self.n_lines - 1) / (self.time_s[-1, 0] - self.time_s[0, 0]))
+
+    def angle_deg(self) -> F64:
+        """Return the scan angle of every column, (M,) float64 [deg]."""
+        return self.start_deg + self.step_deg * np.arange(self.points_per_line, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame of a spinning scanner, ring after ring."""
+
+    scan: str
+    points: F32
+    """(n, 4) float32: x, y, z [m] and intensity."""
+    codes: I64
+    """(n,) int64, reference codes."""
+    mapping: str = "kitti"
+    first_line: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Drive(Simulated):
+    """A simulated scan with another way between lines."""
+
+    between_lines_m: float | None = None
+
+    def options(self) -> dict[str, Any]:
+        found = Simulated.options(self)
+        if self.between_lines_m is not None:
+            speed = self.between_lines_m * self.line_hz
+            found["trajectory"] |= {"speed_m_s": speed, "speed_variation": 0.0}
+        return found
+
+    @property
+    def line_hz(self) -> float:
+        return float(self.mount.get("line_hz", SCANNERS[self.scanner].line_hz))
+
+    @property
+    def usual_m(self) -> float:
+        """Way between lines at the usual speed [m]."""
+        return (1.1 if self.kind == "forest" else 8.33) / self.line_hz
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A scan, cut into windows."""
+
+    name: str
+    part: Part
+    make: Callable[[], Scan]
+    n_lines: int
+    """Lines of a window."""
+    spec: Drive | None = None
+    """Simulated ones: how, for the same street driven in another way."""
+    is_labelled: bool = True
+
+    def windows(self, n: int) -> list[Window]:
+        """Return windows that begin at even distances along the scan; the last one ends where the scan ends."""
+        scan = self.make()
+        lines = len(scan.range_m)
+        each = min(self.n_lines, lines)
+        n = min(n, 1 + (lines - each) // max(each // 8, 1))
+        firsts = np.unique(np.linspace(0, lines - each, n).astype(int))
+        return [cut(self.name, scan, int(first), each, is_labelled=self.is_labelled) for first in firsts]
+
+    def slower(self, between_lines_m: float) -> Window:
+        """Return the street driven with another way between lines."""
+        assert self.spec is not None
+        length_m = between_lines_m * (self.n_lines + 2)
+        scan = data.simulated(replace(self.spec, length_m=length_m, between_lines_m=between_lines_m))
+        return cut(self.name, scan, 0, min(self.n_lines, len(scan.range_m)))
+
+    @property
+    def can_be_slower(self) -> bool:
+        return self.spec is not None and self.spec.usual_m > USUAL_M
+
+
+def cut(name: str, scan: Scan, first: int, n_lines: int, *, is_labelled: bool = True) -> Window:
+    """Return some lines of a scan; its angles count from the first column."""
+    lines = slice(first, first + n_lines)
+    degrees = np.rad2deg(np.unwrap(scan.angle_rad))
+    step = float((degrees[-1] - degrees[0]) / (len(degrees) - 1))
+    time_s = _times(scan)
+    return Window(
+        scan=name,
+        first_line=first,
+        range_m=np.ascontiguousarray(scan.range_m[lines]),
+        codes=np.ascontiguousarray(scan.codes[lines]),
+        mapping=scan.mapping,
+        start_deg=0.0,
+        step_deg=step,
+        nadir_deg=float(-degrees[0]),
+        time_s=np.ascontiguousarray(time_s[lines]),
+        world_m=None if scan.world_m is None else scan.world_m[lines],
+        scanner_m=None if scan.scanner_m is None else scan.scanner_m[lines],
+        is_labelled=is_labelled,
+    )
+
+
+def _times(scan: Scan) -> F64:
+    """Return the times of a scan, even ones where it has none."""
+    if scan.time_s is not None:
+        return scan.time_s
+    lines, m = scan.range_m.shape
+    times: F64 = (np.arange(lines)[:, None] + 0.75 * np.arange(m) / m) / OAKLAND_LINES_HZ
+    return times
+
+
+def riegl() -> Scan:
+    """Return the real profiler drive: one column a step of the mirror, exact copies of returns left out.
+
+    Shots without return are no rows of the files; the angle says where they are missing.
+    """
+    vectors = [f"{axis}{of}" for of in ("_sensor", "_origin_sensor", "", "_origin") for axis in "xyz"]
+    floats = [*vectors, "range", "theta", "phi"]
+    after = ("amplitude", "reflectance", "deviation", "background_radiation")
+    kind = np.dtype([
+        ("time", ">f8"), *((name, ">f4") for name in floats), ("num_echo", "u1"), ("nb_of_echo", "u1"),
+        *((name, ">f4") for name in after),
+    ])  # fmt: skip
+    parts = []
+    for path in sorted((data.DATA / "riegl").glob("*.ply")):
+        content = path.read_bytes()
+        parts.append(np.frombuffer(content, kind, offset=content.index(b"end_header\n") + len(b"end_header\n")))
+    rows = np.concatenate(parts)
+    time_s = rows["time"].astype(np.float64)
+    # further returns of a shot have its time
+    rows, time_s = rows[np.diff(time_s, prepend=-np.inf) > 0], time_s[np.diff(time_s, prepend=-np.inf) > 0]
+    step = 2.0 * np.pi / RIEGL_COLUMNS
+    turned = np.unwrap(rows["theta"].astype(np.float64)) + np.pi
+    place = np.rint(turned / step).astype(np.int64)
+    line, column = np.divmod(place, RIEGL_COLUMNS)
+    line -= line[0]
+    shape = (int(line[-1]) + 1, RIEGL_COLUMNS)
+    range_m = np.full(shape, np.nan, np.float32)
+    range_m[line, column] = rows["range"]
+    world_m = np.full((*shape, 3), np.nan)
+    for axis, name in enumerate("xyz"):
+        world_m[line, column, axis] = rows[name]
+    angle: F64 = -np.pi + step * np.arange(RIEGL_COLUMNS, dtype=np.float64)
+    start_s = float(time_s[0]) - (float(turned[0]) % (2 * np.pi)) / (2 * np.pi) / RIEGL_LINES_HZ
+    fired = start_s + (np.arange(shape[0])[:, None] + np.arange(shape[1]) / shape[1]) / RIEGL_LINES_HZ
+    fit = fit_heights(angle[column], range_m[line, column], world_m[line, column, 2], line)
+    codes = np.zeros(shape, np.int64)
+    return Scan("RIEGL strip", range_m, angle - fit.down_rad, codes, "street", time_s=fired, world_m=world_m)
+
+
+def kitti() -> Frame:
+    """Return the labelled frame as it is in the file."""
+    source = data.DATA / "kitti" / "000000.bin"
+    codes = np.fromfile(source.with_suffix(".label"), np.uint32).astype(np.int64) & 0xFFFF
+    return Frame("KITTI frame", np.fromfile(source, np.float32).reshape(-1, 4), codes)
+
+
+_LINES = {"photon-80": 256, "focus3d-120": 144, "profiler-1mhz": 144, "sick-push-broom": 512}
+"""Lines of a window by scanner."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """A simulated scan of a set."""
+
+    name: str
+    length_m: float
+    scene: str
+    scanner: str = "photon-80"
+    mount: dict[str, Any] = field(default_factory=dict)
+    noise: float | None = None
+    kind: Literal["street", "forest"] = "street"
+
+    def source(self, part: Part, seed: int, *, is_short: bool) -> Source:
+        n_lines = _LINES[self.scanner]
+        spec = Drive(self.name, seed, self.length_m, self.scene, self.scanner, self.mount, self.noise, self.kind)
+        if is_short:
+            spec = replace(spec, length_m=1.5 * n_lines * spec.usual_m)
+        return Source(self.name, part, partial(data.simulated, spec), n_lines, spec)
+
+
+_WALK: dict[str, Any] = {"scanner": "focus3d-120", "kind": "forest"}
+_PLANS: dict[Part, tuple[_Plan, ...]] = {
+    "tuning": (
+        _Plan("residential, photon-80, gap up, slant 25°", 150, "residential"),
+        _Plan("mixed, photon-80, gap of 50° down, slant 20°", 150, "mixed", mount=GAP_DOWN),
+        _Plan("suburb, photon-80, gap of 40° down and 30° aside, slant 45°", 150, "suburb",
+              mount={"centre_deg": 180.0, "roll_deg": 30.0, "slant_deg": 45.0}, noise=0.02),
+        _Plan("residential, sick-push-broom", 300, "residential", "sick-push-broom", noise=0.02),
+        _Plan("boulevard, profiler-1mhz, slant 25°", 24, "boulevard", "profiler-1mhz", noise=0.02),
+        _Plan("mixed forest, gap of 55° down, slant 20°", 6, "mixed", **_WALK),
+    ),
+    "held-out": (
+        _Plan("mixed, photon-80, gap of 70° down, slant 45°", 150, "mixed",
+              mount={"centre_deg": 180.0, "field_deg": 290.0, "slant_deg": 45.0}),
+        _Plan("terraces, photon-80, gap up, turned 45°, slant 20°", 150, "terraces",
+              mount={"heading_deg": 45.0, "slant_deg": 20.0}, noise=0.05),
+        _Plan("boulevard, photon-80, gap of 40° 60° from up, slant 30°", 150, "boulevard",
+              mount={"roll_deg": -60.0, "slant_deg": 30.0}, noise=0.02),
+        _Plan("suburb, focus3d-120 on a car, gap of 55° down, upright", 90, "suburb", "focus3d-120",
+              mount={"slant_deg": 0.0, "height_m": 2.9}),
+        _Plan("residential, profiler of 300 kHz, seam aside, slant 35°", 48, "residential", "profiler-1mhz",
+              mount={"points_per_line": 3000, "line_hz": 100.0, "roll_deg": 90.0, "slant_deg": 35.0, "height_m": 3.2},
+              noise=0.02),
+        _Plan("mixed, profiler-1mhz, slant 45°", 24, "mixed", "profiler-1mhz", mount={"slant_deg": 45.0}, noise=0.0),
+        _Plan("terraces, sick-push-broom on the other side", 300, "terraces", "sick-push-broom",
+              mount={"centre_deg": -90.0}, noise=0.05),
+        _Plan("boulevard, sick-push-broom looking down", 300, "boulevard", "sick-push-broom",
+              mount={"centre_deg": 0.0, "height_m": 2.8}, noise=0.02),
+        _Plan("mixed forest, gap of 55° down and 20° aside, slant 35°", 6, "mixed",
+              mount={"roll_deg": 20.0, "slant_deg": 35.0}, **_WALK),
+        _Plan("pine heath, gap of 55° down, slant 20°", 6, "pine-heath", **_WALK),
+        _Plan("dense spruce, gap up, slant 20°", 6, "dense-spruce", mount={"centre_deg": 0.0}, **_WALK),
+    ),
+}  # fmt: skip
+_TOYS: dict[str, _Plan] = {
+    "street": _Plan("street", 45, "residential",
+                    mount={**GAP_DOWN, "points_per_line": 718, "line_hz": 48.0, "divergence_mrad": 2.0}, noise=0.02),
+    "push-broom": _Plan("push-broom", 115, "residential", "sick-push-broom", noise=0.02),
+    "forest": _Plan("forest", 1.7, "mixed", mount={"points_per_line": 1424}, **_WALK),
+}  # fmt: skip
+TOY_SEED = 59_000
+_QUICK: dict[Part, tuple[int, ...]] = {"tuning": (1, 3, 5), "held-out": (0, 7, 10)}
+"""Scans of a quick run."""
+
+
+def sources(part: Part, seed: int = 0, *, is_quick: bool = False) -> Iterator[Source]:
+    """Return the scans of a set that are made of lines; real ones if available."""
+    for i, plan in enumerate(_PLANS[part]):
+        if not is_quick or i in _QUICK[part]:
+            yield plan.source(part, FIRST_SEED[part] + SEEDS_APART * seed + i, is_short=is_quick)
+    strips = (1,) if part == "tuning" else (2, 3)
+    if (data.DATA / "oakland").exists() and not is_quick:
+        for strip in strips:
+            yield Source(f"Oakland strip {strip}", part, partial(data.oakland, strip), 256)
+    if part == "held-out" and (data.DATA / "riegl").exists() and not is_quick:
+        yield Source("RIEGL strip", part, riegl, 100, is_labelled=False)
+
+
+def toy(name: str) -> Source:
+    """Return a small scan for tests."""
+    return _TOYS[name].source("tuning", TOY_SEED, is_short=False)
+
+
+def frames(part: Part, *, is_quick: bool = False) -> Iterator[Frame]:
+    """Return the real frames of a set."""
+    if part == "held-out" and (data.DATA / "kitti").exists() and not is_quick:
+        yield kitti()

@@ -1,0 +1,431 @@
+"""Checks of the result: labels that no rightly told scan gets.
+
+A wrong direction of down, a wrong M or damaged ranges show in the labels: the ground is not below the scanner or leans,
+things lie below it, most of the scan is noise. The shares that are usual differ between methods
+(:class:`prc_cli.classifiers.base.UsualLabels`).
+
+Lines are kept while they pass: every n-th, in up to 128 of their columns; n doubles whenever there are too many. All
+figures are computed from these when they are asked for. The choice depends on the line numbers alone, so the findings
+depend neither on threads nor on the reader's chunks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from prc_cli.classifiers.base import UsualLabels
+from prc_cli.core.classes import Label
+from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.stream import LabelledBlock
+from prc_cli.core.types import F32, F64, I64, U8, Mask
+from prc_cli.streams.evidence.table import Check
+
+MAX_SCANNERS = 4
+"""Most scanners whose labels are looked at."""
+MAX_LINES, MAX_COLUMNS = 512, 128
+"""Most lines and columns kept of a scanner: 0.3 MB."""
+LEAST_LINES, LEAST_RETURNS = 32, 1000
+"""Fewer kept lines, or fewer returns in them, are too few to tell."""
+DOWN_RAD = math.radians(60.0)
+"""What lies this near to straight down is ground, or stands on it."""
+NEAR_M, BELOW_M = 20.0, 1.0
+"""Returns this near should not lie this far below the ground."""
+LEAST_GROUND = 3
+"""Ground returns on a side of a line for its height there."""
+LEAST_LEVEL, LEAST_SPREAD_M = 8, 0.3
+"""Ground returns of a line for its lean, and their standard deviation to the side."""
+STRETCH_LINES = 16
+"""Kept lines of a stretch: 16 to 32 stretches in all but short streams."""
+LEAST_STRETCHES = 8
+"""Fewer are too few to tell what is usual along the stream."""
+LONG_STRETCHES = 3
+"""Stretches in a row that make a long one: a tenth to a fifth of a long stream."""
+
+_LOOK_FOR_DOWN = "look where down is: prc info, or give it with --set input.nadir=DEG"
+_LOOK_AT_INPUT = "look at the order of the shots, M and the unit of the ranges: prc info"
+
+
+class _Kept:
+    """Lines of one scanner, evenly over all that have passed."""
+
+    def __init__(self, item: LabelledBlock) -> None:
+        m = item.block.points_per_line
+        step = -(-m // MAX_COLUMNS)
+        self.columns = slice((step - 1) // 2, None, step)
+        n_columns = len(range(m)[self.columns])
+        self.beam_rad = None if item.block.beam_rad is None else item.block.beam_rad[self.columns].copy()
+        self.angle_rad = None if item.block.angle_rad is None else item.block.angle_rad[self.columns].copy()
+        self.line = np.empty(MAX_LINES, np.int64)
+        self.range_m = np.empty((MAX_LINES, n_columns), np.float32)
+        self.labels = np.empty((MAX_LINES, n_columns), np.uint8)
+        self.n = 0
+        self.stride = 1
+
+    def add(self, item: LabelledBlock) -> None:
+        """Keep what is wanted of the next lines."""
+        line, stop = item.block.first_line, item.block.first_line + item.block.n_lines
+        while True:
+            line = -(-line // self.stride) * self.stride
+            if line >= stop:
+                return
+            if self.n == MAX_LINES:
+                self._thin()
+                continue
+            lines = np.arange(line, stop, self.stride)[: MAX_LINES - self.n]
+            rows = slice(line - item.block.first_line, int(lines[-1]) - item.block.first_line + 1, self.stride)
+            at = slice(self.n, self.n + len(lines))
+            self.line[at] = lines
+            self.range_m[at] = item.block.range_m[rows, self.columns]
+            self.labels[at] = item.labels[rows, self.columns]
+            self.n = at.stop
+            line = int(lines[-1]) + 1
+
+    def _thin(self) -> None:
+        self.stride *= 2
+        stays = np.flatnonzero(self.line[: self.n] % self.stride == 0)
+        for kept in (self.line, self.range_m, self.labels):
+            kept[: len(stays)] = kept[stays]
+        self.n = len(stays)
+
+    def sample(self) -> _Sample:
+        """Return what is kept."""
+        return _Sample(
+            self.line[: self.n],
+            self.range_m[: self.n],
+            self.labels[: self.n],
+            self.beam_rad,
+            self.angle_rad,
+            self.stride,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    """Kept lines of one scanner."""
+
+    line: I64
+    """(n,) int64, their numbers."""
+    range_m: F32
+    """(n, columns) float32 [m]."""
+    labels: U8
+    """(n, columns) uint8."""
+    beam_rad: F64 | None
+    """(columns,) float64, from straight down [rad]; None = unknown or not needed."""
+    angle_rad: F64 | None
+    """(columns,) float64, scan angle [rad]; None = unknown."""
+    stride: int
+    """Every how many-th line is kept."""
+
+
+@dataclass(slots=True)
+class ResultWatch:
+    """Watches the labels while they are written, and checks them.
+
+    Parameters
+    ----------
+    usual : UsualLabels
+        What labels of the method usually look like: ``params.method().usual``.
+
+    Examples
+    --------
+    >>> from prc_cli.core.stream import ScanBlock
+    >>> block = ScanBlock(0, np.full((64, 100), 5.0, np.float32))
+    >>> watch = ResultWatch(UsualLabels(noise_share=0.5))
+    >>> watch.see(LabelledBlock(block, np.full((64, 100), Label.NOISE, np.uint8), np.empty(0, np.uint8)))
+    >>> [finding.problem for finding in watch.findings()]
+    ['100 % of the returns are noise, expected at most 50 %']
+    """
+
+    usual: UsualLabels
+    _scanners: dict[int, _Kept] = field(default_factory=dict, init=False)
+
+    def see(self, item: LabelledBlock) -> None:
+        """Keep a bounded part of the next lines of a scanner; call it in the order of its lines."""
+        kept = self._scanners.get(item.block.scanner)
+        if kept is None:
+            if len(self._scanners) == MAX_SCANNERS:
+                return
+            kept = self._scanners[item.block.scanner] = _Kept(item)
+        kept.add(item)
+
+    def findings(self) -> tuple[Finding, ...]:
+        """Return the answers of all checks to what has passed so far; too little to tell gives no finding."""
+        found: dict[str, Finding] = {}
+        for scanner, kept in sorted(self._scanners.items()):
+            for finding in check_labels(kept.sample(), self.usual):
+                told = finding
+                if len(self._scanners) > 1:
+                    told = replace(finding, found=f"scanner {scanner}: {finding.found}")
+                # of several scanners, the worst answer stands for the check
+                if finding.check not in found or finding.verdict > found[finding.check].verdict:
+                    found[finding.check] = told
+        return tuple(found.values())
+
+
+def check_labels(sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
+    """Ask all checks of the result of one scanner."""
+    there = sample.labels != Label.MISSING
+    if len(sample.line) < LEAST_LINES or np.count_nonzero(there) < LEAST_RETURNS:
+        return
+    noise = sample.labels == Label.NOISE
+    yield _noise(there, noise, sample.labels == Label.UNCLASSIFIED, usual)
+    solid, level = there & ~noise, np.isin(sample.labels, usual.level)
+    below = solid
+    if sample.beam_rad is not None:
+        is_down = np.abs(sample.beam_rad) < DOWN_RAD
+        below = solid & is_down
+        scene = _Scene.of(sample, solid, is_down)
+        yield from _ground_below(solid, below, level, np.cos(sample.beam_rad) > 0, usual)
+        yield from _ground_lean(scene, sample, usual)
+        yield from _below_ground(scene, usual)
+    yield from _along(sample, there, noise, below, level, usual)
+
+
+def _percent(share: float) -> str:
+    """Return a share for people.
+
+    >>> _percent(0.412), _percent(0.034), _percent(0.0)
+    ('41 %', '3.4 %', '0 %')
+    """
+    return f"{100 * share:.2g} %" if share < 0.0995 else f"{100 * share:.0f} %"
+
+
+def _verdict(*, doubtful: bool, against: bool = False) -> Verdict:
+    return Verdict.AGAINST if against else Verdict.DOUBTFUL if doubtful else Verdict.FINE
+
+
+def _noise(there: Mask, noise: Mask, unclassified: Mask, usual: UsualLabels) -> Finding:
+    """Compare the shares of noise and of what has no class with those of the method."""
+    n = int(np.count_nonzero(there))
+    noisy, without = int(np.count_nonzero(noise)) / n, int(np.count_nonzero(unclassified)) / n
+    if without > usual.unclassified_share and noisy <= usual.noise_share:
+        found, most = f"{_percent(without)} of the returns have no class", usual.unclassified_share
+        return Finding("noise-share", Verdict.DOUBTFUL, found, f"at most {_percent(most)}", _LOOK_AT_INPUT)
+    verdict = _verdict(doubtful=noisy > usual.noise_share, against=noisy > usual.garbage_share)
+    found = f"{_percent(noisy)} of the returns are noise"
+    return Finding("noise-share", verdict, found, f"at most {_percent(usual.noise_share)}", _LOOK_AT_INPUT)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """Kept returns in the scan plane."""
+
+    aside_m: F32
+    """(n, columns) float32, to the side [m]."""
+    up_m: F32
+    """(n, columns) float32, above the scanner [m]."""
+    near: Mask
+    """(n, columns) bool, not noise, and within 20 m."""
+    ground: Mask
+    """(n, columns) bool, near, and ground."""
+    is_down: Mask
+    """(columns,) bool, within 60 deg of straight down."""
+    is_left: Mask
+    """(columns,) bool, side of the scan plane."""
+
+    @classmethod
+    def of(cls, sample: _Sample, solid: Mask, is_down: Mask) -> _Scene:
+        """Return the scene of kept lines whose beams are known."""
+        assert sample.beam_rad is not None
+        beam = sample.beam_rad.astype(np.float32)
+        near = solid & (sample.range_m < NEAR_M)
+        ground = near & np.isin(sample.labels, (Label.GROUND, Label.CURB))
+        return cls(sample.range_m * np.sin(beam), sample.range_m * -np.cos(beam), near, ground, is_down, beam < 0)
+
+
+def _ground_below(solid: Mask, below: Mask, level: Mask, is_lower: Mask, usual: UsualLabels) -> Iterator[Finding]:
+    """Ask whether what lies below the scanner is ground."""
+    where, seen, least = " within 60 deg of down", below, usual.level_share
+    if np.count_nonzero(below) < LEAST_RETURNS:
+        # ground that is above the scanner does not count
+        where, seen, least, level = "", solid, usual.ground_share, level & is_lower
+    n = int(np.count_nonzero(seen))
+    if n < LEAST_RETURNS or least <= 0:
+        return
+    share = int(np.count_nonzero(seen & level)) / n
+    found = f"{_percent(share)} of the returns{where} are ground"
+    yield Finding(
+        "ground-below", _verdict(doubtful=share < least), found, f"at least {_percent(least)}", _LOOK_FOR_DOWN
+    )
+
+
+def _ground_lean(scene: _Scene, sample: _Sample, usual: UsualLabels) -> Iterator[Finding]:
+    """Ask whether the ground is level across the line, in the middle of all lines."""
+    ground = scene.ground[:, scene.is_down]
+    n = np.count_nonzero(ground, axis=1)
+    rows = n >= LEAST_LEVEL
+    ground, n = ground[rows], n[rows]
+    aside = np.where(ground, scene.aside_m[rows][:, scene.is_down], 0)
+    up = np.where(ground, scene.up_m[rows][:, scene.is_down], 0)
+    middle, height = aside.sum(axis=1) / n, up.sum(axis=1) / n
+    spread = (aside * aside).sum(axis=1) / n - middle * middle
+    together = (aside * up).sum(axis=1) / n - middle * height
+    wide = spread > LEAST_SPREAD_M**2
+    if np.count_nonzero(wide) < LEAST_LINES:
+        return
+    lean_rad = math.atan(float(np.median(together[wide] / spread[wide])))
+    lean_deg = math.degrees(lean_rad)
+    found = f"the ground leans by {abs(lean_deg):.1f} deg across the lines"
+    verdict = _verdict(doubtful=abs(lean_deg) > usual.lean_deg)
+    yield Finding("ground-lean", verdict, found, f"at most {usual.lean_deg:g} deg", _nadir(sample, lean_rad))
+
+
+def _nadir(sample: _Sample, lean_rad: float) -> str:
+    """Return what to type for a ground that would be level."""
+    if sample.angle_rad is None or sample.beam_rad is None:
+        return _LOOK_FOR_DOWN
+    nearest = int(np.argmin(np.abs(sample.beam_rad - lean_rad)))
+    level_deg = math.degrees(sample.angle_rad[nearest])
+    return f"it would be level with --set input.nadir={level_deg:.1f}; look where down is: prc info"
+
+
+def _below_ground(scene: _Scene, usual: UsualLabels) -> Iterator[Finding]:
+    """Ask for things below the ground, left and right of every line."""
+    n_near, n_below = 0, 0
+    for is_side in (scene.is_left, ~scene.is_left):
+        side = is_side & scene.is_down
+        ground = scene.ground[:, side]
+        n_ground = np.count_nonzero(ground, axis=1)
+        rows = n_ground >= LEAST_GROUND
+        if not rows.any():
+            continue
+        up, ground, n_ground = scene.up_m[rows][:, side], ground[rows], n_ground[rows]
+        # all else sorts behind the ground
+        heights = np.sort(np.where(ground, up, np.float32(np.inf)), axis=1)
+        middle_m = np.take_along_axis(heights, (n_ground // 2)[:, None], axis=1)
+        near = scene.near[rows][:, side]
+        n_near += int(np.count_nonzero(near))
+        n_below += int(np.count_nonzero(near & ~ground & (up < middle_m - BELOW_M)))
+    if n_near < LEAST_RETURNS:
+        return
+    share = n_below / n_near
+    found = f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground"
+    verdict = _verdict(doubtful=share > usual.below_share)
+    yield Finding("below-ground", verdict, found, f"at most {_percent(usual.below_share)}", _LOOK_FOR_DOWN)
+
+
+def _along(
+    sample: _Sample, there: Mask, noise: Mask, below: Mask, level: Mask, usual: UsualLabels
+) -> Iterator[Finding]:
+    """Ask for long stretches without ground, or with unusual noise."""
+    n = len(sample.line) // STRETCH_LINES
+    if n < LEAST_STRETCHES:
+        return
+
+    def per_stretch(mask: Mask) -> F64:
+        rows: I64 = np.count_nonzero(mask[: n * STRETCH_LINES], axis=1)
+        counts: F64 = rows.reshape(n, STRETCH_LINES).sum(axis=1).astype(np.float64)
+        return counts
+
+    expected = "ground and little noise all along"
+    ground, noisy = (
+        _share(per_stretch(below & level), per_stretch(below)),
+        _share(per_stretch(noise), per_stretch(there)),
+    )
+    known = ground[np.isfinite(ground)]
+    usually = float(np.quantile(known, 0.75)) if len(known) else 0.0
+    for bad, said in (
+        (ground < usual.vanished_share * usually, "hardly any ground"),
+        (noisy > usual.noise_share, "much noise"),
+    ):
+        first, length = longest_run(bad)
+        # where all is noise, it is not a stretch that is odd
+        if not 0 < length < len(bad):
+            continue
+        start = int(sample.line[first * STRETCH_LINES])
+        stop = int(sample.line[(first + length + LONG_STRETCHES - 1) * STRETCH_LINES - 1]) + 1
+        hint = f"look at them: prc render IN OUT.png --only-lines {start}:{min(start + 500, stop)}"
+        yield Finding("classes-along", Verdict.DOUBTFUL, f"{said} in lines {start} to {stop}", expected, hint)
+        return
+    yield Finding("classes-along", Verdict.FINE, "ground and noise are even along the stream", expected)
+
+
+def _share(part: F64, whole: F64) -> F64:
+    """Return shares pooled over as many stretches as make a long one; NaN where there are too few returns."""
+    kernel = np.ones(LONG_STRETCHES)
+    parts, wholes = np.convolve(part, kernel, "valid"), np.convolve(whole, kernel, "valid")
+    unknown = np.full(len(parts), np.nan)
+    shares: F64 = np.divide(
+        parts, wholes, out=unknown, where=wholes >= LEAST_RETURNS * LONG_STRETCHES / LEAST_STRETCHES
+    )
+    return shares
+
+
+def longest_run(mask: Mask) -> tuple[int, int]:
+    """Return the start and the length of the longest run of true values.
+
+    >>> longest_run(np.array([True, False, True, True, False]))
+    (2, 2)
+    >>> longest_run(np.array([False]))
+    (0, 0)
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    starts, ends = edges[::2], edges[1::2]
+    if not len(starts):
+        return 0, 0
+    at = int(np.argmax(ends - starts))
+    return int(starts[at]), int(ends[at] - starts[at])
+
+
+RESULT_CHECKS: tuple[Check, ...] = (
+    Check(
+        "noise-share",
+        "Is more noise than any scanner has, or more without a class than the method leaves?",
+        "Noise: PRC in streets doubtful above 50 %, refused above 80 %; PRC in forests 96 %, 99 %; fused and "
+        "fused-forest 20 %, 40 %. Without a class: sequential-angle doubtful above 10 %",
+        "Rightly told, 48 to 260 lines each: PRC in streets at most 11 %, on the KITTI frame 41 %; PRC in forests up "
+        "to 94 %; fused and fused-forest 9 %, with a tenth of background light. Shuffled shots give at least 87 %, "
+        "100 %, 29 % and 31 %. Sequential-angle leaves less than 0.1 % without a class, and 17 % or more of floats in "
+        "the wrong byte order",
+        "Errors that keep neighbours together: M off by one, a wrong unit, ranges that are all nearly zero.",
+    ),
+    Check(
+        "ground-below",
+        "Is ground what lies within 60 deg of straight down?",
+        "Of what is not noise there: fused at least 60 %, fused-forest 45 %, sequential-angle 50 % with other level "
+        "surfaces. Where nearly nothing is there: at least 10 % of all is ground lower than the scanner. Needs the "
+        "direction of down: not PRC",
+        "Rightly told, 128 lines each: fused at least 77 %, fused-forest 58 % (undergrowth, and stems beside the "
+        "scanner), sequential-angle 62 %; between low walls 75 %, in a lane 6 m wide between walls 83 %, in garages "
+        "and tunnels 95 %. Down wrong by 45 deg: 10 % or less in most",
+        "Down wrong by less than 30 deg (ground-lean sees that), a wrong unit, and an angle step wrong by a tenth. "
+        "Grass higher than 1.2 m on both sides of a lane of 3 m raises doubt (57 %), and the vehicle itself may "
+        "where it is seen: input.min_range takes it out.",
+    ),
+    Check(
+        "ground-lean",
+        "Is the ground level across the lines, in the middle of all lines?",
+        "Doubtful above 5 deg, fused-forest 12 deg. Needs the direction of down: not PRC",
+        "Rightly told, 128 lines each: streets at most 1.2 deg, sequential-angle 2.1 deg, Oakland 2.0 deg, a road in "
+        "a hillside of 45 % 4.1 deg, forests 8.1 deg; vehicles lean with their road. Down wrong by 10 deg: 7 deg or "
+        "more in streets, 1 to 17 deg in forests",
+        "Down wrong by 45 deg or more (ground-below sees that), by less than 5 deg in streets or 12 deg in forests; "
+        "scanners without returns within 60 deg of down. A scanner that is held upright on a slope of more than 9 % "
+        "across raises doubt.",
+    ),
+    Check(
+        "below-ground",
+        "Does much lie more than 1 m below the ground on its side of the line?",
+        "Doubtful above 20 % of what is not noise within 20 m and 60 deg of straight down. Needs the direction of "
+        "down: not PRC",
+        "In streets and forests at most 1 %, but 3 % on a dam 8 m wide, 14 % on one 6 m wide, 10 % on a quay, 16 % on "
+        "a bridge 6 m wide: a limit of 2 % would doubt all of these",
+        "Most of what the other two see. It adds half an angle step and down wrong by 45 deg for sequential-angle. "
+        "Bridges narrower than 5 m raise doubt (36 %).",
+    ),
+    Check(
+        "classes-along",
+        "Does ground vanish, or noise come, for a tenth of the stream or more?",
+        "In three of 16 to 32 stretches in a row: ground below 30 % of what three quarters of the stream do not "
+        "exceed (not PRC), or noise above the limit of noise-share",
+        "Rightly told, drives of 900 m: fused never below 70 % of it; 24 scenes from tunnels to fields one after the "
+        "other: fused and sequential-angle 58 %. Where shots are lost on the way, ground falls to a tenth. PRC as "
+        "published loses the ground of rightly told scans: down to 0.4 % of it with a push-broom in terraces",
+        "Streams of fewer than 128 lines, shorter stretches, and the other classes, which do come and go.",
+    ),
+)
+"""The checks of the result; the limits are in ``UsualLabels`` of every method."""

@@ -1,0 +1,217 @@
+"""What a stream shows of itself: rightly read scans are fine, and each way of misreading one is noticed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import EvidenceError
+from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
+from prc_cli.core.stream import ReadTally, ScanBlock, StreamInfo
+from prc_cli.core.types import F32
+from prc_cli.formats.options import InputConfig
+from prc_cli.streams.evidence.watch import EvidenceStream, watched
+from tests.simulated import drive_scan
+
+M = 600
+LINES = 480
+
+
+@cache
+def scan(seed: int = 11) -> F32:
+    return np.concatenate([block.range_m for block in drive_scan(LINES, M, seed).blocks()])
+
+
+class Arrays:
+    """A stream of a range image, in blocks of some lines."""
+
+    def __init__(self, ranges: F32, lines: int = 100, tally: ReadTally | None = None) -> None:
+        self.ranges, self.lines, self.tally = ranges, lines, tally or ReadTally()
+        self.info = StreamInfo("drive.npy", "array", ranges.shape[1], None, None)
+
+    def blocks(self):  # type: ignore[no-untyped-def]
+        for first in range(0, len(self.ranges), self.lines):
+            tally = self.tally if first == 0 else ReadTally()
+            yield ScanBlock(first, np.ascontiguousarray(self.ranges[first : first + self.lines]), tally=tally)
+
+
+def asked(ranges: F32, lines: int = 100, tally: ReadTally | None = None) -> dict[str, Finding]:
+    stream = EvidenceStream(Arrays(ranges, lines, tally), refuses=False)
+    for _ in stream.blocks():
+        pass
+    return {finding.check: finding for finding in stream.findings()}
+
+
+def told(ranges: F32, **options: object) -> dict[str, Verdict]:
+    """Names and verdicts of all that is not fine."""
+    return {name: one.verdict for name, one in asked(ranges, **options).items() if one.verdict}  # type: ignore[arg-type]
+
+
+def cut(ranges: F32, m: int) -> F32:
+    """Read the same shots with another M."""
+    flat = ranges.ravel()
+    return flat[: len(flat) // m * m].reshape(-1, m)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def swapped_bytes(ranges: F32) -> F32:
+    odd = ranges.byteswap().view(np.float32)
+    return np.where(np.isfinite(odd) & (odd > 0), odd, np.nan).astype(np.float32)
+
+
+def zigzag(ranges: F32) -> F32:
+    other = ranges.copy()
+    other[1::2] = other[1::2, ::-1]
+    return other
+
+
+def two_scanners(ranges: F32) -> F32:
+    """Lines of two scanners, in turns."""
+    half = len(ranges) // 2
+    both = np.empty((2 * half, ranges.shape[1]), np.float32)
+    both[::2], both[1::2] = ranges[:half], np.roll(ranges[half : 2 * half], M // 3, axis=1)
+    return both
+
+
+def shot_by_shot(ranges: F32) -> F32:
+    """Shots of two scanners, in turns."""
+    half = len(ranges) // 2
+    both = np.empty((half, 2 * ranges.shape[1]), np.float32)
+    both[:, ::2], both[:, 1::2] = ranges[:half], np.roll(ranges[half : 2 * half], M // 3, axis=1)
+    return both
+
+
+def lost(ranges: F32, share: float) -> F32:
+    return np.where(rng().random(ranges.shape) < share, np.nan, ranges).astype(np.float32)
+
+
+def standing(ranges: F32) -> F32:
+    noise = rng().normal(1.0, 5e-4, (LINES, M))
+    return (ranges[:1] * noise).astype(np.float32)
+
+
+def test_a_scan_that_is_read_rightly_is_fine() -> None:
+    for seed in (11, 12):
+        found = asked(scan(seed))
+        assert not told(scan(seed))
+        assert {"ranges", "shot-order", "line-length", "line-order", "dropouts", "returns"} <= set(found)
+        assert list(found) == sorted(found, key=CHECK_NAMES.index)
+
+
+@pytest.mark.parametrize(
+    ("misread", "check", "words"),
+    [
+        (lambda ranges: rng().permutation(ranges.ravel()).reshape(-1, M), "shot-order", "check the layout"),
+        (shot_by_shot, "shot-order", "every second shot"),
+        (swapped_bytes, "ranges", "byte order"),
+        (lambda ranges: ranges / 1000, "ranges", "median range"),
+        (lambda ranges: cut(ranges, M + 1), "line-length", f"-M {M}"),
+        (lambda ranges: cut(ranges, M - 1), "line-length", f"-M {M}"),
+        (lambda ranges: cut(ranges, M // 2), "line-length", f"-M {M}"),
+        (lambda ranges: cut(ranges, 2 * M), "line-length", f"-M {M}"),
+        (lambda ranges: cut(ranges, 487), "line-length", f"-M {M}"),
+        (lambda ranges: np.ascontiguousarray(ranges.T).reshape(-1, M), "line-length", ""),
+        (zigzag, "line-length", "runs the other way"),
+        (two_scanners, "line-length", "--scanner"),
+        (lambda ranges: rng().permutation(ranges), "line-order", "order in which they were scanned"),
+    ],
+)
+def test_a_misread_scan_is_refused(misread: Callable[[F32], F32], check: str, words: str) -> None:
+    found = asked(misread(scan()))[check]
+    assert found.verdict is Verdict.AGAINST
+    assert words in found.sentence()
+
+
+@pytest.mark.parametrize(
+    ("odd", "check"),
+    [
+        (standing, "standing"),
+        (lambda ranges: lost(ranges, 0.1), "dropouts"),
+        (lambda ranges: (np.round(ranges / 0.1) * 0.1).astype(np.float32), "rounding"),
+        (lambda ranges: (np.round(ranges / 0.031) * 0.031).astype(np.float32), "rounding"),
+        (lambda ranges: lost(ranges, 0.99), "returns"),
+        (lambda ranges: np.concatenate([ranges[:200], ranges[150:]]), "repeated-lines"),
+    ],
+)
+def test_an_odd_scan_is_doubted(odd: Callable[[F32], F32], check: str) -> None:
+    assert told(odd(scan())).get(check) is Verdict.DOUBTFUL
+
+
+@pytest.mark.parametrize("step_m", [0.001, 0.01, 0.02, 0.029])
+def test_ranges_in_steps_of_centimetres_are_usual(step_m: float) -> None:
+    assert "rounding" not in told((np.round(scan() / step_m) * step_m).astype(np.float32))
+
+
+def test_a_lost_shot_in_thirty_is_usual() -> None:
+    assert not told(lost(scan(), 0.03))
+
+
+@pytest.mark.parametrize(
+    ("share", "verdict"),
+    [(0.009, Verdict.FINE), (0.011, Verdict.DOUBTFUL), (0.19, Verdict.DOUBTFUL), (0.21, Verdict.AGAINST)],
+)
+def test_lost_records_and_full_cells_are_judged_by_their_share(share: float, verdict: Verdict) -> None:
+    n = 100_000
+    found = asked(scan(), tally=ReadTally(n_records=n, n_unplaced=round(share * n), n_collisions=round(share * n)))
+    assert found["unplaced"].verdict is found["collisions"].verdict is verdict
+
+
+def test_findings_do_not_depend_on_blocks() -> None:
+    expected = asked(scan(), 480)
+    for lines in (1, 7, 99):
+        assert asked(scan(), lines) == expected
+
+
+def test_the_first_evidence_ends_a_long_stream() -> None:
+    """Long before its end: when the sample is full for the first time."""
+    read = []
+
+    class Long(Arrays):
+        def blocks(self):  # type: ignore[no-untyped-def]
+            for block in super().blocks():
+                read.append(block.first_line)
+                yield block
+
+    ranges = rng().permutation(np.tile(scan(), (16, 1)).ravel()).reshape(-1, M)
+    with pytest.raises(EvidenceError, match="or insist with --accept-doubt shot-order"):
+        for _ in EvidenceStream(Long(ranges)).blocks():
+            pass
+    assert len(read) < len(ranges) / 100 / 2
+
+
+@pytest.mark.parametrize("config", [InputConfig(order="trust"), InputConfig(accept_doubts=("shot-order",))])
+def test_what_the_user_accepts_is_said_and_does_no_more(config: InputConfig) -> None:
+    stream = watched(Arrays(rng().permutation(scan().ravel()).reshape(-1, M)), config)
+    assert sum(block.n_lines for block in stream.blocks()) == LINES
+    (found,) = [finding for finding in stream.findings() if finding.verdict]
+    assert (found.check, found.is_accepted) == ("shot-order", True)
+    assert found.notice().startswith("accepted doubt shot-order: ")
+
+
+def test_tiny_and_uniform_streams_are_not_judged() -> None:
+    for ranges in (np.full((300, 50), 20.0), np.full((2, 3), 5.0), np.full((40, 4), np.nan), rng().random((9, 7))):
+        found = told(ranges.astype(np.float32))
+        assert set(found) <= {"returns"}
+
+
+def test_of_several_scanners_the_worst_is_told() -> None:
+    good, bad = scan(), rng().permutation(scan().ravel()).reshape(-1, M)
+
+    class Both(Arrays):
+        def blocks(self):  # type: ignore[no-untyped-def]
+            yield ScanBlock(0, good, scanner=1)
+            yield ScanBlock(0, bad, scanner=2)
+
+    stream = EvidenceStream(Both(good), refuses=False)
+    for _ in stream.blocks():
+        pass
+    found = {finding.check: finding for finding in stream.findings()}
+    assert found["shot-order"].verdict is Verdict.AGAINST
+    assert found["shot-order"].found.startswith("scanner 2: ")
+    assert found["line-length"].verdict is Verdict.FINE

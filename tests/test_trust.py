@@ -1,0 +1,95 @@
+"""What is told wrong is not silently labelled: a small part of ``python -m benchmarks.trust``."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.trust import Case, Done, Trial, macro_f1, outcome_of, random_of, try_row
+from benchmarks.trust_cases import METHODS, QUICK_CASES, ROWS, Context, QuickCase, Told, plain, right_forms
+from benchmarks.trust_scans import FIRST_SEED, SEEDS_APART, Window, sources, toy
+from benchmarks.user import in_own_process
+
+MACRO = 0.4
+"""Macro F1 that every method reaches on the small scans."""
+FORMS = [(name, i) for name, n in (("street", 5), ("push-broom", 2), ("forest", 2)) for i in range(n)]
+
+
+@cache
+def window_of(name: str) -> Window:
+    return toy(name).windows(1)[0]
+
+
+@cache
+def right_f1(name: str, method: str, folder: Path) -> float:
+    window = window_of(name)
+    told = plain(window, Context(folder, method, random_of(name)))
+    return Trial(folder).judge(case_of(window, method), told, 0.0).f1
+
+
+def case_of(window: Window, method: str) -> Case:
+    return Case("right", window.scan, 0, method, window.mapping, METHODS[method])
+
+
+def marked(case: QuickCase) -> object:
+    waits = pytest.mark.xfail(strict=True, reason="no check sees it yet")
+    return pytest.param(case, id=f"{case.row}, {case.toy}, {case.method}", marks=() if case.holds else waits)
+
+
+@pytest.mark.parametrize("case", [marked(case) for case in QUICK_CASES])
+def test_what_is_wrong_is_not_silent_and_what_is_right_passes(case: QuickCase, tmp_path: Path) -> None:
+    row = next(row for row in ROWS if row.name == case.row)
+    expected = right_f1(case.toy, case.method, tmp_path)
+    assert expected > MACRO
+    result = try_row(
+        Trial(tmp_path), row, window_of(case.toy), Context(tmp_path, case.method, random_of()), expected, seed=0
+    )
+    assert result is not None
+    assert result.outcome != "silent", result
+    assert not result.is_alarm, result
+
+
+@pytest.mark.parametrize(("name", "form"), FORMS)
+def test_a_scan_rightly_told_is_neither_refused_nor_doubted(name: str, form: int, tmp_path: Path) -> None:
+    window = window_of(name)
+    method = "fused-forest" if window.is_forest else "fused"
+    told = right_forms(window)[form](window, Context(tmp_path, method, random_of()))
+    result = Trial(tmp_path).judge(case_of(window, method), told, MACRO, is_right=True)
+    assert result.outcome == "harmless", result
+    assert result.f1 > MACRO
+
+
+def test_a_run_in_this_process_is_a_run_of_the_command(tmp_path: Path) -> None:
+    window = window_of("push-broom")
+    told = plain(window, Context(tmp_path, "fused", random_of()))
+    refused = Told(told.path, (*told.options, "-M", "7"), told.truth)
+    for each in (told, refused):
+        here, _ = Trial(tmp_path).classify(each, METHODS["fused"])
+        there, _ = Trial(tmp_path, in_own_process).classify(each, METHODS["fused"])
+        assert (here.exit_code, here.stderr) == (there.exit_code, there.stderr)
+        np.testing.assert_array_equal(here.labels, there.labels)
+    assert here.is_refused
+
+
+def test_what_becomes_of_a_case() -> None:
+    labels = np.array([2, 2, 6, 7], np.uint8)
+    assert outcome_of(Done(1, "error: no", None), float("nan"), 0.9) == "refused"
+    assert outcome_of(Done(4, "", labels), 0.9, 0.9) == "doubted"
+    assert outcome_of(Done(0, "warning: units: far", labels), 0.9, 0.9) == "doubted"
+    assert outcome_of(Done(0, "", labels), 0.79, 0.9) == "silent"
+    assert outcome_of(Done(0, "", labels), 0.81, 0.9) == "harmless"
+    truth = np.array([2, 2, 6, 0])
+    assert macro_f1("street", labels, truth) == 1.0
+    assert macro_f1("street", np.zeros(4, np.uint8), truth) == 0.0
+
+
+def test_limits_are_never_chosen_on_scans_that_are_reported() -> None:
+    specs = {part: [each.spec for each in sources(part) if each.spec is not None] for part in FIRST_SEED}
+    for part, first in FIRST_SEED.items():
+        assert all(first <= spec.seed < first + SEEDS_APART for spec in specs[part])
+    mounts = {part: {(spec.scanner, repr(spec.mount)) for spec in own} for part, own in specs.items()}
+    shared = mounts["tuning"] & mounts["held-out"]
+    assert {scanner for scanner, _ in shared} <= {"focus3d-120"}
