@@ -7,7 +7,7 @@ its own threads, with short queues between them; the output does not depend on t
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +31,7 @@ from prc_cli.core.threads import close_items, default_threads, read_ahead, write
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.label_files import open_writer
+from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.writing.base import LabelWriter
 from prc_cli.formats.writing.record import (
@@ -405,10 +406,18 @@ def classify_ranges(
         load_classifier(config, engine)
     with use_engine(engine):
         block = _block_of(given, config, beam_rad, xyz_m)
-        if block.range_m.size >= LEAST_SHOTS:
-            _judge(block, config)
+        is_judged = block.range_m.size >= LEAST_SHOTS
+        found = _input_findings(block, config.input) if is_judged else ()
+        refuse("range_m", found)
         threads = threads_of(engine, threads)
-        return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier, threads=threads)])
+        labelled = list(label_blocks(iter([block]), config.classifier, threads=threads))
+        if is_judged:
+            found = (*found, *_label_findings(labelled, config))
+            refuse("range_m", found)
+    for doubt in doubts(found):
+        told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
+        warnings.warn(told, DoubtWarning, stacklevel=2)
+    return np.concatenate([item.labels for item in labelled])
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,14 +435,20 @@ class _InMemory:
         yield self.block
 
 
-def _judge(block: ScanBlock, config: RunConfig) -> None:
-    """Refuse an image that the evidence is against, and warn of doubts; to be called by a public function."""
-    watch = watched(_InMemory(block), config.input)
+def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...]:
+    """Return the answers of all checks of an image."""
+    watch = watched(_InMemory(block), config, refuses=False)
     for _ in watch.blocks():
         pass
-    for doubt in doubts(watch.findings()):
-        told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
-        warnings.warn(told, DoubtWarning, stacklevel=3)
+    return watch.findings()
+
+
+def _label_findings(labelled: Iterable[LabelledBlock], config: RunConfig) -> tuple[Finding, ...]:
+    """Return the answers of all checks of the labels of an image."""
+    result = ResultWatch(config.classifier.method().usual)
+    for item in labelled:
+        result.see(item)
+    return accept(result.findings(), config.input.accept_doubts)
 
 
 def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None) -> ScanBlock:

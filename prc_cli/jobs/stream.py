@@ -22,6 +22,7 @@ from prc_cli.core.types import U8
 from prc_cli.jobs.classify import Counts
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.live import LiveEvidence
+from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.pipe import ByteStream, open_pipe
@@ -29,6 +30,10 @@ from prc_cli.streams.pipe import ByteStream, open_pipe
 
 def _ignore(doubt: Finding) -> None:
     """Do nothing with a doubt: it is in the summary."""
+
+
+RESULT_LINES = 1024
+"""The labels are checked when there are so many lines, each time there are twice as many, and at the end."""
 
 
 class ByteSink(Protocol):
@@ -78,7 +83,7 @@ class StreamSummary:
     counts: Counts
     info: StreamInfo
     findings: tuple[Finding, ...] = ()
-    """The worst answer of every check of the input while it passed."""
+    """The worst answer of every check of the input and of its labels while they passed."""
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
@@ -111,7 +116,7 @@ def stream(
     report : callable, optional
         Called with the :class:`Rate` whenever labels were written.
     doubted : callable
-        Called with the first doubt of every check of the input as soon as it is known.
+        Called with the first doubt of every check of the input and of its labels as soon as it is known.
 
     Returns
     -------
@@ -148,7 +153,7 @@ def stream(
     watch = LiveEvidence(watched(opened, chosen.input), doubted)
     blocks = _UntilError(watch)
     lookup = chosen.classes.lookup()
-    counts, latency = Counts.none(), 0.0
+    counts, latency, result, asks_at = Counts.none(), 0.0, ResultWatch(classifier.usual), RESULT_LINES
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
         counts = counts.add(item)
         codes = lookup[item.labels]
@@ -156,10 +161,15 @@ def stream(
         whole = codes if not is_dense or item.block.record is None else codes[item.block.record >= 0]
         _write(sink, whole)
         latency = max(latency, time.perf_counter() - pipe.arrived_s)
+        result.see(item)
+        if counts.n_lines >= asks_at:
+            asks_at = 2 * counts.n_lines
+            watch.hear(result.findings())
         if report is not None:
             report(_rate(counts, start, opened.info, latency))
     if blocks.error is not None:
         raise blocks.error
+    watch.hear(result.findings())
     return StreamSummary(_rate(counts, start, opened.info, latency), counts, opened.info, watch.findings())
 
 

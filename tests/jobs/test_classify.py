@@ -15,6 +15,7 @@ import prc_cli
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import EvidenceError, InputError, OutputExistsError
+from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.classify import classify, classify_ranges, open_stream
 from prc_cli.jobs.evaluate import evaluate
 from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_npz, write_raw
@@ -203,7 +204,7 @@ def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
         prc_cli.classify_ranges(thin)
     assert told[0].filename == __file__
     for odd in (thin, shuffled):
-        accepting = load_config(options={"input": {"accept_doubts": ["returns", "shot-order", "line-length"]}})
+        accepting = load_config(options={"input": {"accept_doubts": CHECK_NAMES}})
         prc_cli.classify_ranges(odd, accepting)
 
 

@@ -85,3 +85,14 @@ def test_doubts_are_told_once_and_kept() -> None:
         assert [doubt.check for doubt in summary.doubts] == ([] if accepts else ["returns"])
         assert [one.check for one in summary.findings if one.is_accepted] == list(accepts)
     assert [doubt.check for doubt in told] == ["returns"]
+
+
+def test_labels_are_checked_as_they_leave() -> None:
+    stray = street(1100)
+    stray[:, ::2] = np.random.default_rng(1).uniform(1, 80, stray[:, ::2].shape)  # noise, whatever the order may be
+    others = [name for name in CHECK_NAMES if name != "noise-share"]
+    options = {"input": {"points_per_line": POINTS_PER_LINE, "accept_doubts": others}, "prc": {"lines_per_block": 16}}
+    sink = io.BytesIO()
+    with pytest.raises(EvidenceError, match="of the returns are noise"):
+        stream(io.BytesIO(stray.tobytes()), sink, load_config(preset="urban", options=options))
+    assert 1024 * POINTS_PER_LINE <= len(sink.getvalue()) < stray.size

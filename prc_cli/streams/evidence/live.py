@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from prc_cli.core.findings import Finding, doubts, refuse
+from prc_cli.core.findings import Finding, accept, doubts, refuse
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.streams.evidence.watch import EvidenceStream
 
@@ -19,7 +19,7 @@ class LiveEvidence:
     Parameters
     ----------
     watch : EvidenceStream
-        The stream; only what it saw and what the user accepts are taken from it.
+        The stream; it is not read by itself.
     tell : callable
         Called with the first doubt of every check as soon as it is known.
     """
@@ -48,22 +48,29 @@ class LiveEvidence:
         with ThreadPoolExecutor(1, thread_name_prefix="evidence") as beside:
             for block in self._watch.source.blocks():
                 if asked is not None and asked.done():
-                    self._hear(asked.result())
+                    self.hear(asked.result())
                     asked = None
                 n_full = self._watch.see(block)
                 if n_full > n_asked and asked is None:
                     n_asked, asked = n_full, beside.submit(self._watch.question(is_whole=False))
                 yield block
             if asked is not None:
-                self._hear(asked.result())
-        self._hear(self._watch.question(is_whole=True)())
+                self.hear(asked.result())
+        self.hear(self._watch.question(is_whole=True)())
 
     def findings(self) -> tuple[Finding, ...]:
         """Return the worst answer of every check so far: what was labelled in doubt stays doubtful."""
         return tuple(self._worst.values())
 
-    def _hear(self, found: tuple[Finding, ...]) -> None:
-        """Refuse, keep and tell answers."""
+    def hear(self, findings: Iterable[Finding]) -> None:
+        """Take answers, also those of other checks: refuse, keep and tell them.
+
+        Raises
+        ------
+        EvidenceError
+            When one speaks against the input.
+        """
+        found = accept(findings, self._watch.accepted)
         refuse(self.info.path, found)
         for finding in found:
             known = self._worst.get(finding.check)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
-from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
@@ -327,7 +327,7 @@ def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: P
     adopted = run_batch(replace(settings, adopt=True, exclude=("shuffled.npy",)))
     assert (adopted.done, adopted.exit_code) == ((), 4)
     assert adopted.doubts == found.doubts
-    accepting = ConfigLayers(options={"input": {"accept_doubts": ["returns", "shot-order", "line-length"]}})
+    accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
     accepted = run_batch(replace(settings, config=accepting))
     assert (len(accepted.done), accepted.failed, accepted.doubts, accepted.exit_code) == (3, (), (), 0)
 
