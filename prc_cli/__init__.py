@@ -1,11 +1,11 @@
 """Preregistration classification of raw mobile laser scanning streams.
 
-The commands call the functions below. They are loaded on first use, so that ``import prc_cli`` is fast.
+The commands call the functions below. All are loaded on first use, so that ``import prc_cli`` is fast.
 
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)
-['calibrate', 'classify', 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'load_config', 'open_stream', \
-'render', 'simulate', 'stream', 'thin', 'transfer']
+['DoubtWarning', 'EvidenceError', 'calibrate', 'classify', 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', \
+'load_config', 'open_stream', 'render', 'simulate', 'stream', 'thin', 'transfer']
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from prc_cli.config import load_config
+    from prc_cli.core.errors import DoubtWarning, EvidenceError
     from prc_cli.jobs.calibrate.calibrate import calibrate
     from prc_cli.jobs.classify import classify, classify_ranges, open_stream
     from prc_cli.jobs.convert import convert
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
+    "DoubtWarning",
+    "EvidenceError",
     "calibrate",
     "classify",
     "classify_ranges",
@@ -43,6 +46,8 @@ __all__ = [
 ]
 
 _HOME = {
+    "DoubtWarning": "prc_cli.core.errors",
+    "EvidenceError": "prc_cli.core.errors",
     "calibrate": "prc_cli.jobs.calibrate.calibrate",
     "convert": "prc_cli.jobs.convert",
     "evaluate": "prc_cli.jobs.evaluate",
@@ -57,7 +62,7 @@ _HOME = {
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public function on first use (PEP 562)."""
+    """Load a public name on first use (PEP 562)."""
     if name not in __all__:
         message = f"module {__name__!r} has no attribute {name!r}"
         raise AttributeError(message)

@@ -137,8 +137,8 @@ def batch(**options: Any) -> None:
     goes on where it was, and a second one in the same OUT does nothing (exit code 5). The journal lies in OUT/.prc.
     The file of --config may hold [[override]] tables for some of the files.
 
-    Exit codes: 0 done, 1 a file failed, 2 wrong usage, 3 a gate failed, 4 the classes of a file are unlike those of
-    earlier ones, 5 another run is at work in OUT.
+    Exit codes: 0 done, 1 a file failed, 2 wrong usage, 3 a gate failed, 4 look at it: a file is doubted, or its
+    classes are unlike those of earlier ones, 5 another run is at work in OUT.
 
     \b
     Examples:
@@ -155,7 +155,7 @@ def batch(**options: Any) -> None:
 @click.argument("out", type=click.Path(path_type=Path))
 @_option("--json", "as_json", is_flag=True, help="Print all of it as JSON on stdout.")
 def status(out: Path, as_json: bool) -> None:
-    """Say what is done, what failed and why, and who is at work in OUT.
+    """Say what is done, what is doubted, what failed and why, and who is at work in OUT.
 
     \b
     Example: prc batch status /classified
@@ -404,10 +404,10 @@ def _read_command(path: Path) -> tuple[Path, dict[str, Any]]:
             continue
         value = kept.get(name)
         try:
-            if value is None or value == []:
-                options[name] = parameter.get_default(context) if name not in kept else () if value == [] else None
-            else:
-                options[name] = parameter.type_cast_value(context, value)
+            if name not in kept:  # an older version of the program knew no such option
+                value = parameter.get_default(context)
+                value = None if parameter.value_is_missing(value) else value
+            options[name] = () if value == [] else parameter.type_cast_value(context, value)
         except click.ClickException as error:
             raise ConfigError(str(path), f"{name}: {error.format_message()}", hint) from None
     return folder, options

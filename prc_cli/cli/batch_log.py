@@ -19,6 +19,7 @@ from prc_cli.jobs.batch.run import (
 from prc_cli.jobs.batch.summary import (
     Alarm,
     BatchSummary,
+    Doubted,
     done_dict,
     failed_dict,
 )
@@ -60,6 +61,8 @@ class JsonLog:
         elif isinstance(event, Again):
             problem = event.problem
             self._write("file_again", name=event.name, kind=problem.kind, problem=problem.problem)
+        elif isinstance(event, Doubted):
+            self._write("doubt", name=event.name, check=event.check, sentence=event.sentence)
         elif isinstance(event, Alarm):
             self._write("alarm", name=event.name, sentence=event.sentence)
         elif isinstance(event, Noted):
@@ -69,8 +72,8 @@ class JsonLog:
         """Write that a run has ended."""
         counts = {} if summary is None else {
             "run": summary.run, "found": summary.n_found, "skipped": summary.n_skipped, "done": len(summary.done),
-            "failed": len(summary.failed), "waiting": summary.n_waiting, "alarms": len(summary.alarms),
-            "shots": summary.n_shots, "seconds": round(summary.seconds, 3),
+            "failed": len(summary.failed), "waiting": summary.n_waiting, "doubted": summary.n_doubted,
+            "alarms": len(summary.alarms), "shots": summary.n_shots, "seconds": round(summary.seconds, 3),
         }  # fmt: skip
         self._write("run_end", exit_code=exit_code, error=error, **counts)
 

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemaining
 
 from prc_cli.cli.batch_words import console, count_of, done_words, failed_words, now, rare_words, say
 from prc_cli.cli.safe import printable
+from prc_cli.core.findings import is_doubt
 from prc_cli.jobs.batch.run import Again, Ready, RunEvent
 from prc_cli.jobs.batch.types import Done, Failed, Started
 from prc_cli.jobs.batch.types import Progress as Lines
@@ -74,7 +75,8 @@ class PlainLines:
                 self._say(f"{self._count()} done {event.name}: {done_words(event)}")
                 if self._verbose:
                     for notice in event.notices:
-                        self._say(f"note {event.name}: {notice}")
+                        if not is_doubt(notice):  # a warning of its own
+                            self._say(f"note {event.name}: {notice}")
         elif isinstance(event, Failed):
             self._n_ended += 1
             self._say(f"{self._count()} failed {failed_words(event)}")

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.table import Table
 
-from prc_cli.cli.batch_words import about, console, count_of, duration, failed_words, minute, say, size_of
+from prc_cli.cli.batch_words import about, console, count_of, doubt_words, duration, failed_words, minute, say, size_of
 from prc_cli.cli.report import results
 from prc_cli.cli.safe import printable
 from prc_cli.evaluation.reports import percent
@@ -18,7 +18,7 @@ from prc_cli.evaluation.scores import CLASS_SCORES, scores
 from prc_cli.jobs.batch.clean import Cleaned
 from prc_cli.jobs.batch.lock import Holder
 from prc_cli.jobs.batch.plan import Estimate, Plan
-from prc_cli.jobs.batch.summary import BatchSummary, done_dict, failed_dict
+from prc_cli.jobs.batch.summary import BatchSummary, Doubted, done_dict, doubts_of, failed_dict
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -45,7 +45,7 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: 
         Only what failed or was cut off was asked for.
     """
     is_wrong = summary.exit_code or summary.ended != "finished"
-    idle = not (summary.done or summary.failed or summary.n_waiting or summary.alarms)
+    idle = not (summary.done or summary.failed or summary.n_waiting or summary.doubts or summary.alarms)
     if idle and summary.evaluation is None:
         if not quiet:
             say(f"nothing to do: {_idle_words(summary, only_failed=only_failed)} ({summary.out})")
@@ -53,6 +53,7 @@ def print_end(summary: BatchSummary, *, quiet: bool, listed: bool, only_failed: 
     if not quiet:
         _print_classes(summary)
         _print_wrong(summary, listed=listed)
+        _print_doubts(summary)
         print_compared(summary)
     elif summary.evaluation is not None and not summary.evaluation.passed:
         _print_gates(summary)
@@ -71,7 +72,7 @@ def end_words(summary: BatchSummary) -> str:
     """Return the last line of a run."""
     counts = [
         (len(summary.done), "done"), (summary.n_skipped, "skipped"), (len(summary.failed), "failed"),
-        (summary.n_waiting, "left for another run"),
+        (summary.n_waiting, "left for another run"), (summary.n_doubted, "doubted"),
         (len(summary.alarms), f"alarm{'s' * (len(summary.alarms) != 1)}"),
     ]  # fmt: skip
     told = ", ".join(f"{count:,} {what}" for count, what in counts if count)
@@ -92,6 +93,14 @@ def _print_classes(summary: BatchSummary) -> None:
     for name, count in counts.items():
         table.add_row(name, f"{count:,}", "" if name == "missing" else f"{count / returned:.1%}")
     console().print(table)
+
+
+def _print_doubts(summary: BatchSummary) -> None:
+    """Print how many files each check doubts; the sentences stood above."""
+    counts = Counter(doubt.check for doubt in summary.doubts)
+    if counts:
+        told = ", ".join(f"{check} {count:,}" for check, count in counts.most_common())
+        say(f"{count_of(summary.n_doubted, 'file')} doubted ({told}); all are in summary.json and prc batch status")
 
 
 def _print_wrong(summary: BatchSummary, *, listed: bool) -> None:
@@ -205,9 +214,16 @@ def status_dict(entries: Sequence[Entry], runs: Sequence[Run], owners: Sequence[
         "at_work": [_holder_dict(found) for found in owners if found.alive],
         "dead_owners": [asdict(found.owner) for found in owners if not found.alive],
         "counts": dict(Counter(entry.state for entry in entries)),
+        "doubted": [asdict(doubt) for doubt in _doubts(entries)],
         "runs": [asdict(run) | {"totals": dict(run.totals)} for run in runs],
         "files": [_entry_dict(entry) for entry in entries],
     }
+
+
+def _doubts(entries: Sequence[Entry]) -> list[Doubted]:
+    """Return the doubts about the finished files of a journal."""
+    done = (entry.outcome for entry in entries if entry.state == "done" and isinstance(entry.outcome, Done))
+    return [doubt for found in done for doubt in doubts_of(found)]
 
 
 def _holder_dict(holder: Holder) -> dict[str, Any]:
@@ -234,14 +250,14 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
     def tell(text: str) -> None:
         results().print(printable(text), soft_wrap=True)
 
-    counts = Counter(entry.state for entry in entries)
+    counts, doubts = Counter(entry.state for entry in entries), _doubts(entries)
     living = [found for found in owners if found.alive]
     at_work = {str(found.owner) for found in living}
     # what a dead owner left running was cut off
     n_running = sum(entry.state == "running" and entry.owner in at_work for entry in entries)
     told = [
         (counts["done"], "done"), (counts["failed"], "failed"), (n_running, "running"),
-        (counts["running"] - n_running, "cut off"),
+        (counts["running"] - n_running, "cut off"), (len({doubt.name for doubt in doubts}), "doubted"),
     ]  # fmt: skip
     tell(f"{out}: {count_of(len(entries), 'file')}: " + ", ".join(f"{count:,} {what}" for count, what in told if count))
     for found in living:
@@ -267,8 +283,11 @@ def print_status(out: Path, entries: Sequence[Entry], runs: Sequence[Run], owner
         else:
             how = "running" if entry.owner in at_work else "cut off"
             tell(f"{how} {entry.name} (since {minute(entry.started)}{tries})")
-    if len(wrong) > SHOWN:
-        tell(f"and {len(wrong) - SHOWN:,} more; --json has all of them")
+    for doubt in doubts[:SHOWN]:
+        tell(doubt_words(doubt))
+    n_more = max(len(wrong) - SHOWN, 0) + max(len(doubts) - SHOWN, 0)
+    if n_more:
+        tell(f"and {n_more:,} more; --json has all of them")
 
 
 def print_cleaned(found: Cleaned, *, dry_run: bool) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 from prc_cli.cli.report import SafeConsole
 from prc_cli.cli.safe import printable
 from prc_cli.jobs.batch.run import Again, Noted, RunEvent
-from prc_cli.jobs.batch.summary import Alarm
+from prc_cli.jobs.batch.summary import Alarm, Doubted
 from prc_cli.jobs.batch.types import Done, Failed, Problem
 
 
@@ -66,8 +66,19 @@ def about(name: str, problem: Problem) -> str:
     return f"{where}: {problem.problem}" + (f"; {problem.hint}" if problem.hint else "")
 
 
+def doubt_words(doubt: Doubted) -> str:
+    """Return a doubt about a file, and how to accept it.
+
+    >>> doubt_words(Doubted("a.laz", "standing", "standing: lines do not differ; cut such stretches out"))
+    'warning a.laz: standing: lines do not differ; cut such stretches out (to accept it: --accept-doubt standing)'
+    """
+    return f"warning {doubt.name}: {doubt.sentence} (to accept it: --accept-doubt {doubt.check})"
+
+
 def rare_words(event: RunEvent, *, quiet: bool) -> str:
     """Return a line for what happens seldom; empty for all else."""
+    if isinstance(event, Doubted):
+        return doubt_words(event)
     if isinstance(event, Alarm):
         return f"alarm {event.name}: {event.sentence}"
     if quiet:

@@ -13,7 +13,7 @@ from click.core import ParameterSource
 from rich.table import Table
 
 from prc_cli.cli.options import config_from, stream_options
-from prc_cli.cli.report import console, line_progress, results
+from prc_cli.cli.report import console, line_progress, print_doubts, results
 from prc_cli.cli.safe import printable_lines
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
@@ -113,7 +113,8 @@ def calibrate(
     """Measure the sensor of INPUT and derive the parameters that follow from it.
 
     Noise, angular step, rounding and missing shots are measured on the stream itself; with a reference the parameters
-    are searched on a part of the lines and judged on the others.
+    are searched on a part of the lines and judged on the others. A stream that is doubted gives parameters that may be
+    wrong: exit code 4.
 
     \b
     Examples:
@@ -148,6 +149,8 @@ def calibrate(
     if not quiet:
         for path in wanted:
             console().print(f"wrote {path}", soft_wrap=True)
+    if code := print_doubts(found.doubts):
+        raise SystemExit(code)
 
 
 SEARCH_OPTIONS = (

@@ -10,7 +10,8 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import config_from, input_options, output_options
-from prc_cli.cli.report import console, line_progress, print_assumptions
+from prc_cli.cli.report import console, line_progress, print_assumptions, print_doubts
+from prc_cli.core.findings import is_doubt
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
@@ -28,7 +29,8 @@ def convert(
 
     OUT is .las, .laz, .csv (.csv.gz, .csv.zst), .parquet, .npz, .npy, .bin or .e57. Between .las and .laz only
     the compression changes. Everything else is read as a stream, as prc classify would; ranges and times
-    keep every bit. What was lost is printed and kept in OUT.prc.json.
+    keep every bit. What was lost, and every doubt about the stream (exit code 4), is printed and kept in
+    OUT.prc.json.
 
     \b
     Examples:
@@ -44,6 +46,8 @@ def convert(
         click.echo(json.dumps(summary.as_dict(), indent=2, sort_keys=True))
     if not quiet:
         _print_summary(summary, time.perf_counter() - start, verbose=verbose)
+    if code := print_doubts(summary.doubts):
+        raise SystemExit(code)
 
 
 def _print_summary(summary: ConversionSummary, seconds: float, *, verbose: bool) -> None:
@@ -53,7 +57,7 @@ def _print_summary(summary: ConversionSummary, seconds: float, *, verbose: bool)
     for loss in summary.losses:
         console().print(f"not kept: {loss}", soft_wrap=True)
     for notice in record.notices:
-        if not notice.startswith("not kept: "):
+        if not notice.startswith("not kept: ") and not is_doubt(notice):
             console().print(f"note: {notice}", soft_wrap=True)
     rate = summary.n_shots / seconds / 1e6 if seconds else 0.0
     what = f"{summary.n_lines:,} lines of {record.points_per_line:,} shots" if summary.n_lines else ""

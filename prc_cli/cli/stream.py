@@ -11,8 +11,9 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import config_from, output_options, stream_options
-from prc_cli.cli.report import compiling_note, console, print_assumptions
+from prc_cli.cli.report import LOOK, compiling_note, console, print_assumptions, print_doubts
 from prc_cli.core.classes import Label
+from prc_cli.core.findings import Finding
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.stream import Rate
 from prc_cli.jobs.stream import stream as label_stream
@@ -51,7 +52,8 @@ def stream(
 
     Without a layout the input is float32 ranges, -M of them a line; the output is the class code of every shot, 0 = no
     return, the same bytes that prc classify writes as an array. Labels leave block by block (k lines), with --hop
-    sooner. The rate is reported on stderr; with --json a line of JSON each, the last one with the labels' counts.
+    sooner. The rate is reported on stderr, and every doubt about the input as soon as it is known (exit code 4); with
+    --json a line of JSON each, the last one with the labels' counts and all doubts.
 
     \b
     Examples:
@@ -81,14 +83,27 @@ def stream(
     # unbuffered: labels must not wait until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
-    summary = label_stream(source, sink, loaded, hop=1 if continuous else hop, report=report)
+    hop = 1 if continuous else hop
+    summary = label_stream(source, sink, loaded, hop=hop, report=report, doubted=_tell_json if as_json else _tell)
     if as_json:
         labels = {label.name.lower(): int(summary.counts.labels[label]) for label in Label}
-        click.echo(json.dumps({**_as_dict(summary.rate, line_hz), "labels": labels}, sort_keys=True), err=True)
+        doubts = [doubt.as_dict() for doubt in summary.doubts]
+        table = {**_as_dict(summary.rate, line_hz), "labels": labels, "doubts": doubts}
+        click.echo(json.dumps(table, sort_keys=True), err=True)
     elif not quiet:
         if verbose:
             print_assumptions(summary.info.assumptions, summary.counts.tally)
         console().print(_sentence(summary.rate, line_hz), soft_wrap=True)
+    if summary.doubts:
+        raise SystemExit(LOOK)
+
+
+def _tell(doubt: Finding) -> None:
+    print_doubts((doubt,))
+
+
+def _tell_json(doubt: Finding) -> None:
+    click.echo(json.dumps({"doubt": doubt.as_dict()}, sort_keys=True), err=True)
 
 
 class _Reporter:

@@ -46,6 +46,10 @@ class EvidenceError(InputError):
     """An input that is not what it is said to be, by what it shows itself."""
 
 
+class DoubtWarning(UserWarning):
+    """An input that may not be what it is said to be; warned of by functions that return labels alone."""
+
+
 class OutputError(PrcError):
     """An output that cannot be written whole."""
 

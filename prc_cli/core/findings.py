@@ -7,8 +7,9 @@ A check asks one question of a stream, for example whether its lines repeat afte
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 from prc_cli.core.errors import EvidenceError
 
@@ -61,6 +62,10 @@ class Finding:
         """
         return f"{self.found}, expected {self.expected}" if self.expected else self.found
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**asdict(self), "verdict": self.verdict.name.lower()}
+
     def sentence(self) -> str:
         """Return the finding with its name, and what to do.
 
@@ -81,6 +86,20 @@ def is_doubt(notice: str) -> bool:
     True
     """
     return notice.startswith(_DOUBT)
+
+
+def doubt_of(notice: str) -> tuple[str, str] | None:
+    """Return the check and the sentence of a doubt in a run record; None for any other notice.
+
+    >>> doubt_of(Finding("units", Verdict.DOUBTFUL, "the median range is 700 m", "at most 100 m").notice())
+    ('units', 'units: the median range is 700 m, expected at most 100 m')
+    >>> doubt_of("the time goes back") is None
+    True
+    """
+    if not is_doubt(notice):
+        return None
+    sentence = notice.removeprefix(_DOUBT)
+    return sentence.partition(":")[0], sentence
 
 
 def accept(findings: Iterable[Finding], names: Iterable[str]) -> tuple[Finding, ...]:

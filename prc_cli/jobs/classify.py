@@ -6,7 +6,8 @@ its own threads, with short queues between them; the output does not depend on t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import DoubtWarning, InputError
 from prc_cli.core.files import check_output, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.memory import keep_memory
@@ -30,6 +31,7 @@ from prc_cli.core.threads import close_items, default_threads, read_ahead, write
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats import LAS_SUFFIXES, check_input
 from prc_cli.formats.label_files import open_writer
+from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.writing.base import LabelWriter
 from prc_cli.formats.writing.record import (
@@ -49,6 +51,8 @@ Progress: TypeAlias = Callable[[int], None]
 
 AHEAD = 1
 """Blocks waiting between reader and classifier, and between classifier and writer; each side works on one more."""
+LEAST_SHOTS = 1 << 14
+"""Smaller images are labelled without being judged: half of what the checks compare of a longer one."""
 OFF_M = 0.1
 """Largest difference between a range and the length of its coordinates relative to the scanner: rounding [m]."""
 
@@ -375,8 +379,16 @@ def classify_ranges(
     ------
     InputError
         When an array has another shape than it should have, or beam angles are needed and not given.
+    EvidenceError
+        When the evidence is against the array, for example where its columns are shuffled; the names of checks in
+        ``config.input.accept_doubts`` insist. Fewer than :data:`LEAST_SHOTS` are not judged.
     ConfigError
         When the engine is the reference and the method is not written there.
+
+    Warns
+    -----
+    DoubtWarning
+        When a check doubts the array; once for every check, unless it is accepted.
 
     Examples
     --------
@@ -396,8 +408,49 @@ def classify_ranges(
         load_classifier(config, engine)
     with use_engine(engine):
         block = _block_of(given, config, beam_rad, xyz_m)
+        is_judged = block.range_m.size >= LEAST_SHOTS
+        found = _input_findings(block, config.input) if is_judged else ()
+        refuse("range_m", found)
         threads = threads_of(engine, threads)
-        return np.concatenate([item.labels for item in label_blocks(iter([block]), config.classifier, threads=threads)])
+        labelled = list(label_blocks(iter([block]), config.classifier, threads=threads))
+        if is_judged:
+            found = (*found, *_label_findings(labelled, config))
+            refuse("range_m", found)
+    for doubt in doubts(found):
+        told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
+        warnings.warn(told, DoubtWarning, stacklevel=2)
+    return np.concatenate([item.labels for item in labelled])
+
+
+@dataclass(frozen=True, slots=True)
+class _InMemory:
+    """A range image as a stream."""
+
+    block: ScanBlock
+
+    @property
+    def info(self) -> StreamInfo:
+        n_lines, points_per_line = self.block.range_m.shape
+        return StreamInfo("range_m", "array", points_per_line, n_lines * points_per_line, n_lines)
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        yield self.block
+
+
+def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...]:
+    """Return the answers of all checks of an image."""
+    watch = watched(_InMemory(block), config, refuses=False)
+    for _ in watch.blocks():
+        pass
+    return watch.findings()
+
+
+def _label_findings(labelled: Iterable[LabelledBlock], config: RunConfig) -> tuple[Finding, ...]:
+    """Return the answers of all checks of the labels of an image."""
+    result = ResultWatch(config.classifier.method().usual)
+    for item in labelled:
+        result.see(item)
+    return accept(result.findings(), config.input.accept_doubts)
 
 
 def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None) -> ScanBlock:

@@ -17,6 +17,7 @@ from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_output, remove_stale, suffix_of, temporary_name
+from prc_cli.core.findings import Finding, Verdict, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
 from prc_cli.formats.arrays.read import CLASS
@@ -34,6 +35,7 @@ from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.formats.writing.record_values import RecordValues
 from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 from prc_cli.jobs.classify import Counts, Progress, run_record
+from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.open import open_input
 
@@ -60,10 +62,18 @@ class ConversionSummary:
     n_shots: int
     n_returned: int
     """Shots with a range."""
+    findings: tuple[Finding, ...] = ()
+    """Answers of all checks of the stream; none where only the compression changed."""
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """Findings that the user has to look at; even what speaks against a stream is converted."""
+        return doubts(self.findings)
 
     def as_dict(self) -> dict[str, object]:
         """Return the run record with what was lost, for JSON."""
-        return {**self.record.as_dict(), "not_kept": list(self.losses)}
+        told = [doubt.as_dict() for doubt in self.doubts]
+        return {**self.record.as_dict(), "not_kept": list(self.losses), "doubts": told}
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +143,17 @@ def convert(
         return _copy(source, output, loaded)
     before = source.stat()
     facts = Facts(Counts.none())
-    with open_items(source, output, loaded) as opened, open_stream_writer(output, opened.shape) as writer:
+    watches: list[EvidenceStream] = []
+
+    def watched_blocks(stream: ScanStream) -> Iterator[ScanBlock]:
+        # what is odd is converted all the same: that is how it is mended
+        watches.append(watched(stream, loaded.config.input, refuses=False))
+        return watches[-1].blocks()
+
+    with (
+        open_items(source, output, loaded, blocks_of=watched_blocks) as opened,
+        open_stream_writer(output, opened.shape) as writer,
+    ):
         for item in opened.items:
             writer.add_item(item)
             facts = facts.add(item.block)
@@ -143,11 +163,14 @@ def convert(
         losses = find_losses(output, opened, facts, writer.losses)
         record = run_record(info, facts.counts, loaded)
         told = tuple(f"not kept: {loss}" for loss in losses)
-        record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts)))
+        found = watches[-1].findings()
+        odd = tuple(finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
+        record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts), *odd))
         record = record_of_scanners(record, facts)
         check_unchanged(source, before.st_size, before.st_mtime_ns)
         record = writer.finish(record)
-    return ConversionSummary(output, record, losses, facts.counts.n_lines, facts.counts.n_shots, facts.n_returned)
+    counts = facts.counts
+    return ConversionSummary(output, record, losses, counts.n_lines, counts.n_shots, facts.n_returned, found)
 
 
 def record_of_scanners(record: RunRecord, facts: Facts) -> RunRecord:

@@ -16,12 +16,24 @@ import numpy as np
 from prc_cli.classifiers.run import run_blocks
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import ConfigError, InputError, OutputError
+from prc_cli.core.findings import Finding, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
 from prc_cli.jobs.classify import Counts
 from prc_cli.streams.beams import with_beams
+from prc_cli.streams.evidence.live import LiveEvidence
+from prc_cli.streams.evidence.result import ResultWatch
+from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.pipe import ByteStream, open_pipe
+
+
+def _ignore(doubt: Finding) -> None:
+    """Do nothing with a doubt: it is in the summary."""
+
+
+RESULT_LINES = 1024
+"""The labels are checked when there are so many lines, each time there are twice as many, and at the end."""
 
 
 class ByteSink(Protocol):
@@ -70,6 +82,13 @@ class StreamSummary:
     rate: Rate
     counts: Counts
     info: StreamInfo
+    findings: tuple[Finding, ...] = ()
+    """The worst answer of every check of the input and of its labels while they passed."""
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """Findings that the user has to look at."""
+        return doubts(self.findings)
 
 
 def stream(
@@ -79,6 +98,7 @@ def stream(
     *,
     hop: int | None = None,
     report: Callable[[Rate], None] | None = None,
+    doubted: Callable[[Finding], None] = _ignore,
 ) -> StreamSummary:
     """Label a live stream.
 
@@ -95,6 +115,8 @@ def stream(
         paper's blocks of k lines, with the same labels as ``prc classify``.
     report : callable, optional
         Called with the :class:`Rate` whenever labels were written.
+    doubted : callable
+        Called with the first doubt of every check of the input and of its labels as soon as it is known.
 
     Returns
     -------
@@ -104,6 +126,9 @@ def stream(
     ------
     InputError
         When the stream is damaged or ends inside a record; the labels of all complete lines were written before.
+    EvidenceError
+        When the evidence is against the input; ``input.accept_doubts`` names what is accepted. The labels of the shots
+        before were written.
     OutputError
         When the reader of the labels has gone.
     ConfigError
@@ -125,9 +150,10 @@ def stream(
     if hop is not None:
         classifier = classifier.hopping(hop)
     pipe.seal()
-    blocks = _UntilError(opened)
+    watch = LiveEvidence(watched(opened, chosen.input), doubted)
+    blocks = _UntilError(watch)
     lookup = chosen.classes.lookup()
-    counts, latency = Counts.none(), 0.0
+    counts, latency, result, asks_at = Counts.none(), 0.0, ResultWatch(classifier.usual), RESULT_LINES
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
         counts = counts.add(item)
         codes = lookup[item.labels]
@@ -135,11 +161,16 @@ def stream(
         whole = codes if not is_dense or item.block.record is None else codes[item.block.record >= 0]
         _write(sink, whole)
         latency = max(latency, time.perf_counter() - pipe.arrived_s)
+        result.see(item)
+        if counts.n_lines >= asks_at:
+            asks_at = 2 * counts.n_lines
+            watch.hear(result.findings())
         if report is not None:
             report(_rate(counts, start, opened.info, latency))
     if blocks.error is not None:
         raise blocks.error
-    return StreamSummary(_rate(counts, start, opened.info, latency), counts, opened.info)
+    watch.hear(result.findings())
+    return StreamSummary(_rate(counts, start, opened.info, latency), counts, opened.info, watch.findings())
 
 
 def _rate(counts: Counts, start: float, info: StreamInfo, latency: float) -> Rate:

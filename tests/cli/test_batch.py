@@ -17,7 +17,7 @@ import pytest
 
 import prc_cli
 from prc_cli.cli import main
-from prc_cli.cli.batch_report import print_status
+from prc_cli.cli.batch_report import print_status, status_dict
 from prc_cli.cli.batch_words import failed_words
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.errors import BusyError
@@ -35,7 +35,7 @@ from prc_cli.jobs.batch.run import (
     Ready,
 )
 from prc_cli.jobs.batch.settings import BatchSettings
-from prc_cli.jobs.batch.summary import Alarm, BatchSummary, LeftOut
+from prc_cli.jobs.batch.summary import Alarm, BatchSummary, Doubted, LeftOut
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -234,6 +234,13 @@ def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
     assert table["done"] == []
     assert Path.cwd() == tmp_path
     assert prc("clean", "out").out == "removed 0 files (0.0 MiB)\n"
+    # what an older version wrote, which knew fewer options
+    command = out / ".prc" / "command.json"
+    table = json.loads(command.read_bytes())
+    for key in ("accept_doubts", "drift"):
+        del table["options"][key]
+    command.write_text(json.dumps(table))
+    assert json.loads(prc("retry", "out", "--json").out)["counts"]["failed"] == 1
     (out / ".prc" / "command.json").write_text("[]")
     found = prc("retry", "out")
     assert (found.code, "--only-failed" in found.err) == (2, True)
@@ -303,6 +310,7 @@ def made_up(*events: Any, **changes: Any) -> Callable[..., BatchSummary]:
             done=tuple(item for item in ended.values() if isinstance(item, Done)),
             failed=tuple(item for item in ended.values() if isinstance(item, Failed)),
             alarms=tuple(event for event in events if isinstance(event, Alarm)),
+            doubts=tuple(event for event in events if isinstance(event, Doubted)),
         )  # fmt: skip
         return replace(summary, **changes)
 
@@ -315,6 +323,7 @@ def play(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., None]
     return lambda *events, **changes: monkeypatch.setattr(run_module, "run_batch", made_up(*events, **changes))
 
 
+DOUBTED = Doubted("a.laz", "units", "units: odd; check the unit")
 ALARM = Alarm("b.laz", "ground 1 %, usually 40 %")
 
 
@@ -325,6 +334,7 @@ ALARM = Alarm("b.laz", "ground 1 %, usually 40 %")
         ([done("a.laz"), failed("b.laz")], 1),
         ([done("a.laz"), ALARM], 4),
         ([done("a.laz"), failed("c.laz"), ALARM], 1),
+        ([done("a.laz"), DOUBTED], 4),
         ([BusyError("lock", "another run is at work")], 5),
         ([KeyboardInterrupt()], 130),
         ([SystemExit(143)], 143),
@@ -357,6 +367,35 @@ def test_quiet_says_what_is_wrong_and_nothing_else(prc: Run, play: Callable[...,
     assert lines[2].endswith("failed c.laz: is cut short; copy it again")
     assert lines[3].startswith("1 done, 2 failed, 1 alarm of 3 in 10.0 s; 1,000,000 shots, 0.1 million")
     assert len(lines) == 4
+
+
+@pytest.mark.parametrize("options", [(), ("-q",), ("-v",)])
+def test_doubts_are_told_quiet_or_not(prc: Run, play: Callable[..., None], options: tuple[str, ...]) -> None:
+    play(replace(done("a.laz"), notices=("a note", "doubt units: odd; check the unit")), DOUBTED)
+    found = prc("a", "o", "--log-json", "log", *options)
+    told = "warning a.laz: units: odd; check the unit (to accept it: --accept-doubt units)"
+    assert found.err.splitlines().count(told) == 1
+    assert "1 done, 1 doubted of 1 in 10.0 s" in found.err
+    assert "note a.laz: doubt" not in found.err
+    assert ("1 file doubted (units 1)" in found.err) == ("-q" not in options)
+    events = [json.loads(line) for line in Path("log").read_bytes().splitlines()]
+    assert [event["check"] for event in events if event["event"] == "doubt"] == ["units"]
+    assert events[-1]["doubted"] == 1
+
+
+def test_status_shows_doubts(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    odd = replace(done("a.laz"), notices=("doubt units: odd",))
+    entries = [
+        Entry(found.name, "done", "", "0", "r", 1, "2026-01-01", "2026-01-01", "here", found)
+        for found in (odd, done("b.laz"))
+    ]
+    print_status(tmp_path, entries, [], [])
+    text = capsys.readouterr().out
+    assert "2 files: 2 done, 1 doubted" in text
+    assert "warning a.laz: units: odd" in text
+    table = status_dict(entries, [], [])
+    assert table["doubted"] == [{"name": "a.laz", "check": "units", "sentence": "units: odd"}]
+    assert table["counts"] == {"done": 2}
 
 
 def test_the_last_failure_is_told_although_nothing_follows_it(prc: Run, play: Callable[..., None]) -> None:
@@ -417,7 +456,7 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     options += (
         "--fail-fast --overwrite --adopt --verify --stall 9 --memory-limit 800 --to laz --no-drift --only-failed "
     )
-    options += "--keep-version 0.0.9 "
+    options += "--keep-version 0.0.9 --accept-doubt standing "
     options += (
         "--preset forest --set prc.surfaces.gamma=1 -M 99 --reference ref --match time --fail-under recall.stem=.1"
     )
@@ -432,7 +471,10 @@ def test_options_reach_the_settings(prc: Run, play: Callable[..., None]) -> None
     assert {key: getattr(found, key) for key in expected} == expected
     assert str(found.shard) == "2/3"
     assert found.config.preset == "forest"
-    assert found.config.options == {"prc": {"surfaces": {"gamma": 1}}, "input": {"points_per_line": 99}}
+    assert found.config.options == {
+        "prc": {"surfaces": {"gamma": 1}},
+        "input": {"points_per_line": 99, "accept_doubts": ["standing"]},
+    }
     assert found.reference is not None
     assert (found.reference.match, found.reference.gates) == ("time", ("recall.stem=.1",))
 

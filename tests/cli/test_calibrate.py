@@ -39,6 +39,24 @@ def test_with_a_reference(prc: Prc, tmp_path: Path) -> None:
     assert "6 trials" in result.out
 
 
+def test_parameters_of_a_doubted_stream_are_told(prc: Prc, tmp_path: Path) -> None:
+    thin = np.full((137, 18_000), np.nan, np.float32)
+    thin[:, :180] = street()
+    np.save(tmp_path / "thin.npy", thin)
+    result = prc("calibrate", tmp_path / "thin.npy", "-o", tmp_path / "thin.toml", "-q")
+    assert (result.code, result.err.count("\n")) == (4, 1)
+    assert result.err.startswith("warning: returns: ")
+    text = (tmp_path / "thin.toml").read_text(encoding="utf-8")
+    assert "\n# doubt: returns: " in text
+    result = prc("calibrate", tmp_path / "thin.npy", "--json", "-q")
+    assert [doubt["check"] for doubt in json.loads(result.out)["doubts"]] == ["returns"]
+    assert prc("calibrate", tmp_path / "thin.npy", "-q", "--accept-doubt", "returns").code == 0
+    np.save(tmp_path / "shuffled.npy", np.random.default_rng(3).permuted(street(), axis=1))
+    result = prc("calibrate", tmp_path / "shuffled.npy", "-o", tmp_path / "shuffled.toml")
+    assert (result.code, "insist with --accept-doubt" in result.err) == (1, True)
+    assert not (tmp_path / "shuffled.toml").exists()
+
+
 def test_outputs_are_whole_or_not_there(prc: Prc, tmp_path: Path) -> None:
     source = write_npz(tmp_path / "street.npz", street())
     (tmp_path / "old.toml").write_text("", encoding="utf-8")

@@ -179,6 +179,23 @@ def test_json_goes_to_stderr() -> None:
     assert told["real_time_factor"] > 0
 
 
+def test_doubts_are_told_and_end_with_exit_code_4() -> None:
+    thin = np.full((137, 18_000), np.nan, np.float32)
+    thin[:, :POINTS_PER_LINE] = street()
+    options = ("--preset", "urban", "-M", "18000", "--set", "prc.lines_per_block=16")
+    code, out, err = run(thin.tobytes(), *options, "-q")
+    assert (code, len(out)) == (4, thin.size)
+    assert err.startswith("warning: returns: ")
+    assert "accept it with --accept-doubt returns" in err
+    assert len(err.splitlines()) == 1
+    code, _, err = run(thin.tobytes(), *options, "--json", "--report", "0")
+    told, last = [json.loads(line) for line in err.splitlines()]
+    assert (code, last["doubts"]) == (4, [told["doubt"]])
+    assert (told["doubt"]["check"], told["doubt"]["verdict"]) == ("returns", "doubtful")
+    code, _, err = run(thin.tobytes(), *options, "-q", "--accept-doubt", "returns")
+    assert (code, err) == (0, "")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

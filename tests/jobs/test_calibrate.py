@@ -16,7 +16,7 @@ from prc_cli.classifiers.prc.pipeline import PrcParams
 from prc_cli.classifiers.prc.support import SupportParams, stream_window, support, window_reach
 from prc_cli.config import load_config
 from prc_cli.core.blocks import regroup
-from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32
 from prc_cli.evaluation.scores import gate_value, scores
@@ -188,11 +188,16 @@ def test_thresholds_on_the_plateau_stay_and_others_are_raised(tmp_path: Path) ->
 def test_a_curve_that_supports_nothing_has_no_plateau(tmp_path: Path) -> None:
     # ranges from an origin a thousand kilometres away, as of points in a projected system
     far = (1.063e6 + np.random.default_rng(3).uniform(0, 2000, (20, 60))).astype(np.float32)
-    found = advice(far, tmp_path)
+    with pytest.raises(EvidenceError, match="the median range is 1.06.*e.06 m"):
+        advice(far, tmp_path)
+    accepting = {"input": {"accept_doubts": ["ranges"]}}
+    found = advice(far, tmp_path, **accepting)
     for key in ("prc.support.zeta_s", "prc.support.zeta_p"):
         assert found[key].value == found[key].before == 1.0
         assert found[key].reason.startswith("as configured: the curve has no plateau, since 10 m supports no more than")
-    (note,) = (note for note in calibrate(tmp_path / "drive.npz").notes if "origin" in note)
+    odd = calibrate(tmp_path / "drive.npz", load_config(preset="urban", options=accepting))
+    assert (odd.doubts, [one.check for one in odd.findings if one.is_accepted]) == ((), ["ranges"])
+    (note,) = (note for note in odd.notes if "origin" in note)
     assert re.match("the median range is some 10[56][0-9] km: beyond 20 km the origin of the scanner is wrong", note)
     assert not any("origin" in note for note in calibrate(write_npz(tmp_path / "near.npz", street())).notes)
 

@@ -14,7 +14,8 @@ import pytest
 import prc_cli
 from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.errors import InputError, OutputExistsError
+from prc_cli.core.errors import EvidenceError, InputError, OutputExistsError
+from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.classify import classify, classify_ranges, open_stream
 from prc_cli.jobs.evaluate import evaluate
 from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_csv, write_npz, write_raw
@@ -188,6 +189,23 @@ def test_the_public_functions_are_those_of_the_pipeline(tmp_path: Path) -> None:
     for wrong in ("x", [["a"]], [[1j]], [[object()]]):
         with pytest.raises(InputError, match="expected ranges in metres"):
             prc_cli.classify_ranges(wrong)
+
+
+def test_an_image_in_memory_is_judged_as_a_file_is() -> None:
+    image = street()
+    shuffled = np.random.default_rng(3).permuted(image, axis=1)
+    with pytest.raises(EvidenceError, match="range_m: ranges of neighbouring shots"):
+        prc_cli.classify_ranges(shuffled)
+    # too few shots to tell
+    prc_cli.classify_ranges(shuffled[:80])
+    thin = np.full((137, 18_000), np.nan, np.float32)
+    thin[:, :POINTS_PER_LINE] = image
+    with pytest.warns(prc_cli.DoubtWarning, match="range_m: returns: .*input.accept_doubts = ..returns") as told:
+        prc_cli.classify_ranges(thin)
+    assert told[0].filename == __file__
+    for odd in (thin, shuffled):
+        accepting = load_config(options={"input": {"accept_doubts": CHECK_NAMES}})
+        prc_cli.classify_ranges(odd, accepting)
 
 
 def test_what_is_unusual_about_a_file_is_told_and_recorded(tmp_path: Path) -> None:

@@ -35,7 +35,9 @@ from prc_cli.jobs.batch.settings import BatchSettings
 from prc_cli.jobs.batch.summary import (
     Alarm,
     BatchSummary,
+    Doubted,
     Ended,
+    doubts_of,
     reasons_of,
     write_summary,
 )
@@ -93,7 +95,7 @@ class Again:
     problem: Problem
 
 
-RunEvent: TypeAlias = Ready | Event | Again | Alarm | Noted
+RunEvent: TypeAlias = Ready | Event | Again | Doubted | Alarm | Noted
 """What a listener gets; a :class:`Failed` that is followed by :class:`Again` is not final."""
 
 Listener: TypeAlias = Callable[[RunEvent], None]
@@ -188,6 +190,7 @@ class _Run:
         self._owner = str(lock.owner)
         self._notes: list[str] = []
         self._alarms: list[Alarm] = []
+        self._doubts: list[Doubted] = []
         self._outcomes: dict[str, Outcome] = {}
         self._running: dict[str, float] = {}
         self._stopping = False
@@ -222,7 +225,8 @@ class _Run:
             raise
         summary = self._summarise(plan, config, run, ended, evaluation)
         code = summary.exit_code if stop is None else _exit_code(stop)
-        self._journal.end_run(code, {"done": len(summary.done), "failed": len(summary.failed)})
+        totals = {"done": len(summary.done), "failed": len(summary.failed), "doubted": summary.n_doubted}
+        self._journal.end_run(code, totals)
         write_summary(summary)
         if stop is not None:
             raise stop
@@ -233,6 +237,7 @@ class _Run:
         for task, done in plan.adopted:
             self._journal.start(task, self._owner)
             self._journal.finish(done)
+            self._doubt(done)
         for done in plan.confirmed:
             self._journal.finish(done)
         if plan.adopted:
@@ -312,6 +317,14 @@ class _Run:
                 self._listener(Again(outcome.name, outcome.problem))
             elif self._settings.fail_fast:
                 self._stopping = True
+        else:
+            self._doubt(outcome)
+
+    def _doubt(self, done: Done) -> None:
+        """Tell the doubts about a file."""
+        for doubt in doubts_of(done):
+            self._doubts.append(doubt)
+            self._listener(doubt)
 
     def _give_up_running(self) -> None:
         """Record files that were begun and not ended as interrupted, and remove their outcomes."""
@@ -367,6 +380,7 @@ class _Run:
             n_waiting=plan.n_beyond_limit + len(plan.todo) - n_ended,
             reasons=reasons_of(item.reason for item in plan.todo),
             alarms=tuple(self._alarms),
+            doubts=tuple(sorted(self._doubts, key=lambda doubt: doubt.name)),
             left_out=plan.left_out,
             notes=tuple(self._notes),
             ended=ended,

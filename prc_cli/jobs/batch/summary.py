@@ -13,6 +13,7 @@ from prc_cli import __version__
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import BusyError, ConfigError, DriftError, GateError
 from prc_cli.core.files import atomic_output, remove_stale
+from prc_cli.core.findings import doubt_of
 from prc_cli.jobs.batch.reference import BatchEvaluation
 from prc_cli.jobs.batch.types import Done, Failed, Shard
 
@@ -34,6 +35,17 @@ class Alarm:
     name: str
     sentence: str
     """What is unusual, with the class and both shares."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubted:
+    """A doubt about a file whose labels are written, see :mod:`prc_cli.core.findings`."""
+
+    name: str
+    check: str
+    """Name of the check, as for ``--accept-doubt``."""
+    sentence: str
+    """The check, what was found, what was expected, what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +83,8 @@ class BatchSummary:
     reasons: tuple[tuple[str, int], ...] = ()
     """Why files were done, or were to be done: ``new``, ``changed input``, ... and how many."""
     alarms: tuple[Alarm, ...] = ()
+    doubts: tuple[Doubted, ...] = ()
+    """Of the files that were done or adopted, in the order of their names."""
     left_out: tuple[LeftOut, ...] = ()
     notes: tuple[str, ...] = ()
     """What the run met beside the files: a lock taken over, temporary files removed."""
@@ -89,6 +103,11 @@ class BatchSummary:
         return tuple((label.name.lower(), total[label.name.lower()]) for label in Label if total[label.name.lower()])
 
     @property
+    def n_doubted(self) -> int:
+        """Files with a doubt."""
+        return len({doubt.name for doubt in self.doubts})
+
+    @property
     def n_shots(self) -> int:
         """Shots that were classified in this run."""
         return sum(found.n_shots for found in self.done)
@@ -100,12 +119,12 @@ class BatchSummary:
 
     @property
     def exit_code(self) -> int:
-        """0 done, 1 a file failed, 3 an evaluation gate failed, 4 a file's classes drifted; the first of these."""
+        """0 done, 1 a file failed, 3 a gate failed, 4 a file is doubted or its classes drifted; the first of these."""
         if self.failed:
             return FAILED
         if self.evaluation is not None and not self.evaluation.passed:
             return GateError.exit_code
-        return DriftError.exit_code if self.alarms else 0
+        return DriftError.exit_code if self.alarms or self.doubts else 0
 
 
 EXIT_CODES: dict[int, str] = {
@@ -113,7 +132,7 @@ EXIT_CODES: dict[int, str] = {
     FAILED: "at least one file failed, the others are finished; or archive, output folder or journal cannot be used",
     ConfigError.exit_code: "wrong usage or configuration; nothing was done",
     GateError.exit_code: "an evaluation gate was not reached; nothing failed",
-    DriftError.exit_code: "the classes of a file are unlike those of earlier ones; nothing failed",
+    DriftError.exit_code: "done, look at it: a file is doubted, or its classes are unlike earlier ones; nothing failed",
     BusyError.exit_code: "another run is at work in the output folder; nothing was done",
     129: "the terminal was closed; what was finished stays, the next run goes on",
     130: "Ctrl-C; the same",
@@ -148,6 +167,7 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
             "done": len(summary.done),
             "failed": len(summary.failed),
             "waiting": summary.n_waiting,
+            "doubted": summary.n_doubted,
             "alarms": len(summary.alarms),
             "left_out": len(summary.left_out),
         },
@@ -157,6 +177,8 @@ def as_dict(summary: BatchSummary) -> dict[str, Any]:
         "labels": dict(summary.labels),
         "done": [done_dict(found) for found in summary.done],
         "failed": [failed_dict(found) for found in summary.failed],
+        "doubts": [asdict(doubt) for doubt in summary.doubts],
+        "doubt_counts": dict(Counter(doubt.check for doubt in summary.doubts).most_common()),
         "alarms": [{"name": alarm.name, "sentence": alarm.sentence} for alarm in summary.alarms],
         "left_out": [{"name": found.name, "reason": found.reason} for found in summary.left_out],
         "notes": list(summary.notes),
@@ -213,6 +235,12 @@ def write_summary(summary: BatchSummary) -> Path:
     with atomic_output(path) as temporary:
         temporary.write_text(to_json(summary), encoding="ascii", newline="\n")
     return path
+
+
+def doubts_of(found: Done) -> tuple[Doubted, ...]:
+    """Return the doubts that the run record of a file holds."""
+    told = (doubt_of(notice) for notice in found.notices)
+    return tuple(Doubted(found.name, *doubt) for doubt in told if doubt is not None)
 
 
 def reasons_of(found: Iterable[str]) -> tuple[tuple[str, int], ...]:

@@ -14,6 +14,7 @@ from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import output_errors
+from prc_cli.core.findings import Finding, doubts
 from prc_cli.core.stream import FAR_M, ReadTally, ScanStream
 from prc_cli.core.types import I64
 from prc_cli.evaluation.confusion import refuse_poor_match
@@ -38,6 +39,7 @@ from prc_cli.jobs.calibrate.search import (
 )
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
 from prc_cli.jobs.classify import Progress, open_stream
+from prc_cli.streams.evidence.watch import watched
 
 SHOTS_AT_ONCE = 1 << 18
 """Shots measured at a time; affects results only through the few pairs of lines across two chunks."""
@@ -81,6 +83,13 @@ class Calibration:
     """The calibrated configuration; its sources hold the reasons."""
     search: SearchResult | None = None
     notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    """Answers of all checks of the stream."""
+
+    @property
+    def doubts(self) -> tuple[Finding, ...]:
+        """Findings that the user has to look at: the parameters may be those of another sensor."""
+        return doubts(self.findings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values for JSON."""
@@ -96,6 +105,7 @@ class Calibration:
                 for item in self.advice
             ],
             "notes": list(self.notes),
+            "doubts": [doubt.as_dict() for doubt in self.doubts],
         }
         if (found := self.search) is not None:
             table["search"] = {
@@ -143,6 +153,8 @@ def calibrate(
     InputError
         When the stream is damaged, has fewer than three lines or no range; when the reference holds another number of
         records, codes that the mapping does not list, or no scored record.
+    EvidenceError
+        When the evidence is against the stream; ``input.accept_doubts`` names what is accepted.
     ConfigError
         When the objective or an option of the search is invalid.
     """
@@ -150,7 +162,8 @@ def calibrate(
     run = loaded.config
     prepared = None if search is None else _prepare(search, run)
     stream = open_stream(source, loaded)
-    sensor, curves, lines, n_records = _measure(stream, run, progress)
+    watch = watched(stream, run.input)
+    sensor, curves, lines, n_records = _measure(watch, run, progress)
     advice = imply(sensor, curves, run.prc, run.sequential_angle.angles.range_noise_m)
     found, notes = None, _notes(sensor)
     if prepared is not None and search is not None:
@@ -163,7 +176,7 @@ def calibrate(
     values = {item.key: item.value for item in advice}
     sources = {**loaded.sources, **{item.key: f"prc calibrate: {item.reason}" for item in advice}}
     calibrated = replace(loaded, config=with_values(run, values), sources=sources)
-    return Calibration(str(source), sensor, curves, advice, calibrated, found, notes)
+    return Calibration(str(source), sensor, curves, advice, calibrated, found, notes, watch.findings())
 
 
 def _prepare(search: SearchOptions, config: RunConfig) -> tuple[ClassMapping, CodeSource]:

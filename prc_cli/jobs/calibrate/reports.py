@@ -37,6 +37,7 @@ def as_toml(found: Calibration) -> str:
             told = (f"{name.replace('_', '-')} {_objective(found, getattr(judged, name)):.3f}" for name in names)
             lines.append(f"#   {found.search.objective} {judged.name}: {', '.join(told)}")
     lines += [f"# note: {_plain(note)}" for note in found.notes]
+    lines += [f"# doubt: {_plain(doubt.sentence())}" for doubt in found.doubts]
     lines.append("")
     for line in to_toml(found.config).splitlines():
         setting, mark, reason = line.partition(f"  # from: {_MARK}")
@@ -133,6 +134,7 @@ def as_markdown(found: Calibration) -> str:
         parts.append(_table(header, rows))
     parts.append(_table(CURVE_HEADER, list(curve_rows(found))))
     parts += [f"Note: {note}" for note in found.notes]
+    parts += [f"Doubt: {_plain(doubt.sentence())}" for doubt in found.doubts]
     return "\n\n".join(parts) + "\n"
 
 

@@ -7,8 +7,9 @@ soon as the sample is full for the first time, and again at the end; outputs get
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -121,17 +122,30 @@ class EvidenceStream:
 
     def _ask(self, *, is_whole: bool) -> tuple[Finding, ...]:
         """Return the answers of all checks to what has been seen so far."""
-        found: dict[str, Finding] = {}
-        seen = self._seen(is_whole=is_whole)
-        for one in seen:
-            for finding in ask_all(one):
-                told = finding if len(seen) == 1 else replace(finding, found=f"scanner {one.scanner}: {finding.found}")
-                # of several scanners, the worst answer stands for the check
-                if finding.check not in found or finding.verdict > found[finding.check].verdict:
-                    found[finding.check] = told
-        if is_whole:
-            found["repeated-lines"] = check_repeats(self._repeats)
-        return accept(sorted(found.values(), key=lambda one: CHECK_NAMES.index(one.check)), self.accepted)
+        return self.question(is_whole=is_whole)()
+
+    def see(self, block: ScanBlock) -> int:
+        """Take what is needed of a block that is read elsewhere; return how often samples have been full."""
+        self._see(block)
+        return sum(one.sample.n_full for one in self._scanners.values())
+
+    def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
+        """Return what asks all checks of what has been seen so far, now or in another thread."""
+        repeats = (check_repeats(self._repeats),) if is_whole else ()
+        return partial(_ask_of_all, self._seen(is_whole=is_whole), repeats, self.accepted)
+
+
+def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:
+    """Ask all checks of every scanner; ``others`` are answers to what was asked of the whole stream."""
+    found: dict[str, Finding] = {}
+    for one in seen:
+        for finding in ask_all(one):
+            told = finding if len(seen) == 1 else replace(finding, found=f"scanner {one.scanner}: {finding.found}")
+            # of several scanners, the worst answer stands for the check
+            if finding.check not in found or finding.verdict > found[finding.check].verdict:
+                found[finding.check] = told
+    every = (*found.values(), *others)
+    return accept(sorted(every, key=lambda one: CHECK_NAMES.index(one.check)), accepted)
 
 
 def watched(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,9 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from prc_cli.core.errors import BusyError, ConfigError, InputError, PrcError
+from prc_cli.core.findings import CHECK_NAMES, Finding, Verdict
 from prc_cli.jobs.batch import run as batch_run
 from prc_cli.jobs.batch.journal import read_entries, read_runs
 from prc_cli.jobs.batch.lock import Lock
@@ -29,7 +32,7 @@ from prc_cli.jobs.batch.run import (
     run_batch,
 )
 from prc_cli.jobs.batch.settings import BatchSettings, ConfigLayers
-from prc_cli.jobs.batch.summary import BatchSummary, as_dict
+from prc_cli.jobs.batch.summary import BatchSummary, Doubted, as_dict, doubts_of
 from prc_cli.jobs.batch.types import (
     OWN_FOLDER,
     Done,
@@ -277,6 +280,56 @@ def test_an_alarm_for_classes_unlike_those_of_earlier_runs(settings: BatchSettin
     assert [event.name for event in events if isinstance(event, Alarm)] == ["y.npz"]
     (settings.archive / "y.npz").write_bytes(b"longer")
     assert run_batch(replace(settings, drift=False), odd).exit_code == 0
+
+
+def test_doubts_reach_journal_and_summary_and_are_told_once(settings: BatchSettings) -> None:
+    odd = Finding("units", Verdict.DOUBTFUL, "the scanner is 9 m up", "at most 5 m").notice()
+
+    def doubtful(task: Task, attempt: int) -> Outcome:
+        return replace(finished(task), notices=("a note", odd) if task.name == "b.npz" else ())
+
+    events: list[RunEvent] = []
+    summary = run_batch(settings, Scripted(doubtful), events.append)
+    expected = Doubted("b.npz", "units", odd.removeprefix("doubt "))
+    assert summary.doubts == (expected,)
+    assert [event for event in events if isinstance(event, Doubted)] == [expected]
+    assert (summary.exit_code, summary.n_doubted) == (4, 1)
+    table = json.loads((settings.out / "summary.json").read_bytes())
+    assert (table["counts"]["doubted"], table["doubt_counts"], table["exit_code"]) == (1, {"units": 1}, 4)
+    last = read_runs(settings.out / OWN_FOLDER)[-1]
+    assert (last.exit_code, dict(last.totals)["doubted"]) == (4, 1)
+    # as an alarm: told by the run that did the file, kept in the journal
+    again = run_batch(settings, Scripted(doubtful))
+    assert (again.exit_code, again.doubts) == (0, ())
+    known = {entry.name: entry.outcome for entry in read_entries(settings.out / OWN_FOLDER)}
+    outcome = known["b.npz"]
+    assert isinstance(outcome, Done)
+    assert doubts_of(outcome) == (expected,)
+
+
+def test_evidence_against_a_file_fails_it_and_doubts_can_be_accepted(tmp_path: Path) -> None:
+    archive = tmp_path / "in"
+    archive.mkdir()
+    image = street()
+    wide = np.full((len(image), 18000), np.nan, np.float32)
+    wide[:, :180] = image
+    write_npz(archive / "good.npz", image)
+    np.save(archive / "shuffled.npy", np.random.default_rng(3).permuted(image, axis=1))
+    np.save(archive / "thin.npy", wide)  # one shot of a hundred has a range
+    settings = BatchSettings(archive, tmp_path / "out", jobs=1, drift=False, retry=3)
+    found = run_batch(settings)
+    assert [(item.name, item.problem.kind) for item in found.failed] == [("shuffled.npy", "EvidenceError")]
+    assert {(doubt.name, doubt.check) for doubt in found.doubts} == {("thin.npy", "returns")}
+    assert {entry.name: entry.attempts for entry in read_entries(settings.out / OWN_FOLDER)}["shuffled.npy"] == 1
+    assert found.exit_code == 1
+    # what was classified one by one is adopted with its doubts
+    shutil.rmtree(settings.out / OWN_FOLDER)
+    adopted = run_batch(replace(settings, adopt=True, exclude=("shuffled.npy",)))
+    assert (adopted.done, adopted.exit_code) == ((), 4)
+    assert adopted.doubts == found.doubts
+    accepting = ConfigLayers(options={"input": {"accept_doubts": CHECK_NAMES}})
+    accepted = run_batch(replace(settings, config=accepting))
+    assert (len(accepted.done), accepted.failed, accepted.doubts, accepted.exit_code) == (3, (), (), 0)
 
 
 def test_a_foreign_output_fails_its_file_alone(settings: BatchSettings) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.errors import OutputError
+from prc_cli.core.findings import Finding, Verdict
 from prc_cli.evaluation.confusion import ConfusionMatrix
 from prc_cli.evaluation.gates import GateResult
 from prc_cli.jobs.batch.reference import BatchEvaluation, ReferenceSettings
@@ -18,8 +19,10 @@ from prc_cli.jobs.batch.summary import (
     EXIT_CODES,
     Alarm,
     BatchSummary,
+    Doubted,
     LeftOut,
     as_dict,
+    doubts_of,
     summary_path,
     to_json,
     write_summary,
@@ -46,6 +49,7 @@ def summary(**changes: object) -> BatchSummary:
 
 
 FAILED = Failed("b.laz", None, 0.5, Problem("InputError", "b.laz", "cut off", "copy it again"))
+DOUBTED = Doubted("a.laz", "units", "units: odd")
 ALARM = Alarm("a.laz", "ground 0.1, usually 0.5")
 
 
@@ -61,6 +65,9 @@ def evaluation(*, value: float) -> BatchEvaluation:
         ({}, 0),
         ({"n_waiting": 3}, 0),
         ({"alarms": (ALARM,)}, 4),
+        ({"doubts": (DOUBTED,)}, 4),
+        ({"doubts": (DOUBTED,), "evaluation": evaluation(value=0.8)}, 3),
+        ({"doubts": (DOUBTED,), "failed": (FAILED,)}, 1),
         ({"alarms": (ALARM,), "evaluation": evaluation(value=0.8)}, 3),
         ({"alarms": (ALARM,), "evaluation": evaluation(value=0.9)}, 4),
         ({"evaluation": evaluation(value=float("nan"))}, 3),
@@ -101,13 +108,31 @@ def test_counts_and_reasons_are_in_the_json() -> None:
         n_waiting=1, reasons=(("new", 2),), shard=Shard(2, 3), evaluation=evaluation(value=0.95),
     )  # fmt: skip
     table = as_dict(found)
-    expected = {"found": 4, "skipped": 1, "done": 1, "failed": 1, "waiting": 1, "alarms": 1, "left_out": 1}
+    expected = {
+        "found": 4, "skipped": 1, "done": 1, "failed": 1, "waiting": 1, "doubted": 0, "alarms": 1, "left_out": 1
+    }  # fmt: skip
     assert table["counts"] == expected
     assert table["reasons"] == {"new": 2}
     assert table["shard"] == "2/3"
     assert table["failed"][0]["kind"] == "InputError"
     assert table["failed"][0]["hint"] == "copy it again"
     assert table["evaluation"]["gates"] == [{"name": "recall.ground", "limit": 0.9, "value": 0.95, "passed": True}]
+
+
+def test_doubts_are_counted_by_file_and_by_check() -> None:
+    odd = Finding("units", Verdict.DOUBTFUL, "the scanner is 9 m up", "at most 5 m", "check the unit")
+    far = replace(odd, check="returns")
+    accepted = replace(odd, check="standing", is_accepted=True)
+    notices = ("a note", odd.notice(), far.notice(), accepted.notice())
+    one, two = replace(done("a.laz", ground=1), notices=notices), replace(done("b.laz"), notices=(far.notice(),))
+    table = as_dict(summary(done=(one, two), doubts=(*doubts_of(one), *doubts_of(two))))
+    assert table["counts"]["doubted"] == 2
+    assert table["doubt_counts"] == {"returns": 2, "units": 1}
+    assert table["doubts"][0] == {
+        "name": "a.laz", "check": "units",
+        "sentence": "units: the scanner is 9 m up, expected at most 5 m; check the unit",
+    }  # fmt: skip
+    assert table["exit_code"] == 4
 
 
 def test_the_file_is_written_whole_and_each_shard_has_its_own(tmp_path: Path) -> None:

@@ -1,0 +1,98 @@
+"""A live stream that is not what it is said to be: doubts as they arise, refusals as the labels leave."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from prc_cli.config import load_config
+from prc_cli.core.errors import EvidenceError
+from prc_cli.core.findings import CHECK_NAMES, Finding
+from prc_cli.core.stream import ScanBlock, StreamInfo
+from prc_cli.core.types import F32
+from prc_cli.jobs.stream import stream
+from prc_cli.streams.evidence.live import LiveEvidence
+from prc_cli.streams.evidence.watch import EvidenceStream
+from tests.street import POINTS_PER_LINE, street
+
+URBAN = load_config(
+    preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}, "prc": {"lines_per_block": 16}}
+)
+
+
+@dataclass
+class Endless:
+    """A scanner that goes on until nobody listens: first some lines, then others for ever."""
+
+    first: F32
+    then: F32
+
+    @property
+    def info(self) -> StreamInfo:
+        return StreamInfo("stdin", "raw binary", self.first.shape[1], None, None)
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        yield ScanBlock(0, self.first)
+        line = len(self.first)
+        for _ in range(200_000):  # more than any test hears
+            yield ScanBlock(line, self.then)
+            line += len(self.then)
+
+
+def shuffled(image: F32) -> F32:
+    found: F32 = np.random.default_rng(3).permuted(image, axis=1)
+    return found
+
+
+def test_a_stream_without_an_end_is_refused_while_it_goes_on() -> None:
+    bad = shuffled(street())
+    live = LiveEvidence(EvidenceStream(Endless(bad, bad)), [].append)
+    with pytest.raises(EvidenceError, match="stdin: ranges of neighbouring shots"):
+        for _ in live.blocks():
+            pass
+
+
+def test_what_goes_wrong_later_is_found_as_the_stream_grows() -> None:
+    good, far = street(7000), np.full((500, POINTS_PER_LINE), 40_000.0, np.float32)
+    others = tuple(name for name in CHECK_NAMES if name != "ranges")
+    live = LiveEvidence(EvidenceStream(Endless(good, far), others), [].append)
+    n_lines = 0
+    with pytest.raises(EvidenceError, match="of the ranges lie beyond"):
+        for block in live.blocks():
+            n_lines += block.n_lines
+    assert n_lines > len(good)
+
+
+def test_labels_have_left_when_the_input_is_refused_at_its_end() -> None:
+    sink = io.BytesIO()
+    with pytest.raises(EvidenceError):
+        stream(io.BytesIO(shuffled(street()).tobytes()), sink, URBAN)
+    assert len(sink.getvalue()) == street().size
+
+
+def test_doubts_are_told_once_and_kept() -> None:
+    thin = np.full((137, 18_000), np.nan, np.float32)
+    thin[:, :POINTS_PER_LINE] = street()
+    told: list[Finding] = []
+    for accepts in ((), ("returns",)):
+        options = {"input": {"points_per_line": 18_000, "accept_doubts": list(accepts)}}
+        config = load_config(preset="urban", options=options)
+        summary = stream(io.BytesIO(thin.tobytes()), io.BytesIO(), config, doubted=told.append)
+        assert [doubt.check for doubt in summary.doubts] == ([] if accepts else ["returns"])
+        assert [one.check for one in summary.findings if one.is_accepted] == list(accepts)
+    assert [doubt.check for doubt in told] == ["returns"]
+
+
+def test_labels_are_checked_as_they_leave() -> None:
+    stray = street(1100)
+    stray[:, ::2] = np.random.default_rng(1).uniform(1, 80, stray[:, ::2].shape)  # noise, whatever the order may be
+    others = [name for name in CHECK_NAMES if name != "noise-share"]
+    options = {"input": {"points_per_line": POINTS_PER_LINE, "accept_doubts": others}, "prc": {"lines_per_block": 16}}
+    sink = io.BytesIO()
+    with pytest.raises(EvidenceError, match="of the returns are noise"):
+        stream(io.BytesIO(stray.tobytes()), sink, load_config(preset="urban", options=options))
+    assert 1024 * POINTS_PER_LINE <= len(sink.getvalue()) < stray.size
