@@ -450,7 +450,7 @@ def _label_findings(labelled: Iterable[LabelledBlock], config: RunConfig) -> tup
     result = ResultWatch(config.classifier.method().usual)
     for item in labelled:
         result.see(item)
-    return accept(result.findings(), config.input.accept_doubts)
+    return accept(result.findings(), config.input.accept_doubts or ())
 
 
 def _block_of(given: NDArray[Any], config: RunConfig, beam_rad: ArrayLike | None, xyz_m: ArrayLike | None) -> ScanBlock:
