@@ -175,6 +175,22 @@ def test_little_memory_and_little_disk(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert found["output disk"].status == "warn"
 
 
+@pytest.mark.parametrize(("load", "status"), [(16.0, "ok"), (16.1, "warn"), (None, "ok")])
+def test_more_than_two_processes_for_a_core_are_a_warning(
+    monkeypatch: pytest.MonkeyPatch, load: float | None, status: str
+) -> None:
+    def average() -> tuple[float, float, float]:
+        if load is None:
+            raise OSError
+        return load, 0.0, 99.0
+
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(os, "getloadavg", average)
+    (found,) = doctor._processor()
+    assert found.status == status
+    assert ("; 16 processes want them" in found.found) is (status == "warn")
+
+
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_cannot_be_written_is_bad(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
