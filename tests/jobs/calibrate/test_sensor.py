@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prc_cli.core.types import F64
-from prc_cli.jobs.calibrate.sensor import SensorEstimate
+from prc_cli.jobs.calibrate.sensor import SensorEstimate, angular_steps
 from tests.jobs.test_calibrate import corridor, measure
 
 N = 60
@@ -114,3 +114,12 @@ def test_foliage_behind_a_line_does_not_shorten_the_step() -> None:
     found = measure(corridor(0.002, 0.0, 0.5))
     assert found.step_source.startswith("straight lines in the ranges, over ")
     assert found.step_rad == pytest.approx(np.deg2rad(0.5), rel=0.02)
+
+
+@pytest.mark.parametrize("span", [8, 16, 32])
+@pytest.mark.parametrize("metres", [0.7, 5.0, 300.0])
+def test_every_triple_on_a_wall_gives_the_step(span: int, metres: float) -> None:
+    wall = metres / np.cos(np.deg2rad(np.arange(-70.0, 70.1, 0.7)))
+    found = np.rad2deg(angular_steps(np.tile(wall, (3, 1)).astype(np.float32), span))
+    assert found.shape == (3 * (len(wall) - 2 * span),)
+    np.testing.assert_allclose(found, 0.7, rtol=1e-3)
