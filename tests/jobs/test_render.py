@@ -18,9 +18,11 @@ from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.imaging.sheet import Axis
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
 from prc_cli.jobs.render import RenderOptions, render
+from prc_cli.jobs.render.classes import LABEL_TABLE, Vocabulary
+from prc_cli.jobs.render.cloud import _draw_scale
 from prc_cli.jobs.render.frames import turns
 from prc_cli.jobs.render.options import FIGURE_1, choose_steps
-from prc_cli.jobs.render.scan import _elevations, choose_part, draw_scan
+from prc_cli.jobs.render.scan import Part, _choose_layout, _elevations, choose_part, draw_scan
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -441,3 +443,69 @@ def test_columns_in_no_even_steps_of_elevation_are_counted() -> None:
     order = np.arange(5)
     assert _elevations(beam_rad, order, 5) == Axis("column", 0, 5)
     assert _elevations(beam_rad, order[::-1], 5) == Axis("column", 5, 0)
+
+
+def test_columns_nearly_in_even_steps_show_their_elevation() -> None:
+    """Off by two steps at most, or by a fiftieth of all that is seen."""
+    for n, step, limit in ((11, 1.0, 2.0), (1001, 0.05, 1.0)):
+        elevation = -40.0 + step * np.arange(n)
+        for off, is_even in ((0.95 * limit, True), (1.05 * limit, False)):
+            moved = elevation.copy()
+            moved[n // 2] += off
+            axis = _elevations(np.deg2rad(moved + 90.0), np.arange(n), n)
+            if is_even:
+                assert axis.name == "elevation [°]"
+                assert (axis.first, axis.stop) == pytest.approx((-40.0 - step / 2, -40.0 + (n - 0.5) * step))
+            else:
+                assert axis == Axis("column", 0, n)
+    # from above to below
+    axis = _elevations(np.deg2rad(90.0 + np.arange(5.0)), np.arange(5)[::-1], 5)
+    assert (axis.first, axis.stop) == pytest.approx((4.5, -0.5))
+    assert _elevations(np.deg2rad([90.0, 91.0]), np.arange(2), 2) == Axis("column", 0, 2)
+    assert _elevations(np.deg2rad([90.0, 90.0, 90.0]), np.arange(3), 3) == Axis("column", 0, 3)
+
+
+@pytest.mark.parametrize(("n", "kind"), [(400, "upright"), (401, "strips")])
+def test_lines_of_twice_the_width_are_one_panorama(n: int, kind: str) -> None:
+    first = ScanBlock(0, np.ones((9, 30), np.float32), beam_rad=np.deg2rad(np.linspace(20, 120, 30)))
+    layout = _choose_layout(first, Part(0, n, n), 1, RenderOptions(width=200))
+    assert layout.kind == kind
+    assert layout.line_step == (2 if kind == "upright" else 1)
+
+
+def test_a_scale_bar_is_as_long_as_it_says() -> None:
+    before = np.full((100, 200, 3), 77, np.uint8)
+    picture = before.copy()
+    _draw_scale(picture, 50)
+    changed = np.flatnonzero((picture != before).any(axis=(1, 2))), np.flatnonzero((picture != before).any(axis=(0, 2)))
+    assert [(rows[0], rows[-1] + 1) for rows in changed] == [(56, 80), (20, 90)]
+    dark = (picture == 20).all(axis=2)
+    assert dark[71].sum() == 50
+    assert np.flatnonzero(dark.any(axis=0))[[0, -1]].tolist() == [30, 79]
+    # a tick at either end, higher than the bar and within the white box
+    assert dark[:, 30].sum() == dark[:, 79].sum() == 18 > dark[:, 50].sum() == 6
+    assert np.flatnonzero(dark.any(axis=1))[[0, -1]].tolist() == [62, 79]
+
+
+@pytest.mark.parametrize(("height", "width", "is_drawn"), [(60, 110, True), (59, 110, False), (60, 109, False)])
+def test_a_picture_without_room_has_no_scale_bar(height: int, width: int, is_drawn: bool) -> None:
+    picture = np.full((height, width, 3), 77, np.uint8)
+    _draw_scale(picture, 50)
+    assert (picture != 77).any() == is_drawn
+
+
+@pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])
+def test_eight_codes_without_a_class_are_named(n: int, end: str) -> None:
+    words = Vocabulary(LABEL_TABLE, None, ClassCodes())
+    codes = np.repeat(np.arange(200, 200 + n), 3)
+    with pytest.raises(
+        InputError, match=f"found {3 * n} records with codes that are none of .classes.: 200, 201, "
+    ) as said:
+        words.turn(codes, "predicted")
+    assert said.value.problem.endswith(end)
+
+
+def test_codes_of_las_that_have_a_counterpart_are_shown_as_it(urban: LoadedConfig, tmp_path: Path) -> None:
+    codes = np.repeat(np.array([2, 3, 4, 5, 6, 7, 11, 18], np.uint8), 100)
+    result = render(write_cloud(tmp_path / "a.las", codes), tmp_path / "a.png", urban, RenderOptions(view="top"))
+    assert result.counts == {"ground": 200, "vegetation": 300, "building": 100, "noise": 200}
