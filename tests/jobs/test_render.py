@@ -23,6 +23,7 @@ from prc_cli.jobs.render.cloud import _draw_scale
 from prc_cli.jobs.render.frames import turns
 from prc_cli.jobs.render.options import FIGURE_1, choose_steps
 from prc_cli.jobs.render.scan import Part, _choose_layout, _elevations, choose_part, draw_scan
+from tests.formats.organised_files import grid_points, ptx_scan, write_text
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -509,3 +510,16 @@ def test_codes_of_las_that_have_a_counterpart_are_shown_as_it(urban: LoadedConfi
     codes = np.repeat(np.array([2, 3, 4, 5, 6, 7, 11, 18], np.uint8), 100)
     result = render(write_cloud(tmp_path / "a.las", codes), tmp_path / "a.png", urban, RenderOptions(view="top"))
     assert result.counts == {"ground": 200, "vegetation": 300, "building": 100, "noise": 200}
+
+
+def test_labels_of_an_organised_scan_are_one_a_record(urban: LoadedConfig, tmp_path: Path) -> None:
+    """The file does not say how many records it has before it is read to its end."""
+    source = write_text(tmp_path / "a.ptx", ptx_scan(grid_points(6, 30)))
+    for n, is_drawn in ((180, True), (179, False), (181, False)):
+        np.save(tmp_path / "labels.npy", np.full(n, 2, np.uint8))
+        chosen = RenderOptions(labels=tmp_path / "labels.npy")
+        if is_drawn:
+            assert render(source, tmp_path / "a.png", urban, chosen).counts is not None
+        else:
+            with pytest.raises(InputError, match=f"found {n} labels, expected 180, one a record"):
+                render(source, tmp_path / "b.png", urban, chosen)

@@ -73,8 +73,10 @@ class Scripted:
         self.script = script
         self.begun: list[tuple[str, int]] = []
         """Names, and how many files at a time."""
+        self.n_passes = 0
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
+        self.n_passes += 1
         for task in tasks:
             self.begun.append((task.name, settings.jobs))
             yield Started(task.name, "here")
@@ -104,7 +106,7 @@ def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
     assert first.reasons == (("new", 4),)
     engine = Scripted()
     second = run_batch(settings, engine)
-    assert engine.begun == []
+    assert (engine.begun, engine.n_passes) == ([], 0), "no worker is started for nothing"
     assert (second.exit_code, second.n_skipped, second.done) == (0, 4, ())
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [0, 0]
 
@@ -174,6 +176,7 @@ def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: Batch
     engine = Scripted(script)
     summary = run_batch(settings, engine)
     assert engine.begun == [*((f"{name}.npz", 2) for name in "abcd"), ("a.npz", 1), ("c.npz", 1)]
+    assert engine.n_passes == 2
     assert summary.exit_code == 0
     assert len(summary.done) == 4
 
