@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -523,3 +524,19 @@ def test_labels_of_an_organised_scan_are_one_a_record(urban: LoadedConfig, tmp_p
         else:
             with pytest.raises(InputError, match=f"found {n} labels, expected 180, one a record"):
                 render(source, tmp_path / "b.png", urban, chosen)
+
+
+def test_a_sheet_of_strips_has_one_key_for_classes_and_differences(urban: LoadedConfig, tmp_path: Path) -> None:
+    source = write_raw(tmp_path / "drive.bin", np.tile(street(), (4, 1)))
+    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+    reference = ClassCodes().lookup()[labels_of(source, config)].copy()
+    reference[100:120] = np.where(reference[100:120] == ClassCodes().ground, ClassCodes().building, reference[100:120])
+    np.save(tmp_path / "reference.npy", reference.ravel())
+    chosen = RenderOptions(width=300, reference=tmp_path / "reference.npy", steps=("classes", "difference"))
+    drawing = draw_scan(source, config, chosen, tmp_path)
+    assert len(drawing.strips) > 1
+    names = [name for name, _ in drawing.key]
+    assert names[-2:] == ["both agree", "no return"]
+    assert {"ground", "building", "noise"} <= set(names)
+    assert len(set(names)) == len(names)
+    assert [name for name, _ in draw_scan(source, config, replace(chosen, steps=("classes",)), tmp_path).key] != names

@@ -1,9 +1,14 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from prc_cli.config import RunConfig
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.jobs.calibrate.calibrate import _measure
 from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES, Axis, _neighbours, with_values
+from tests.streams.beam_lines import stream
 
 
 @pytest.mark.parametrize("axis", [*PRC_AXES, *ANGLE_AXES], ids=lambda axis: axis.key)
@@ -24,3 +29,13 @@ def test_refinement_goes_down_to_one_pixel_and_not_out_of_bounds() -> None:
     zeta = next(axis for axis in PRC_AXES if axis.key == "prc.support.zeta_p")
     assert _neighbours(zeta, 0.01, 1.5) == (0.015,)
     assert _neighbours(zeta, 10.0, 1.5) == (6.67,)
+
+
+@pytest.mark.parametrize(("n_lines", "is_enough"), [((2, 3), True), ((3, 2), True), ((2, 2), False), ((2, 0), False)])
+def test_one_scanner_with_three_lines_is_enough(n_lines: tuple[int, int], is_enough: bool) -> None:
+    parts = [ScanBlock(0, np.full((n, 50), 5.0, np.float32), scanner=scanner) for scanner, n in enumerate(n_lines) if n]
+    if is_enough:
+        assert _measure(stream(*parts), RunConfig(), None)[2] == dict(enumerate(n_lines))
+    else:
+        with pytest.raises(InputError, match=f"found {sum(n_lines)} scan lines, expected 3 or more"):
+            _measure(stream(*parts), RunConfig(), None)
