@@ -18,7 +18,7 @@ from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.imaging.sheet import Axis
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
-from prc_cli.jobs.render import RenderOptions, render
+from prc_cli.jobs.render import RenderOptions, _pages, render
 from prc_cli.jobs.render.classes import LABEL_TABLE, Vocabulary
 from prc_cli.jobs.render.cloud import _draw_scale
 from prc_cli.jobs.render.frames import turns
@@ -540,3 +540,17 @@ def test_a_sheet_of_strips_has_one_key_for_classes_and_differences(urban: Loaded
     assert {"ground", "building", "noise"} <= set(names)
     assert len(set(names)) == len(names)
     assert [name for name, _ in draw_scan(source, config, replace(chosen, steps=("classes",)), tmp_path).key] != names
+
+
+def test_headings_of_pages_go_on_to_the_last_line(urban: LoadedConfig, tmp_path: Path) -> None:
+    """Where lines are thinned out, the last drawn one stands for fewer than the others."""
+    source = write_raw(tmp_path / "drive.bin", np.tile(street(), (12, 1))[:1640])
+    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+    drawing = draw_scan(source, config, RenderOptions(width=300, height=500, pages=2, steps=("range",)), tmp_path)
+    assert drawing.thinned_by[0] > 1
+    assert 1640 % drawing.thinned_by[0]
+    headings = [heading.removeprefix("lines ").replace(",", "").split(" to ") for heading, _ in _pages(drawing)]
+    assert len(headings) > 1
+    first, last = ([int(words[k]) for words in headings] for k in (0, 1))
+    assert (first[0], last[-1]) == (0, 1639)
+    assert first[1:] == [line + 1 for line in last[:-1]]
