@@ -515,7 +515,7 @@ def test_codes_of_las_that_have_a_counterpart_are_shown_as_it(urban: LoadedConfi
 
 def test_labels_of_an_organised_scan_are_one_a_record(urban: LoadedConfig, tmp_path: Path) -> None:
     """The file does not say how many records it has before it is read to its end."""
-    source = write_text(tmp_path / "a.ptx", ptx_scan(grid_points(6, 30)))
+    source = write_text(tmp_path / "a.ptx", ptx_scan(grid_points(6, 30, missing=0)))
     for n, is_drawn in ((180, True), (179, False), (181, False)):
         np.save(tmp_path / "labels.npy", np.full(n, 2, np.uint8))
         chosen = RenderOptions(labels=tmp_path / "labels.npy")

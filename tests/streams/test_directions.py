@@ -106,6 +106,21 @@ def test_level_arcs_rise_by_less_than_half_of_what_they_run_sideways() -> None:
         fit_beams(arc(5.0, 26.3, middle_deg=90.0))
 
 
+def test_sideways_is_measured_at_the_elevation_of_the_line() -> None:
+    """High up, a degree of azimuth is less: around an elevation of 60 deg, half a degree."""
+    azimuth = np.deg2rad(np.linspace(-8.0, 8.0, 101))
+    for rise_deg, is_level in ((3.5, True), (4.5, False)):
+        elevation = np.deg2rad(60.0 + rise_deg * np.linspace(-0.5, 0.5, 101))
+        line = 9.0 * np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=-1
+        )
+        if is_level:
+            with pytest.raises(LevelLinesError):
+                fit_beams(line[None])
+        else:
+            assert fit_beams(line[None]).n_lines == 1
+
+
 def test_shots_of_a_column_may_scatter_by_five_degrees() -> None:
     angle, sign = np.linspace(-50, 50, 41), np.where(np.arange(20) % 2, 1.0, -1.0)[:, None]
     assert fit_beams(turned(angle + 4.9 * sign)).n_lines == 20
