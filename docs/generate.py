@@ -115,7 +115,7 @@ def _bounds(schema: dict[str, Any]) -> str:
     if "const" in schema:
         return f"`{_toml(schema['const'])}`"
     signs = {"exclusiveMinimum": ">", "minimum": "≥", "exclusiveMaximum": "<", "maximum": "≤"}
-    limits = [f"{sign} {schema[key]:g}" for key, sign in signs.items() if key in schema]
+    limits = [f"{sign} {schema[key]:.15g}" for key, sign in signs.items() if key in schema]
     return ", ".join([schema.get("type", ""), *limits]).strip(", ")
 
 

@@ -3,18 +3,19 @@
 ``python -m tests.mutants --count 200 --seed 14 --coverage /tmp/mutants.sqlite`` measures once which test runs which
 line (a file kept from an earlier run is taken as it is), then takes seeded places in the rooms named by ``--rooms``,
 changes one operator or number at a time, and runs the tests that reach its statement. It prints every survivor and the
-share that was killed. No file is changed: the fault is in the code that a forked process imports. Compiled loops are
-left out, as their twins hold them bit for bit; so are the constants named by ``SIZES``.
+share that was killed. ``--list`` shows the places alone, ``--skip`` and ``--only`` run a part of them. A change
+elsewhere leaves the draw as it is. No file is changed: the fault is in the code that a forked process imports. Compiled
+loops are left out, as their twins hold them bit for bit; so are the constants named by ``SIZES``.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import hashlib
 import importlib
 import json
 import os
-import random
 import re
 import runpy
 import signal
@@ -22,6 +23,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -37,7 +39,7 @@ LEFT_OUT = ("tests/golden", "tests/faults", "tests/fuzz", "tests/kernels")
 """Tests that take long, or that run no line of the rooms in their own process."""
 SIZES = re.compile(
     r"_?(MAX|CHUNK|BLOCK|BUFFER|BATCH|COPY|READ|WRITE|PAGE|KEPT|HEAD|LOOK|FLUSH|RUN|CHECK|PROBE|SORT|MERGE|STEP|LARGE"
-    r"|SHARED|SERIAL|PLAIN|TOGETHER|TEXT)(_[A-Z]+)*_(BYTES|RECORDS|SHOTS|POINTS|ITEMS|ROWS|CELLS)|_?BATCH"
+    r"|SHARED|SERIAL|PLAIN|TOGETHER|TEXT)(_[A-Z]+)*_(BYTES|RECORDS|SHOTS|POINTS|ITEMS|ROWS|CELLS)(_EACH)?|_?BATCH"
     r"|[A-Z]+_AT_ONCE"
     r"|_?(GATE|LOOK|STATUS|POLL|BEAT|SILENT|PATIENCE|PROGRESS|STOP|AGAIN|CONNECT|WORKERS|CHECK|SHARE|START|KILL|ABANDON"
     r"|WAIT|LONGEST_CHECK|COPY_PAUSE)_S"
@@ -337,28 +339,48 @@ def load_kernels() -> None:
         raise RuntimeError(message)
 
 
+def drawn(places: list[Mutant], seed: int) -> list[Mutant]:
+    """Return places in an order that depends on the seed and on what each changes, not on the lines around it."""
+    seen: Counter[tuple[str, str, str]] = Counter()
+    keys = {}
+    for mutant in places:
+        what = mutant.file, mutant.before, mutant.after
+        seen[what] += 1
+        keys[mutant] = hashlib.sha256(repr((seed, *what, seen[what])).encode()).digest()
+    return sorted(places, key=keys.__getitem__)
+
+
 def main() -> None:
     """Measure, mutate, report."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--skip", type=int, default=0, help="so many were run before")
     parser.add_argument("--only", default="", help="part of the file names to put faults into")
+    parser.add_argument("--list", action="store_true", help="print the places with their lines, and run nothing")
     parser.add_argument("--seed", type=int, default=14)
     parser.add_argument("--rooms", nargs="*", default=ROOMS)
-    parser.add_argument("--coverage", type=Path, required=True, help="measured where it does not exist")
+    parser.add_argument("--coverage", type=Path, default=Path("mutants.sqlite"), help="measured if it does not exist")
     chosen = parser.parse_args()
     os.chdir(ROOT)
+    files = [path for room in chosen.rooms for path in sorted((ROOT / "prc_cli" / room).rglob("*.py"))]
+    places = drawn([mutant for path in files for mutant in mutants_of(path)], chosen.seed)
+    numbered = [
+        (number, mutant)
+        for number, mutant in enumerate(places[: chosen.count], 1)
+        if number > chosen.skip and chosen.only in mutant.file
+    ]
+    if chosen.list:
+        for number, mutant in numbered:
+            print(
+                f"{number:4} {mutant} | {(ROOT / mutant.file).read_text('utf-8').splitlines()[mutant.line - 1].strip()}"
+            )
+        return
     if not chosen.coverage.exists():
         measure(chosen.coverage)
     load_kernels()
     reached = Reached(chosen.coverage)
-    files = [path for room in chosen.rooms for path in sorted((ROOT / "prc_cli" / room).rglob("*.py"))]
-    places = [mutant for path in files for mutant in mutants_of(path)]
-    random.Random(chosen.seed).shuffle(places)
     killed = tried = 0
-    for number, mutant in enumerate(places[: chosen.count], 1):
-        if number <= chosen.skip or chosen.only not in mutant.file:
-            continue
+    for number, mutant in numbered:
         verdict = judge(mutant, reached.tests(mutant))
         tried, killed = tried + 1, killed + verdict.startswith("killed")
         print(f"{number:4} {verdict:28} {mutant}", flush=True)

@@ -71,7 +71,7 @@ def nesting(node: ast.AST) -> int:
     """How many compound statements lie in each other within a node; an ``elif`` is as deep as its ``if``."""
     last = node.orelse if isinstance(node, ast.If) else []
     elifs = [one for one in last if isinstance(one, ast.If) and len(last) == 1]
-    inner = ast.iter_child_nodes(node)
+    inner = (one for one in ast.iter_child_nodes(node) if not isinstance(one, ast.expr))
     return max((nesting(one) + (isinstance(one, COMPOUND) and one not in elifs) for one in inner), default=0)
 
 

@@ -269,9 +269,9 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
                 line_times.extend(_first_times(block.time_s))
     flat = np.concatenate(sample) if sample else np.empty(0, np.float32)
     ranges = (low, float(np.nanmedian(flat)), high) if with_ranges and low <= high else None
-    times = np.asarray(line_times)
+    times = np.asarray(line_times, np.float64)
     line_hz = stream.info.line_hz
-    if line_hz is None and np.isfinite(times).sum() > 2:
+    if line_hz is None:
         line_hz = estimate_line_frequency(times)
     correlation = range_correlation(flat) if ranges is not None else None
     facts = StreamFacts(

@@ -119,7 +119,7 @@ def test_a_file_system_without_locks_is_said(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize("package", ["lazrs", "numba"])
 def test_a_package_that_does_not_load_is_named_and_the_rest_is_looked_at(tmp_path: Path, package: str) -> None:
     (tmp_path / f"{package}.py").write_text("raise ImportError('libwhatever.so.3 is not there')\n")
-    command = [sys.executable, "-m", "prc_cli", "doctor", "--json", "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "prc_cli", "doctor", "--no-run", "--json", "--out", str(tmp_path / "out")]
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     ended = patience.run(command, env=environment, capture_output=True, text=True)
     assert (ended.returncode, ended.stderr) == (1, "")
@@ -173,6 +173,22 @@ def test_little_memory_and_little_disk(monkeypatch: pytest.MonkeyPatch, tmp_path
     found = checks(tmp_path)
     assert found["memory"].status == "bad"
     assert found["output disk"].status == "warn"
+
+
+@pytest.mark.parametrize(("load", "status"), [(16.0, "ok"), (16.1, "warn"), (None, "ok")])
+def test_more_than_two_processes_for_a_core_are_a_warning(
+    monkeypatch: pytest.MonkeyPatch, load: float | None, status: str
+) -> None:
+    def average() -> tuple[float, float, float]:
+        if load is None:
+            raise OSError
+        return load, 0.0, 99.0
+
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    monkeypatch.setattr(os, "getloadavg", average)
+    (found,) = doctor._processor()
+    assert found.status == status
+    assert ("; 16 processes want them" in found.found) is (status == "warn")
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
@@ -251,7 +267,7 @@ def test_quiet_prints_only_what_is_not_well(capsys: pytest.CaptureFixture[str]) 
 
 def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("prc_cli.formats.las.check.classes_by_laspy", lambda path: {2: 1})
-    (found,) = [check for check in examine() if check.name == "end to end"]
+    (found,) = doctor._end_to_end()
     assert found.status == "bad"
     assert found.found.endswith("laspy reads other classes than were written")
 
@@ -262,7 +278,7 @@ def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.Monke
 
     monkeypatch.setattr("prc_cli.jobs.classify.classify_ranges", wrong)
     monkeypatch.setattr(doctor, "COMPARED", {"forest": doctor.COMPARED["forest"]})
-    (found,) = [check for check in examine() if check.name == "engines"]
+    (found,) = doctor._engines()
     assert (found.status, found.details["different"]) == ("bad", {"forest": 48_000})
     assert "labels differ (forest 48,000), expected the same" in found.found
     assert "prc classify --engine reference" in found.hint

@@ -318,7 +318,13 @@ def test_reports(tmp_path: Path) -> None:
     assert "| prc.background.d_c | 0.05 |" in as_markdown(found)
     figure = as_svg(found)
     assert figure.count("<polyline") == 3
-    ElementTree.fromstring(figure)
+    texts = [
+        (e.text or "", float(e.attrib["y"])) for e in ElementTree.fromstring(figure).iter() if e.tag.endswith("text")
+    ]
+    shares = [(text, y) for text, y in texts if text.endswith(" %")]
+    assert [text for text, _ in shares] == ["0 %", "20 %", "40 %", "60 %", "80 %", "100 %"]
+    assert np.ptp(np.diff([y for _, y in shares])) < 0.2, "evenly, from below"
+    assert shares[0][1] > shares[-1][1]
 
 
 def test_sequential_angle_noise_can_be_searched(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -17,10 +18,13 @@ from prc_cli.core.types import U8
 from prc_cli.imaging.pictures import NOT_SCORED_COLOUR
 from prc_cli.imaging.sheet import Axis
 from prc_cli.jobs.classify import classify, label_blocks, open_stream
-from prc_cli.jobs.render import RenderOptions, render
+from prc_cli.jobs.render import RenderOptions, _pages, render
+from prc_cli.jobs.render.classes import LABEL_TABLE, Vocabulary
+from prc_cli.jobs.render.cloud import _draw_scale
 from prc_cli.jobs.render.frames import turns
 from prc_cli.jobs.render.options import FIGURE_1, choose_steps
-from prc_cli.jobs.render.scan import _elevations, choose_part, draw_scan
+from prc_cli.jobs.render.scan import Part, _choose_layout, _elevations, choose_part, draw_scan
+from tests.formats.organised_files import grid_points, ptx_scan, write_text
 from tests.simulated import static_arrays
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_npz, write_raw
 
@@ -441,3 +445,112 @@ def test_columns_in_no_even_steps_of_elevation_are_counted() -> None:
     order = np.arange(5)
     assert _elevations(beam_rad, order, 5) == Axis("column", 0, 5)
     assert _elevations(beam_rad, order[::-1], 5) == Axis("column", 5, 0)
+
+
+def test_columns_nearly_in_even_steps_show_their_elevation() -> None:
+    """Off by two steps at most, or by a fiftieth of all that is seen."""
+    for n, step, limit in ((11, 1.0, 2.0), (1001, 0.05, 1.0)):
+        elevation = -40.0 + step * np.arange(n)
+        for off, is_even in ((0.95 * limit, True), (1.05 * limit, False)):
+            moved = elevation.copy()
+            moved[n // 2] += off
+            axis = _elevations(np.deg2rad(moved + 90.0), np.arange(n), n)
+            if is_even:
+                assert axis.name == "elevation [°]"
+                assert (axis.first, axis.stop) == pytest.approx((-40.0 - step / 2, -40.0 + (n - 0.5) * step))
+            else:
+                assert axis == Axis("column", 0, n)
+    # from above to below
+    axis = _elevations(np.deg2rad(90.0 + np.arange(5.0)), np.arange(5)[::-1], 5)
+    assert (axis.first, axis.stop) == pytest.approx((4.5, -0.5))
+    assert _elevations(np.deg2rad([90.0, 91.0]), np.arange(2), 2) == Axis("column", 0, 2)
+    assert _elevations(np.deg2rad([90.0, 90.0, 90.0]), np.arange(3), 3) == Axis("column", 0, 3)
+
+
+@pytest.mark.parametrize(("n", "kind"), [(400, "upright"), (401, "strips")])
+def test_lines_of_twice_the_width_are_one_panorama(n: int, kind: str) -> None:
+    first = ScanBlock(0, np.ones((9, 30), np.float32), beam_rad=np.deg2rad(np.linspace(20, 120, 30)))
+    layout = _choose_layout(first, Part(0, n, n), 1, RenderOptions(width=200))
+    assert layout.kind == kind
+    assert layout.line_step == (2 if kind == "upright" else 1)
+
+
+def test_a_scale_bar_is_as_long_as_it_says() -> None:
+    before = np.full((100, 200, 3), 77, np.uint8)
+    picture = before.copy()
+    _draw_scale(picture, 50)
+    changed = np.flatnonzero((picture != before).any(axis=(1, 2))), np.flatnonzero((picture != before).any(axis=(0, 2)))
+    assert [(rows[0], rows[-1] + 1) for rows in changed] == [(56, 80), (20, 90)]
+    dark = (picture == 20).all(axis=2)
+    assert dark[71].sum() == 50
+    assert np.flatnonzero(dark.any(axis=0))[[0, -1]].tolist() == [30, 79]
+    # a tick at either end, higher than the bar and within the white box
+    assert dark[:, 30].sum() == dark[:, 79].sum() == 18 > dark[:, 50].sum() == 6
+    assert np.flatnonzero(dark.any(axis=1))[[0, -1]].tolist() == [62, 79]
+
+
+@pytest.mark.parametrize(("height", "width", "is_drawn"), [(60, 110, True), (59, 110, False), (60, 109, False)])
+def test_a_picture_without_room_has_no_scale_bar(height: int, width: int, is_drawn: bool) -> None:
+    picture = np.full((height, width, 3), 77, np.uint8)
+    _draw_scale(picture, 50)
+    assert (picture != 77).any() == is_drawn
+
+
+@pytest.mark.parametrize(("n", "end"), [(8, "207"), (9, "207, ...")])
+def test_eight_codes_without_a_class_are_named(n: int, end: str) -> None:
+    words = Vocabulary(LABEL_TABLE, None, ClassCodes())
+    codes = np.repeat(np.arange(200, 200 + n), 3)
+    with pytest.raises(
+        InputError, match=f"found {3 * n} records with codes that are none of .classes.: 200, 201, "
+    ) as said:
+        words.turn(codes, "predicted")
+    assert said.value.problem.endswith(end)
+
+
+def test_codes_of_las_that_have_a_counterpart_are_shown_as_it(urban: LoadedConfig, tmp_path: Path) -> None:
+    codes = np.repeat(np.array([2, 3, 4, 5, 6, 7, 11, 18], np.uint8), 100)
+    result = render(write_cloud(tmp_path / "a.las", codes), tmp_path / "a.png", urban, RenderOptions(view="top"))
+    assert result.counts == {"ground": 200, "vegetation": 300, "building": 100, "noise": 200}
+
+
+def test_labels_of_an_organised_scan_are_one_a_record(urban: LoadedConfig, tmp_path: Path) -> None:
+    """The file does not say how many records it has before it is read to its end."""
+    source = write_text(tmp_path / "a.ptx", ptx_scan(grid_points(6, 30, missing=0)))
+    for n, is_drawn in ((180, True), (179, False), (181, False)):
+        np.save(tmp_path / "labels.npy", np.full(n, 2, np.uint8))
+        chosen = RenderOptions(labels=tmp_path / "labels.npy")
+        if is_drawn:
+            assert render(source, tmp_path / "a.png", urban, chosen).counts is not None
+        else:
+            with pytest.raises(InputError, match=f"found {n} labels, expected 180, one a record"):
+                render(source, tmp_path / "b.png", urban, chosen)
+
+
+def test_a_sheet_of_strips_has_one_key_for_classes_and_differences(urban: LoadedConfig, tmp_path: Path) -> None:
+    source = write_raw(tmp_path / "drive.bin", np.tile(street(), (4, 1)))
+    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+    reference = ClassCodes().lookup()[labels_of(source, config)].copy()
+    reference[100:120] = np.where(reference[100:120] == ClassCodes().ground, ClassCodes().building, reference[100:120])
+    np.save(tmp_path / "reference.npy", reference.ravel())
+    chosen = RenderOptions(width=300, reference=tmp_path / "reference.npy", steps=("classes", "difference"))
+    drawing = draw_scan(source, config, chosen, tmp_path)
+    assert len(drawing.strips) > 1
+    names = [name for name, _ in drawing.key]
+    assert names[-2:] == ["both agree", "no return"]
+    assert {"ground", "building", "noise"} <= set(names)
+    assert len(set(names)) == len(names)
+    assert [name for name, _ in draw_scan(source, config, replace(chosen, steps=("classes",)), tmp_path).key] != names
+
+
+def test_headings_of_pages_go_on_to_the_last_line(urban: LoadedConfig, tmp_path: Path) -> None:
+    """Where lines are thinned out, the last drawn one stands for fewer than the others."""
+    source = write_raw(tmp_path / "drive.bin", np.tile(street(), (12, 1))[:1640])
+    config = load_config(preset="urban", options={"input": {"points_per_line": POINTS_PER_LINE}})
+    drawing = draw_scan(source, config, RenderOptions(width=300, height=500, pages=2, steps=("range",)), tmp_path)
+    assert drawing.thinned_by[0] > 1
+    assert 1640 % drawing.thinned_by[0]
+    headings = [heading.removeprefix("lines ").replace(",", "").split(" to ") for heading, _ in _pages(drawing)]
+    assert len(headings) > 1
+    first, last = ([int(words[k]) for words in headings] for k in (0, 1))
+    assert (first[0], last[-1]) == (0, 1639)
+    assert first[1:] == [line + 1 for line in last[:-1]]

@@ -14,11 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prc_cli.config import LoadedConfig, load_config
+from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError
 from prc_cli.formats.las.copy import read_las
 from prc_cli.jobs.classify import classify
 from prc_cli.jobs.convert import convert
-from prc_cli.jobs.thin import CLASSIFY, parse_rules, thin
+from prc_cli.jobs.thin import CLASSIFY, ThinRule, parse_rules, thin
 from prc_cli.jobs.thin.selection import keep_by_pattern, keep_by_spacing
 from tests.jobs.test_convert import (
     config,
@@ -267,6 +268,22 @@ def test_bad_input_is_one_line_and_leaves_nothing(drive: Path, labelled: Path, t
 def test_a_class_that_is_not_there_is_told(labelled: Path, tmp_path: Path) -> None:
     summary = thin(labelled, tmp_path / "a.laz", parse_rules(["stem=1/2"]))
     assert "stem: no return has this class (code 64)" in summary.record.notices
+
+
+@pytest.mark.parametrize(
+    ("rules", "told"),
+    [
+        (parse_rules(), []),
+        (parse_rules(["noise=1/2"]), ["noise: no return has this class (code 7, 18)"]),
+        (parse_rules(drop=["stem"]), ["stem: no return has this class (code 64)"]),
+    ],
+)
+def test_noise_that_is_not_there_is_told_where_it_was_named(
+    drive: Path, tmp_path: Path, rules: tuple[ThinRule, ...], told: list[str]
+) -> None:
+    np.save(tmp_path / "labels.npy", np.full(street().size, ClassCodes().ground, np.uint8))
+    summary = thin(drive, tmp_path / "a.npz", rules, labels=tmp_path / "labels.npy")
+    assert [text for text in summary.record.notices if "no return has" in text] == told
 
 
 @pytest.mark.data

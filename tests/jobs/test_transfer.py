@@ -7,6 +7,7 @@ import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import laspy
@@ -15,8 +16,9 @@ import pytest
 from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
-from prc_cli.jobs.transfer import TransferSummary, transfer
+from prc_cli.jobs.transfer import TransferSummary, sides, transfer
 from prc_cli.jobs.transfer.options import TransferOptions
+from prc_cli.matching.keyed_source import Survey
 from tests.formats.las.lasbytes import parse
 
 N = 5000
@@ -462,6 +464,21 @@ def test_lengths_that_differ(drive: Drive, tmp_path: Path) -> None:
         np.save(tmp_path / f"{name}.npy", part)
         text = f"found {len(part)} class codes, expected .*drive.csv"
         refused(tmp_path, text, tmp_path / f"{name}.npy", registered, tmp_path / "out.las", points=raw)
+
+
+@pytest.mark.parametrize(
+    ("times", "overlaps"), [((3.0, 5.0), True), ((-5.0, -2.0), True), ((3.1, 5.0), False), ((-5.0, -2.1), False)]
+)
+def test_times_overlap_where_they_touch_within_the_tolerance(times: tuple[float, float], overlaps: bool) -> None:
+    """Labels from -1 to 2 s, with a tolerance of 1 s."""
+    labels, points = Survey(9, 9, -1.0, 2.0, True), Survey(9, 9, *times, True)
+    named = SimpleNamespace(path="drive.las")
+    made = sides.TransferSides(named, named, (labels, points), 1.0, assumptions=[])  # type: ignore[arg-type]
+    if overlaps:
+        sides._refuse_apart(made, TransferOptions())
+    else:
+        with pytest.raises(InputError, match="from -1 to 2: nothing overlaps"):
+            sides._refuse_apart(made, TransferOptions())
 
 
 def test_nothing_in_common_and_too_little(drive: Drive, tmp_path: Path) -> None:

@@ -56,3 +56,23 @@ def test_memory_does_not_grow_with_the_streams() -> None:
         return held
 
     assert peak(2_000_000) < 1.2 * peak(400_000)
+
+
+def test_distances_are_counted_by_decades_and_the_largest_of_a_pair_is_kept() -> None:
+    tally = JoinTally()
+    tally.add_distances(np.array([0.3, 5.0, 0.002, np.inf]), np.array([True, False, True, False]))
+    tally.add_distances(np.array([0.1, 1e-9, 1e6, 1.1e6, 0.01]), np.array([True, False, False, False, False]))
+    assert tally.largest == 0.3
+    found = {place - 9: n for place, n in enumerate(tally.distances.tolist()) if n}
+    # a distance of just a power of ten belongs to it; far beyond, and without any right record, comes last
+    assert found == {1: 1, 7: 2, -9: 1, 6: 1, -2: 1}
+
+
+def test_how_near_most_of_the_records_without_partner_have_one() -> None:
+    tally = JoinTally()
+    assert tally.near() is None
+    tally.add_distances(np.array([0.05, 0.5, 5.0, 50.0]), np.zeros(4, np.bool_))
+    assert [tally.near(share) for share in (0.25, 0.26, 0.5, 0.51, 1.0)] == [0.1, 1.0, 1.0, 10.0, 100.0]
+    assert tally.near() == 1.0
+    tally.add_distances(np.full(5, np.inf), np.zeros(5, np.bool_))
+    assert tally.near() is None

@@ -12,6 +12,7 @@ from prc_cli.streams.down import (
     NoddingError,
     NoDirectionError,
     fit_heights,
+    shown_tilt,
     wrap,
 )
 from tests.streams.beam_lines import (
@@ -269,6 +270,49 @@ def test_heights_that_do_not_belong_to_the_angles_are_refused() -> None:
         fit_heights(angle, np.full(len(z), np.nan), z, line)
     with pytest.raises(NoDirectionError, match="span too little"):
         fit_heights(np.full(len(z), 0.2), range_m, 300 - range_m * np.cos(0.2), line)
+
+
+def falling(fall: float = 1.0, *, off_m: float = 0.0, n: int = 400, span: float = 2.4) -> tuple[F64, F64, F64, I64]:
+    """Return two lines whose heights fall by ``fall`` a metre of range straight down, half of them off by ``off_m``."""
+    angle = np.tile(np.linspace(-span / 2, span / 2, n // 2), 2)
+    range_m = np.random.default_rng(6).uniform(2, 30, n)
+    off = np.where(np.arange(n) % 2, off_m, -off_m)
+    return angle, range_m, 90 - fall * range_m * np.cos(angle) + off, np.repeat([4, 7], n // 2)
+
+
+def test_heights_need_32_shots_more_than_lines() -> None:
+    angle, range_m, z, line = falling(n=40)
+    use = np.r_[0:17, 20:37]
+    assert fit_heights(angle[use], range_m[use], z[use], line[use]).n_shots == 34
+    with pytest.raises(NoDirectionError, match=r"too few shots have range, scan angle and height .33."):
+        fit_heights(angle[use[1:]], range_m[use[1:]], z[use[1:]], line[use[1:]])
+
+
+def test_heights_may_be_a_quarter_of_a_metre_off_in_the_middle() -> None:
+    assert fit_heights(*falling(off_m=0.245)).off_m == pytest.approx(0.245, abs=0.01)
+    with pytest.raises(NoDirectionError, match=r"the heights lie 0\.2[67] m off"):
+        fit_heights(*falling(off_m=0.265))
+
+
+@pytest.mark.parametrize(("fall", "is_taken"), [(0.170, False), (0.177, True), (1.04, True), (1.06, False)])
+def test_heights_fall_by_the_cosine_of_a_tilt(fall: float, is_taken: bool) -> None:
+    """A plane within ten degrees of the horizontal has a cosine below 0.1736; rounding leaves a little more than 1."""
+    if is_taken:
+        assert fit_heights(*falling(fall)).cos_tilt == pytest.approx(min(fall, 1.0))
+    else:
+        with pytest.raises(NoDirectionError, match=f"the heights fall {fall:.2f} m a metre of range"):
+            fit_heights(*falling(fall))
+
+
+def test_angles_of_a_few_minutes_tell_no_direction() -> None:
+    assert fit_heights(*falling(span=0.0024)).down_rad == pytest.approx(0.0, abs=1e-6)
+    with pytest.raises(NoDirectionError, match="span too little"):
+        fit_heights(*falling(span=0.0012))
+
+
+def test_planes_within_six_degrees_of_the_vertical_are_not_said_to_lean() -> None:
+    assert shown_tilt(np.cos(np.deg2rad(5.9))) == ""
+    assert shown_tilt(np.cos(np.deg2rad(6.1))) == ", the scan plane leans over by 6.1 deg"
 
 
 @pytest.mark.filterwarnings("error")

@@ -46,7 +46,8 @@ SILENT_S = 120.0
 """An owner without heartbeat for so long is dead [s]."""
 _NO_LOCKS = frozenset({errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL})
 """What systems answer where a file system has no locks, or its lock server does not run."""
-_file_lock = partial(FileLock, thread_local=False, poll_interval=0.01, fallback_to_soft=False)
+_POLL_S = 0.01
+_file_lock = partial(FileLock, thread_local=False, poll_interval=_POLL_S, fallback_to_soft=False)
 
 
 def _user() -> str:

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from prc_cli.classifiers.prc import continuous
+from prc_cli.classifiers.prc.continuous import ContinuousPrc
 from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.classifiers.run import run_blocks
 from prc_cli.core.classes import Label
+from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, U8
 from tests.classifiers.prc.streams import random_stream, run_stream
+from tests.street import street
 
 
 def continuously(image: F32, params: PrcParams, hop: int) -> U8:
@@ -70,3 +74,11 @@ def test_the_ground_keeps_its_label_while_the_block_moves_on() -> None:
     assert (labels[:12] == Label.GROUND).all()
     assert (labels[16:40, 2:15] == Label.GROUND).all()
     assert (labels[16:40, 22:-2] == Label.BUILDING).all()
+
+
+def test_further_returns_have_no_labels() -> None:
+    image = street()[:12]
+    blocks = [ScanBlock(first, image[first : first + 3]) for first in range(0, 12, 3)]
+    found = list(run_blocks(iter(blocks), ContinuousPrc(PrcParams(lines_per_block=6), 3)))
+    assert sum(item.labels.size for item in found) == image.size
+    assert [len(item.extra_labels) for item in found] == [0] * len(found)

@@ -85,7 +85,7 @@ def test_first_alarm_is_where_the_likelihoods_of_the_stretch_say(rng: Generator)
     """Restarts and onset found anew for every start, from whole stretches rather than step by step."""
     params = HmmParams(backdate=False)
     onsets, alarms = [], []
-    for _ in range(60):
+    for _ in range(25):
         values = np.where(rng.random(200) < 0.3, -90, 90) + rng.normal(0, 20, 200)
         values[: rng.integers(0, 60)] = 90
         values = values.astype(np.float32).astype(np.float64)

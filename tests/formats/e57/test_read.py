@@ -316,6 +316,94 @@ def test_large_xml_sections_are_refused(tmp_path: Path, raw: bytes, monkeypatch:
     assert "expected at most 1000" in refused(put(tmp_path, raw))
 
 
+def test_xml_may_be_nested_sixty_four_deep(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    start, length = xml_section(raw)
+    own = b"".join(raw[at : at + 1020] for at in range(start // 1024 * 1024, len(raw), 1024))[start % 1024 :][:length]
+
+    def checked(xml: bytes) -> None:
+        e57_check.check_frame(put(tmp_path, replace_xml(raw, own, xml)))
+
+    checked(b"<a>" * 64 + b"</a>" * 64)
+    with pytest.raises(PrcError, match="inside one another 65 deep, expected at most 64"):
+        checked(b"<a>" * 65 + b"</a>" * 65)
+    # elements side by side are not deep
+    checked(b"<a>" + b"<b></b>" * 100 + b"</a>")
+    checked(b'<?xml version="1.0" encoding="utf-8"?><a/>')
+    monkeypatch.setattr(e57_check, "MAX_ELEMENTS", 30)
+    checked(b"<a>" + b"<b/>" * 29 + b"</a>")
+    with pytest.raises(PrcError, match="more than 30 elements"):
+        checked(b"<a>" + b"<b/>" * 30 + b"</a>")
+    monkeypatch.setattr(e57_check, "MAX_XML_BYTES", 1000)
+    checked(b"<a>" + b" " * 993 + b"</a>")
+    with pytest.raises(PrcError, match="section of 1001 bytes, expected at most 1000"):
+        checked(b"<a>" + b" " * 994 + b"</a>")
+
+
+def sparse(rows: list[int], columns: list[int], **other: Any) -> Scan:
+    """Return a scan of a few points in given cells."""
+    n = len(rows)
+    place = {name: np.arange(1.0, n + 1) for name in ("cartesianX", "cartesianY", "cartesianZ")}
+    return Scan({**place, "rowIndex": np.array(rows), "columnIndex": np.array(columns)}, **other)
+
+
+def test_a_scan_may_have_a_thousand_cells_a_point_and_ten_million_more(tmp_path: Path) -> None:
+    path = tmp_path / "a.e57"
+    E57Stream(write_e57(path, [sparse([0, 999], [0, 10_001])]), AUTO)
+    assert "found 2 points in 10003 columns x 1000 rows, expected a denser scan" in refused(
+        write_e57(path, [sparse([0, 999], [0, 10_002])])
+    )
+    # all scans of a file share the ten million
+    half = sparse([0, 999], [0, 5_001])
+    E57Stream(write_e57(path, [half, half]), AUTO)
+    assert "scan 1: found 2 points in 5003 columns" in refused(write_e57(path, [half, sparse([0, 999], [0, 5_002])]))
+
+
+def test_bounds_of_the_header_hold_if_they_have_at_most_a_thousand_cells_a_point(tmp_path: Path) -> None:
+    for last, n_lines in ((999, 1000), (1000, 2)):
+        stream = E57Stream(write_e57(tmp_path / "a.e57", [sparse([1, 1], [3, 4], bounds=(0, 1, 0, last))]), AUTO)
+        (block,) = scans_of(stream)
+        assert block.range_m.shape == (n_lines, 2 if n_lines == 1000 else 1)
+        assert bool(stream.info.facts.notes) is (n_lines == 2)
+
+
+def test_bounds_that_leave_nothing_out_are_no_note(tmp_path: Path) -> None:
+    points = grid_points(5, 4, missing=0)
+    stream = E57Stream(write_e57(tmp_path / "a.e57", [Scan(e57_fields(points, 2, 1), bounds=(2, 5, 1, 5))]), AUTO)
+    assert stream.info.facts.notes == ()
+
+
+@pytest.mark.parametrize(("n", "is_read"), [(64, True), (65, False)])
+def test_a_line_may_hold_sixty_four_points_a_cell(tmp_path: Path, n: int, is_read: bool) -> None:
+    path = write_e57(tmp_path / "a.e57", [sparse([0] * n + [0], [0] * n + [1])])
+    if is_read:
+        assert scans_of(E57Stream(path, AUTO))[0].range_m.shape == (2, 1)
+    else:
+        assert "found 65 points in column 0, which has 1 rows" in refused(path)
+
+
+@pytest.mark.parametrize("length", [0.89, 0.91, 1.09, 1.11])
+def test_rotations_may_be_a_tenth_off_the_length_of_one(tmp_path: Path, length: float) -> None:
+    turn = length * np.array([0.6, -0.3, 0.5, np.sqrt(0.3)])
+    points = grid_points(3, 4, missing=0)
+    path = write_e57(tmp_path / "a.e57", [Scan(e57_fields(points), rotation=tuple(turn))])
+    if 0.9 < length < 1.1:
+        (block,) = scans_of(E57Stream(path, AUTO))
+        assert block.xyz_m is not None
+        w, *axis = turn / length
+        once, twice = np.cross(axis, points[..., :3]), np.cross(axis, np.cross(axis, points[..., :3]))
+        np.testing.assert_allclose(block.xyz_m, points[..., :3] + 2 * (w * once + twice), atol=1e-4)
+    else:
+        assert "expected a quaternion of length 1" in refused(path)
+
+
+def test_indices_that_float64_does_not_tell_apart_are_refused(tmp_path: Path) -> None:
+    far = 2**52
+    stream = E57Stream(write_e57(tmp_path / "a.e57", [sparse([far - 1, far - 2], [0, 0])]), AUTO)
+    assert scans_of(stream)[0].range_m.shape == (1, 2)
+    for row in (far, -far):
+        assert "expected whole numbers" in refused(write_e57(tmp_path / "b.e57", [sparse([row, 0], [0, 0])]))
+
+
 def test_pye57_that_is_not_installed_is_named(tmp_path: Path, raw: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pye57", None)
     message = refused(put(tmp_path, raw))

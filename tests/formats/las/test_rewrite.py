@@ -338,6 +338,26 @@ def test_replaced_segment_ids_survive_an_upgrade(tmp_path: Path) -> None:
     assert np.array_equal(read.classification, ClassCodes().lookup()[labels])
 
 
+@pytest.mark.parametrize("more", [0, 1])
+def test_records_grow_to_65535_bytes_and_no_further(tmp_path: Path, more: int) -> None:
+    source, output = tmp_path / "in.las", tmp_path / "out.las"
+    plain = make_las(source, 6, n=4, extra=False)
+    length = 65_531 + more
+    data = bytearray(plain.header)
+    data[105:107] = struct.pack("<H", length)
+    filled = np.full((4, length - plain.records.shape[1]), 9, np.uint8)
+    source.write_bytes(bytes(data) + np.concatenate([plain.records, filled], axis=1).tobytes())
+    blocks = record_blocks(random_labels(4), segments=np.arange(4))
+    if more:
+        with pytest.raises(OutputError, match="records would take 65536 bytes, LAS allows 65535"):
+            write(output, source, blocks, options=OutputConfig(segment_ids=True))
+    else:
+        write(output, source, blocks, options=OutputConfig(segment_ids=True))
+        records = parse(output).records
+        assert records.shape == (4, 65_535)
+        assert records[:, -4:].copy().view("<u4").ravel().tolist() == [0, 1, 2, 3]
+
+
 def test_an_extra_dimension_of_another_type_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "in.las"
     header = laspy.LasHeader(point_format=6, version="1.4")

@@ -425,6 +425,7 @@ def test_file_that_kills_its_workers(machines: Machines, tmp_path: Path) -> None
     failed = found.pop("poison.npy")
     assert isinstance(failed, Failed)
     assert failed.problem.kind == "killed"
+    assert 0 <= failed.seconds < HANGS_S
     assert "1 workers died" in failed.problem.problem
     assert len([outcome for outcome in found.values() if isinstance(outcome, Done)]) >= 3
 

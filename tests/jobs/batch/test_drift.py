@@ -90,3 +90,8 @@ def test_it_does_not_depend_on_the_order_of_anything() -> None:
     odd = moved(street(rng, 1)[0], 0.4)
     turned = [dict(reversed(one.items())) for one in reversed(earlier)]
     assert drift(odd, earlier) == drift(dict(reversed(odd.items())), turned) is not None
+
+
+def test_files_of_one_record_count_and_empty_ones_do_not() -> None:
+    assert drift({"b": 5000}, [{"a": 1}] * 20) is not None
+    assert drift({"b": 5000}, [{"a": 0}] * 20) is None

@@ -76,8 +76,10 @@ class Scripted:
         self.script = script
         self.begun: list[tuple[str, int]] = []
         """Names, and how many files at a time."""
+        self.n_passes = 0
 
     def run(self, tasks: Iterable[Task], settings: EngineSettings) -> Iterator[Event]:
+        self.n_passes += 1
         for task in tasks:
             self.begun.append((task.name, settings.jobs))
             yield Started(task.name, "here")
@@ -107,7 +109,7 @@ def test_a_second_run_has_nothing_to_do(settings: BatchSettings) -> None:
     assert first.reasons == (("new", 4),)
     engine = Scripted()
     second = run_batch(settings, engine)
-    assert engine.begun == []
+    assert (engine.begun, engine.n_passes) == ([], 0), "no worker is started for nothing"
     assert (second.exit_code, second.n_skipped, second.done) == (0, 4, ())
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [0, 0]
 
@@ -177,8 +179,39 @@ def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: Batch
     engine = Scripted(script)
     summary = run_batch(settings, engine)
     assert engine.begun == [*((f"{name}.npz", 2) for name in "abcd"), ("a.npz", 1), ("c.npz", 1)]
+    assert engine.n_passes == 2
     assert summary.exit_code == 0
     assert len(summary.done) == 4
+
+
+@pytest.mark.parametrize(
+    ("kind", "pauses"),
+    [("timeout", [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]), ("PermissionError", [1.0, 2.0, 4.0]), ("memory", [])],
+)
+def test_pauses_before_another_attempt_double_up_to_half_a_minute(
+    settings: BatchSettings, monkeypatch: pytest.MonkeyPatch, kind: str, pauses: list[float]
+) -> None:
+    """Where only files are left that run alone there is nothing to wait for."""
+    slept: list[float] = []
+    monkeypatch.setattr(batch_run, "PAUSE_S", 1.0)
+    monkeypatch.setattr(batch_run.time, "sleep", slept.append)
+    engine = Scripted(lambda task, _: failed(task, kind) if task.name == "b.npz" else finished(task))
+    run_batch(replace(settings, retry=len(pauses) or 3), engine)
+    assert slept == pauses
+
+
+def test_others_are_tried_again_before_those_that_run_alone(settings: BatchSettings) -> None:
+    kinds = {"a.npz": "memory", "b.npz": "timeout", "c.npz": "killed", "d.npz": "timeout"}
+    engine = Scripted(lambda task, attempt: failed(task, kinds[task.name]) if attempt < 3 else finished(task))
+    assert run_batch(replace(settings, retry=2), engine).exit_code == 0
+    again = [("b.npz", 2), ("d.npz", 2), ("a.npz", 1), ("c.npz", 1)]
+    assert engine.begun[4:] == [*again, *again]
+
+
+def test_attempts_are_taken_by_as_many_workers_as_there_are_files(settings: BatchSettings) -> None:
+    engine = Scripted(lambda task, attempt: failed(task, "timeout") if attempt == 1 else finished(task))
+    run_batch(replace(settings, retry=1, jobs=9), engine)
+    assert [jobs for _, jobs in engine.begun] == [4] * 8
 
 
 def test_fail_fast_begins_nothing_more(settings: BatchSettings) -> None:

@@ -1,0 +1,97 @@
+"""The advice from given figures: every bound decides just beyond it, and not just before."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prc_cli.classifiers.prc.pipeline import PrcParams
+from prc_cli.jobs.calibrate.curves import Curves, thresholds
+from prc_cli.jobs.calibrate.implied import Advice, imply
+from prc_cli.jobs.calibrate.sensor import SensorEstimate
+
+SENSOR = SensorEstimate(
+    points_per_line=2154, n_lines=500, n_shots=500 * 2154, n_missing=0,
+    range_quantiles_m={"5%": 2.0, "25%": 4.0, "50%": 6.0, "75%": 10.0, "95%": 30.0}, noise=(), sigma_m=0.001,
+    sigma_per_m=0.0, step_rad=None, step_source="", rounding_m=None, line_hz=None, in_line_m=None, across_lines_m=None,
+)  # fmt: skip
+
+
+def advised(
+    sensor: SensorEstimate = SENSOR, *, low: float = 0.99, plateau: float = 0.9, zeta: float = 0.1, **params: object
+) -> dict[str, Advice]:
+    """Return the advice by key where thresholds below 1 m support ``low`` of what wide ones do."""
+    used = PrcParams.model_validate({"support": {"zeta_s": zeta, "zeta_p": zeta}, **params})
+    grid = thresholds(zeta)
+    lengths = np.geomspace(0.001, 100.0, 51)
+    reached = np.where(np.minimum(grid[:, None], grid[None, :]) < 1.0, low, 1.0) * plateau
+    supported = np.round(100_000 * reached).astype(np.int64)
+    background = np.full(len(lengths), 1000, np.int64)
+    curves = Curves(grid, grid, supported, lengths, background, 100_000, 100_000, 100_000)
+    return {item.key: item for item in imply(sensor, curves, used, 0.02)}
+
+
+@pytest.mark.parametrize(("environment", "share"), [("urban", 0.95), ("forest", 0.5)])
+@pytest.mark.parametrize("name", ["zeta_s", "zeta_p"])
+def test_thresholds_stay_where_they_support_a_share_of_the_plateau(environment: str, share: float, name: str) -> None:
+    key = f"prc.support.{name}"
+    assert advised(low=share + 0.01, environment=environment)[key].value == 0.1
+    raised = advised(low=share - 0.01, environment=environment)[key]
+    assert (raised.before, raised.value) == (0.1, 1.0)
+    assert raised.reason.endswith(f"reaches {share:.0%} of that and 6 times the noise of 1 mm")
+
+
+def test_thresholds_are_six_times_the_noise() -> None:
+    noisy = replace(SENSOR, sigma_m=0.1)
+    assert advised(noisy, zeta=0.61)["prc.support.zeta_s"].value == 0.61
+    assert advised(noisy, zeta=0.59)["prc.support.zeta_s"].value == pytest.approx(0.64)
+
+
+def test_a_plateau_is_a_fifth_of_the_returns() -> None:
+    assert advised(low=0.5, plateau=0.21)["prc.support.zeta_s"].value == 1.0
+    assert advised(low=0.5, plateau=0.19)["prc.support.zeta_s"].value == 0.1
+
+
+@pytest.mark.parametrize(
+    ("known", "value", "reason"),
+    [
+        ({}, 0.05, "the published value"),
+        ({"sigma_m": 0.1}, 1.7, "17 times the deviation of flat stretches, 1e+02 mm at 10 m"),
+        ({"sigma_m": None}, 0.05, "the published value"),
+        ({"rounding_m": 0.1}, 0.5, "ranges are stored in steps of 0.1 m"),
+        ({"step_rad": 0.01}, 0.2, "the three shots of eq. 9 span 0.2 m at 10 m under steps of 0.57 degrees"),
+        ({"step_rad": 0.01, "rounding_m": 0.1}, 0.5, "ranges are stored in steps of 0.1 m"),
+        ({"step_rad": 0.04, "rounding_m": 0.1}, 0.8, "the three shots of eq. 9 span 0.8 m"),
+    ],
+)
+def test_the_length_is_the_largest_that_is_asked_for(known: dict[str, float], value: float, reason: str) -> None:
+    found = advised(replace(SENSOR, **known))["prc.background.d_c"]  # type: ignore[arg-type]
+    assert found.value == pytest.approx(value)
+    assert found.reason.startswith(reason)
+    assert "; marks 1.0% of the returns" in found.reason
+
+
+@pytest.mark.parametrize(
+    ("lines", "m", "value"), [(99, 2154, 30.0), (99, 1077, 15.0), (99, 870, 12.1), (99, 850, 12.0)]
+)
+def test_the_area_is_the_published_share_of_a_block_and_twelve_at_least(lines: int, m: int, value: float) -> None:
+    found = advised(replace(SENSOR, points_per_line=m), lines_per_block=lines)["prc.surfaces.area"]
+    assert found.value == value
+    assert ("three lines of four shots" in found.reason) is (m == 850)
+
+
+def test_the_block_stays_and_says_why() -> None:
+    reason = advised(replace(SENSOR, line_hz=50.0))["prc.lines_per_block"].reason
+    assert reason.startswith("50 lines a second are 0.2 m apart at 10 m/s")
+    for n_lines, told in ((99, False), (98, True)):
+        reason = advised(replace(SENSOR, n_lines=n_lines), lines_per_block=99)["prc.lines_per_block"].reason
+        assert ("less than one block" in reason) is told
+
+
+def test_the_noise_of_the_other_method_is_that_at_the_median_range() -> None:
+    key = "sequential_angle.angles.range_noise_m"
+    assert advised(replace(SENSOR, sigma_m=0.0, sigma_per_m=0.002))[key].value == pytest.approx(0.012)
+    assert advised(replace(SENSOR, sigma_m=99.0))[key].value == 10.0
+    assert advised(replace(SENSOR, sigma_m=None))[key].value == 0.02

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prc_cli.config import RunConfig
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.jobs.calibrate.calibrate import _measure
+from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES, Axis, _neighbours, with_values
+from tests.streams.beam_lines import stream
+
+
+@pytest.mark.parametrize("axis", [*PRC_AXES, *ANGLE_AXES], ids=lambda axis: axis.key)
+def test_every_value_of_an_axis_is_a_configuration(axis: Axis) -> None:
+    assert list(axis.grid) == sorted(set(axis.grid))
+    assert axis.bounds[0] <= axis.grid[0] < axis.grid[-1] <= axis.bounds[1]
+    for value in (*axis.bounds, *axis.grid):
+        with_values(RunConfig(), {axis.key: int(value) if axis.whole else value})
+
+
+def test_refinement_goes_down_to_one_pixel_and_not_out_of_bounds() -> None:
+    area = next(axis for axis in PRC_AXES if axis.key == "prc.surfaces.area")
+    assert _neighbours(area, 2.0, 2.0) == (1.0, 4.0)
+    assert _neighbours(area, 1.0, 2.0) == (2.0,)
+    gamma = next(axis for axis in PRC_AXES if axis.whole)
+    assert _neighbours(gamma, 0.0, 2.0) == (1.0,)
+    assert _neighbours(gamma, 3.0, 2.0) == (2.0, 4.0)
+    zeta = next(axis for axis in PRC_AXES if axis.key == "prc.support.zeta_p")
+    assert _neighbours(zeta, 0.01, 1.5) == (0.015,)
+    assert _neighbours(zeta, 10.0, 1.5) == (6.67,)
+
+
+@pytest.mark.parametrize(("n_lines", "is_enough"), [((2, 3), True), ((3, 2), True), ((2, 2), False), ((2, 0), False)])
+def test_one_scanner_with_three_lines_is_enough(n_lines: tuple[int, int], is_enough: bool) -> None:
+    parts = [ScanBlock(0, np.full((n, 50), 5.0, np.float32), scanner=scanner) for scanner, n in enumerate(n_lines) if n]
+    if is_enough:
+        assert _measure(stream(*parts), RunConfig(), None)[2] == dict(enumerate(n_lines))
+    else:
+        with pytest.raises(InputError, match=f"found {sum(n_lines)} scan lines, expected 3 or more"):
+            _measure(stream(*parts), RunConfig(), None)
