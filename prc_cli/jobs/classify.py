@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from prc_cli.classifiers.base import MethodParams, Wanted
+from prc_cli.classifiers.base import MethodParams, UsualLabels, Wanted
 from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
@@ -290,7 +290,7 @@ def _classify(
             laz_contexts=stream.info.facts.laz_contexts,
         ) as writer,
     ):
-        result = ResultWatch(loaded.config.classifier.method().usual)
+        result = ResultWatch(usual_labels(loaded.config, stream.info))
         counts = _write_labels(stream, writer, loaded.config, threads, progress, result)
         found = (*stream.findings(), *accept(result.findings(), stream.accepted))
         refuse(str(source), found)
@@ -443,6 +443,13 @@ def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...
     for _ in watch.blocks():
         pass
     return watch.findings()
+
+
+def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
+    """Return what labels of the method usually look like in an input of this kind."""
+    usual = config.classifier.method().usual
+    # what a scanner on a tripod sees changes all the way round
+    return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
 
 
 def _label_findings(labelled: Iterable[LabelledBlock], config: RunConfig) -> tuple[Finding, ...]:

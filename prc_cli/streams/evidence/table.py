@@ -67,9 +67,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "columns-along",
         "Do all columns keep their place along the stream?",
-        "Refused where, from one place to the next, a shift of all columns by 3 % of a line or more leaves less than "
-        "0.65 "
-        "of the difference",
+        "Where, from one place to the next, a shift of all columns by 3 % of a line or more leaves less than 0.65 of "
+        "the difference: doubtful; less than 0.45: refused",
         "Rightly told at least 0.8; 0.07 to 0.55 where a third of a line was lost, and 0.86 in a static scan of a park",
         "Losses of less than 3 % of a line, and of whole lines.",
     ),
