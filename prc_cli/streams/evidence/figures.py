@@ -259,7 +259,7 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
         first, second = profiles[i], profiles[i + 1]
         n = len(first)
         offs = np.array([_profile_off(first, np.roll(second, shift)) for shift in range(n)])
-        if not offs[0] > 0 or not np.isfinite(offs).any():
+        if not offs[0] > 0:
             continue
         best = int(np.nanargmin(offs))
         share = (best if best <= n // 2 else best - n) / n

@@ -203,7 +203,8 @@ def test_profiles_of_few_columns_tell_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("m", "lost", "expected"), [(200, 50, 0.25), (200, -50, -0.25), (1024, 256, 0.25), (201, 99, 99 / 201)]
+    ("m", "lost", "expected"),
+    [(200, 50, 0.25), (200, -50, -0.25), (1024, 256, 0.25), (200, 100, 0.5), (201, 99, 99 / 201)],
 )
 def test_the_place_where_all_columns_shift(m: int, lost: int, expected: float) -> None:
     line = rough(1, m, 8, gone=0.0)
