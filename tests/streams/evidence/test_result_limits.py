@@ -270,6 +270,20 @@ def test_streams_of_few_stretches(n_lines: int, is_told: bool) -> None:
         assert found["classes-along"] == (DOUBTFUL, f"{said}; {hint}")
 
 
+def test_shares_at_their_limits_are_usual() -> None:
+    range_m, labels, _ = flat(256)
+    labels[128:, ::4] = N
+    assert asked(sample(range_m, labels, None))["classes-along"][0] is FINE
+    range_m[:, 5:], labels[:, :5] = 4.0, B
+    labels[:, 5:] = G
+    # exactly 1 m below
+    assert asked(sample(range_m, labels, np.zeros(32)))["below-ground"][1].startswith("below-ground: 0 % of")
+    range_m[:, :8], labels[:, :8] = 6.0, B
+    found = asked(sample(range_m, labels, np.zeros(32)))["below-ground"]
+    assert found[0] is FINE
+    assert found[1].startswith("below-ground: 25 % of")
+
+
 @pytest.mark.parametrize("n_lines", [1600, 256])
 def test_the_hint_shows_500_lines(n_lines: int) -> None:
     range_m, labels, _ = flat(n_lines)
