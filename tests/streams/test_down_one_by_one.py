@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def slow_guess(angle_rad: F64, range_m: F32, few: int = 1) -> DownGuess | None:
     missing = [1 - len(one) / len(lines) if one else 0.5 for one in held]
     if sum(not math.isnan(one) for one in middle) < 3:
         return None
-    step = float(np.median([abs(math.remainder(b - a, TURN)) for a, b in zip(angle, angle[1:], strict=False)]))
+    step = float(np.median([abs(math.remainder(b - a, TURN)) for a, b in pairwise(angle)]))
     downs = [-math.pi + k * few * math.radians(0.5) for k in range(720 // few)]
     scores, planes = [], []
     for down in downs:

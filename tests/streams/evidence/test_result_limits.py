@@ -31,7 +31,7 @@ def asked(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, 
     return {finding.check: (finding.verdict, finding.sentence()) for finding in check_labels(one, usual)}
 
 
-def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:
+def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:  # noqa: C901, PLR0912, PLR0915
     """Answer shot by shot: what is found, without what is expected."""
     assert one.beam_rad is not None
     n = dict.fromkeys(("there", "noise", "without", "below", "level", "near", "under"), 0)
