@@ -356,3 +356,10 @@ def test_labels_of_four_scanners_are_looked_at() -> None:
         watch.see(LabelledBlock(block, np.full((32, 40), noisy, np.uint8), np.empty(0, np.uint8)))
     assert sorted(watch._scanners) == [0, 1, 2, 3]
     assert Counter(one.found.partition(":")[0] for one in watch.findings()) == {"scanner 1": 1}
+
+
+def test_equal_ranges_are_told_whatever_they_are() -> None:
+    """The middle is taken off before the mean, which is not exact."""
+    for value in np.random.default_rng(1).uniform(0.1, 99.0, 40).astype(np.float32).tolist():
+        found = estimate_points_per_line(np.full(1003, value, np.float32))
+        assert found.reason == "all ranges are equal"
