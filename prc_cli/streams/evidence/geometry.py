@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.down import MOST_LINES, DownGuess, guess_down, middle_of_lines, spread_rows, wrap
 from prc_cli.streams.evidence.seen import Seen
@@ -261,7 +262,8 @@ def _lines(seen: Seen) -> F32:
         found.append(seen.windows[window].range_m[row - n_lines[window]])
     if not found:
         return np.empty((0, seen.points_per_line), np.float32)
-    lines: F32 = np.stack(found)
+    # farther is no ground, and would overflow when it is scaled
+    lines: F32 = np.minimum(np.stack(found), np.float32(FAR_M))
     lines = lines[~np.isnan(lines).all(axis=1)]
     return lines[spread_rows(len(lines), MOST_LINES)]
 
