@@ -693,7 +693,7 @@ QUICK_CASES: tuple[QuickCase, ...] = (
     QuickCase("right: seam elsewhere", "push-broom", "fused"),
     QuickCase("down wrong by 45°", "street", "fused"),
     QuickCase("down wrong by 180°", "push-broom", "fused"),
-    QuickCase("angle step × 0.5", "push-broom", "fused"),
+    QuickCase("angle step × 0.5", "push-broom", "fused", holds=False),
     QuickCase("M wrong by one", "push-broom", "fused"),
     QuickCase("M halved", "street", "prc"),
     QuickCase("ranges × 100", "street", "fused"),

@@ -23,7 +23,7 @@ from prc_cli.core.interrupts import raise_or_hold
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
-    "info": ("prc_cli.cli.info:info", "Say what a file holds and whether it can be classified."),
+    "info": ("prc_cli.cli.info:info", "Say what a file holds, whether it can be classified, and how."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
@@ -90,8 +90,8 @@ class LazyGroup(click.Group):
 def cli(debug: bool) -> None:
     """Classify raw mobile laser scanning streams before registration, shot by shot.
 
-    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed; of prc batch also
-    4 a file has unusual classes, 5 another run is at work.
+    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 done, but look
+    at it: a doubt, or in an archive unusual classes; of prc batch also 5 another run is at work.
     """
 
 

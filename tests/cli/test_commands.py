@@ -117,7 +117,7 @@ def test_info_tells_a_shuffled_stream(prc: Prc, tmp_path: Path) -> None:
     source = write_raw(tmp_path / "drive.bin", image.reshape(N_LINES, POINTS_PER_LINE))
     found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
     assert found["classifiable"] is False
-    assert "not in the order the shots were fired" in found["problem"]
+    assert "ranges of neighbouring shots differ" in found["problem"]
     found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE, "--trust-order").out)
     assert found["classifiable"] is True
     assert found["facts"]["correlation"]["ratio"] > 0.7
@@ -299,12 +299,21 @@ def test_signs_of_wrong_rules_are_warned_of(prc: Prc, tmp_path: Path) -> None:
     source = tmp_path / "drive.csv"
     source.write_text("\n".join(["scan_line,column,range", *rows]) + "\n")
     assert "warning" not in prc("classify", source, tmp_path / "a.npy").err
-    err = prc("classify", source, tmp_path / "b.npy", "-M", "20").err
-    assert "33.3% of the records found no cell" in err
-    assert np.load(tmp_path / "b.npy").size == 600
+    result = prc("classify", source, tmp_path / "b.npy", "-M", "27", "-q")
+    assert result.err.startswith("warning: unplaced: 10.0% of the records found no cell")
+    assert (result.code, np.load(tmp_path / "b.npy").size) == (4, 600)
+    result = prc("classify", source, tmp_path / "b2.npy", "-M", "20")
+    assert (result.code, (tmp_path / "b2.npy").exists()) == (1, False)
+    assert "33.3% of the records found no cell" in result.err
+    assert "or insist with --accept-doubt unplaced" in result.err
+    result = prc("classify", source, tmp_path / "b2.npy", "-M", "20", "--accept-doubt", "unplaced")
+    assert (result.code, np.load(tmp_path / "b2.npy").size) == (0, 600)
+    assert "warning" not in result.err
     source.write_text("\n".join(["scan_line,column,range", *rows, *rows[-60:]]) + "\n")
     assert "9.1% of the records met another shot" in prc("classify", source, tmp_path / "c.npy", "--trust-order").err
-    source.write_text("scan_line,column,range\n" + "".join(f"{n},0,\n{n},1,\n" for n in range(9)))
-    assert "no shot has a range" in prc("classify", source, tmp_path / "d.npy").err
-    source.write_text("scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(9)))
-    assert "100.0% of the ranges exceed 20 km" in prc("classify", source, tmp_path / "e.npy").err
+    source.write_text("scan_line,column,range\n" + "".join(f"{n},0,\n{n},1,\n" for n in range(90)))
+    result = prc("classify", source, tmp_path / "d.npy", "-q")
+    assert (result.code, "warning: returns: 0.00% of the shots have a range" in result.err) == (4, True)
+    source.write_text("scan_line,column,range\n" + "".join(f"{n},0,6650338\n{n},1,6650339\n" for n in range(90)))
+    result = prc("classify", source, tmp_path / "e.npy", "-q")
+    assert (result.code, "100.00% of the ranges lie beyond 20 km" in result.err) == (1, True)

@@ -65,7 +65,7 @@ def test_what_lacks_is_said_in_one_line(prc: Prc, dump: Path, preset: str) -> No
     assert "input.angle_start and input.angle_step" in result.err
     result = prc("classify", dump, out, "--preset", preset, *ANGLES)
     assert result.code == 0, result.err
-    assert "note: straight down is taken to be at scan angle " in result.err
+    assert "straight down is taken to be at scan angle 0.0 deg (guessed" in result.err
     result = prc("stream", "--preset", preset, "--hop", "1", *ANGLES)
     assert result.code == 2
 

@@ -11,7 +11,7 @@ import pytest
 from prc_cli.cli import main
 from tests.street import POINTS_PER_LINE, angles, street, write_raw
 
-NADIR = "input.nadir=180"
+NADIR = "input.nadir=0"
 
 
 def run(*arguments: object) -> int:

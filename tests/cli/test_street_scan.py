@@ -177,7 +177,8 @@ def test_a_scan_without_a_return_is_all_missing(prc: Prc, tmp_path: Path) -> Non
     source = tmp_path / "scan.npz"
     np.savez(source, range_m=np.full((60, 30), np.nan, np.float32), zenith_deg=np.linspace(120, 40, 30))
     result = prc("classify", source, tmp_path / "labels.npy", "--preset", "street-scan")
-    assert result.code == 0, result.err
+    assert result.code == 4, result.err
+    assert "warning: returns: 0.00% of the shots have a range" in result.err
     assert not np.load(tmp_path / "labels.npy").any()
 
 
@@ -205,7 +206,8 @@ def test_a_scan_of_nothing_does_no_harm_to_the_others(prc: Prc, tmp_path: Path, 
 def test_a_scan_of_coordinates_without_a_return_is_all_missing(prc: Prc, tmp_path: Path) -> None:
     np.savez(tmp_path / "scan.npz", xyz=np.full((60, 30, 3), np.nan))
     result = prc("classify", tmp_path / "scan.npz", tmp_path / "labels.npy", "--preset", "street-scan")
-    assert result.code == 0, result.err
+    assert result.code == 4, result.err
+    assert "warning: returns: 0.00% of the shots have a range" in result.err
     assert not np.load(tmp_path / "labels.npy").any()
 
 

@@ -64,7 +64,8 @@ def by_both(source: Path, suffix: str, *options: str) -> tuple[Path, Path]:
 def test_both_engines_give_the_same_labels_and_segments(tmp_path: Path, preset: str) -> None:
     source = tmp_path / "scan.npz"
     assert prc("simulate", *SIMULATED[preset.removesuffix("-published")].split(), "-o", source, "-q") == 0
-    compiled, plain = by_both(source, ".csv", "--preset", preset, "--segment-ids")
+    # too coarse for the forest preset: nearly all is noise, by both engines
+    compiled, plain = by_both(source, ".csv", "--preset", preset, "--segment-ids", "--accept-doubt", "noise-share")
     assert compiled.read_bytes() == plain.read_bytes()
     assert len({line.split(",")[-2] for line in plain.read_text().splitlines()}) > 3
 

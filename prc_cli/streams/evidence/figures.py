@@ -228,8 +228,10 @@ FOLD_PIECES = 8
 """Places along the stream that are compared, if it is long enough."""
 FOLD_LINES = 8
 """Lines of a window that are folded."""
-FOLD_COLUMNS = 1024
+FOLD_COLUMNS = 512
 """Approximate columns that are compared."""
+LEAST_KNOWN = 32
+"""Columns with a range in either of two profiles, to compare them."""
 MISSING_OFF = 1.0
 """Difference of a column that is missing in one of two profiles."""
 
@@ -258,7 +260,7 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
     for i in range(len(places) - 1):
         first, second = profiles[i], profiles[i + 1]
         n = len(first)
-        offs = np.array([_profile_off(first, np.roll(second, shift)) for shift in range(n)])
+        offs = _offs_of_shifts(first, second)
         if not offs[0] > 0:
             continue
         best = int(np.nanargmin(offs))
@@ -269,6 +271,19 @@ def most_turned(windows: tuple[Window, ...]) -> Turned | None:
     if not found:
         return None
     return replace(min(found, key=lambda one: one.gain), n_places=sum(one.gain < TURNED for one in found))
+
+
+def _offs_of_shifts(first: F64, second: F64) -> F64:
+    """Return the difference of two profiles, the second shifted by every number of columns; NaN with too few ranges."""
+    n = len(first)
+    column = np.arange(n)
+    shifted = second[(column - column[:, None]) % n]
+    known = np.isfinite(first) | np.isfinite(shifted)
+    off = np.abs(first - shifted)
+    off = np.minimum(np.where(np.isfinite(off), off, MISSING_OFF), MISSING_OFF)
+    n_known = np.count_nonzero(known, axis=1)
+    total: F64 = np.where(known, off, 0.0).sum(axis=1)
+    return np.where(n_known >= LEAST_KNOWN, total / np.maximum(n_known, 1), np.nan)
 
 
 TURN_COLUMNS = 256
@@ -291,7 +306,7 @@ def _profile(lines: F32) -> F64:
 def _profile_off(first: F64, second: F64) -> float:
     """Return the mean difference of two profiles, at most :data:`MISSING_OFF` a column; NaN with too few."""
     known = np.isfinite(first) | np.isfinite(second)
-    if np.count_nonzero(known) < FOLD_COLUMNS // 32:
+    if np.count_nonzero(known) < LEAST_KNOWN:
         return float("nan")
     off = np.abs(first[known] - second[known])
     return float(np.minimum(np.where(np.isfinite(off), off, MISSING_OFF), MISSING_OFF).mean())

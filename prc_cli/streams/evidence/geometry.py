@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.stream import FAR_M
 from prc_cli.core.types import F32, F64
 from prc_cli.streams.down import MOST_LINES, DownGuess, guess_down, middle_of_lines, spread_rows, wrap
 from prc_cli.streams.evidence.seen import Seen
@@ -24,6 +25,10 @@ DOWN, ANGLE_STEP, UNITS = "down", "angle-step", "units"
 DOWN_DOUBTFUL_RAD, DOWN_AGAINST_RAD = math.radians(11.0), math.radians(20.0)
 """Largest angle between the direction in use and the one that the ranges show: the guess is off by up to 2 deg in
 streets and 8 deg in forests."""
+LOOKS_DOWN_RAD = math.radians(30.0)
+"""A scanner looks down if it measures this near to straight down."""
+LEAST_ASIDE = 3.0
+"""Where it does not, the ground must be so many times the runner-up."""
 LEAST_WINDOWS = 2
 """Windows that look elsewhere for the drive to contradict itself; also at least a quarter of all."""
 ELSEWHERE_RAD = math.radians(40.0)
@@ -43,7 +48,7 @@ STEEP_RAD = math.radians(80.0)
 ON_GROUND = 0.012
 """Deviation from the plane up to which a shot lies on it, as a share of its inverse range at the depth."""
 N_FITS = 6
-LOW_FACTOR, HIGH_FACTOR, HIGHER_FACTOR, FAR_FACTOR = 0.85, 1.07, 1.2, 1.6
+LOW_FACTOR, HIGH_FACTOR, HIGHER_FACTOR, FAR_FACTOR = 0.83, 1.08, 1.2, 1.6
 """Factors below the first and above the second are doubtful where the ground is clear, above the third where it is not
 as well, above the fourth against. Good streets have .97 to 1.03;
 ground that rises on both sides, as in forests, has down to .9."""
@@ -99,7 +104,9 @@ def check_down(seen: Seen) -> Finding | None:
     if guess is None:
         return None
     expected = f"within {math.degrees(DOWN_DOUBTFUL_RAD):.0f} deg of the direction in use"
-    if not guess.is_sure:
+    # of a scanner that does not look down the nearest plane is a wall
+    looks_down = np.count_nonzero(np.abs(seen.beam_rad) < LOOKS_DOWN_RAD) >= LEAST_ANGLES
+    if not guess.is_sure or (guess.ratio < LEAST_ASIDE and not looks_down):
         return Finding(DOWN, Verdict.FINE, f"the ranges do not tell where level ground is ({_shown(guess)})", expected)
     off = abs(math.remainder(guess.down_rad, 2 * math.pi))
     found = f"level ground is {math.degrees(off):.0f} deg from straight down ({_shown(guess)})"
@@ -133,7 +140,7 @@ def _corrected(seen: Seen, guess: DownGuess) -> str:
     step = wrap(np.diff(seen.beam_rad)) * wrap(np.diff(seen.angle_rad))
     away = away if np.sign(step).sum() >= 0 else -away
     nadir = math.degrees(math.remainder(float(seen.angle_rad[at]) + away, 2 * math.pi))
-    return f"where the ground is right --set input.nadir={nadir:.0f}"
+    return f"where the ground is right --set input.nadir={nadir + 0.0:.0f}"
 
 
 def _n_elsewhere(seen: Seen, beam_rad: F64, scale: float) -> int:
@@ -261,7 +268,8 @@ def _lines(seen: Seen) -> F32:
         found.append(seen.windows[window].range_m[row - n_lines[window]])
     if not found:
         return np.empty((0, seen.points_per_line), np.float32)
-    lines: F32 = np.stack(found)
+    # farther is no ground, and would overflow when it is scaled
+    lines: F32 = np.minimum(np.stack(found), np.float32(FAR_M))
     lines = lines[~np.isnan(lines).all(axis=1)]
     return lines[spread_rows(len(lines), MOST_LINES)]
 
@@ -272,7 +280,8 @@ def _scale(beam_rad: F64, range_m: F32) -> float:
     below = below[spread_rows(len(below), MOST_ANGLES)]
     depth = range_m[:, below].astype(np.float64) * np.cos(beam_rad[below])
     depth = depth[np.isfinite(depth)]
-    return USUAL_M / float(np.median(depth)) if len(depth) else 1.0
+    # within what float32 holds, whatever the ranges are
+    return float(np.clip(USUAL_M / np.median(depth), 1e-6, 1e6)) if len(depth) else 1.0
 
 
 GEOMETRY_CHECKS: tuple[Check, ...] = (
@@ -280,8 +289,7 @@ GEOMETRY_CHECKS: tuple[Check, ...] = (
         UNITS,
         "Is the scanner as high above the ground as platforms are?",
         "Doubtful below 0.4 m and above 5 m, where down is not known below 0.3 m and above 6 m; refused below 0.1 m "
-        "and "
-        "above 50 m",
+        "and above 50 m",
         "Scanners stand 0.6 m (robots) to 4 m (trucks, trains) high. A street in feet is 6.6 to 13 m deep in 22 scans, "
         "ranges in centimetres or millimetres hundreds",
         "Scans without level ground; feet taken for metres where the scanner is lower than 1.5 m.",
@@ -289,7 +297,7 @@ GEOMETRY_CHECKS: tuple[Check, ...] = (
     Check(
         ANGLE_STEP,
         "Is the ground flat with the angles in use?",
-        "Over 50 deg to either side. Doubtful where angles 1.07 times as large, or 0.85 times, make most of the "
+        "Over 50 deg to either side. Doubtful where angles 1.08 times as large, or 0.83 times, make most of the "
         "ground a "
         "plane that is none with those in use; refused from 1.6 times",
         "Good streets give 0.97 to 1.03; ground that rises on both sides, as in forests, down to 0.9. Half the step "
@@ -305,7 +313,8 @@ GEOMETRY_CHECKS: tuple[Check, ...] = (
         "The guess is off by up to 2 deg in streets, and 9.6 deg in forests. Down told wrongly by 15 deg was noticed "
         "in "
         "312 of 316 drives, by 45 and 180 deg in all",
-        "Cross slopes of more than 11 deg look like a wrong down. Scans without level ground are not judged.",
+        "Cross slopes of more than 11 deg look like a wrong down. Scans without level ground are not judged, nor are "
+        "scanners that do not look down.",
     ),
 )
 """Checks of the geometry, for the page "How prc knows"."""

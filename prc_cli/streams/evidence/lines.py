@@ -39,10 +39,10 @@ SHIFT_NEAR = 0.012
 FOLD_LONG = 12
 """Lines of a stream, as a part of M: with M off by one all columns turn by 30 deg in so many, and before that moving
 things shift as much."""
-FOLD_RANDOM, FOLD_NOTHING = 0.85, 0.97
+FOLD_RANDOM, FOLD_NOTHING = 0.75, 0.97
 """Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
 scans at hand, 0.5 to 1 where lines and columns are exchanged."""
-MOVED_SAME = 1.4
+MOVED_SAME = 1.6
 """Lines far apart must differ by so much more than neighbours: at least 2.1 in all scans at hand, 0.8 to 1.2 with
 shuffled lines and while standing."""
 MOVED_NOISE = 15.0

@@ -26,8 +26,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "ranges",
         "Are the ranges numbers that a scanner can measure?",
         "Refused where the median range is below 0.02 m or above 1 km, or more than 20 % of the ranges lie beyond 20 "
-        "km; "
-        "doubtful above 150 m, and from 1 % on",
+        "km; doubtful above 150 m, and from 1 % on, and where a range of the first lines is below 0.1 mm or above 1000 "
+        "km: a header read as shots",
         "No scanner on a vehicle measures either. Floats of the wrong byte order, a shift of two bytes and integers "
         "read as floats spread over all powers of ten",
         "Numbers of the right size.",
@@ -75,7 +75,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "line-order",
         "Does the scene change along the stream, but little from line to line?",
-        "Refused where lines far apart differ less than 1.4 times as much as neighbours, in the tenth that changes "
+        "Refused where lines far apart differ less than 1.6 times as much as neighbours, in the tenth that changes "
         "most",
         "Rightly told at least 2.1; with shuffled lines 0.8 to 1.2",
         "A few large parts out of place, in a stream without times.",

@@ -102,7 +102,7 @@ class EvidenceStream:
         one.sample.add(block)
         return before == 0 < one.sample.n_full
 
-    def _seen(self, *, is_whole: bool) -> tuple[Seen, ...]:
+    def seen(self, *, is_whole: bool = True) -> tuple[Seen, ...]:
         """Return what has been seen so far, by scanner."""
         info, every = self.info, self._scanners.values()
         n_shots, n_missing = sum(one.n_shots for one in every), sum(one.n_missing for one in every)
@@ -132,7 +132,7 @@ class EvidenceStream:
     def question(self, *, is_whole: bool) -> Callable[[], tuple[Finding, ...]]:
         """Return what asks all checks of what has been seen so far, now or in another thread."""
         repeats = (check_repeats(self._repeats),) if is_whole else ()
-        return partial(_ask_of_all, self._seen(is_whole=is_whole), repeats, self.accepted)
+        return partial(_ask_of_all, self.seen(is_whole=is_whole), repeats, self.accepted)
 
 
 def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: tuple[str, ...]) -> tuple[Finding, ...]:

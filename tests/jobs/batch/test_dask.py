@@ -22,6 +22,7 @@ import pytest
 
 from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import ConfigError, PrcError
+from prc_cli.core.findings import CHECK_NAMES
 from prc_cli.jobs.batch import dask_engine
 from prc_cli.jobs.batch.dask_engine import (
     DaskEngine,
@@ -76,7 +77,8 @@ def scene(n_lines: int, seed: int, m: int = M) -> Any:
 
 
 def config() -> LoadedConfig:
-    return load_config(options={"prc": {"lines_per_block": 10}})
+    # lines of nothing but random surfaces are no scan
+    return load_config(options={"prc": {"lines_per_block": 10}, "input": {"accept_doubts": CHECK_NAMES}})
 
 
 def tasks_in(folder: Path, lines: dict[str, int], m: int = M) -> list[Task]:

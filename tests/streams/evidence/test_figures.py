@@ -179,7 +179,7 @@ def test_fold_equals_plain_loops(m: int, off: int) -> None:
         begin, end = piece.first_line * m, (piece.first_line + 9) * m
         starts = [at for at in range(-(-begin // length) * length, end, length) if at + length <= end][:8]
         if len(starts) >= 4:
-            every = max(length // 1024, 1)
+            every = max(length // 512, 1)
             profiles.append(slow_profile(np.array([flat[at : at + length : every] for at in starts])))
     assert len(profiles) == 9
     expected = np.median([slow_off(a, b) for i, a in enumerate(profiles) for b in profiles[i + 1 :]])

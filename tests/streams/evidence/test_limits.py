@@ -170,7 +170,7 @@ def test_two_turns_in_a_line(folds: dict[int, float], half: float, line: float, 
 def test_another_length_that_agrees_better(
     folds: dict[int, float], here: float, there: float, verdict: Verdict, other: int
 ) -> None:
-    folds.update({**dict.fromkeys(LENGTHS, 0.75), M: here, other: there})
+    folds.update({**dict.fromkeys(LENGTHS, 0.74), M: here, other: there})
     found = told(check_line_length(seen(), USUAL, None))
     assert found[0] is verdict
     if verdict:
@@ -195,14 +195,14 @@ def test_lengths_that_tell_nothing_are_not_better(folds: dict[int, float]) -> No
     assert told(check_line_length(seen(), USUAL, None))[0] is FINE
 
 
-@pytest.mark.parametrize(("here", "verdict"), [(0.85, FINE), (0.86, DOUBTFUL), (0.97, DOUBTFUL), (0.98, AGAINST)])
+@pytest.mark.parametrize(("here", "verdict"), [(0.75, FINE), (0.76, DOUBTFUL), (0.97, DOUBTFUL), (0.98, AGAINST)])
 def test_lines_far_apart_with_nothing_in_common(folds: dict[int, float], here: float, verdict: Verdict) -> None:
     folds.update(dict.fromkeys(LENGTHS, here))
     found = told(check_line_length(seen(), USUAL, None))
     assert found[0] is verdict
     said = (
         "line-length: lines far apart have nothing in common, not even the ground: they differ by "
-        f"{here:.2g}, expected at most 0.85{CHECK_M}"
+        f"{here:.2g}, expected at most 0.75{CHECK_M}"
     )
     assert found[1] == (said if verdict else LIKE.format("0.01"))
 
@@ -212,8 +212,8 @@ def test_lines_far_apart_with_nothing_in_common(folds: dict[int, float], here: f
     [
         (0.24, 0.6, 105, 0.5, True), (0.24, 0.6, 95, 0.5, True), (0.24, 0.6, 104, 0.5, False),
         (0.24, 0.6, 96, 0.5, False),
-        (0.24, 0.6, 105, 0.49, False), (0.23, 0.6, 105, 0.9, False), (0.02, 0.85, 207, 0.9, True),
-        (0.02, 0.84, 207, 0.9, False), (0.02, nan, 207, 0.9, True), (0.02, 0.9, None, 0.9, False),
+        (0.24, 0.6, 105, 0.49, False), (0.23, 0.6, 105, 0.9, False), (0.02, 0.75, 207, 0.9, True),
+        (0.02, 0.74, 207, 0.9, False), (0.02, nan, 207, 0.9, True), (0.02, 0.9, None, 0.9, False),
     ],
 )  # fmt: skip
 def test_the_ranges_tell_another_length(
@@ -244,7 +244,8 @@ def test_the_ranges_tell_another_length(
 @pytest.mark.parametrize(
     ("share", "gain", "distance", "n_places", "expected"),
     [
-        (0.3, 0.64, 60, 1, True), (-0.3, 0.64, 60, 1, True), (0.3, 0.65, 60, 1, False), (0.3, 0.1, 60, 2, False),
+        (0.3, 0.64, 60, 1, True), (-0.3, 0.45, 60, 1, True), (0.3, 0.44, 60, 1, True), (0.3, 0.65, 60, 1, False),
+        (0.3, 0.1, 60, 2, False),
         # a wrong M by up to 4 would shift as much, within 12 of 1000 shots
         (0.3, 0.1, 300, 1, False), (0.3, 0.1, 150, 1, False), (0.3, 0.1, 100, 1, False), (0.3, 0.1, 75, 1, False),
         (0.3, 0.1, 288, 1, False), (0.3, 0.1, 287, 1, True), (0.3, 0.1, 312, 1, False), (0.3, 0.1, 313, 1, True),
@@ -264,7 +265,8 @@ def test_a_shift_at_a_single_place(share: float, gain: float, distance: int, n_p
             "columns-along: no single shift of all columns makes places along the stream differ less than "
             f"{gain:.2g} times, expected at least 0.65 times"
         )
-    assert found == (AGAINST if expected else FINE, said, "")
+    verdict = FINE if not expected else AGAINST if gain < 0.45 else DOUBTFUL
+    assert found == (verdict, said, "")
 
 
 def test_lost_shots_do_not_speak_against_m(folds: dict[int, float]) -> None:
@@ -273,10 +275,10 @@ def test_lost_shots_do_not_speak_against_m(folds: dict[int, float]) -> None:
     assert told(check_line_length(seen(), USUAL, None))[0] is AGAINST
 
 
-ORDER = "lines far apart differ {} times as much as neighbouring lines, expected at least 1.4"
+ORDER = "lines far apart differ {} times as much as neighbouring lines, expected at least 1.6"
 
 
-@pytest.mark.parametrize(("far", "ratio", "verdict"), [(0.42, "1.4", FINE), (0.41, "1.4", AGAINST), (0.9, "3", FINE)])
+@pytest.mark.parametrize(("far", "ratio", "verdict"), [(0.48, "1.6", FINE), (0.47, "1.6", AGAINST), (0.9, "3", FINE)])
 def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     figures = replace(USUAL, moved=(0.3, far), roughness=0.02)
     assert told(check_line_order(seen(24), figures)) == (
@@ -290,7 +292,7 @@ def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     ("roughness", "far", "n_lines", "name", "verdict"),
     [
         (0.0201, 0.3, 200, "standing", DOUBTFUL), (0.0201, 0.3, 199, "standing", FINE),
-        (0.0201, 0.42, 200, "standing", FINE),
+        (0.0201, 0.48, 200, "standing", FINE),
         (0.0199, 0.3, 200, "line-order", AGAINST), (nan, 0.3, 200, "standing", DOUBTFUL),
         (inf, 0.3, 200, "standing", DOUBTFUL),
     ],
@@ -301,7 +303,7 @@ def test_standing(roughness: float, far: float, n_lines: int, name: str, verdict
     assert (found.check, found.verdict) == (name, verdict)
     if name == "standing":
         assert found.sentence() == (
-            f"standing: {ORDER.format('1' if far == 0.3 else '1.4')}; the platform stands: cut such stretches out, or "
+            f"standing: {ORDER.format('1' if far == 0.3 else '1.6')}; the platform stands: cut such stretches out, or "
             "accept them"
         )
 
