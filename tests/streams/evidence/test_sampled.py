@@ -174,7 +174,7 @@ def test_counts_of_all_scanners_and_lines_of_four() -> None:
     assert stream.findings() == ()
     for _ in range(2):
         assert len(list(stream.blocks())) == 6
-    seen = stream._seen(is_whole=False)
+    seen = stream.seen(is_whole=False)
     assert [one.scanner for one in seen] == [1, 3, 5, 7]
     for one in seen:
         assert (one.n_lines, one.n_shots, one.n_missing) == (30, 6 * 30 * 40, 33 + 6)
