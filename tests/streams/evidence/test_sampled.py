@@ -269,6 +269,7 @@ def test_the_period_follows_its_multiples(true: float, first: int, expected: int
     lag = np.arange(1700)
     correlation = np.cos(2 * np.pi * lag / true)
     assert estimates._refine(correlation, first) == expected
+    assert estimates._refine(0.6 * correlation, first) == expected
     # not beyond those that are seen
     assert estimates._refine(np.where(lag > 150, 0.0, correlation), first) == first
 
