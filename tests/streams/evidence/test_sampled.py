@@ -11,6 +11,7 @@ import pytest
 
 from prc_cli.classifiers.base import UsualLabels
 from prc_cli.core.classes import Label
+from prc_cli.core.errors import EvidenceError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
@@ -184,6 +185,25 @@ def test_counts_of_all_scanners_and_lines_of_four() -> None:
         assert one.angle_rad is Many.info.angle_rad
         assert (one.is_whole, one.most_noise_m) == (False, 0.5)
         assert sum(len(window.range_m) for window in one.windows) == (0 if one.scanner == 7 else 30)
+
+
+def test_checks_are_asked_when_the_sample_is_full_for_the_first_time() -> None:
+    """Eight windows of 32 lines."""
+    read = []
+    shots = np.random.default_rng(1).uniform(2.0, 90.0, (32, 8192)).astype(np.float32)
+
+    class Wide:
+        info = StreamInfo("a.npy", "array", 8192, None, None)
+
+        def blocks(self):  # type: ignore[no-untyped-def]
+            for first in range(0, 640, 32):
+                read.append(first)
+                yield ScanBlock(first, shots)
+
+    with pytest.raises(EvidenceError):
+        for _ in EvidenceStream(Wide()).blocks():
+            pass
+    assert read[-1] == 224
 
 
 def test_the_worst_finding_of_a_live_stream_stays_and_is_told_once() -> None:
