@@ -266,18 +266,19 @@ def test_rise_at_multiples_equals_a_plain_one(seed: int) -> None:
     ("rises", "expected"),
     [
         # the first that rises to nine tenths, at the highest point before it falls to seven tenths
-        ({10: 0.89, 20: 1.0, 30: 0.95}, 20), ({10: 0.91, 20: 1.0}, 10), ({10: 0.92, 12: 0.95, 20: 1.0}, 12),
+        ({10: 0.9, 20: 1.0}, 10), ({10: 0.89, 20: 1.0, 30: 0.95}, 20), ({10: 0.91, 20: 1.0}, 10),
+        ({10: 0.92, 12: 0.95, 20: 1.0}, 12),
         ({10: 0.92, 11: 0.67, 12: 0.95}, 12), ({10: 0.92, 11: 0.66, 12: 0.95}, 10), ({}, 0),
     ],
 )  # fmt: skip
 def test_the_fundamental_is_the_first_high_rise(rises: dict[int, float], expected: int) -> None:
-    correlation = np.full(40, -0.2)
+    correlation = np.full(40, -0.25)
     correlation[0] = 1.0
     for lag, rise in rises.items():
-        correlation[lag] = rise - 0.2
+        correlation[lag] = rise - 0.25
         if lag + 1 not in rises:
-            correlation[lag + 1] = 0.71 - 0.2 if lag + 2 in rises else -0.2
-    correlation[1:5] = np.linspace(0.5, -0.2, 4)
+            correlation[lag + 1] = 0.71 - 0.25 if lag + 2 in rises else -0.25
+    correlation[1:5] = np.linspace(0.5, -0.25, 4)
     assert estimates._fundamental(correlation) == expected
 
 
