@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prc_cli.classifiers.fused.ground import GroundMemory
+from prc_cli.classifiers.fused.ground import GroundMemory, GroundParams, start_height
 from prc_cli.classifiers.prc.urban import Totals
 from prc_cli.classifiers.sequential_angle.curb import CurbParams, CurbState, _tail
 from prc_cli.classifiers.sequential_angle.lines import to_columns
@@ -92,3 +92,10 @@ def test_contexts_are_channel_and_single_return() -> None:
     assert (found & 3).tolist() == (np.arange(1024) // 256).tolist()
     assert 0x11 in records[found & 4 > 0, 14]
     assert 0x21 not in records[found & 4 > 0, 14]
+
+
+def test_without_shots_below_the_scanner_the_ground_begins_at_its_height() -> None:
+    shape = (3, 5)
+    seen: Any = SimpleNamespace(smooth=np.ones(shape), level=np.ones(shape), upright=np.zeros(shape))
+    found = start_height(np.zeros(shape, np.float32), np.ones(shape, np.float32), seen, GroundParams())
+    assert found == 0.0

@@ -19,7 +19,7 @@ from prc_cli.formats.las import laz
 from prc_cli.formats.las.header import find_points_per_line, open_source, read_header
 from prc_cli.formats.las.laz import LazRecords
 from prc_cli.formats.tables.read import _check_names, _damaged
-from prc_cli.formats.writing.base import StagedWriter
+from prc_cli.formats.writing.base import MISSING_CODE, ScatterWriter, StagedWriter
 
 
 def lines_of(data: bytes) -> list[bytes]:
@@ -97,6 +97,21 @@ def test_values_that_do_not_fit_their_type(values: list[int], problem: str | Non
         assert str(refused.value).endswith("set [output] segments = false")
     column.of_shots = lambda _: None
     assert StagedWriter._cells(writer, column, SimpleNamespace(labels=np.zeros((2, 2)))).tolist() == [[9, 9], [9, 9]]  # type: ignore[arg-type]
+
+
+def test_records_beyond_the_input_have_no_label() -> None:
+    put: list[tuple[list[int], list[int]]] = []
+    spool = SimpleNamespace(put=lambda record, codes: put.append((record.tolist(), codes.tolist())))
+    writer: Any = SimpleNamespace(path=Path("labels.csv"), _n_records=5, _code_spool=spool, _spools={})
+    records: I64 = np.array([4, 5, -1, 0])
+    ScatterWriter._put(writer, records, np.array([7, MISSING_CODE, 7, 8], np.uint8), {})
+    ScatterWriter._put(writer, records[:1], np.array([9], np.uint8), {})
+    assert put == [([4, 0], [7, 8]), ([4], [9])]
+    with pytest.raises(OutputError, match="found a label for record 5, expected records below 5"):
+        ScatterWriter._put(writer, records, np.array([7, 1, 7, 8], np.uint8), {})
+    writer._n_records = None
+    ScatterWriter._put(writer, records[:2], np.array([7, 1], np.uint8), {})
+    assert put[-1] == ([4, 5], [7, 1])
 
 
 def test_messages_of_tables() -> None:

@@ -13,9 +13,12 @@ import pytest
 
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs import doctor
+from prc_cli.jobs.batch import summary
 from prc_cli.jobs.batch.drift import drift
 from prc_cli.jobs.calibrate import sensor
 from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES
+from prc_cli.jobs.evaluate.options import NEAREST_TOLERANCE_M, TIME_TOLERANCE_S
+from prc_cli.jobs.render.cloud import FromAbove, _panel
 from prc_cli.jobs.thin import _check_lines, _needed
 
 
@@ -252,3 +255,15 @@ def test_edges_of_bins_cover_all_scanners() -> None:
     assert sensor._ROUNDINGS[:5] == pytest.approx((5.0, 2.5, 2.0, 1.0, 0.5))
     assert sensor._ROUNDINGS[-4:] == pytest.approx((5e-4, 2.5e-4, 2e-4, 1e-4))
     assert len(sensor._ROUNDINGS) == 20
+
+
+def test_what_other_programs_and_pages_rely_on() -> None:
+    assert (summary.SCHEMA, summary.FAILED) == (1, 1)
+    assert (TIME_TOLERANCE_S, NEAREST_TOLERANCE_M) == (6e-7, 0.05)
+
+
+def test_axes_of_a_view_from_above_are_in_metres() -> None:
+    camera = FromAbove(left=100.0, top=50.0, metres=0.25, size=(40, 24), highest=9.0)
+    panel = _panel(np.zeros((24, 40, 3), np.uint8), camera, None, None, "class")  # type: ignore[arg-type]
+    assert (panel.x.first, panel.x.stop, panel.y.first, panel.y.stop) == (100.0, 110.0, 50.0, 44.0)
+    assert panel.note.startswith("scale bar 1 m, 1 pixel = 25 cm")

@@ -248,7 +248,8 @@ def test_the_refined_step_equals_a_plain_one(seed: int) -> None:
     line = number // 60
     along = 0.01 * number + rng.normal(0, 2e-4, 200)
     if seed % 2:
-        along = np.round(along, 2 if seed % 4 == 1 else 3)
+        # half of the steps are zero, or none is
+        along = np.round(50 * along) / 50 if seed % 4 == 1 else np.round(along, 3)
     forward = np.diff(along)
     forward = forward[(np.diff(line) == 0) & (forward >= 0)]
     ahead = [one for one in forward.tolist() if one > 0]
