@@ -79,7 +79,8 @@ def check_missing_code(seen: Seen) -> Finding | None:
     longest = float(known.max())
     share = float(np.mean(known == longest))
     found = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
-    is_code = share > CODED and longest > 2 * float(np.median(known))
+    others = known[known < longest]
+    is_code = share > CODED and len(others) > 0 and longest > 2 * float(np.median(others))
     option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
     hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
     verdict = Verdict.DOUBTFUL if is_code else Verdict.FINE

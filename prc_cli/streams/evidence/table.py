@@ -42,7 +42,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "missing-code",
         "Does the largest of all ranges stand for no return?",
-        "Doubtful where more than 1 % of the ranges are equal to the largest, and that is twice the median",
+        "Doubtful where more than 1 % of the ranges are equal to the largest, and that is twice the median of the "
+        "others",
         "Two ranges of a scan are equal by chance; a thousand are a code",
         "Codes that are not the largest range, such as 0 and NaN, which count as missing anyway.",
     ),
@@ -62,7 +63,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "along the stream; doubtful from 1.05",
         "Rightly told at most 0.9, with M off by one 1.16 to 7: what moves with the scanner, its dead angle and the "
         "ground, keeps its columns only with the right M",
-        "Streams of fewer than 24 lines; M that is off by one in fewer lines than a twelfth of M.",
+        "Streams of fewer than 24 lines; in fewer lines than a twelfth of M, M off by one that agrees less than 1.25 "
+        "times better.",
     ),
     Check(
         "columns-along",
