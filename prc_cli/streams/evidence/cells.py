@@ -19,8 +19,8 @@ NEAR_M = 0.02
 """Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
 CODED = 0.01
 """Share of ranges that are equal to the largest: chance gives one in thousands."""
-HIGH_M, FAR_MEDIAN_M = 150.0, 1000.0
-"""Median ranges that are doubtful, and that are none of a vehicle's surroundings [m]: 3 to 20 m are usual."""
+HIGH_M, FAR_MEDIAN_M = 150.0, 5000.0
+"""Median ranges that are doubtful, and that not even an aircraft has [m]: 3 to 20 m are usual."""
 COUNTED = 0.01
 """Share of ranges beyond any scanner from which numbers are misread."""
 LEAST_RETURNS = 0.02

@@ -25,7 +25,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "ranges",
         "Are the ranges numbers that a scanner can measure?",
-        "Refused where the median range is below 0.02 m or above 1 km, or more than 20 % of the ranges lie beyond 20 "
+        "Refused where the median range is below 0.02 m or above 5 km, or more than 20 % of the ranges lie beyond 20 "
         "km; doubtful above 150 m, and from 1 % on, and where a range of the first lines is below 0.1 mm or above 1000 "
         "km: a header read as shots",
         "No scanner on a vehicle measures either. Floats of the wrong byte order, a shift of two bytes and integers "
