@@ -144,8 +144,6 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
     _, row = np.unique(line, return_inverse=True)
     system = np.stack([range_m * np.cos(angle), range_m * np.sin(angle)], axis=1)
     keep = np.ones(len(z), np.bool_)
-    solution: F64 = np.zeros(2)
-    off: F64 = np.zeros(len(z))
     for _ in range(N_TRIMS + 1):
         n = np.bincount(row[keep], minlength=int(row.max(initial=-1)) + 1)
         # one unknown per line
@@ -154,8 +152,8 @@ def fit_heights(angle: NDArray[Any], range_m: NDArray[Any], z: NDArray[Any], lin
             raise NoDirectionError(message)
         centred = [_centre(values, row, keep, n) for values in (system[:, 0], system[:, 1], z)]
         matrix = np.stack(centred[:2], axis=1)
-        solution = np.asarray(np.linalg.lstsq(matrix[keep], centred[2][keep], rcond=None)[0], np.float64)
-        off = np.abs(centred[2] - matrix @ solution)
+        solution: F64 = np.asarray(np.linalg.lstsq(matrix[keep], centred[2][keep], rcond=None)[0], np.float64)
+        off: F64 = np.abs(centred[2] - matrix @ solution)
         keep = off <= max(3 * 1.4826 * float(np.median(off[keep])), 1e-3)
     _check_heights(solution, float(np.median(off)), matrix[keep])
     down_rad = round(math.atan2(-solution[1], -solution[0]), DECIMALS)

@@ -103,7 +103,7 @@ class OrderEvidence:
         unknown = f"; {_grouped(self.n_not_finite)} records have none" if self.n_not_finite else ""
         if self.first is None or self.largest is None:
             return f"{self.what} never decreases in {_grouped(self.n_steps)} steps{unknown}"
-        if self.share_back > MAX_SHARE_BACK and self.share_back >= 1e-3:
+        if self.share_back >= 1e-3:
             share, place, step = f"{100 * self.share_back:.1f} %", "first", self.first
         else:
             share, place, step = _grouped(self.n_back), "largest", self.largest

@@ -174,9 +174,9 @@ def test_neighbours_look_less_than_half_a_turn_apart() -> None:
 
 
 def test_columns_that_were_not_seen_share_the_step_of_the_others() -> None:
-    beam, is_straight = turn_evenly(np.array([1, 2, 4]), np.deg2rad([0.0, 5.0, 90.0]), np.ones(3), 6)
+    beam, is_straight = turn_evenly(np.array([1, 2, 3, 5]), np.deg2rad([0.0, 5.0, 10.0, 45.0]), np.ones(4), 7)
     assert not is_straight
-    np.testing.assert_allclose(np.rad2deg(np.unwrap(beam)), [-30.0, 0.0, 5.0, 47.5, 90.0, 120.0], atol=1e-6)
+    np.testing.assert_allclose(np.rad2deg(beam), [-11.25, 0.0, 5.0, 10.0, 27.5, 45.0, 56.25], atol=1e-6)
 
 
 def test_equal_angles_are_one_knot_in_the_middle_of_their_columns() -> None:

@@ -1,0 +1,200 @@
+"""Pieces of readers and writers at their limits."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.types import I64
+from prc_cli.formats import ptx
+from prc_cli.formats.las import laz
+from prc_cli.formats.las.header import find_points_per_line, open_source, read_header
+from prc_cli.formats.las.laz import LazRecords
+from prc_cli.formats.tables.read import _check_names, _damaged
+from prc_cli.formats.writing.base import StagedWriter
+
+
+def lines_of(data: bytes) -> list[bytes]:
+    return data.splitlines(keepends=True)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("read", [1, 3, 7, 100])
+def test_skipping_lines_equals_reading_them(monkeypatch: pytest.MonkeyPatch, seed: int, read: int) -> None:
+    monkeypatch.setattr(ptx, "TEXT_BYTES", read)
+    rng = np.random.default_rng(seed)
+    data = b"\n".join(b"x" * n for n in rng.integers(0, 6, 9).tolist()) + (b"" if seed % 3 else b"\n")
+    every = lines_of(data)
+    for n in range(11):
+        one: Any = ptx._Survey.__new__(ptx._Survey)
+        one._handle, one._line, one._path = io.BytesIO(data), 7, Path("a.ptx")
+        # an empty last line is none
+        expected = min(n, len(every))
+        assert one._skip(n) == expected
+        assert one._line == 7 + expected
+        assert one._handle.read() == b"".join(every[n:])
+
+
+def test_lines_that_are_too_long_are_told_with_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ptx, "MAX_LINE_BYTES", 10)
+    one: Any = ptx._Survey.__new__(ptx._Survey)
+    for data, is_refused in ((b"a\n" + b"b" * 300, True), (b"a\n" + b"b\n" * 300, False)):
+        one._handle, one._line, one._path = io.BytesIO(data), 7, Path("a.ptx")
+        monkeypatch.setattr(ptx, "TEXT_BYTES", 50)
+        if is_refused:
+            with pytest.raises(InputError, match="line 9"):
+                one._skip(5)
+        else:
+            assert one._skip(5) == 5
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(1, 1), (0, None), (-3, None), (True, None), (2.0, None), ("5", None), (2154, 2154), (None, None)],
+)
+def test_points_per_line_of_the_own_record(value: object, expected: int | None) -> None:
+    header: Any = SimpleNamespace(
+        find=lambda _: [
+            b"no json",
+            b'{"stream": 3}',
+            json.dumps({"stream": {"points_per_line": value}}).encode() + b"\0\0",
+        ]
+    )
+    assert find_points_per_line(header) == expected
+
+
+@pytest.mark.parametrize(
+    ("values", "problem"),
+    [
+        ([0, 255], None),
+        ([0, 256], "segment 256 does not fit uint8 (0 to 255)"),
+        ([-1, 300], "segment -1 does not fit uint8"),
+        ([], None),
+    ],
+)
+def test_values_that_do_not_fit_their_type(values: list[int], problem: str | None) -> None:
+    array: I64 = np.array(values, np.int64)
+    column: Any = SimpleNamespace(
+        dtype=np.dtype(np.uint8), what="segment", option="segments", fill=9, of_shots=lambda _: array
+    )
+    writer: Any = SimpleNamespace(path=Path("labels.csv"))
+    if problem is None:
+        found = StagedWriter._cells(writer, column, None)  # type: ignore[arg-type]
+        assert found.dtype == np.uint8
+        assert found.tolist() == values
+    else:
+        with pytest.raises(OutputError) as refused:
+            StagedWriter._cells(writer, column, None)  # type: ignore[arg-type]
+        assert problem in str(refused.value)
+        assert str(refused.value).endswith("set [output] segments = false")
+    column.of_shots = lambda _: None
+    assert StagedWriter._cells(writer, column, SimpleNamespace(labels=np.zeros((2, 2)))).tolist() == [[9, 9], [9, 9]]  # type: ignore[arg-type]
+
+
+def test_messages_of_tables() -> None:
+    source: Any = SimpleNamespace(dimensions=tuple(f"d{k}" for k in range(50)), path="a.npz")
+    with pytest.raises(Exception, match="no dimension 'x' in the file; it has: d0, .*, d39$"):
+        _check_names(source, ("d0", "x"))
+    source.dimensions = ()
+    with pytest.raises(Exception, match="it has: none$"):
+        _check_names(source, ("x",))
+    text = "ab " * 100
+    assert str(_damaged(Path("a.parquet"), ValueError(text))) == (
+        f"a.parquet: no whole Parquet file ({text[:160]}); copy it from the archive again"
+    )
+
+
+def bounds(data: bytes, offset: int, n_bytes: int) -> tuple[int, int]:
+    """Return the bounds of the chunk table of records that begin at an offset."""
+    one: Any = LazRecords.__new__(LazRecords)
+    one._where, one.header = "a.laz", SimpleNamespace(file_bytes=n_bytes, data_offset=offset, n_records=9)
+    handle = io.BytesIO(data)
+    one._source = SimpleNamespace(seek=handle.seek, read=handle.read, exact=lambda n, _: handle.read(n))
+    found: tuple[int, int] = one._table_bounds()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("position", "expected"),
+    [
+        (108, (108, 200)), (192, (192, 200)), (107, "begin at byte 107, found the file's end at byte 200"),
+        (193, "begin at byte 193, found the file's end at byte 200"), (0, "was never written"),
+        (-2, "was never written"),
+    ],
+)  # fmt: skip
+def test_where_the_chunk_table_may_begin(position: int, expected: tuple[int, int] | str) -> None:
+    data = bytes(100) + struct.pack("<q", position) + bytes(92)
+    if isinstance(expected, tuple):
+        assert bounds(data, 100, 200) == expected
+    else:
+        with pytest.raises(InputError, match=expected):
+            bounds(data, 100, 200)
+
+
+@pytest.mark.parametrize(("position", "is_read"), [(108, True), (184, True), (185, False), (107, False)])
+def test_files_from_pipes_have_the_position_at_their_end(position: int, is_read: bool) -> None:
+    data = bytes(100) + struct.pack("<q", -1) + bytes(84) + struct.pack("<q", position)
+    if is_read:
+        assert bounds(data, 100, 200) == (position, 192)
+    else:
+        with pytest.raises(InputError, match=f"begin at byte {position}, found the file's end at byte 192"):
+            bounds(data, 100, 200)
+    # too short for a second position
+    with pytest.raises(InputError, match="never written"):
+        bounds(data[:115], 100, 115)
+
+
+@pytest.fixture(scope="module")
+def chunks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return 25 records in chunks of 10."""
+    import laspy
+    import lazrs
+
+    path = tmp_path_factory.mktemp("laz") / "a.laz"
+    las = laspy.create(point_format=1, file_version="1.2")
+    las.gps_time = np.arange(25.0)
+    raw = las.points.array.tobytes()
+    vlr = lazrs.LazVlr.new_for_compression(1, 0)
+    data = bytearray(vlr.record_data().tobytes() if hasattr(vlr.record_data(), "tobytes") else bytes(vlr.record_data()))
+    struct.pack_into("<I", data, 12, 10)
+    vlr = lazrs.LazVlr(bytes(data))
+    las.write(path)
+    head = bytearray(path.read_bytes())
+    start = struct.unpack_from("<I", head, 96)[0]
+    at = bytes(head).index(b"laszip encoded") + 16 + 2 + 2 + 32
+    head[at : at + len(data)] = data
+    body = io.BytesIO()
+    body.write(bytes(head[:start]))
+    compressor = lazrs.LasZipCompressor(body, vlr)
+    compressor.compress_many(raw)
+    compressor.done()
+    path.write_bytes(body.getvalue())
+    return path
+
+
+@pytest.mark.parametrize("together", [1, 20 * 28, 16 << 20])
+@pytest.mark.parametrize("n_max", [1, 7, 10, 1000])
+def test_batches_hold_every_record_once(
+    chunks: Path, monkeypatch: pytest.MonkeyPatch, together: int, n_max: int
+) -> None:
+    monkeypatch.setattr(laz, "_TOGETHER_BYTES", together)
+    header = read_header(chunks)
+    with open_source(chunks) as source:
+        records = LazRecords(source, header)
+        assert records.table.first_record.tolist() == [0, 10, 20, 25]
+        assert records.table.first_byte[0] == header.data_offset + 8
+        assert records.table.first_byte[-1] == records.table.start
+        assert records.table.n_unread == 0
+        found = [(first, bytes(raw)) for first, raw in records.batches(n_max, 0xFFFFFFFF)]
+    assert [first for first, _ in found] == list(np.cumsum([0, *(len(raw) // 28 for _, raw in found)]))[:-1]
+    assert max(len(raw) for _, raw in found) <= n_max * 28
+    times = np.frombuffer(b"".join(raw for _, raw in found), np.uint8).reshape(25, 28)[:, 20:].copy().view("<f8")
+    assert times.ravel().tolist() == list(range(25))

@@ -1,0 +1,178 @@
+"""Pieces of jobs at their limits."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.errors import ConfigError
+from prc_cli.jobs import doctor
+from prc_cli.jobs.batch.drift import drift
+from prc_cli.jobs.calibrate import sensor
+from prc_cli.jobs.calibrate.search import ANGLE_AXES, PRC_AXES
+from prc_cli.jobs.thin import _check_lines, _needed
+
+
+def test_values_that_are_searched() -> None:
+    """What a user sees tried; bounds hold the grid."""
+    shown = {axis.key.removeprefix("prc."): (*axis.grid, "in", *axis.bounds) for axis in (*PRC_AXES, *ANGLE_AXES)}
+    assert shown == {
+        "background.d_c": (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, "in", 0.005, 10.0),
+        "surfaces.area": (4.0, 8.0, 12.0, 20.0, 30.0, 60.0, 120.0, 240.0, "in", 1.0, 5000.0),
+        "support.zeta_p": (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, "in", 0.01, 10.0),
+        "support.zeta_s": (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, "in", 0.01, 10.0),
+        "surfaces.gamma": (0.0, 1.0, 2.0, 3.0, 4.0, "in", 0.0, 20.0),
+        "sequential_angle.angles.range_noise_m": (0.002, 0.005, 0.01, 0.02, 0.05, "in", 0.0005, 0.5),
+    }
+    for axis in (*PRC_AXES, *ANGLE_AXES):
+        assert axis.bounds[0] <= min(axis.grid) <= max(axis.grid) <= axis.bounds[1]
+        assert list(axis.grid) == sorted(axis.grid)
+
+
+@pytest.mark.parametrize(
+    ("gib", "level", "hint"),
+    [
+        (0.99, "bad", "end other programs, or give the container more"),
+        (1.0, "warn", "take at most 1 files at a time with --jobs"),
+        (3.99, "warn", "take at most 3 files at a time with --jobs"), (4.0, "ok", ""),
+    ],
+)  # fmt: skip
+def test_memory_for_every_core(monkeypatch: pytest.MonkeyPatch, gib: float, level: str, hint: str) -> None:
+    monkeypatch.setattr(doctor, "_free_memory", lambda: int(gib * (1 << 30)))
+    monkeypatch.setattr(doctor, "default_threads", lambda: 4)
+    (found,) = doctor._memory()
+    assert (found.name, found.hint) == ("memory", hint)
+    assert found.status == level
+    monkeypatch.setattr(doctor, "_free_memory", lambda: None)
+    assert list(doctor._memory()) == []
+
+
+def files(*ground: int) -> list[dict[str, int]]:
+    return [{"GROUND": n, "OBJECT": 1000 - n} for n in ground]
+
+
+def test_alarms_at_their_limits() -> None:
+    usual = files(600, 610, 591, 605, 595, 600, 600, 600)
+    far = {"GROUND": 100, "OBJECT": 900}
+    assert drift(far, usual) == "GROUND is 10.0 % of the records, in 8 earlier files 60.0 % (59.4 to 60.6 % in most)"
+    # a file of a single record counts, an empty one does not
+    assert drift(far, usual[:7]) is None
+    assert drift(far, [*usual[:7], {"GROUND": 1}]) is not None
+    assert drift(far, [*usual[:7], {"GROUND": 0}]) is None
+    assert drift({}, usual) == "there are no records, while 8 earlier files have some"
+    assert drift({"GROUND": 1}, usual) is not None
+    # the change of a twentieth, or six standard deviations above the median distance
+    equal = files(*[600] * 8)
+    assert drift({"GROUND": 5500, "OBJECT": 4500}, equal) is None
+    assert drift({"GROUND": 5499, "OBJECT": 4501}, equal) is not None
+    wide = files(500, 520, 540, 560, 640, 660, 680, 700)
+    # distances 100, 80, 60, 40, 40, 60, 80, 100: median 70, median deviation 20
+    limit = 600 - 70 - 6 * 1.4826 * 20
+    assert drift({"GROUND": math.ceil(limit), "OBJECT": 1000 - math.ceil(limit)}, wide) is None
+    assert drift({"GROUND": math.floor(limit) - 1, "OBJECT": 1001 - math.floor(limit)}, wide) is not None
+
+
+@pytest.mark.parametrize(
+    ("n_alike", "n_usual", "is_odd"), [(2, 20, True), (3, 20, False), (4, 90, True), (5, 90, False)]
+)
+def test_a_kind_of_drive_that_was_there_is_not_odd(n_alike: int, n_usual: int, is_odd: bool) -> None:
+    for alike, expected in ((149, is_odd), (151, True)):
+        earlier = files(*[600] * n_usual, *[alike] * n_alike)
+        assert (drift({"GROUND": 100, "OBJECT": 900}, earlier) is not None) is expected
+
+
+def rules(**given: Any) -> Any:
+    usual = {
+        "lines": "angle-wrap", "columns": "angle", "line_hz": None, "time_origin_s": None, "angle_start_deg": None,
+        "angle_step_deg": None,
+    }  # fmt: skip
+    grid = SimpleNamespace(angle_grid=SimpleNamespace(start_rad=math.radians(5.0), step_rad=math.radians(0.25)))
+    times = iter([SimpleNamespace(values={"time": np.array([7.25, 8.0])})])
+    return SimpleNamespace(
+        rules=SimpleNamespace(**{**usual, **given}),
+        setups=dict(enumerate([SimpleNamespace(found=one) for one in (grid, SimpleNamespace(angle_grid=None), grid)])),
+        source=SimpleNamespace(chunks=lambda _: times),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"lines": "fixed"}, "their order"), ({"columns": "order"}, "their order"),
+        ({"columns": "time"}, "the first return of their line"), (None, "the records around them"),
+        ({}, None), ({"columns": "time", "line_hz": 50.0}, None),
+    ],
+)  # fmt: skip
+def test_cells_that_would_move(given: dict[str, Any] | None, said: str | None) -> None:
+    opened: Any = SimpleNamespace(grid=None if given is None else rules(**given))
+    if said is None:
+        _check_lines(Path("a.las"), opened)
+    else:
+        with pytest.raises(ConfigError, match=f"the cells of shots follow from {said}, so that leaving"):
+            _check_lines(Path("a.las"), opened)
+
+
+ANGLES = "read it with --set input.angle_start=5.0 --set input.angle_step=0.25"
+ORIGIN = "read it with --set input.time_origin=7.25"
+MOVE = "columns follow from the times: shots that share a stamp may move by a column"
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({}, (ANGLES,)), ({"angle_start_deg": 1.0}, (ANGLES,)), ({"angle_step_deg": 1.0}, (ANGLES,)),
+        ({"angle_start_deg": 1.0, "angle_step_deg": 1.0}, ()), ({"columns": "scan"}, ()),
+        ({"columns": "time"}, (MOVE,)),
+        ({"columns": "scan", "line_hz": 50.0}, (ORIGIN,)),
+        ({"columns": "scan", "line_hz": 50.0, "time_origin_s": 1.0}, ()),
+        ({"line_hz": 50.0, "columns": "time"}, (ORIGIN, MOVE)), ({"columns": "scan", "time_origin_s": 1.0}, ()),
+    ],
+)  # fmt: skip
+def test_options_that_a_thinned_file_needs(given: dict[str, Any], told: tuple[str, ...]) -> None:
+    assert _needed(rules(**given)) == told
+
+
+@pytest.mark.parametrize("span", [12, 16])
+@pytest.mark.parametrize("step_deg", [0.5, 1.5])
+def test_steps_of_straight_walls_are_their_angles(span: int, step_deg: float) -> None:
+    angle = np.deg2rad(np.arange(-40, 41) * step_deg) + 0.1
+    wall = np.where(np.abs(angle) < 1.2, 5.0 / np.cos(np.clip(angle, -1.2, 1.2)), np.nan)
+    other = np.where(np.arange(81) < 40, wall, 1.5 * wall)
+    ranges = np.stack([wall, other]).astype(np.float32)
+    near = 1.0 / ranges.astype(np.float64)
+    expected = []
+    for row in near:
+        for k in range(span, 81 - span):
+            wide = (row[k - span] + row[k + span]) / (2 * row[k])
+            narrow = (row[k - span // 2] + row[k + span // 2]) / (2 * row[k])
+            if 0 < wide < 1 - sensor._MIN_BEND and 0 < narrow < 1:
+                one, half = math.acos(wide) / span, math.acos(narrow) / (span // 2)
+                if abs(one - half) < sensor._STEP_AGREEMENT * one:
+                    expected.append(one)
+    found = sensor.angular_steps(ranges, span)
+    np.testing.assert_allclose(found, expected)
+    assert np.rad2deg(np.median(found)) == pytest.approx(step_deg, rel=1e-2)
+
+
+def test_noise_is_fitted_as_a_constant_and_a_part_that_grows() -> None:
+    def item(range_m: float, sigma_m: float, n: int, flat: bool = True) -> Any:
+        return sensor.NoiseBin(range_m, sigma_m, n, flat=flat)
+
+    a, b = 0.003, 0.0002
+    exact = tuple(item(r, math.hypot(a, b * r), n) for r, n in ((2.0, 5), (10.0, 90), (40.0, 7)))
+    assert sensor._fit_noise((*exact, item(5.0, 9.0, 999, flat=False))) == pytest.approx((a, b))
+    assert sensor._fit_noise(()) == sensor._fit_noise((item(5.0, 9.0, 9, flat=False),)) == (None, None)
+    assert sensor._fit_noise((item(5.0, 0.01, 9),)) == (0.01, 0.0)
+    # weighted by the root of the number of stretches, relative errors
+    one, other = item(3.0, 0.01, 400), item(3.0, 0.02, 100)
+    square = np.array([1e-4, 4e-4])
+    weight = np.array([20.0, 10.0]) / square
+    found = sensor._fit_noise((one, other))
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0] ** 2 + 9 * found[1] ** 2 == pytest.approx((weight**2 * square).sum() / (weight**2).sum())

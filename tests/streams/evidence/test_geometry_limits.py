@@ -1,0 +1,309 @@
+"""Checks of the geometry at their limits, on guesses and fits that are made up; and the fits themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.stream import StreamInfo
+from prc_cli.core.types import F32, F64
+from prc_cli.streams.down import DownGuess, wrap
+from prc_cli.streams.evidence import geometry
+from prc_cli.streams.evidence.geometry import StepFit, check_angle_step, check_down, check_height, fit_step
+from prc_cli.streams.evidence.sample import Window
+from prc_cli.streams.evidence.seen import Seen
+
+FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
+BEAM: F64 = np.deg2rad(np.arange(-90.0, 90.0, 1.0))
+STREET: F32 = np.where(np.abs(BEAM) < 1.2, 2.0 / np.cos(BEAM), np.nan).astype(np.float32)
+
+
+def seen(n_windows: int = 1, **more: Any) -> Seen:
+    windows = tuple(Window(100 * k, np.tile(STREET, (20, 1))) for k in range(n_windows))
+    info = StreamInfo("a.npy", "array", len(BEAM), None, None, cos_tilt=more.pop("cos_tilt", 1.0))
+    return Seen(info, 0, windows, **{"angle_rad": BEAM + 1.0, "beam_rad": BEAM, **more})
+
+
+def told(found: Finding | None) -> tuple[Verdict, str]:
+    assert found is not None
+    return found.verdict, found.sentence()
+
+
+def deg(degrees: float, rival: float | None = None, ratio: float = math.inf, depth_m: float = 2.0) -> DownGuess:
+    return DownGuess(math.radians(degrees), depth_m, None if rival is None else math.radians(rival), ratio)
+
+
+@pytest.fixture
+def guesses(monkeypatch: pytest.MonkeyPatch) -> list[DownGuess | None]:
+    """The guess for all lines, then those for every window."""
+    found: list[DownGuess | None] = []
+
+    def guess(beam_rad: F64, range_m: F32, *, is_coarse: bool = False) -> DownGuess | None:
+        assert beam_rad.shape == range_m.shape[1:]
+        # scaled to 2 m
+        assert 1.9 < np.nanmin(range_m * np.cos(beam_rad)[None] if beam_rad is not BEAM else range_m) < 2.1
+        assert len(range_m) in ((16,) if is_coarse else (20, 60, 64))
+        return found.pop(0)
+
+    monkeypatch.setattr(geometry, "guess_down", guess)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("off_deg", "verdict"),
+    [
+        (10.9, FINE),
+        (-10.9, FINE),
+        (11.1, DOUBTFUL),
+        (-19.9, DOUBTFUL),
+        (20.1, AGAINST),
+        (-180.0, AGAINST),
+        (352.0, FINE),
+    ],
+)
+def test_down_is_judged_by_the_angle(guesses: list[DownGuess | None], off_deg: float, verdict: Verdict) -> None:
+    guesses.append(deg(off_deg, 95.4, 3.14))
+    off = min(abs(off_deg), 360 - abs(off_deg))
+    # the scan angle of straight down is 1 rad, 57.3 deg
+    nadir = round(math.degrees(math.remainder(1.0 + math.radians(off_deg), 2 * math.pi)))
+    assert told(check_down(seen())) == (
+        verdict,
+        f"down: level ground is {off:.0f} deg from straight down (runner-up at 95 deg, 3.1 times weaker), expected "
+        "within 11 deg of the direction in use"
+        + (f"; give input.nadir, or where the ground is right --set input.nadir={nadir}" if verdict else ""),
+    )
+
+
+def test_scan_angles_may_run_the_other_way(guesses: list[DownGuess | None]) -> None:
+    guesses.extend([deg(30.0), deg(30.0), deg(30.4)])
+    assert told(check_down(seen(angle_rad=1.0 - BEAM)))[1].endswith("--set input.nadir=27")
+    assert told(check_down(seen(angle_rad=None)))[1].endswith("or coordinates relative to the scanner with z up")
+    # between two beams
+    assert told(check_down(seen(angle_rad=-BEAM)))[1].endswith("--set input.nadir=-30")
+
+
+@pytest.mark.parametrize(
+    ("rival", "ratio", "shown"),
+    [(None, math.inf, "no runner-up"), (-96.0, 1.5, "runner-up at -96 deg, 1.5 times weaker"),
+     (96.0, 1e6, "runner-up at 96 deg, 100.0 times weaker"), (96.0, 99.5, "runner-up at 96 deg, 99.5 times weaker")],
+)  # fmt: skip
+def test_the_runner_up_is_told(guesses: list[DownGuess | None], rival: float | None, ratio: float, shown: str) -> None:
+    guesses.append(deg(0.0, rival, ratio))
+    assert f"({shown})" in told(check_down(seen()))[1]
+
+
+def test_down_that_cannot_be_told(guesses: list[DownGuess | None]) -> None:
+    guesses.extend([deg(90.0, 0.0, 1.49), None])
+    assert told(check_down(seen())) == (
+        FINE,
+        "down: the ranges do not tell where level ground is (runner-up at 0 deg, 1.5 times weaker), expected within 11 "
+        "deg of the direction in use",
+    )
+    assert check_down(seen()) is check_down(seen(beam_rad=None)) is check_down(seen(0)) is None
+
+
+@pytest.mark.parametrize(
+    ("n_below", "below_deg", "ratio", "is_told"),
+    [
+        (10, 29.9, 1.5, True),
+        (9, 29.9, 1.5, False),
+        (9, 29.9, 3.0, True),
+        (9, 29.9, 2.99, False),
+        (10, 30.1, 2.99, False),
+    ],
+)
+def test_down_of_a_scanner_that_looks_sideways(
+    guesses: list[DownGuess | None], n_below: int, below_deg: float, ratio: float, is_told: bool
+) -> None:
+    guesses.append(deg(45.0, 0.0, ratio))
+    beam = np.deg2rad(np.concatenate([np.full(n_below, -below_deg), np.full(180 - n_below, 45.0)]))
+    window = Window(0, np.tile(2.0 / np.cos(beam), (20, 1)).astype(np.float32))
+    guess = check_down(replace(seen(), windows=(window,), beam_rad=beam))
+    assert told(guess)[0] is (AGAINST if is_told else FINE)
+    assert ("do not tell where level ground is" in told(guess)[1]) is not is_told
+
+
+@pytest.mark.parametrize(
+    ("n_windows", "n_off", "is_told"),
+    [(4, 2, True), (4, 1, False), (3, 3, False), (11, 2, True), (12, 2, False), (12, 3, True)],
+)
+def test_windows_that_look_elsewhere(
+    guesses: list[DownGuess | None], n_windows: int, n_off: int, is_told: bool
+) -> None:
+    guesses.extend([deg(1.0), *[deg(-41.0)] * n_off, *[deg(39.0), None, deg(90.0, 0.0, 1.4), *[deg(0.0)] * 12]])
+    verdict, said = told(check_down(seen(n_windows)))
+    assert verdict is (DOUBTFUL if is_told else FINE)
+    assert (said == (
+        f"down: level ground is elsewhere in {n_off} of {n_windows} samples along the drive, expected within 11 deg of "
+        "the direction in use; check whether the scanner was moved, or parts of the file are of another scanner"
+    )) is is_told  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("factor", "share", "with_one", "verdict"),
+    [
+        # usual, whatever the rest
+        (1.0, 1.0, 0.0, FINE), (1.08, 1.0, 0.0, FINE), (0.83, 1.0, 0.0, FINE),
+        # the ground is clear
+        (1.081, 0.81, 0.89, DOUBTFUL), (1.081, 0.8, 0.89, FINE), (1.081, 0.81, 0.9, FINE),
+        (0.829, 0.96, 0.89, DOUBTFUL), (0.829, 0.95, 0.89, FINE), (0.829, 0.96, 0.9, FINE),
+        # it is not, but the angles are far off
+        (1.21, 0.1, 0.39, DOUBTFUL), (1.2, 0.1, 0.39, FINE), (1.21, 0.1, 0.4, FINE),
+        (1.61, 0.1, 0.39, AGAINST), (1.6, 0.1, 0.39, DOUBTFUL), (1.61, 0.9, 0.4, DOUBTFUL),
+    ],
+)  # fmt: skip
+def test_angle_step(
+    monkeypatch: pytest.MonkeyPatch, factor: float, share: float, with_one: float, verdict: Verdict
+) -> None:
+    monkeypatch.setattr(geometry, "fit_step", lambda *_: StepFit(factor, share, with_one))
+    said = f"the ground is flat with angles {factor:.2f} times as large"
+    if not verdict and not 0.83 <= factor <= 1.08:
+        said = f"the ground does not tell the angle step (flat with {factor:.2f} times, but not for sure)"
+    hint = "; check the angles of the shots: input.angle_step, and -M where it was computed from M" if verdict else ""
+    assert told(check_angle_step(seen())) == (verdict, f"angle-step: {said}, expected 0.83 to 1.08{hint}")
+    assert check_angle_step(seen(beam_rad=None)) is None
+    monkeypatch.setattr(geometry, "fit_step", lambda *_: None)
+    assert check_angle_step(seen()) is None
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "verdict"),
+    [(0.099, AGAINST), (0.1, DOUBTFUL), (0.399, DOUBTFUL), (0.4, FINE), (5.0, FINE), (5.01, DOUBTFUL),
+     (50.0, DOUBTFUL), (50.1, AGAINST)],
+)  # fmt: skip
+@pytest.mark.parametrize("is_blind", [False, True])
+def test_height(
+    guesses: list[DownGuess | None], monkeypatch: pytest.MonkeyPatch, depth_m: float, verdict: Verdict, is_blind: bool
+) -> None:
+    monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
+    # half of it remains below a plane that leans by 60 deg
+    guesses.append(deg(-19.9 if not is_blind else 120.0, depth_m=2.0 * depth_m))
+    one = seen(cos_tilt=0.5, beam_rad=None if is_blind else BEAM, angle_rad=BEAM)
+    limits = "0.3 to 6" if is_blind else "0.4 to 5"
+    if is_blind and depth_m in (0.399, 5.01):
+        verdict = FINE
+    hint = "; check the unit of the ranges: PRC takes metres; a layout gives a scale" if verdict else ""
+    said = f"units: the scanner is {depth_m:.3g} m above the ground, expected {limits} m{hint}"
+    assert told(check_height(one)) == (verdict, said)
+
+
+@pytest.mark.parametrize(("depth_m", "verdict"), [(0.299, DOUBTFUL), (0.3, FINE), (6.0, FINE), (6.01, DOUBTFUL)])
+def test_height_where_down_is_not_known(
+    guesses: list[DownGuess | None], monkeypatch: pytest.MonkeyPatch, depth_m: float, verdict: Verdict
+) -> None:
+    monkeypatch.setattr(geometry, "_scale", lambda *_: 1.0)
+    guesses.extend([deg(120.0, 0.0, 1.5, depth_m), deg(0.0, 90.0, 1.49)])
+    assert told(check_height(seen(beam_rad=None, angle_rad=BEAM)))[0] is verdict
+    assert check_height(seen(beam_rad=None, angle_rad=BEAM)) is None
+
+
+def test_height_of_ground_that_is_elsewhere(guesses: list[DownGuess | None]) -> None:
+    guesses.extend([deg(20.1), deg(19.9), deg(-340.1), None])
+    assert check_height(seen()) is None
+    assert told(check_height(seen()))[0] is told(check_height(seen()))[0] is FINE
+    assert check_height(seen()) is check_height(seen(0)) is None
+
+
+def test_without_angles_columns_are_spread_over_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[F64] = []
+    monkeypatch.setattr(geometry, "guess_down", lambda beam_rad, range_m: taken.append(beam_rad))
+    assert check_height(seen(beam_rad=None, angle_rad=None)) is None
+    np.testing.assert_allclose(taken[0], wrap(np.deg2rad(np.arange(180.0) * 2)))
+
+
+def test_lines_are_spread_over_the_windows() -> None:
+    def some(*lengths: int) -> Seen:
+        rows = iter(range(1000))
+        windows = tuple(
+            Window(100 * k, np.array([[next(rows)] * 3 for _ in range(n)], np.float32).reshape(n, 3))
+            for k, n in enumerate(lengths)
+        )
+        return replace(seen(), windows=windows)
+
+    assert geometry._lines(some(3, 0, 4))[:, 0].tolist() == list(range(7))
+    # 128 rows of 255, of which 64
+    taken = np.arange(128) * 254 // 127
+    assert geometry._lines(some(100, 55, 100))[:, 0].tolist() == taken[np.arange(64) * 127 // 63].tolist()
+    assert geometry._lines(some()).shape == (0, 180)
+    far = some(4)
+    far.windows[0].range_m[1] = 30_000.0
+    assert geometry._lines(far)[:, 0].tolist() == [0, 20_000, 2, 3]
+    odd = some(4)
+    odd.windows[0].range_m[1] = np.nan
+    odd.windows[0].range_m[2, 1:] = np.nan
+    assert geometry._lines(odd)[:, 0].tolist() == [0, 2, 3]
+
+
+def test_depths_within_50_deg_of_down_are_scaled_to_2_m() -> None:
+    beam = np.deg2rad(np.array([-60.0, -51.0, -49.0, 0.0, 30.0, 49.0, 51.0, 120.0]))
+    ranges = np.array([[9, 9, 4, 5, np.nan, 6, 9, 9], [9, 9, np.nan, 5, 8, np.nan, 9, 9]], np.float32)
+    depths = [4 * np.cos(beam[2]), 5.0, 5.0, 8 * np.cos(beam[4]), 6 * np.cos(beam[5])]
+    assert geometry._scale(beam, ranges) == pytest.approx(2.0 / np.median(depths))
+    assert geometry._scale(beam, np.full((2, 8), np.nan, np.float32)) == 1.0
+    assert geometry._scale(beam, ranges[:0]) == 1.0
+    for far_m, expected in ((1e9, 1e-6), (1e-9, 1e6), (1.0, 2.0)):
+        assert geometry._scale(np.zeros(5), np.full((2, 5), far_m, np.float32)) == pytest.approx(expected)
+    # of many columns 180 are used
+    many = np.zeros(500)
+    values = np.arange(500, dtype=np.float32)[None] + 1
+    assert geometry._scale(many, values) == 2.0 / np.median(values[0, np.arange(180) * 499 // 179])
+
+
+def slow_fit(beam: F64, line: F64) -> StepFit:
+    """Fit a plane to the inverse ranges with every factor, by least squares, without those that are off."""
+    near = 1.0 / line
+    near = near / np.median(near)
+    counts = []
+    factors = [0.4 * (2.5 / 0.4) ** (k / 64) for k in range(65)]
+    for factor in factors:
+        turned = factor * beam
+        possible = np.abs(turned) < np.deg2rad(80.0)
+        waves = np.stack([np.cos(turned), np.sin(turned)], axis=1)
+        use = possible
+        for _ in range(6):
+            ab = np.linalg.lstsq(waves[use], near[use], rcond=None)[0] if use.any() else np.zeros(2)
+            off = np.abs(waves @ ab - near) / max(np.hypot(*ab), 1e-9)
+            use = (off < max(2.5 * np.median(off), 0.012)) & possible
+        counts.append(int(np.count_nonzero((off < 0.012) & possible)))
+    best = max(counts)
+    factor = np.mean([one for one, n in zip(factors, counts, strict=True) if n >= 0.97 * best])
+    nearest = min(range(65), key=lambda k: abs(factors[k] - 1.0))
+    return StepFit(float(factor), best / len(beam), counts[nearest] / best)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.0, 1.3])
+@pytest.mark.parametrize("lean", [0.0, 0.1])
+def test_the_fit_of_the_step_equals_one_by_one(factor: float, lean: float) -> None:
+    rng = np.random.default_rng(3)
+    beam = np.deg2rad(np.sort(rng.uniform(-49.9, 49.9, 150)))
+    line = 2.0 / np.cos(factor * beam + lean) * rng.normal(1.0, 0.004, 150)
+    # a kerb, a wall and what is missing
+    line[:20] *= 0.95
+    line[120:130] = 4.0
+    line[60:70] = np.nan
+    lines = np.tile(line, (5, 1)).astype(np.float32)
+    held = np.isfinite(line)
+    expected, found = slow_fit(beam[held], lines[0, held].astype(np.float64)), fit_step(beam, lines)
+    assert found is not None
+    assert (found.factor, found.share, found.with_one) == pytest.approx(
+        (expected.factor, expected.share, expected.with_one), rel=1e-6
+    )
+    # what is farther from straight down takes no part
+    wide = np.concatenate([np.deg2rad([-70.0, -50.1]), beam, np.deg2rad([50.1])])
+    assert fit_step(wide, np.pad(lines, ((0, 0), (2, 1)), constant_values=2.0)) == found
+
+
+@pytest.mark.parametrize(
+    ("n", "wide_deg", "is_told"), [(10, 25.1, True), (9, 25.1, False), (10, 24.9, False), (200, 60.0, True)]
+)
+def test_few_columns_do_not_tell_the_step(n: int, wide_deg: float, is_told: bool) -> None:
+    beam = np.deg2rad(np.linspace(-10.0, wide_deg - 10.0, n))
+    lines = np.tile(2.0 / np.cos(beam), (5, 1)).astype(np.float32)
+    assert (fit_step(beam, lines) is not None) is is_told
+    lines[:3, 0] = np.nan
+    assert (fit_step(beam, lines) is not None) is (is_told and n == 200)

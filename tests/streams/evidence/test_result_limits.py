@@ -1,0 +1,322 @@
+"""Checks of the result, compared with plain loops, and at their limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prc_cli.classifiers.base import UsualLabels
+from prc_cli.core.classes import Label
+from prc_cli.core.findings import Verdict
+from prc_cli.core.stream import LabelledBlock, ScanBlock
+from prc_cli.core.types import F32, F64, U8
+from prc_cli.streams.evidence.result import _Kept, _percent, _Sample, check_labels
+
+FINE, DOUBTFUL, AGAINST = Verdict.FINE, Verdict.DOUBTFUL, Verdict.AGAINST
+USUAL = UsualLabels(0.25, 0.5, 0.25, (Label.GROUND,), 0.5, 0.5, 0.25, 5.0, 0.25)
+G, B, N, U, C, V = (
+    int(one) for one in (Label.GROUND, Label.BUILDING, Label.NOISE, Label.UNCLASSIFIED, Label.CURB, Label.VEGETATION)
+)
+BEAM: F64 = np.deg2rad(np.linspace(-75.0, 75.0, 50))
+
+
+def sample(range_m: F32, labels: U8, beam: F64 | None = BEAM, angle: F64 | None = BEAM) -> _Sample:
+    return _Sample(np.arange(len(labels)) * 3 + 6, range_m, labels, beam, angle, 3)
+
+
+def asked(one: _Sample, usual: UsualLabels = USUAL) -> dict[str, tuple[Verdict, str]]:
+    return {finding.check: (finding.verdict, finding.sentence()) for finding in check_labels(one, usual)}
+
+
+def slow_answers(one: _Sample, usual: UsualLabels) -> dict[str, tuple[Verdict, str]]:  # noqa: C901, PLR0912, PLR0915
+    """Answer shot by shot: what is found, without what is expected."""
+    assert one.beam_rad is not None
+    n = dict.fromkeys(("there", "noise", "without", "below", "level", "near", "under"), 0)
+    leans = []
+    stretches = np.zeros((len(one.labels) // 16, 4))
+    for row, (ranges, labels) in enumerate(zip(one.range_m.tolist(), one.labels.tolist(), strict=True)):
+        ground: list[tuple[float, float]] = []
+        sides: dict[bool, list[tuple[bool, float]]] = {True: [], False: []}
+        counts = np.zeros(4)
+        for range_m, label, beam in zip(ranges, labels, one.beam_rad.tolist(), strict=True):
+            is_there, is_noise, is_down = label != 0, label == N, abs(beam) < math.radians(60)
+            is_solid = is_there and not is_noise
+            n["there"] += is_there
+            n["noise"] += is_noise
+            n["without"] += label == U
+            n["below"] += is_solid and is_down
+            n["level"] += is_solid and is_down and label in usual.level
+            counts += is_solid and is_down and label in usual.level, is_solid and is_down, is_noise, is_there
+            if is_solid and is_down and range_m < 20.0:
+                is_ground, up = label in (G, C), -range_m * math.cos(beam)
+                sides[beam < 0].append((is_ground, up))
+                if is_ground:
+                    ground.append((range_m * math.sin(beam), up))
+        if len(ground) >= 8:
+            x, y = np.array(ground).T
+            if x.var() > 0.09:
+                leans.append(float(((x - x.mean()) * (y - y.mean())).mean() / x.var()))
+        for side in sides.values():
+            heights = sorted(up for is_ground, up in side if is_ground)
+            if len(heights) >= 3:
+                middle = heights[len(heights) // 2]
+                n["near"] += len(side)
+                n["under"] += sum(not is_ground and up < middle - 1.0 for is_ground, up in side)
+        if row // 16 < len(stretches):
+            stretches[row // 16] += counts
+    found = {}
+    without, noise = n["without"] / n["there"], n["noise"] / n["there"]
+    if without > usual.unclassified_share and noise <= usual.noise_share:
+        found["noise-share"] = DOUBTFUL, f"{_percent(without)} of the returns have no class"
+    else:
+        verdict = AGAINST if noise > usual.garbage_share else DOUBTFUL if noise > usual.noise_share else FINE
+        found["noise-share"] = verdict, f"{_percent(noise)} of the returns are noise"
+    share = n["level"] / n["below"]
+    found["ground-below"] = (
+        DOUBTFUL if share < usual.level_share else FINE,
+        f"{_percent(share)} of the returns within 60 deg of down are ground",
+    )
+    if len(leans) >= 32:
+        lean = abs(math.degrees(math.atan(np.median(leans))))
+        found["ground-lean"] = (
+            DOUBTFUL if lean > usual.lean_deg else FINE, f"the ground leans by {lean:.1f} deg across the lines",
+        )  # fmt: skip
+    share = n["under"] / n["near"]
+    found["below-ground"] = (
+        DOUBTFUL if share > usual.below_share else FINE,
+        f"{_percent(share)} of the returns within 20 m and 60 deg of down lie more than 1 m below the ground",
+    )
+    pooled = np.array([stretches[i : i + 3].sum(axis=0) for i in range(len(stretches) - 2)])
+    known = pooled[:, 1] >= 375
+    ground_shares = [a / b for a, b in pooled[known, :2]]
+    usually = float(np.quantile(ground_shares, 0.75)) if ground_shares else 0.0
+    gone = [bool(k) and a / b < usual.vanished_share * usually for (a, b, _, _), k in zip(pooled, known, strict=True)]
+    noisy = [d >= 375 and c / d > usual.noise_share for _, _, c, d in pooled]
+    found["classes-along"] = FINE, "ground and noise are even along the stream"
+    for bad, said in ((gone, "hardly any ground"), (noisy, "much noise")):
+        runs = [(i, j) for i in range(len(bad)) for j in range(i + 1, len(bad) + 1) if all(bad[i:j])]
+        first, last = max(runs, key=lambda run: (run[1] - run[0], -run[0]), default=(0, 0))
+        if 0 < last - first < len(bad):
+            start, stop = one.line[first * 16], one.line[(last + 2) * 16 - 1] + 1
+            found["classes-along"] = DOUBTFUL, f"{said} in lines {start} to {stop}"
+            break
+    return found
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("preset", ["lax", "usual"])
+def test_answers_equal_plain_loops(seed: int, preset: str) -> None:
+    rng = np.random.default_rng(seed)
+    usual = (
+        USUAL if preset == "usual" else UsualLabels(0.4, 0.9, 0.1, (Label.GROUND, Label.CURB), 0.9, 0.1, 0.02, 1.0, 0.6)
+    )
+    shape = (192 + 5 * seed, 50)
+    lean = np.tan(np.deg2rad(rng.uniform(-12, 12)))
+    range_m = 4.0 / np.maximum(np.cos(BEAM) + lean * np.sin(BEAM), 0.1) * rng.normal(1.0, 0.02, shape)
+    range_m *= np.where(rng.random(shape) < 0.2, rng.uniform(0.5, 3.0, shape), 1.0)
+    chances = np.array([0.1, 0.5, 0.15, 0.05 + 0.012 * seed, 0.05, 0.05, 0.0])
+    chances[-1] = 1 - chances.sum()
+    labels = rng.choice(np.array([0, G, B, N, U, C, V], np.uint8), shape, p=chances)
+    stretch = slice(20 * (seed % 4), 20 * (seed % 4) + 90)
+    labels[stretch] = np.where(labels[stretch] == (G if seed % 2 else B), N if seed in (2, 6) else V, labels[stretch])
+    # few lines show the ground, or few returns
+    labels[::7, 5:] = np.where(labels[::7, 5:] == G, B, labels[::7, 5:])
+    labels[100:150, 12 + seed :] = 0
+    one = sample(range_m.astype(np.float32), labels)
+    found = {
+        name: (verdict, said.split(": ", 1)[1].split(", expected")[0])
+        for name, (verdict, said) in asked(one, usual).items()
+    }
+    assert found == slow_answers(one, usual)
+
+
+def flat(n_lines: int = 32, m: int = 32, label: int = G) -> tuple[F32, U8, F64]:
+    """Lines of 32 equal shots straight down."""
+    return np.full((n_lines, m), 5.0, np.float32), np.full((n_lines, m), label, np.uint8), np.linspace(-1, 1, m)
+
+
+@pytest.mark.parametrize(("n_lines", "n_gone", "is_told"), [(32, 24, True), (32, 25, False), (31, 0, False)])
+def test_so_much_is_needed_to_tell(n_lines: int, n_gone: int, is_told: bool) -> None:
+    range_m, labels, beam = flat(n_lines, 33 if n_lines == 31 else 32)
+    labels[0, :n_gone] = 0
+    assert bool(asked(sample(range_m, labels, None))) is bool(asked(sample(range_m, labels, beam))) is is_told
+
+
+@pytest.mark.parametrize(
+    ("n_noise", "n_without", "verdict", "said"),
+    [
+        (256, 256, FINE, "25 % of the returns are noise, expected at most 25 %"),
+        (257, 257, DOUBTFUL, "25 % of the returns are noise, expected at most 25 %"),
+        (256, 257, DOUBTFUL, "25 % of the returns have no class, expected at most 25 %"),
+        (512, 0, DOUBTFUL, "50 % of the returns are noise, expected at most 25 %"),
+        (513, 0, AGAINST, "50 % of the returns are noise, expected at most 25 %"),
+        (0, 0, FINE, "0 % of the returns are noise, expected at most 25 %"),
+        (102, 0, FINE, "10 % of the returns are noise, expected at most 25 %"),
+        (100, 0, FINE, "9.8 % of the returns are noise, expected at most 25 %"),
+    ],
+)
+def test_noise_and_no_class(n_noise: int, n_without: int, verdict: Verdict, said: str) -> None:
+    range_m, labels, _ = flat()
+    labels.flat[:n_noise] = N
+    labels.flat[n_noise : n_noise + n_without] = U
+    assert asked(sample(range_m, labels, None))["noise-share"] == (
+        verdict, f"noise-share: {said}; look at the order of the shots, M and the unit of the ranges: prc info",
+    )  # fmt: skip
+
+
+WHERE = "; look where down is: prc info, or give it with --set input.nadir=DEG"
+
+
+@pytest.mark.parametrize(("n_other", "verdict"), [(512, FINE), (513, DOUBTFUL)])
+def test_ground_below(n_other: int, verdict: Verdict) -> None:
+    range_m, labels, beam = flat()
+    labels.flat[:n_other] = C
+    said = "50 % of the returns within 60 deg of down are ground, expected at least 50 %"
+    assert asked(sample(range_m, labels, beam))["ground-below"] == (verdict, f"ground-below: {said}{WHERE}")
+    assert "ground-below" not in asked(sample(range_m, labels, beam), replace(USUAL, level_share=0.0, ground_share=0.0))
+    # curbs are level for other methods, noise is not asked
+    range_m, labels, beam = flat(40)
+    labels[:] = C
+    labels.flat[-200:] = N
+    assert (
+        asked(sample(range_m, labels, beam), replace(USUAL, level=(Label.GROUND, Label.CURB)))["ground-below"][0]
+        is FINE
+    )
+
+
+@pytest.mark.parametrize(("n_below", "is_below"), [(1000, True), (999, False)])
+def test_ground_all_around(n_below: int, is_below: bool) -> None:
+    """Of ground above the scanner nothing counts, nor does the limit for what lies below."""
+    range_m, labels, _ = flat(500, 8)
+    beam = np.deg2rad([59.9, -59.9, 60.1, 89.9, 90.1, -90.1, 180.0, -60.1])
+    labels[:, :2] = B
+    labels.flat[: (1000 - n_below) * 8 : 8] = 0
+    usual = replace(USUAL, level_share=0.01, ground_share=0.375)
+    verdict, said = asked(sample(range_m, labels, beam), usual)["ground-below"]
+    assert verdict is (DOUBTFUL if is_below else FINE)
+    assert ("0 % of the returns within 60 deg of down are ground" in said) is is_below
+    assert (": 38 % of the returns are ground, expected at least 38 %" in said) is not is_below
+    for n_noise, is_told in ((120, True), (121, False)):
+        labels[0] = B
+        labels.flat[:n_noise] = N
+        assert ("ground-below" in asked(sample(range_m[:140], labels[:140], beam), usual)) is is_told
+
+
+@pytest.mark.parametrize(("lean_deg", "verdict"), [(4.9, FINE), (5.1, DOUBTFUL), (-5.1, DOUBTFUL)])
+def test_lean(lean_deg: float, verdict: Verdict) -> None:
+    range_m, labels, beam = flat()
+    range_m[:] = 4.0 / np.cos(beam - np.deg2rad(lean_deg))
+    said = f"ground-lean: the ground leans by {abs(lean_deg)} deg across the lines, expected at most 5 deg"
+    one = sample(range_m, labels, beam, np.linspace(0, 2, 32))
+    nadir = np.rad2deg(np.linspace(0, 2, 32)[np.argmin(np.abs(beam - np.deg2rad(lean_deg)))])
+    expected = verdict, f"{said}; it would be level with --set input.nadir={nadir:.1f}; look where down is: prc info"
+    assert asked(one)["ground-lean"] == expected
+    assert asked(replace(one, angle_rad=None))["ground-lean"] == (verdict, said + WHERE)
+
+
+@pytest.mark.parametrize(
+    ("n_ground", "aside_m", "n_lines", "is_told"),
+    [(8, 0.31, 32, True), (7, 0.31, 32, False), (8, 0.29, 32, False), (8, 0.31, 31, False)],
+)
+def test_lines_that_tell_the_lean(n_ground: int, aside_m: float, n_lines: int, is_told: bool) -> None:
+    """Half of the ground returns lie on either side, which makes that distance their standard deviation."""
+    range_m, labels, _ = flat(40, 32, B)
+    beam = np.arctan2(np.where(np.arange(32) % 2, aside_m, -aside_m), 5.0)
+    labels[:n_lines, :n_ground] = G
+    assert ("ground-lean" in asked(sample(range_m, labels, beam))) is is_told
+
+
+@pytest.mark.parametrize(
+    ("below_m", "range_m", "n_ground", "said"),
+    [
+        (1.01, 5.0, 3, "62 %"),
+        (0.99, 5.0, 3, "0 %"),
+        (1.01, 5.0, 2, None),
+        (15.01, 19.99, 3, "62 %"),
+        (15.01, 20.0, 3, None),
+    ],
+)
+def test_what_lies_below_the_ground(below_m: float, range_m: float, n_ground: int, said: str | None) -> None:
+    """Straight down on one side: ground at a depth, and things below it."""
+    depths, labels, _ = flat(250, 8, B)
+    depths[:] = range_m
+    depths[:, 5:] = range_m - below_m
+    labels[:, 8 - n_ground :] = G
+    found = asked(sample(depths, labels, np.full(8, 0.001))).get("below-ground")
+    if said is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert found[1].startswith(
+            f"below-ground: {said} of the returns within 20 m and 60 deg of down lie more than 1 m"
+        )
+        assert found[0] is (FINE if said == "0 %" else DOUBTFUL)
+    assert "below-ground" not in asked(sample(depths[:124], labels[:124], np.full(8, 0.001)))
+
+
+@pytest.mark.parametrize(("n_lines", "is_told"), [(128, True), (127, False)])
+def test_streams_of_few_stretches(n_lines: int, is_told: bool) -> None:
+    range_m, labels, _ = flat(n_lines)
+    labels[32:80] = N
+    found = asked(sample(range_m, labels, None), replace(USUAL, noise_share=0.4))
+    assert ("classes-along" in found) is is_told
+    if is_told:
+        hint = "look at them: prc render IN OUT.png --only-lines 54:292"
+        said = "classes-along: much noise in lines 54 to 292, expected ground and little noise all along"
+        # two of three stretches of noise are much, too
+        assert found["classes-along"] == (DOUBTFUL, f"{said}; {hint}")
+
+
+def test_shares_at_their_limits_are_usual() -> None:
+    range_m, labels, _ = flat(256)
+    labels[128:, ::4] = N
+    assert asked(sample(range_m, labels, None))["classes-along"][0] is FINE
+    range_m[:, 5:], labels[:, :5] = 4.0, B
+    labels[:, 5:] = G
+    # exactly 1 m below
+    assert asked(sample(range_m, labels, np.zeros(32)))["below-ground"][1].startswith("below-ground: 0 % of")
+    range_m[:, :8], labels[:, :8] = 6.0, B
+    found = asked(sample(range_m, labels, np.zeros(32)))["below-ground"]
+    assert found[0] is FINE
+    assert found[1].startswith("below-ground: 25 % of")
+
+
+@pytest.mark.parametrize("n_lines", [1600, 256])
+def test_the_hint_shows_500_lines(n_lines: int) -> None:
+    range_m, labels, _ = flat(n_lines)
+    labels[16 : n_lines // 2] = N
+    _, said = asked(sample(range_m, labels, None))["classes-along"]
+    start, stop = said.split("in lines ")[1].split(",")[0].split(" to ")
+    assert said.endswith(f"--only-lines {start}:{min(int(start) + 500, int(stop))}")
+
+
+@pytest.mark.parametrize(
+    ("m", "columns"),
+    [
+        (1, [0]),
+        (5, [0, 1, 2, 3, 4]),
+        (128, list(range(128))),
+        (129, list(range(0, 129, 2))),
+        (300, list(range(1, 300, 3))),
+    ],
+)
+def test_columns_that_are_kept(m: int, columns: list[int]) -> None:
+    beam = np.arange(m, dtype=np.float64)
+    rows = np.tile(beam.astype(np.float32), (10, 1))
+    item = LabelledBlock(
+        ScanBlock(20, rows, beam_rad=beam, angle_rad=-beam), (rows % 256).astype(np.uint8), np.empty(0, np.uint8)
+    )
+    kept = _Kept(item)
+    kept.add(item)
+    one = kept.sample()
+    assert one.line.tolist() == list(range(20, 30))
+    assert one.range_m.tolist() == [columns] * 10
+    assert one.labels.tolist() == [[column % 256 for column in columns]] * 10
+    assert one.beam_rad is not None
+    assert one.angle_rad is not None
+    assert one.beam_rad.tolist() == (-one.angle_rad).tolist() == columns
+    assert one.stride == 1
+    assert len(one.range_m[0]) <= 128
