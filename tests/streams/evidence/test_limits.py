@@ -179,12 +179,13 @@ def test_another_length_that_agrees_better(
             f"100, expected no length that agrees better by 1.05; give -M {other}",
             f"-M {other}",
         )
-    # in so few lines moving things shift as much
-    folds[other] = 0.3
-    for n_lines, m in ((24, 289), (24, 288)):
-        folds.update(dict.fromkeys(range(m - 4, m + 5), 0.6))
-        folds[m + 1] = 0.3
-        assert told(check_line_length(seen(n_lines, m), USUAL, None))[0] is (AGAINST if m == 288 else FINE)
+
+
+@pytest.mark.parametrize(("there", "short"), [(0.49, FINE), (0.47, DOUBTFUL), (0.3, DOUBTFUL)])
+def test_in_few_lines_moving_things_shift_as_much(folds: dict[int, float], there: float, short: Verdict) -> None:
+    for m, verdict in ((289, short), (288, AGAINST)):
+        folds.update({**dict.fromkeys(range(m - 4, m + 5), 0.6), m + 1: there})
+        assert told(check_line_length(seen(24, m), USUAL, None))[0] is verdict
 
 
 def test_lengths_that_tell_nothing_are_not_better(folds: dict[int, float]) -> None:
