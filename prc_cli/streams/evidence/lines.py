@@ -44,7 +44,7 @@ things shift as much."""
 FOLD_RANDOM, FOLD_NOTHING = 0.75, 0.97
 """Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
 scans at hand, 0.5 to 1 where lines and columns are exchanged."""
-MOVED_SAME = 1.6
+MOVED_SAME, MOVED_AGAINST = 1.6, 1.4
 """Lines far apart must differ by so much more than neighbours: at least 2.1 in all scans at hand, 0.8 to 1.2 with
 shuffled lines and while standing."""
 MOVED_NOISE = 15.0
@@ -194,7 +194,8 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
         hint = "the platform stands: cut such stretches out, or accept them"
         return Finding("standing", Verdict.DOUBTFUL if doubtful else Verdict.FINE, found, expected, hint)
     hint = "put the lines into the order in which they were scanned"
-    return Finding("line-order", Verdict.AGAINST if ratio < MOVED_SAME else Verdict.FINE, found, expected, hint)
+    verdict = Verdict.AGAINST if ratio < MOVED_AGAINST else Verdict.DOUBTFUL if ratio < MOVED_SAME else Verdict.FINE
+    return Finding("line-order", verdict, found, expected, hint)
 
 
 def check_dropouts(figures: Figures) -> Finding | None:

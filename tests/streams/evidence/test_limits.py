@@ -279,7 +279,16 @@ def test_lost_shots_do_not_speak_against_m(folds: dict[int, float]) -> None:
 ORDER = "lines far apart differ {} times as much as neighbouring lines, expected at least 1.6"
 
 
-@pytest.mark.parametrize(("far", "ratio", "verdict"), [(0.48, "1.6", FINE), (0.47, "1.6", AGAINST), (0.9, "3", FINE)])
+@pytest.mark.parametrize(
+    ("far", "ratio", "verdict"),
+    [
+        (0.4802, "1.6", FINE),
+        (0.4798, "1.6", DOUBTFUL),
+        (0.4202, "1.4", DOUBTFUL),
+        (0.4198, "1.4", AGAINST),
+        (0.9, "3", FINE),
+    ],
+)
 def test_line_order(far: float, ratio: str, verdict: Verdict) -> None:
     figures = replace(USUAL, moved=(0.3, far), roughness=0.02)
     assert told(check_line_order(seen(24), figures)) == (
