@@ -27,7 +27,7 @@ DOWN_DOUBTFUL_RAD, DOWN_AGAINST_RAD = math.radians(11.0), math.radians(20.0)
 streets and 8 deg in forests."""
 LOOKS_DOWN_RAD = math.radians(30.0)
 """A scanner looks down if it measures this near to straight down."""
-LEAST_ASIDE = 2.0
+LEAST_ASIDE = 3.0
 """Where it does not, the ground must be so many times the runner-up."""
 LEAST_WINDOWS = 2
 """Windows that look elsewhere for the drive to contradict itself; also at least a quarter of all."""
