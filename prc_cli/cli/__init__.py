@@ -90,8 +90,8 @@ class LazyGroup(click.Group):
 def cli(debug: bool) -> None:
     """Classify raw mobile laser scanning streams before registration, shot by shot.
 
-    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed; of prc batch also
-    4 a file has unusual classes, 5 another run is at work.
+    Exit codes: 0 done, 1 a file failed, 2 wrong usage or configuration, 3 an evaluation gate failed, 4 done, but look
+    at the warnings; of prc batch also 5 another run is at work.
     """
 
 
