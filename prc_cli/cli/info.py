@@ -78,9 +78,14 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
 
     Empty where no option is known that would do.
     """
-    mends = [one.option for one in inspection.doubts if one.option]
-    if inspection.problem and not mends:
-        return ""
+    doubts = inspection.doubts
+    mends = [one.option for one in doubts if one.option]
+    if inspection.mend:
+        mends = [inspection.mend]
+    elif inspection.problem:
+        against = [one for one in doubts if one.verdict is Verdict.AGAINST]
+        if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
+            return ""
     path = Path(inspection.path)
     is_las = suffix_of(path) in LAS_SUFFIXES
     output = path.with_name(f"{path.name.split('.')[0]}_{'classified' + suffix_of(path) if is_las else 'labels.npy'}")
