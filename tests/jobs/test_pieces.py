@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -176,3 +177,78 @@ def test_noise_is_fitted_as_a_constant_and_a_part_that_grows() -> None:
     assert found[0] is not None
     assert found[1] is not None
     assert found[0] ** 2 + 9 * found[1] ** 2 == pytest.approx((weight**2 * square).sum() / (weight**2).sum())
+
+
+def test_logarithmic_bins_equal_a_plain_count() -> None:
+    edges = np.geomspace(0.25, 64.0, 17)
+    values = np.array([0.2, 0.26, 1.0, 1.5, 3.0, 60.0, 65.0, 0.0, -1.0, np.nan, np.inf])
+    counts = sensor._log_counts(values, edges)
+    expected = [sum(low <= one < high for one in (0.26, 1.5, 3.0, 60.0)) for low, high in pairwise(edges)]
+    # 1.0 is an edge, to rounding
+    assert counts.sum() == sum(expected) + 1
+    assert (counts >= expected).all()
+    assert len(counts) == 16
+
+
+@pytest.mark.parametrize("share", [0.01, 0.25, 0.5, 0.75, 1.0])
+def test_quantiles_of_bins_are_in_the_middle_of_a_bin(share: float) -> None:
+    edges = np.geomspace(1.0, 1024.0, 11)
+    counts = np.array([0, 3, 0, 5, 0, 0, 8, 1, 0, 0])
+    every = [k for k, n in enumerate(counts.tolist()) for _ in range(n)]
+    place = every[math.ceil(share * len(every)) - 1]
+    assert sensor._quantile(counts, edges, share) == pytest.approx(2.0 ** (place + 0.5))
+    assert sensor._quantile(0 * counts, edges, share) is None
+
+
+def test_the_most_frequent_value_of_bins_after_smoothing() -> None:
+    edges = np.geomspace(1.0, 2.0**40, 41)
+    counts = np.zeros(40, np.int64)
+    counts[5], counts[19:24] = 90, 70
+    assert sensor._log_mode(counts, edges, smooth=3) == pytest.approx(2.0**20.5, rel=1)
+    assert sensor._log_mode(counts, edges, smooth=1) == pytest.approx(2.0**5.5)
+    weights = [min(k + 1, 11 - k) / 6 for k in range(11)]
+    smooth = [sum(w * counts[i + k - 5] for k, w in enumerate(weights) if 0 <= i + k - 5 < 40) for i in range(40)]
+    assert sensor._log_mode(counts, edges, smooth=11) == pytest.approx(2.0 ** (int(np.argmax(smooth)) + 0.5))
+
+
+def noise_counts(bins: dict[int, tuple[float, int]]) -> np.ndarray:
+    """Return counts by range bin: so many deviations of one size."""
+    counts = np.zeros((len(sensor._RANGE_EDGES) - 1, len(sensor._NOISE_EDGES) - 1), np.int64)
+    for place, (sigma_m, n) in bins.items():
+        counts[place, int(np.searchsorted(sensor._NOISE_EDGES, sigma_m)) - 1] = n
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("bins", "flat"),
+    [
+        ({5: (0.005, 50)}, [True]), ({5: (0.005, 49)}, []), ({5: (0.09, 50)}, [True]), ({5: (0.12, 50)}, [False]),
+        ({}, []),
+        # from the flattest outwards, while noise grows at most twice as much as the range
+        ({5: (0.009, 500), 6: (0.005, 500), 7: (0.011, 500)}, [True, True, True]),
+        ({6: (0.005, 500), 7: (0.0135, 500), 8: (0.005, 500)}, [True, False, True]),
+        ({4: (0.0125, 500), 6: (0.005, 500)}, [False, True]),
+        # the flattest counts where it has a tenth of the most
+        ({5: (0.001, 50), 6: (0.02, 500)}, [True, False]), ({5: (0.001, 50), 6: (0.02, 501)}, [True, True]),
+    ],
+)  # fmt: skip
+def test_flat_bins_of_noise(bins: dict[int, tuple[float, int]], flat: list[bool]) -> None:
+    found = sensor._noise_bins(noise_counts(bins))
+    assert [one.flat for one in found] == flat
+    for one, (place, (sigma_m, n)) in zip(found, bins.items(), strict=False):
+        assert one.range_m == pytest.approx(math.sqrt(sensor._RANGE_EDGES[place] * sensor._RANGE_EDGES[place + 1]))
+        assert one.sigma_m == pytest.approx(sigma_m, rel=0.06)
+        assert one.n_stretches == n
+
+
+def test_edges_of_bins_cover_all_scanners() -> None:
+    """Four bins for twice the range, forty for ten times the deviation."""
+    for edges, low, high, ratio in (
+        (sensor._RANGE_EDGES, 0.25, 512.0, 2.0 ** (1 / 4)), (sensor._NOISE_EDGES, 1e-6, 10.0, 10.0 ** (1 / 40)),
+        (sensor._LENGTH_EDGES, 1e-9, 1e39, 10.0 ** (1 / 100)), (sensor._STEP_EDGES, 1e-5, 0.2, 20_000.0 ** (1 / 860)),
+    ):  # fmt: skip
+        assert (edges[0], edges[-1]) == pytest.approx((low, high))
+        np.testing.assert_allclose(edges[1:] / edges[:-1], ratio)
+    assert sensor._ROUNDINGS[:5] == pytest.approx((5.0, 2.5, 2.0, 1.0, 0.5))
+    assert sensor._ROUNDINGS[-4:] == pytest.approx((5e-4, 2.5e-4, 2e-4, 1e-4))
+    assert len(sensor._ROUNDINGS) == 20

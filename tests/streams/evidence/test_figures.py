@@ -92,6 +92,11 @@ def test_few_pairs_tell_nothing() -> None:
     assert all(np.isnan(value) for value in (empty.random, *empty.line, *empty.moved, empty.lonely_missing))
     assert figures._lonely(np.ones((300, 4), np.float32)) == (0, 0)
     assert figures._lonely(np.ones((300, 5), np.float32)) == (0, 300)
+    # a hundredth is not smooth, wherever it is
+    step = np.float32(0.01)
+    for line in ([0, 0, np.nan, step, step], [step, 0, np.nan, 0, 0], [0, 0, np.nan, 0, step]):
+        assert figures._lonely(np.array([line], np.float32)) == (0, 0)
+        assert figures._lonely(np.array([line], np.float32) * np.float32(0.99)) == (1, 1)
 
 
 def numbered(n_lines: int, m: int, first: int = 0) -> Window:

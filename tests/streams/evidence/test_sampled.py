@@ -11,6 +11,7 @@ import pytest
 
 from prc_cli.classifiers.base import UsualLabels
 from prc_cli.core.classes import Label
+from prc_cli.core.errors import EvidenceError
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64
@@ -186,6 +187,25 @@ def test_counts_of_all_scanners_and_lines_of_four() -> None:
         assert sum(len(window.range_m) for window in one.windows) == (0 if one.scanner == 7 else 30)
 
 
+def test_checks_are_asked_when_the_sample_is_full_for_the_first_time() -> None:
+    """Eight windows of 32 lines."""
+    read = []
+    shots = np.random.default_rng(1).uniform(2.0, 90.0, (32, 8192)).astype(np.float32)
+
+    class Wide:
+        info = StreamInfo("a.npy", "array", 8192, None, None)
+
+        def blocks(self):  # type: ignore[no-untyped-def]
+            for first in range(0, 640, 32):
+                read.append(first)
+                yield ScanBlock(first, shots)
+
+    with pytest.raises(EvidenceError):
+        for _ in EvidenceStream(Wide()).blocks():
+            pass
+    assert read[-1] == 224
+
+
 def test_the_worst_finding_of_a_live_stream_stays_and_is_told_once() -> None:
     told: list[Finding] = []
     stream = EvidenceStream(SimpleNamespace(info=StreamInfo("a.npy", "array", 9, None, None)), ("times",))  # type: ignore[arg-type]
@@ -246,18 +266,19 @@ def test_rise_at_multiples_equals_a_plain_one(seed: int) -> None:
     ("rises", "expected"),
     [
         # the first that rises to nine tenths, at the highest point before it falls to seven tenths
-        ({10: 0.89, 20: 1.0, 30: 0.95}, 20), ({10: 0.91, 20: 1.0}, 10), ({10: 0.92, 12: 0.95, 20: 1.0}, 12),
+        ({10: 0.9, 20: 1.0}, 10), ({10: 0.89, 20: 1.0, 30: 0.95}, 20), ({10: 0.91, 20: 1.0}, 10),
+        ({10: 0.92, 12: 0.95, 20: 1.0}, 12),
         ({10: 0.92, 11: 0.67, 12: 0.95}, 12), ({10: 0.92, 11: 0.66, 12: 0.95}, 10), ({}, 0),
     ],
 )  # fmt: skip
 def test_the_fundamental_is_the_first_high_rise(rises: dict[int, float], expected: int) -> None:
-    correlation = np.full(40, -0.2)
+    correlation = np.full(40, -0.25)
     correlation[0] = 1.0
     for lag, rise in rises.items():
-        correlation[lag] = rise - 0.2
+        correlation[lag] = rise - 0.25
         if lag + 1 not in rises:
-            correlation[lag + 1] = 0.71 - 0.2 if lag + 2 in rises else -0.2
-    correlation[1:5] = np.linspace(0.5, -0.2, 4)
+            correlation[lag + 1] = 0.71 - 0.25 if lag + 2 in rises else -0.25
+    correlation[1:5] = np.linspace(0.5, -0.25, 4)
     assert estimates._fundamental(correlation) == expected
 
 
@@ -269,6 +290,7 @@ def test_the_period_follows_its_multiples(true: float, first: int, expected: int
     lag = np.arange(1700)
     correlation = np.cos(2 * np.pi * lag / true)
     assert estimates._refine(correlation, first) == expected
+    assert estimates._refine(0.6 * correlation, first) == expected
     # not beyond those that are seen
     assert estimates._refine(np.where(lag > 150, 0.0, correlation), first) == first
 
