@@ -15,7 +15,7 @@ from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import suffix_of
-from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.jobs.info import Inspection, inspect
 
@@ -122,6 +122,8 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     if verbose and inspection.header:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     rows.extend((f"check: {one.check}", _said(one)) for one in inspection.findings)
+    if inspection.findings and not inspection.problem:
+        rows.append(("checks of the labels", f"asked by prc classify, when they are there: {', '.join(LABEL_CHECKS)}"))
     hint = f"; {inspection.hint}" if inspection.hint else ""
     names = ", ".join(one.check for one in inspection.doubts)
     verdict = f"yes, but look at: {names}" if names else "yes, as it is"

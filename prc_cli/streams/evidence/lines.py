@@ -41,7 +41,7 @@ FOLD_SHORT = 1.25
 FOLD_LONG = 12
 """Lines of a stream, as a part of M: with M off by one all columns turn by 30 deg in so many, and before that moving
 things shift as much."""
-FOLD_RANDOM, FOLD_NOTHING = 0.75, 0.97
+FOLD_RANDOM, FOLD_NOTHING = 0.8, 0.97
 """Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
 scans at hand, 0.5 to 1 where lines and columns are exchanged."""
 MOVED_SAME, MOVED_AGAINST = 1.6, 1.4
