@@ -15,7 +15,7 @@ from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import suffix_of
-from prc_cli.core.findings import Finding, Verdict
+from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.jobs.info import Inspection, inspect
 
@@ -78,9 +78,14 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
 
     Empty where no option is known that would do.
     """
-    mends = [one.option for one in inspection.doubts if one.option]
-    if inspection.problem and not mends:
-        return ""
+    doubts = inspection.doubts
+    mends = [one.option for one in doubts if one.option]
+    if inspection.mend:
+        mends = [inspection.mend]
+    elif inspection.problem:
+        against = [one for one in doubts if one.verdict is Verdict.AGAINST]
+        if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
+            return ""
     path = Path(inspection.path)
     is_las = suffix_of(path) in LAS_SUFFIXES
     output = path.with_name(f"{path.name.split('.')[0]}_{'classified' + suffix_of(path) if is_las else 'labels.npy'}")
@@ -117,6 +122,8 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     if verbose and inspection.header:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     rows.extend((f"check: {one.check}", _said(one)) for one in inspection.findings)
+    if inspection.findings and not inspection.problem:
+        rows.append(("checks of the labels", f"asked by prc classify, when they are there: {', '.join(LABEL_CHECKS)}"))
     hint = f"; {inspection.hint}" if inspection.hint else ""
     names = ", ".join(one.check for one in inspection.doubts)
     verdict = f"yes, but look at: {names}" if names else "yes, as it is"

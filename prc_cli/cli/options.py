@@ -49,7 +49,7 @@ _INPUT_OPTIONS = [
 
 _OUTPUT_OPTIONS = [
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
-    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json)."),
+    click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors and warnings (and --json)."),
     click.option("-v", "--verbose", is_flag=True, help="Print every assumption and count."),
 ]
 

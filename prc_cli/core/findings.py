@@ -19,6 +19,8 @@ CHECK_NAMES = (
     "down", "ground-below", "ground-lean", "below-ground", "noise-share", "classes-along",
 )  # fmt: skip
 """Names of all checks, in the order in which they are reported."""
+LABEL_CHECKS = ("ground-below", "ground-lean", "below-ground", "noise-share", "classes-along")
+"""Checks that need the labels; methods that know no angles answer only some of them."""
 ORDER_CHECKS = ("shot-order", "line-order", "times")
 """Checks that ``--trust-order`` accepts."""
 _DOUBT, _ACCEPTED = "doubt ", "accepted doubt "

@@ -79,6 +79,8 @@ class Inspection:
     problem: str = ""
     """Why it cannot classify the file; empty if it can."""
     hint: str = ""
+    mend: str = ""
+    """The option of the command line with which it can, where that was tried."""
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
@@ -134,13 +136,31 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
             path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
         )
         if "range" in source.dimensions:
-            inspection = replace(inspection, period=estimate_points_per_line(_sample(source)))
+            inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(_sample(source)))
         return inspection
     found = _describe(path, source, stream, order, refusal, judged=judged)
     if found.problem or not judged or found.facts is None or not _is_odd(found.facts.tally):
         return found
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
+
+
+def _with_estimate(path: Path, loaded: LoadedConfig, refused: Inspection, period: PeriodEstimate) -> Inspection:
+    """Add the estimate of M to an input that cannot be opened, and try it where it is another than the one given."""
+    refused = replace(refused, period=period)
+    inputs = loaded.config.input
+    estimate = period.points_per_line
+    if estimate is None or estimate == inputs.points_per_line or inputs.lines not in ("auto", "fixed"):
+        return refused
+    told = inputs.model_copy(update={"points_per_line": estimate})
+    try:
+        tried = _inspect(path, replace(loaded, config=loaded.config.model_copy(update={"input": told})))
+    except InputError:
+        return refused
+    if tried.problem:
+        return refused
+    option = f"-M {estimate}"
+    return replace(refused, hint=f"give {option}: the ranges repeat after so many shots", mend=option)
 
 
 def _is_odd(tally: ReadTally) -> bool:
@@ -167,7 +187,8 @@ def _try_open(path: Path, loaded: LoadedConfig) -> tuple[ScanStream | None, Inpu
     if inputs.order == "require":
         inputs = inputs.model_copy(update={"order": "trust"})
     try:
-        stream = open_input(path, inputs, loaded.config.layout)
+        # as prc classify does: what a method does not need is not read, and tells the checks nothing
+        stream = open_input(path, inputs, loaded.config.layout, geometry=loaded.config.needs_beams)
     except (InputError, ConfigError) as refusal:
         return None, refusal
     if not loaded.config.needs_beams:

@@ -137,7 +137,8 @@ def spread_stamps(time_s: F64, shot_hz: float, state: StampState) -> tuple[F64, 
         first_run = int(np.argmax(new[1:])) + 1 if new[1:].any() else n
         ordinal[:first_run] += carried
     state = replace(state, last_s=float(time_s[-1]), n_equal=int(ordinal[-1]) + 1)
-    return time_s + ordinal / shot_hz, ordinal, state
+    with np.errstate(invalid="ignore"):  # a misread time may be a signalling NaN
+        return time_s + ordinal / shot_hz, ordinal, state
 
 
 def columns_by_dimension(number: NDArray[Any]) -> I64:

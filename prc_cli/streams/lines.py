@@ -280,7 +280,8 @@ def lines_by_time(
     time_s = np.where(known, time_s, state.origin_s)
     # at least two steps of float64: 1.2e-7 s for times of 5e8 s
     guard_s = np.maximum(half_shot_s, 2 * np.spacing(np.maximum(np.abs(time_s), abs(state.origin_s))))
-    turns = np.floor((time_s - state.origin_s + guard_s) * line_hz)
+    with np.errstate(over="ignore"):  # misread times may be any number
+        turns = np.floor((time_s - state.origin_s + guard_s) * line_hz)
     if since_s is not None:
         turns = np.where(np.isnan(since_s), turns, np.rint((time_s - since_s - state.origin_s) * line_hz))
     return np.clip(turns, -MAX_NUMBER, MAX_NUMBER).astype(np.int64), known, state

@@ -199,7 +199,7 @@ def check_partial_line(path: str, n_shots: int, points_per_line: int, what: str 
     n_over = n_shots % points_per_line
     if n_over:
         problem = f"{n_shots} {what} are not a multiple of points_per_line = {points_per_line} ({n_over} left over)"
-        hint = 'check points_per_line, or pad the last line: --set input.partial_line="pad"'
+        hint = 'check points_per_line (prc info estimates it), or pad the last line: --set input.partial_line="pad"'
         raise InputError(path, problem, hint)
 
 

@@ -111,6 +111,40 @@ def test_info_estimates_m_of_a_raw_dump(prc: Prc, tmp_path: Path) -> None:
     assert found["classifiable"] is True
 
 
+@pytest.mark.parametrize("told", [(), ("-M", POINTS_PER_LINE - 1), ("-M", 7)])
+def test_info_types_the_m_that_it_found(prc: Prc, tmp_path: Path, told: tuple[object, ...]) -> None:
+    """Where the number of records speaks against M, or none is given, the command to type has the estimate."""
+    source = write_raw(tmp_path / "drive.bin", street())
+    found = json.loads(prc("info", source, "--json", *told).out)
+    assert found["classifiable"] is False
+    words = found["command"].split()
+    assert words[-2:] == ["-M", str(POINTS_PER_LINE)]
+    assert prc(*words[1:]).code == 0
+
+
+def test_info_doubts_what_classify_doubts_where_heights_explain_it(prc: Prc, tmp_path: Path) -> None:
+    """Ranges in feet beside heights in metres look like a leaning plane; PRC does not ask for directions."""
+    made, feet = tmp_path / "drive.laz", tmp_path / "feet.laz"
+    assert prc("simulate", "street", "-o", made, "--lines", 60, "--seed", 72, "-q").code == 0
+    points = laspy.read(made)
+    points["range"] = points["range"] / 0.3048
+    points.write(feet)
+    found = json.loads(prc("info", feet, "--json").out)
+    assert found["doubts"] == ["units"]
+    assert prc(*found["command"].split()[1:], "-q").code == 4
+
+
+def test_info_types_no_command_that_would_be_refused(prc: Prc, tmp_path: Path) -> None:
+    """An option that mends one finding does not help where another speaks against the input."""
+    image = street().ravel()
+    image[np.isnan(image)] = 500.0
+    np.random.default_rng(3).shuffle(image)
+    source = write_raw(tmp_path / "drive.bin", image.reshape(N_LINES, POINTS_PER_LINE))
+    found = json.loads(prc("info", source, "--json", "-M", POINTS_PER_LINE).out)
+    assert set(found["doubts"]) >= {"missing-code", "shot-order"}
+    assert found["command"] == ""
+
+
 def test_info_tells_a_shuffled_stream(prc: Prc, tmp_path: Path) -> None:
     image = street().ravel()
     np.random.default_rng(3).shuffle(image)

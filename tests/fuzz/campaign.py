@@ -1,7 +1,7 @@
 """Try many damaged files: ``python -m tests.fuzz.campaign [TARGET ...] --runs N --seconds S --seed K --keep FOLDER``.
 
 Every case runs in a watched worker process with an address space of 3 GiB. A fault is: an exception other than a
-refusal, another exit code than 0, 1 or 2, a dead worker, more than ten seconds of processor time, memory beyond what
+refusal, another exit code than 0, 1, 2 or 4, a dead worker, more than ten seconds of processor time, memory beyond what
 the file explains, a forbidden event (guard.py), an unprintable character in what is printed, a file left behind. A
 faulty case is kept with the command beside it, once for every kind of fault.
 """

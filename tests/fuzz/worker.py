@@ -28,6 +28,10 @@ ADDRESS_SPACE = 3 << 30
 GROWTH_BYTES, GROWTH_FACTOR = 400 << 20, 40
 """A command may take so much memory, and so many times the size of its file, beyond what the process held before."""
 
+LOOK = 4
+DONE, ENDS = (0, LOOK), (0, 1, 2, LOOK)
+"""Exit codes of commands that leave an output, and of all commands: 4 is done, but look at it."""
+
 
 class Worker:
     """Runs commands in this process.
@@ -67,11 +71,11 @@ class Worker:
         with self._streams(job), self._guard.armed() as seen:
             try:
                 code: Any = _run(given, debug=False)
-                if code not in (0, 1, 2):
+                if code not in ENDS:
                     faults.append(f"exit code {code}")
             except SystemExit as left:
                 code = left.code
-                if code not in (0, 1, 2):
+                if code not in ENDS:
                     faults.append(f"exit code {code}")
             except BaseException as error:
                 code = None
@@ -114,10 +118,12 @@ class Worker:
             faults.append(f"printed {bad!r}: {text[max(0, at - 60) : at + 40]!r}")
         if "Traceback (most recent" in text or "panicked at" in text:
             faults.append("printed " + text[:500])
+        if code == LOOK and "warning: " not in text:
+            faults.append(f"exit code {code} without a warning: {text[-200:]!r}")
         if code in (1, 2) and "error: " not in text:
             faults.append(f"exit code {code} without a message: {text[-200:]!r}")
         left = sorted(path.name for path in self._out.iterdir())
-        if any(name.startswith(".") or name.endswith(".part") for name in left) or (code != 0 and left):
+        if any(name.startswith(".") or name.endswith(".part") for name in left) or (code not in DONE and left):
             faults.append(f"exit code {code} left {left}")
         for path in self._out.iterdir():
             shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -17,10 +17,12 @@ LEAST_RECORDS = 100
 """Fewer records are not judged."""
 NEAR_M = 0.02
 """Least median range of a scanner [m]: less are millimetres taken for metres, or no ranges."""
+NOTHING_ELSE = 0.95
+"""Where nearly all ranges are equal nothing was measured, or the scan was made up."""
 CODED = 0.01
 """Share of ranges that are equal to the largest: chance gives one in thousands."""
-HIGH_M, FAR_MEDIAN_M = 150.0, 1000.0
-"""Median ranges that are doubtful, and that are none of a vehicle's surroundings [m]: 3 to 20 m are usual."""
+HIGH_M, FAR_MEDIAN_M = 150.0, 5000.0
+"""Median ranges that are doubtful, and that not even an aircraft has [m]: 3 to 20 m are usual."""
 COUNTED = 0.01
 """Share of ranges beyond any scanner from which numbers are misread."""
 LEAST_RETURNS = 0.02
@@ -79,7 +81,8 @@ def check_missing_code(seen: Seen) -> Finding | None:
     longest = float(known.max())
     share = float(np.mean(known == longest))
     found = f"{share:.1%} of the ranges are {longest:.6g} m, the largest of all"
-    is_code = share > CODED and longest > 2 * float(np.median(known))
+    others = known[known < longest]
+    is_code = CODED < share < NOTHING_ELSE and len(others) > 0 and longest > 2 * float(np.median(others))
     option = f"--max-range {np.nextafter(np.float32(longest), np.float32(0)):.9g}"
     hint = f"if it stands for no return: {option}; else the scanner's reach cuts the scene off"
     verdict = Verdict.DOUBTFUL if is_code else Verdict.FINE

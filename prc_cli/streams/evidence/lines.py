@@ -36,13 +36,15 @@ TURNED_AGAINST = 0.45
 """Where a buffer of shots was lost, places along the stream mostly differ by less with the right shift."""
 SHIFT_NEAR = 0.012
 """A shift is known to this share of a line."""
+FOLD_SHORT = 1.25
+"""The first limit for streams of fewer lines than a twelfth of M."""
 FOLD_LONG = 12
 """Lines of a stream, as a part of M: with M off by one all columns turn by 30 deg in so many, and before that moving
 things shift as much."""
-FOLD_RANDOM, FOLD_NOTHING = 0.75, 0.97
+FOLD_RANDOM, FOLD_NOTHING = 0.8, 0.97
 """Places along the stream that differ more than this have nothing in common, not even the ground: at most 0.6 in all
 scans at hand, 0.5 to 1 where lines and columns are exchanged."""
-MOVED_SAME = 1.6
+MOVED_SAME, MOVED_AGAINST = 1.6, 1.4
 """Lines far apart must differ by so much more than neighbours: at least 2.1 in all scans at hand, 0.8 to 1.2 with
 shuffled lines and while standing."""
 MOVED_NOISE = 15.0
@@ -103,11 +105,11 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
             found = f"the ranges repeat after {other} shots, not after {m}"
             return Finding(name, Verdict.AGAINST, found, expected, f"give -M {other}", f"-M {other}")
     better = min((length for length in folded if length != m), key=lambda one: _or_inf(folded[one]))
+    gain = folded[m] / folded[better] if np.isfinite(folded[m]) and folded[better] > 0 else math.nan
     is_long = seen.n_lines * FOLD_LONG >= m
-    gain = folded[m] / folded[better] if is_long and np.isfinite(folded[m]) and folded[better] > 0 else math.nan
-    if gain >= FOLD_DOUBTFUL:
+    if gain >= (FOLD_DOUBTFUL if is_long else FOLD_SHORT):
         found = f"along the stream lines of {better} shots agree {gain:.2g} times better than lines of {m}"
-        verdict = Verdict.AGAINST if gain >= FOLD_AGAINST else Verdict.DOUBTFUL
+        verdict = Verdict.AGAINST if gain >= FOLD_AGAINST and is_long else Verdict.DOUBTFUL
         expected = f"no length that agrees better by {FOLD_DOUBTFUL:g}"
         return Finding(name, verdict, found, expected, f"give -M {better}", f"-M {better}")
     hint = "check -M and --lines, and whether lines and columns are exchanged"
@@ -192,7 +194,8 @@ def check_line_order(seen: Seen, figures: Figures) -> Finding | None:
         hint = "the platform stands: cut such stretches out, or accept them"
         return Finding("standing", Verdict.DOUBTFUL if doubtful else Verdict.FINE, found, expected, hint)
     hint = "put the lines into the order in which they were scanned"
-    return Finding("line-order", Verdict.AGAINST if ratio < MOVED_SAME else Verdict.FINE, found, expected, hint)
+    verdict = Verdict.AGAINST if ratio < MOVED_AGAINST else Verdict.DOUBTFUL if ratio < MOVED_SAME else Verdict.FINE
+    return Finding("line-order", verdict, found, expected, hint)
 
 
 def check_dropouts(figures: Figures) -> Finding | None:

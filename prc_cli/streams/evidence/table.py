@@ -25,7 +25,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "ranges",
         "Are the ranges numbers that a scanner can measure?",
-        "Refused where the median range is below 0.02 m or above 1 km, or more than 20 % of the ranges lie beyond 20 "
+        "Refused where the median range is below 0.02 m or above 5 km, or more than 20 % of the ranges lie beyond 20 "
         "km; doubtful above 150 m, and from 1 % on, and where a range of the first lines is below 0.1 mm or above 1000 "
         "km: a header read as shots",
         "No scanner on a vehicle measures either. Floats of the wrong byte order, a shift of two bytes and integers "
@@ -42,7 +42,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "missing-code",
         "Does the largest of all ranges stand for no return?",
-        "Doubtful where more than 1 % of the ranges are equal to the largest, and that is twice the median",
+        "Doubtful where more than 1 % of the ranges are equal to the largest, and that is twice the median of the "
+        "others",
         "Two ranges of a scan are equal by chance; a thousand are a code",
         "Codes that are not the largest range, such as 0 and NaN, which count as missing anyway.",
     ),
@@ -62,7 +63,8 @@ INPUT_CHECKS: tuple[Check, ...] = (
         "along the stream; doubtful from 1.05",
         "Rightly told at most 0.9, with M off by one 1.16 to 7: what moves with the scanner, its dead angle and the "
         "ground, keeps its columns only with the right M",
-        "Streams of fewer than 24 lines; M that is off by one in fewer lines than a twelfth of M.",
+        "Streams of fewer than 24 lines; in fewer lines than a twelfth of M, M off by one that agrees less than 1.25 "
+        "times better.",
     ),
     Check(
         "columns-along",
@@ -75,9 +77,9 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "line-order",
         "Does the scene change along the stream, but little from line to line?",
-        "Refused where lines far apart differ less than 1.6 times as much as neighbours, in the tenth that changes "
-        "most",
-        "Rightly told at least 2.1; with shuffled lines 0.8 to 1.2",
+        "Doubtful where lines far apart differ less than 1.6 times as much as neighbours, in the tenth that changes "
+        "most; refused below 1.4 times",
+        "Rightly told at least 2.1, but 1.57 in a walk of 50 lines; with shuffled lines 0.8 to 1.2",
         "A few large parts out of place, in a stream without times.",
     ),
     Check(

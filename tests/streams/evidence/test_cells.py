@@ -151,7 +151,7 @@ def test_nearly_all_ranges_are_rounded(share: float, off: float, is_rounded: boo
 @pytest.mark.parametrize(
     ("median_m", "verdict"),
     [
-        (0.0199, AGAINST), (0.0201, FINE), (150.0, FINE), (150.1, DOUBTFUL), (1000.0, DOUBTFUL), (1000.1, AGAINST),
+        (0.0199, AGAINST), (0.0201, FINE), (150.0, FINE), (150.1, DOUBTFUL), (5000.0, DOUBTFUL), (5000.1, AGAINST),
     ],
 )  # fmt: skip
 def test_median_range(median_m: float, verdict: Verdict) -> None:
