@@ -162,7 +162,7 @@ class Fused(Classifier[FusedScanner, FusedState]):
         """Little noise, and level ground below the scanner; in forests plants cover and hills tilt it."""
         common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
         if self.params.environment == "forest":
-            return replace(common, level_share=0.45, lean_deg=12.0)
+            return replace(common, level_share=0.35, lean_deg=12.0)
         return replace(common, level_share=0.6, lean_deg=5.0)
 
     def scanner(self, first: ScanBlock) -> FusedScanner:

@@ -386,10 +386,10 @@ RESULT_CHECKS: tuple[Check, ...] = (
     Check(
         "ground-below",
         "Is ground what lies within 60 deg of straight down?",
-        "Of what is not noise there: fused at least 60 %, fused-forest 45 %, sequential-angle 50 % with other level "
+        "Of what is not noise there: fused at least 60 %, fused-forest 35 %, sequential-angle 50 % with other level "
         "surfaces. Where nearly nothing is there: at least 10 % of all is ground lower than the scanner. Needs the "
         "direction of down: not PRC",
-        "Rightly told, 128 lines each: fused at least 77 %, fused-forest 58 % (undergrowth, and stems beside the "
+        "Rightly told, 128 lines each: fused at least 77 %, fused-forest 37 % (undergrowth, and stems beside the "
         "scanner), sequential-angle 62 %; between low walls 75 %, in a lane 6 m wide between walls 83 %, in garages "
         "and tunnels 95 %. Down wrong by 45 deg: 10 % or less in most",
         "Down wrong by less than 30 deg (ground-lean sees that), a wrong unit, and an angle step wrong by a tenth. "
