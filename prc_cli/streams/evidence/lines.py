@@ -12,7 +12,7 @@ import numpy as np
 
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.streams.evidence.estimates import estimate_points_per_line
-from prc_cli.streams.evidence.figures import LEAST_PAIRS, TURNED, Figures, Turned, fold
+from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold
 from prc_cli.streams.evidence.seen import Seen
 
 LEAST_LINES = 24
@@ -60,9 +60,14 @@ WEAK_PERIOD = 0.5
 _ORDER_HINT = "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
 
 
+def _share_of_random(difference: float, figures: Figures) -> float:
+    """Return a difference beside that of random shots; NaN where all shots see one surface at one distance."""
+    return difference / figures.random if figures.random >= SMOOTH else math.nan
+
+
 def check_shot_order(figures: Figures) -> Finding | None:
     """Ask whether consecutive shots see the same surfaces."""
-    ratio = figures.shot[0] / figures.random if figures.random else math.nan
+    ratio = _share_of_random(figures.shot[0], figures)
     if not np.isfinite(ratio):
         return None
     name = "shot-order"
@@ -85,7 +90,7 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     shots were lost there, and M is right.
     """
     m, first = seen.points_per_line, figures.line[0]
-    ratio = first / figures.random if figures.random else math.nan
+    ratio = _share_of_random(first, figures)
     if not np.isfinite(ratio) or seen.n_lines < LEAST_LINES:
         return None
     name, expected = "line-length", f"lines of M = {m} shots that are alike"

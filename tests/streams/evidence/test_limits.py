@@ -87,6 +87,14 @@ def test_figures_that_tell_nothing() -> None:
     assert check_dropouts(replace(USUAL, n_between=999)) is None
 
 
+@pytest.mark.parametrize(("random", "is_told"), [(0.0099, False), (0.01, True)])
+def test_a_tube_around_the_scanner_has_no_order_to_tell(random: float, is_told: bool) -> None:
+    """Where ranges differ by noise alone, shots are as alike in any order."""
+    tube = replace(USUAL, random=random)
+    assert (check_shot_order(tube) is not None) == is_told
+    assert is_told or check_line_length(seen(), tube, None) is None
+
+
 @pytest.fixture
 def folds(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
     """How alike lines far apart are with every length that is tried; no other may be."""
