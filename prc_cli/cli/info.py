@@ -123,6 +123,10 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     rows.extend((f"check: {one.check}", _said(one)) for one in inspection.findings)
     if inspection.findings and not inspection.problem:
+        if inspection.not_asked:
+            rows.append(
+                ("checks not asked", f"they need more lines, times or scan angles: {', '.join(inspection.not_asked)}")
+            )
         rows.append(("checks of the labels", f"asked by prc classify, when they are there: {', '.join(LABEL_CHECKS)}"))
     hint = f"; {inspection.hint}" if inspection.hint else ""
     names = ", ".join(one.check for one in inspection.doubts)

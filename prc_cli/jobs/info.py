@@ -13,7 +13,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, with_layout_beside
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
-from prc_cli.core.findings import Finding, Verdict, doubts, refuse
+from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32
 from prc_cli.formats import open_source
@@ -87,11 +87,18 @@ class Inspection:
         """Findings that the user has to look at."""
         return doubts(self.findings)
 
+    @property
+    def not_asked(self) -> tuple[str, ...]:
+        """Names of the checks of the input that could not be answered: short streams, no times, no scan angles."""
+        told = {*LABEL_CHECKS, *(one.check for one in self.findings)}
+        return tuple(name for name in CHECK_NAMES if name not in told)
+
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
         table: dict[str, Any] = _plain(asdict(self))
         table["classifiable"] = not self.problem
         table["doubts"] = [one.check for one in self.doubts]
+        table["checks_not_asked"] = list(self.not_asked)
         for finding in table["findings"]:
             finding["verdict"] = Verdict(finding["verdict"]).name.lower()
         if self.order is not None:

@@ -71,7 +71,8 @@ def check_shot_order(figures: Figures) -> Finding | None:
     if not np.isfinite(ratio):
         return None
     name = "shot-order"
-    found = f"ranges of neighbouring shots differ {ratio:.2g} times as much as those of random shots"
+    times = "" if f"{ratio:.2g}" == "1" else f"{ratio:.2g} times "
+    found = f"ranges of neighbouring shots differ {times}as much as those of random shots"
     expected = f"below {ORDER_DOUBTFUL:g}"
     if figures.shot[1] < SECOND * figures.shot[0]:
         found = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
