@@ -113,26 +113,33 @@ def main(args: list[str] | None = None) -> None:
 
 def _run(arguments: list[str], *, debug: bool) -> int:
     """Run one command and return its exit code."""
+    failure: BaseException
     try:
         # without standalone mode click returns the exit code of ``ctx.exit`` and raises the rest
         code = cli.main(args=arguments, prog_name="prc", standalone_mode=False)
         sys.stdout.flush()
     except PrcError as error:
+        failure = error
         message, code = printable(str(error)), error.exit_code
     except click.ClickException as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: its message is the whole help
             error.show()
             return error.exit_code
+        failure = error
         context = getattr(error, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
         message, code = printable(f"{error.format_message()}{hint}"), error.exit_code
-    except MemoryError:
+    except MemoryError as error:
+        failure = error
         message, code = "not enough memory for this input and these parameters; no output was left behind", 1
     except ImportError as error:
+        failure = error
         message, code = printable(f"a package cannot be loaded ({error}); prc doctor checks the installation"), 1
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as error:
+        failure = error
         message, code = "interrupted; no output was left behind", INTERRUPTED
     except OSError as error:
+        failure = error
         # errors of input and output files are handled where they occur: this is the terminal or a pipe
         message, code = f"the result cannot be printed ({error.strerror or error})", 1
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
@@ -140,7 +147,7 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         return code if isinstance(code, int) else 0
     if debug:
         with contextlib.suppress(OSError):
-            click.echo(printable_lines(traceback.format_exc()), err=True)
+            click.echo(printable_lines("".join(traceback.format_exception(failure))), err=True)
     with contextlib.suppress(OSError):
         click.echo(f"error: {message}", err=True)
     return code

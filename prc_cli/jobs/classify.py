@@ -20,7 +20,7 @@ from prc_cli.classifiers.base import MethodParams, UsualLabels, Wanted
 from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import DoubtWarning, InputError
 from prc_cli.core.files import check_output, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
@@ -265,8 +265,9 @@ def _classify(
     trajectory = loaded.trajectory
     keep_memory()  # before any thread
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
+    check_output(output, overwrite=overwrite, inputs=inputs)  # also that it has a name, before the record's
+    check_output(record_path(output), overwrite=overwrite, inputs=inputs)
     for path in (output, record_path(output)):
-        check_output(path, overwrite=overwrite, inputs=inputs)
         remove_stale(path)
     check_input(source)
     before = source.stat()
@@ -343,6 +344,31 @@ def _write_labels(
     return counts
 
 
+@dataclass(frozen=True, slots=True, repr=False)
+class ClassifiedRanges:
+    """The classes of a range image."""
+
+    labels: U8
+    """:class:`prc_cli.core.classes.Label` of every shot, (lines, M) uint8: numbers of this program alone."""
+    classes: ClassCodes
+    """The code of every label."""
+
+    @property
+    def codes(self) -> U8:
+        """LAS class code of every shot, (lines, M) uint8, as files hold them: 2 = ground, 7 = noise."""
+        return self.classes.lookup()[self.labels]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Return the number of shots of every class that occurs, by name, the most frequent first."""
+        n = np.bincount(self.labels.ravel(), minlength=len(Label))
+        return {label.name.lower(): int(n[label]) for label in sorted(Label, key=lambda one: -n[one]) if n[label]}
+
+    def __repr__(self) -> str:
+        lines, shots = self.labels.shape
+        return f"{lines:,} lines of {shots:,} shots: " + ", ".join(f"{k} {n:,}" for k, n in self.counts.items())
+
+
 def classify_ranges(
     range_m: ArrayLike,
     config: LoadedConfig | RunConfig | None = None,
@@ -351,7 +377,7 @@ def classify_ranges(
     xyz_m: ArrayLike | None = None,
     threads: int | None = None,
     engine: Engine = "compiled",
-) -> U8:
+) -> ClassifiedRanges:
     """Classify a range image that is in memory.
 
     Parameters
@@ -372,8 +398,8 @@ def classify_ranges(
 
     Returns
     -------
-    (lines, M) uint8
-        :class:`prc_cli.core.classes.Label` of every shot.
+    ClassifiedRanges
+        ``codes`` of every shot as files hold them, and ``labels`` by name.
 
     Raises
     ------
@@ -396,9 +422,11 @@ def classify_ranges(
 
     >>> image = np.full((6, 9), 20.0)
     >>> image[3, 4] = 5.0
-    >>> labels = classify_ranges(image)
-    >>> Label(labels[3, 4]).name, Label(labels[0, 0]).name
-    ('NOISE', 'GROUND')
+    >>> found = classify_ranges(image)
+    >>> found
+    6 lines of 9 shots: ground 53, noise 1
+    >>> found.codes[3, 4], found.labels[3, 4] == Label.NOISE
+    (np.uint8(7), np.True_)
     """
     config = _loaded(config).config
     given = np.asarray(range_m)
@@ -419,7 +447,7 @@ def classify_ranges(
     for doubt in doubts(found):
         told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
         warnings.warn(told, DoubtWarning, stacklevel=2)
-    return np.concatenate([item.labels for item in labelled])
+    return ClassifiedRanges(np.concatenate([item.labels for item in labelled]), config.classes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -538,6 +566,7 @@ def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:
 
 
 __all__ = [
+    "ClassifiedRanges",
     "Counts",
     "Progress",
     "RunSummary",

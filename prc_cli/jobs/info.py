@@ -25,6 +25,7 @@ from prc_cli.streams.evidence.estimates import (
     RangeCorrelation,
     estimate_line_frequency,
     estimate_points_per_line,
+    first_times,
     range_correlation,
 )
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
@@ -280,7 +281,7 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
     scanners: set[int] = set()
     tally = ReadTally()
     sample: list[F32] = []
-    line_times: list[float] = []
+    line_times: list[np.ndarray] = []
     for block in stream.blocks():
         missing = np.isnan(block.range_m)
         n_lines += block.n_lines
@@ -294,10 +295,10 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
             sample.append(block.range_m.ravel()[: SAMPLE_SHOTS - kept])
             kept += sample[-1].size
             if block.time_s is not None:
-                line_times.extend(_first_times(block.time_s))
+                line_times.append(first_times(block.time_s))
     flat = np.concatenate(sample) if sample else np.empty(0, np.float32)
     ranges = (low, float(np.nanmedian(flat)), high) if with_ranges and low <= high else None
-    times = np.asarray(line_times, np.float64)
+    times = np.concatenate(line_times) if line_times else np.empty(0, np.float64)
     line_hz = stream.info.line_hz
     if line_hz is None:
         line_hz = estimate_line_frequency(times)
@@ -306,14 +307,6 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
         n_lines, n_shots, n_missing, tuple(sorted(scanners)), ranges, line_hz, tally, correlation
     )  # fmt: skip
     return facts, flat if ranges is not None else None
-
-
-def _first_times(time_s: np.ndarray) -> list[float]:
-    """First known time of every line, NaN where there is none."""
-    known = np.isfinite(time_s)
-    first = np.argmax(known, axis=1)
-    values = time_s[np.arange(len(time_s)), first]
-    return [float(value) for value in np.where(known.any(axis=1), values, np.nan)]
 
 
 def _time_order(source: RecordSource) -> OrderEvidence | None:
