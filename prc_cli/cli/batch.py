@@ -373,8 +373,9 @@ def _write_command(settings: BatchSettings, options: dict[str, Any]) -> None:
         "folder": str(Path.cwd()),
         "options": {key: None if value is None else _plain(value) for key, value in options.items()},
     }
-    remove_stale(_command_path(settings.out / OWN_FOLDER, settings.shard))  # of a run that was killed just here
-    with contextlib.suppress(PrcError), atomic_output(_command_path(settings.out / OWN_FOLDER, settings.shard)) as file:
+    path = _command_path(settings.out / OWN_FOLDER, settings.shard)
+    remove_stale(path)  # of a run that was killed just here
+    with contextlib.suppress(PrcError), atomic_output(path, overwrite=True) as file:
         file.write_text(json.dumps(table, indent=1) + "\n", encoding="ascii", newline="\n")
 
 

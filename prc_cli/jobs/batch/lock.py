@@ -194,7 +194,7 @@ class Lock:
 
     def _sign(self) -> None:
         """Write the name of this run into the JSON file."""
-        with atomic_output(self.path) as temporary:
+        with atomic_output(self.path, overwrite=True) as temporary:
             temporary.write_text(json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii")
 
     def _beat(self) -> None:

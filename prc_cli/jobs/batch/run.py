@@ -277,8 +277,8 @@ class _Run:
         for item in todo:
             outcome = self._outcomes.get(item.task.name)
             if isinstance(outcome, Failed) and self._may_go_on(outcome, attempt - 1):
-                # the worker may have renamed its output just before it died
-                found.append((replace(item, task=replace(item.task, overwrite=True)), outcome.problem.kind in ALONE))
+                # the worker may have named its output just before it died: the next one sees that it is ours
+                found.append((item, outcome.problem.kind in ALONE))
         return found
 
     def _may_go_on(self, failed: Failed, attempt: int) -> bool:

@@ -121,7 +121,7 @@ def _write(
     """Write all pages or none."""
     if output.suffix.lower() == ".html":
         text = html_page(name, result.drawn, pages, key, f"prc {__version__}")
-        with atomic_output(output) as temporary:
+        with atomic_output(output, overwrite=overwrite) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
         width = max(panel.size[0] for _, panels in pages for panel in panels)
         return replace(result, files=(output,), size=(width, sum(p.size[1] for _, panels in pages for p in panels)))
@@ -135,7 +135,7 @@ def _write(
             head = result.drawn if not heading else f"{result.drawn} · this page: {heading}"
             image = draw_sheet(head, panels, key, columns=choose_columns(panels, max_height) if single else 1)
             size = image.size if path is output else size
-            image.save(stack.enter_context(atomic_output(path)), format="PNG")
+            image.save(stack.enter_context(atomic_output(path, overwrite=overwrite)), format="PNG")
     return replace(result, files=tuple(paths), size=size)
 
 
