@@ -13,7 +13,7 @@ import struct
 from collections.abc import Generator, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import cycle
-from typing import Any, Protocol
+from typing import Any
 
 import lazrs
 import numpy as np
@@ -29,9 +29,6 @@ ITEMS_AT = 32
 """Byte where the items of a record begin: their number, then type, size and version of each."""
 LAYERED_FORMATS = 6
 """From this point format on, chunks are compressed in layers, one per field."""
-RUN_BYTES = 512
-"""Block length in the search for long runs of 0xFF: a run of twice the length covers a whole block."""
-_LOOK_BYTES = 4 << 20
 
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Number of compressed layers by item type; extra bytes (14) have one per byte."""
@@ -221,7 +218,6 @@ class LazRecords:
             # a second handle: the decoder needs the position of the first one unchanged
             with open_source(self.header.path) as source:
                 self._check_layers(source, chunk, end)
-                self._check_runs(source, chunk, end)
             stop = int(self.table.first_record[end])
             # decode whole chunks even if longer than a batch: only then is damage noticed
             step = stop - first if whole else n_max
@@ -304,19 +300,6 @@ class LazRecords:
                 raise damaged(path, where, f"{what} holds {held} records, expected {n_records}")
             if claimed > n_bytes:
                 raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
-
-    def _check_runs(self, source: Source, first: int, end: int) -> None:
-        """Refuse chunks with a long run of 0xFF, which makes the decoder kill the process."""
-        byte = find_run(source, int(self.table.first_byte[first]), int(self.table.first_byte[end]))
-        if byte is None:
-            return
-        chunk = int(np.searchsorted(self.table.first_byte, byte, side="right")) - 1
-        bounds = self.table.first_record[chunk : chunk + 2]
-        problem = (
-            f"records {bounds[0]} to {bounds[1] - 1} cannot be decompressed: LAZ chunk {chunk} holds "
-            f"{RUN_BYTES} bytes of 0xFF in a row, expected compressed records"
-        )
-        raise damaged(self.header.path, byte, problem)
 
 
 def read_batches(
@@ -457,46 +440,6 @@ def chunk_head(items: Iterable[tuple[int, int]]) -> struct.Struct:
     '<14I'
     """
     return struct.Struct(f"<{1 + sum(_LAYERS.get(kind, n_bytes) for kind, n_bytes in items)}I")
-
-
-class _Readable(Protocol):
-    def seek(self, position: int, /) -> int: ...
-
-    def read(self, n: int, /) -> bytes: ...
-
-
-def find_run(handle: _Readable, start: int, stop: int) -> int | None:
-    r"""Return where a long run of 0xFF lies in a file, as bad blocks of a disk leave them; None without.
-
-    The decoder of times calls itself once for every such code (lazrs 0.8) until its stack is used up, which ends the
-    process. Compressed data look random: a run of this length does not occur in sound files.
-
-    Parameters
-    ----------
-    handle : binary stream
-        File; its position is changed.
-    start, stop : int
-        First byte to look at, and first behind.
-
-    Examples
-    --------
-    >>> import io
-    >>> find_run(io.BytesIO(bytes(600) + b"\xff" * 1400), 0, 2000), find_run(io.BytesIO(bytes(2000)), 0, 2000)
-    (512, None)
-    """
-    handle.seek(start)
-    position = start
-    while position < stop:
-        raw = np.frombuffer(handle.read(min(_LOOK_BYTES, stop - position)), np.uint8)
-        if not len(raw):
-            return None
-        # a run of twice the block covers a whole block wherever it begins; a few other bytes are tolerated
-        blocks = raw[: len(raw) // RUN_BYTES * RUN_BYTES].reshape(-1, RUN_BYTES)
-        full = np.flatnonzero((blocks[:, ::8] == 0xFF).sum(axis=1) > RUN_BYTES // 16)
-        if len(full):
-            return position + int(full[0]) * RUN_BYTES
-        position += len(raw)
-    return None
 
 
 def _has_several(raw: memoryview, record_bytes: int) -> bool:

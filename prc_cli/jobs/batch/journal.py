@@ -17,7 +17,6 @@ import secrets
 import shlex
 import shutil
 import sqlite3
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
@@ -27,7 +26,7 @@ from typing import Any
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
-from prc_cli.core.files import make_folder
+from prc_cli.core.files import make_folder, temporary_folder
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -339,8 +338,8 @@ def _copied_entries(path: Path) -> list[Entry]:
 @contextlib.contextmanager
 def _copy(path: Path) -> Iterator[sqlite3.Connection]:
     """Open a copy of a journal with its log, taken while no process wrote."""
-    with tempfile.TemporaryDirectory(prefix="prc-journal-") as folder:
-        database = _stable_copy(path, Path(folder) / "journal.sqlite")
+    with temporary_folder("prc-journal-") as folder:
+        database = _stable_copy(path, folder / "journal.sqlite")
         try:
             with _errors(path):
                 yield database

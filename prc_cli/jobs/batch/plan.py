@@ -359,8 +359,8 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
         if written is not None and not settings.overwrite:
-            before = InputPrint(item.size, item.mtime_ns, None)
-            found = outcome_of_record(task, before, written) if settings.adopt else None
+            seen = InputPrint(item.size, item.mtime_ns, None)
+            found = outcome_of_record(task, seen, written) if settings.adopt else None
             if found is None:
                 raise _foreign(task.output, adopt=settings.adopt)
             return found

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -11,7 +10,7 @@ from pathlib import Path
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
 from prc_cli.formats import check_input
 from prc_cli.imaging.page import html_page
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
@@ -75,9 +74,9 @@ def render(
     check_output(output, overwrite=overwrite, inputs=inputs)
     remove_stale(output)
     check_input(source)
-    with tempfile.TemporaryDirectory(prefix="prc-render-", ignore_cleanup_errors=True) as name:
+    with temporary_folder("prc-render-") as scratch:
         if chosen.view == "scan":
-            drawing = draw_scan(source, config, chosen, Path(name), progress)
+            drawing = draw_scan(source, config, chosen, scratch, progress)
             head = describe(drawing, config, chosen, source.name)
             result = RenderResult(
                 files=(), size=(0, 0), drawn=head, steps=drawing.steps, lines=(drawing.part.first, drawing.part.stop),
@@ -88,7 +87,7 @@ def render(
         else:
             from prc_cli.jobs.render.cloud import draw_cloud
 
-            panel, key, result = draw_cloud(source, config, chosen, Path(name), progress)
+            panel, key, result = draw_cloud(source, config, chosen, scratch, progress)
             pages = [("", [panel])]
     return _write(output, source.name, result, pages, key, max_height=chosen.height, overwrite=overwrite, inputs=inputs)
 
