@@ -67,6 +67,51 @@ def read_small(path: Path, limit: int) -> bytes:
     return content
 
 
+def who_may_change(path: Path) -> str:
+    """Return why others than this user and the administrator may change a file or folder; empty if they may not.
+
+    Members of a group may not, unless it is the user's own, as many systems give every user one. Always empty on
+    systems without such permissions.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> who_may_change(folder)
+    ''
+    >>> folder.chmod(0o777)
+    >>> who_may_change(folder)
+    'its mode is 777'
+
+    Raises
+    ------
+    OSError
+        When it is not there.
+    """
+    if not hasattr(os, "getuid"):
+        return ""
+    status = path.lstat()
+    if status.st_uid not in (os.getuid(), 0):
+        return f"it belongs to user {status.st_uid}"
+    mode = stat.S_IMODE(status.st_mode)
+    is_open = mode & 0o002 or (mode & 0o020 and not _is_own_group(status.st_gid))
+    return f"its mode is {mode:o}" if is_open else ""
+
+
+def _is_own_group(group: int) -> bool:
+    """Whether a group has no other member than this user, or is that of the administrator."""
+    import grp
+    import pwd
+
+    if group == 0:
+        return True
+    try:
+        found, name = grp.getgrgid(group), pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # an account without a name, as in containers
+        return False
+    return found.gr_name == name and not set(found.gr_mem) - {name}
+
+
 def suffix_of(path: Path) -> str:
     """Return the suffix that decides the format, in lower case, including the compression.
 
