@@ -15,6 +15,7 @@ import re
 import secrets
 import stat
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import IO
 
@@ -94,10 +95,13 @@ def who_may_change(path: Path) -> str:
     if status.st_uid not in (os.getuid(), 0):
         return f"it belongs to user {status.st_uid}"
     mode = stat.S_IMODE(status.st_mode)
+    if stat.S_ISLNK(status.st_mode):  # whose own mode means nothing
+        return ""
     is_open = mode & 0o002 or (mode & 0o020 and not _is_own_group(status.st_gid))
     return f"its mode is {mode:o}" if is_open else ""
 
 
+@lru_cache(maxsize=32)
 def _is_own_group(group: int) -> bool:
     """Whether a group has no other member than this user, or is that of the administrator."""
     import grp
