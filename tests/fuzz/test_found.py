@@ -248,3 +248,37 @@ def test_damaged_laz_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.Cap
         code_deep, _ = run(capfd, "info", case, "--deep", "-q", "-M", "24")
         assert (code_deep == 0) == (code == 0), printed
     assert min(codes.values()) > 1, codes
+
+
+@pytest.mark.parametrize(("name", "kind"), [("pf6.laz", 12), ("pf7.laz", 12), ("pf3.laz", 9), ("pf6.laz", 14)])
+def test_items_of_another_point_format_are_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, kind: int
+) -> None:
+    """The decoder of another item took 1.2 GB for 26 kB."""
+    data = bytearray(seed(name))
+    laszip = next(at for at in las_vlrs(bytes(data)) if data[at + 2 : at + 16] == b"laszip encoded")
+    struct.pack_into("<H", data, laszip + 54 + 34, kind)
+    code, printed = run(capfd, "convert", put(tmp_path / "a.laz", bytes(data)), tmp_path / "o.las")
+    assert (code, printed.count("\n")) == (1, 1)
+    assert f"items (type, bytes) ({kind}, " in printed
+
+
+def test_an_endless_image_of_single_shots_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """20 kB took 25 s: every line costs some time."""
+    np.savez_compressed(tmp_path / "a.npz", range_m=np.full((5_000_000, 1), 5, np.float32))
+    code, printed = run(capfd, "classify", tmp_path / "a.npz", tmp_path / "o.npy", "--preset", "urban")
+    assert (code, printed.count("\n")) == (1, 1)
+    assert "found 5000000 lines of 1 points, expected at least 8 points" in printed
+
+
+@pytest.mark.parametrize("match", ["nearest", "order"])
+def test_coordinates_without_end_have_no_neighbours(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], match: str
+) -> None:
+    """Their squares are not finite: the search for the nearest raised."""
+    rows = "".join(f"{x},{x},0,2\n" for x in ("1.7e308", "-1.7e308", "1", "2"))
+    path = put(tmp_path / "a.csv", "x,y,z,class\n" + rows)
+    code, printed = run(capfd, "evaluate", path, path, "--match", match, "--mapping", "prc")
+    assert "Traceback" not in printed
+    assert code in (0, 1), printed
+    assert not code or printed.count("\n") == 1

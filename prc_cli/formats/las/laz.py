@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -32,6 +32,15 @@ LAYERED_FORMATS = 6
 
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Number of compressed layers by item type; extra bytes (14) have one per byte."""
+_POINT10, _TIME, _RGB, _WAVE, _POINT14 = (6, 20), (7, 8), (8, 6), (9, 29), (10, 30)
+_RGB14, _RGBNIR14, _WAVE14 = (11, 6), (12, 8), (13, 29)
+_ITEMS = {
+    0: (_POINT10,), 1: (_POINT10, _TIME), 2: (_POINT10, _RGB), 3: (_POINT10, _TIME, _RGB),
+    4: (_POINT10, _TIME, _WAVE), 5: (_POINT10, _TIME, _RGB, _WAVE),
+    6: (_POINT14,), 7: (_POINT14, _RGB14), 8: (_POINT14, _RGBNIR14), 9: (_POINT14, _WAVE14),
+    10: (_POINT14, _RGBNIR14, _WAVE14),
+}  # fmt: skip
+"""Items of a record, (type, bytes), by point format; extra bytes follow as type 0, in layered chunks as type 14."""
 _TOGETHER_BYTES = 16 << 20
 """Most bytes of records decoded at a time, however many the cores."""
 _ONE_RETURN = 0x1F
@@ -105,6 +114,10 @@ class LazRecords:
         if n_bytes != self.header.record_bytes:
             problem = f"records of {n_bytes} bytes, expected the {self.header.record_bytes} of the header"
             raise InputError(where, problem, DAMAGED)
+        if not _are_items_of(items, self.header.point_format):
+            found, core = ", ".join(map(str, items)), _ITEMS[self.header.point_format]
+            problem = f"items (type, bytes) {found}, expected {', '.join(map(str, core))} and extra bytes at most"
+            raise InputError(where, f"{problem} for point format {self.header.point_format}", DAMAGED)
         if struct.unpack_from("<I", data, CHUNK_SIZE_AT)[0] == 0:
             raise InputError(where, "chunks of 0 records, expected at least 1", DAMAGED)
         return [(int(kind), int(size)) for kind, size in items]
@@ -300,6 +313,15 @@ class LazRecords:
                 raise damaged(path, where, f"{what} holds {held} records, expected {n_records}")
             if claimed > n_bytes:
                 raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
+
+
+def _are_items_of(items: Sequence[tuple[int, int]], point_format: int) -> bool:
+    """Whether the items of a record are those of its point format: others make a decoder take a gigabyte."""
+    core = _ITEMS.get(point_format)
+    if core is None or tuple(items[: len(core)]) != core:
+        return False
+    extra = 14 if point_format >= LAYERED_FORMATS else 0
+    return [kind for kind, _ in items[len(core) :]] in ([], [extra])
 
 
 def read_batches(
