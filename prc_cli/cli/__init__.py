@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from typing import Any
 
 import click
@@ -111,6 +112,8 @@ def main(args: list[str] | None = None) -> None:
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     _leave_on_signals()
+    if args is None and "--debug" not in arguments and not sys.warnoptions:
+        warnings.simplefilter("ignore")  # of NumPy and Python, for programmers; tests run with them as errors
     # escape names that the terminal cannot show instead of stopping
     if args is None and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
