@@ -22,9 +22,10 @@ from prc_cli.jobs.info import Inspection, inspect
 
 @click.command()
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
+@click.option("--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs.")
 @stream_options
 @output_options
-def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+def info(files: tuple[Path, ...], deep: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
     """Say what FILE holds, what would be taken for granted, and whether it can be classified.
 
     The same options as for classify say how lines, columns and ranges are found.
@@ -37,7 +38,7 @@ def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **o
     code = 0
     for path in files:
         try:
-            inspection = inspect(path, loaded)
+            inspection = inspect(path, loaded, deep=deep)
         except PrcError as error:
             click.echo(f"error: {printable(str(error))}", err=True)
             found.append({"path": str(path), "error": str(error), "classifiable": False})

@@ -16,6 +16,10 @@ class ClassContexts(Protocol):
     def n_seen(self) -> int:
         """Number of records whose contexts are kept, from the first one."""
 
+    @property
+    def n_checked(self) -> int:
+        """Number of records of which every layer was decoded, from the first one."""
+
     def take(self, n: int) -> Iterator[U8]:
         """Yield the contexts kept, ``n`` at a time, fewer at the end."""
 
@@ -26,6 +30,10 @@ def _align_nothing(n_records: int) -> None:
 
 def _skip_nothing() -> None:
     """Decode all that is asked for."""
+
+
+def _check_nothing() -> None:
+    """Decode no more than what is asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,3 +60,5 @@ class SourceFacts:
     """Makes chunks end at multiples of this many records, so that blocks need not be joined; changes no value."""
     skip_intensity: Callable[[], None] = field(default=_skip_nothing, repr=False, compare=False)
     """Leaves ``intensity`` undefined for shots where it does not choose between returns: it is slow to decode."""
+    check_layers: Callable[[], None] = field(default=_check_nothing, repr=False, compare=False)
+    """Decodes what nobody asks for too, so that damage in it is found: what is copied as bytes must be sound."""

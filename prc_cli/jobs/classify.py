@@ -34,6 +34,7 @@ from prc_cli.formats.label_files import open_writer
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.writing.base import LabelWriter
+from prc_cli.formats.writing.columns import asked_columns
 from prc_cli.formats.writing.record import (
     Fingerprint,
     FingerprintBeside,
@@ -275,6 +276,8 @@ def _classify(
         # times and intensities are needed only where a point cloud is made from another kind of input
         only_ranges = suffix_of(output) not in LAS_SUFFIXES or suffix_of(source) in LAS_SUFFIXES
         opened = _open(source, loaded.config, geometry=False, only_ranges=only_ranges)
+        if suffix_of(output) == ".laz" and not asked_columns(loaded.config.output):
+            opened.info.facts.check_layers()  # they are copied as they are
         needs = loaded.config.classifier.method().needs
         stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
     with (

@@ -16,7 +16,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_output, remove_stale, suffix_of, temporary_name
+from prc_cli.core.files import atomic_outputs, remove_stale, suffix_of, temporary_name
 from prc_cli.core.findings import Finding, Verdict, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
@@ -201,7 +201,7 @@ def check_unchanged(source: Path, size: int, mtime_ns: int) -> None:
 def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
     """Change the compression of a LAS or LAZ file and nothing else."""
     las, before = read_las(source), source.stat()
-    with atomic_output(output) as temporary:
+    with atomic_outputs(output, record_path(output)) as (temporary, beside):
         notices = copy_las(las, output, temporary)
         check_unchanged(source, before.st_size, before.st_mtime_ns)
         record = RunRecord(
@@ -212,8 +212,7 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
             n_records=las.n_records,
             notices=("records were copied as bytes; no stream was read", *notices),
         )
-        with atomic_output(record_path(output)) as beside:
-            beside.write_bytes(record.to_json())
+        beside.write_bytes(record.to_json())
     return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
 
 

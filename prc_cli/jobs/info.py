@@ -107,7 +107,7 @@ class Inspection:
         return table
 
 
-def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
+def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspection:
     """Read a file once or twice and describe its contents.
 
     Parameters
@@ -116,6 +116,8 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         Any readable input.
     loaded : LoadedConfig
         Rules for lines, columns and ranges, as for ``prc classify``.
+    deep : bool
+        Decode all records whole, too: LAZ has layers that nothing else asks for.
 
     Raises
     ------
@@ -123,8 +125,19 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         When the file is damaged. An intact file that the classifier cannot process is described.
     """
     loaded = with_layout_beside(path, loaded)
+    if deep:
+        _decode(path, loaded)
     found = _inspect(path, loaded)
     return replace(found, method=loaded.config.method, notes=(*loaded.notes, *found.notes))
+
+
+def _decode(path: Path, loaded: LoadedConfig) -> None:
+    """Decode every byte of a file of records, and keep nothing."""
+    source = open_source(path, loaded.config.layout)
+    if source is not None:
+        source.facts.check_layers()
+        for _ in source.chunks(source.dimensions):
+            pass
 
 
 def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,8 @@ class Worker:
         self._printed.truncate()
         before = _reset_peak()
         start = time.process_time()
-        with self._streams(job), self._guard.armed() as seen:
+        with self._streams(job), self._guard.armed() as seen, warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
             try:
                 code: Any = _run(given, debug=False)
                 if code not in ENDS:
@@ -85,6 +87,11 @@ class Worker:
                     + "".join(traceback.format_exc().splitlines(True)[-14:])
                 )
         seconds = time.process_time() - start
+        faults += [
+            f"warning: {one.message}\nFile {one.filename} line {one.lineno}"
+            for one in warned
+            if "prc_cli" in one.filename or issubclass(one.category, RuntimeWarning)
+        ]
         faults += [f"guard: {event}" for event in seen[:3]]
         grown = _peak() - before
         if grown > max(GROWTH_BYTES, GROWTH_FACTOR * Path(case).stat().st_size):

@@ -565,6 +565,11 @@ def _started(job: _Job, worker: str) -> Iterator[Event]:
 def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
     """Start a scheduler and single-threaded workers on this machine, and end them afterwards."""
     distributed = _import()
+    try:
+        security = distributed.Security.temporary()
+    except ImportError as error:
+        problem = f"a package for keys is missing ({_one_line(error)})"
+        raise ConfigError("--engine dask", problem, f"pip install '{EXTRA}'") from error
     memory = 0 if settings.memory_limit_mib is None else settings.memory_limit_mib << 20
     try:
         with _without_interrupts():
@@ -576,6 +581,8 @@ def _own_cluster(settings: EngineSettings) -> Iterator[Any]:
                 dashboard_address="127.0.0.1:0",
                 memory_limit=memory,
                 silence_logs=logging.CRITICAL,
+                # without keys every user of this machine could run code here
+                security=security,
             )
     except (OSError, RuntimeError, TimeoutError) as error:
         raise PrcError("--engine dask", f"no workers could be started ({_one_line(error)})", "fewer --jobs") from error

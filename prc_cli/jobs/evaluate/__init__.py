@@ -312,7 +312,8 @@ def _longest_axis(side: Side) -> str:
             if chunk.n:
                 xyz = np.stack([chunk.values[axis] for axis in AXES])
                 low, high = np.minimum(low, xyz.min(axis=1)), np.maximum(high, xyz.max(axis=1))
-    extent = high - low
+    with np.errstate(over="ignore"):  # any number may stand in a file
+        extent = high - low
     return AXES[int(np.argmax(np.where(np.isfinite(extent), extent, -1.0)))]
 
 

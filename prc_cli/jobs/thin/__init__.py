@@ -17,7 +17,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_output, suffix_of, temporary_name
+from prc_cli.core.files import atomic_outputs, suffix_of, temporary_name
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import I32, Mask
 from prc_cli.formats import LAS_SUFFIXES
@@ -181,6 +181,8 @@ class _Run:
         las = read_las(self.source)
         check_copied(las)
         with contextlib.ExitStack() as stack:
+            files = atomic_outputs(self.output, record_path(self.output))
+            temporary, beside = stack.enter_context(files)
             path = temporary_name(self.output)
             stack.callback(lambda: path.unlink(missing_ok=True))
             stays = Spool(path, np.uint8, 1, n_records=las.n_records)
@@ -203,14 +205,12 @@ class _Run:
                         "lines of scanners differ in length: the highest column that is left is taken for it",
                     )
                 record = self._record(opened.info, hints)
-            temporary = stack.enter_context(atomic_output(self.output))
             notices = copy_las(
                 las, self.output, temporary, lambda n: (part.view(np.bool_) for part in stays.chunks(n)), record
             )
             record = replace(record, notices=(*record.notices, *notices))
             check_unchanged(self.source, size, mtime_ns)
-            with atomic_output(record_path(self.output)) as beside:
-                beside.write_bytes(record.to_json())
+            beside.write_bytes(record.to_json())
         return record
 
     def write(self, progress: Progress | None, size: int, mtime_ns: int) -> RunRecord:

@@ -591,19 +591,6 @@ def test_damaged_chunk_names_its_records(tmp_path: Path, point_format: int) -> N
         assert "do not hold the 50000 records expected" in message
 
 
-@pytest.mark.parametrize("point_format", [1, 6])
-def test_run_of_one_bits_is_refused_before_it_ends_the_process(tmp_path: Path, point_format: int) -> None:
-    path = tmp_path / "a.laz"
-    raw, start, table = laz(path, point_format)
-    damaged = bytearray(raw)
-    middle = (start + table) // 2
-    damaged[middle : middle + 100_000] = b"\xff" * 100_000
-    path.write_bytes(damaged)
-    message = refused(path)
-    assert "records 50000 to 99999 cannot be decompressed: LAZ chunk 1 holds 512 bytes of 0xFF in a row" in message
-    assert middle <= int(message.split(":")[0].removeprefix("byte ")) < middle + 1024
-
-
 @pytest.mark.parametrize(("point_format", "size"), [(1, 28), (6, 30)])
 def test_count_that_lies_about_the_last_chunk(tmp_path: Path, point_format: int, size: int) -> None:
     path = tmp_path / "a.laz"
