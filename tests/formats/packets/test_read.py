@@ -282,13 +282,14 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
             assert not mine.any()
             continue
         xyz = block.xyz_m[mine, ring]
-        turned = np.stack([xyz[:, 1], -xyz[:, 0]], axis=1)
-        np.testing.assert_allclose(turned, points[of, :2], atol=0.006)
+        # the decoders spread the step of a block's azimuth, given to 0.01 deg, over its lasers in their own ways
+        off = np.arctan2(-xyz[:, 0], xyz[:, 1]) - np.arctan2(points[of, 1], points[of, 0])
+        assert np.rad2deg(np.abs(np.angle(np.exp(1j * off)))).max() < 0.02
+        np.testing.assert_allclose(np.hypot(*xyz[:, :2].T), np.hypot(*points[of, :2].T), atol=0.002)
         # beams do not begin on the axis: up to 12 mm (VLP-16) and 18 mm (HDL-32E) in height
         np.testing.assert_allclose(xyz[:, 2], points[of, 2], atol=0.018)
         np.testing.assert_array_equal(block.intensity[mine, ring], points[of, 3])
-        off = block.time_s[mine, ring] - device[of]
-        assert np.ptp(off) < 2e-6
+        assert np.ptp(block.time_s[mine, ring] - device[of]) < 2e-6
     output = tmp_path / "labels.npy"
     result = CliRunner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
     assert result.exit_code in (0, 4), result.output
