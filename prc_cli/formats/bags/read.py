@@ -10,6 +10,7 @@ from pathlib import Path
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
+from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
 from prc_cli.formats.bags.containers import BagEnd, Message, Topic, read_messages
 from prc_cli.formats.bags.cursor import ShortMessageError
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, parse_laser
@@ -22,7 +23,7 @@ from prc_cli.formats.packets.scanners import PacketLines, is_scan
 MAX_SCANNERS = 256
 """Most scanners of a bag."""
 LASERS = (LASER, ECHOES)
-GROUPS = (PACKED, LASERS)
+GROUPS = (PACKED, LASERS, (CLOUD,))
 """Types of messages that hold scans, best first; those of the best group that a bag has are read by default."""
 READABLE = tuple(kind for group in GROUPS for kind in group)
 
@@ -119,9 +120,16 @@ class BagStream:
             ),
         )
 
-    @staticmethod
-    def _can(count: TopicCount) -> bool:
-        return count.topic.kind in READABLE and count.n > 0
+    def _can(self, count: TopicCount) -> bool:
+        """Whether a topic holds scans: of clouds, only those with ring and time."""
+        if count.topic.kind != CLOUD or not count.n:
+            return count.topic.kind in READABLE and count.n > 0
+        first = self._found.firsts[count.topic.name]
+        try:
+            parse_cloud(first.data, is_cdr=count.topic.is_cdr)
+        except ShortMessageError:
+            return False
+        return True
 
     def _choose(self) -> tuple[Topic, ...]:
         """Return the topics to read.
@@ -144,7 +152,7 @@ class BagStream:
                 chosen.append(count.topic)
             return tuple(chosen)
         for group in GROUPS:
-            chosen = [count.topic for count in topics.values() if count.topic.kind in group and count.n]
+            chosen = [count.topic for count in topics.values() if count.topic.kind in group and self._can(count)]
             if chosen:
                 return tuple(sorted(chosen, key=lambda topic: topic.name))
         ended = f" ({self._found.end.problem})" if self._found.end.problem else ""
@@ -167,7 +175,7 @@ class BagStream:
         return widest
 
     def _reader(self, topic: Topic) -> _TopicReader:
-        kinds: dict[str, type[_TopicReader]] = {LASER: _LaserReader, ECHOES: _LaserReader}
+        kinds: dict[str, type[_TopicReader]] = {LASER: _LaserReader, ECHOES: _LaserReader, CLOUD: _CloudReader}
         return kinds.get(topic.kind, _PacketReader)(f"{self._path}: {topic.name}", self._numbers, self._config)
 
     def blocks(self) -> Iterator[ScanBlock]:
@@ -290,6 +298,31 @@ class _LaserReader(_TopicReader):
             yield from lines.finish()
 
 
+class _CloudReader(_TopicReader):
+    """``PointCloud2`` with ring and time."""
+
+    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
+        super().__init__(where, numbers, config)
+        self._frames: dict[str, CloudLines] = {}
+
+    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
+        cloud = parse_cloud(message.data, is_cdr=message.topic.is_cdr)
+        lines = self._frames.get(cloud.frame)
+        if lines is None:
+            number = self._numbers.number(self._of(cloud.frame))
+            lines = self._frames[cloud.frame] = CloudLines(self._where, number, cloud, self._config)
+            self.points_per_line = max(self.points_per_line, lines.points_per_line)
+        self.n_taken = cloud.n_records
+        yield from lines.add(cloud, first_record)
+
+    def finish(self) -> Iterator[ScanBlock]:
+        for lines in self._frames.values():
+            yield from lines.finish()
+
+    def notes(self) -> list[str]:
+        return [f"{self._of(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lines.lost())]
+
+
 class _PacketReader(_TopicReader):
     """Messages that hold packets."""
 
@@ -323,7 +356,7 @@ class _PacketReader(_TopicReader):
             yield from lines.finish()
 
     def notes(self) -> list[str]:
-        found = [f"{self._of(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lost())]
+        found = [f"{self._of(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lines.lost())]
         if self._n_other:
             found.append(f"{self._where.rpartition(': ')[2]}: {self._n_other:,} packets of another kind left out")
         return found

@@ -137,13 +137,21 @@ class ColumnLines:
         if self.n_columns:
             yield from self._give(self._next + self._span)
 
+    def lost(self) -> str:
+        """Return a sentence on columns that did not arrive, empty if all did."""
+        if not self.n_lost:
+            return ""
+        share = self.n_lost / (self.n_lost + self.n_columns)
+        return f"{self.n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots"
+
     def _in_turn(self, columns: Columns) -> Columns:
         """Leave out columns that come too late, and check the gaps."""
         before = np.append(self._next - 1, columns.line)
         keep = columns.line > np.maximum.accumulate(before)[:-1]
         if not keep.all():
-            late = columns.record[~keep]
-            self._unplaced += late.size * (1 if columns.further_m is None else 2)
+            every = [columns.record[~keep]]
+            every += [] if columns.further_record is None else [columns.further_record[~keep]]
+            self._unplaced += sum(int(np.count_nonzero(one >= 0)) for one in every)
             columns = columns.part(keep)
         if not len(columns):
             return columns

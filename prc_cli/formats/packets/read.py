@@ -200,7 +200,7 @@ class PacketStream:
             record += one.n_records
         for one in lines.values():
             yield from one.finish()
-        self._lost = [f"{key}: {lost}" for key, one in lines.items() if (lost := one.lost())]
+        self._lost = [f"{key}: {lost}" for key, one in lines.items() if (lost := one.lines.lost())]
 
 
 def _key(datagram: Datagram) -> str:

@@ -121,11 +121,3 @@ class PacketLines:
         self.lines.count_not_fired(len(data) * self.decoder.n_records - len(columns) * per_column)
         if len(columns):
             yield from self.lines.add(columns)
-
-    def lost(self) -> str:
-        """Return a sentence on columns that did not arrive, empty if all did."""
-        lines = self.lines
-        if not lines.n_lost:
-            return ""
-        share = lines.n_lost / (lines.n_lost + lines.n_columns)
-        return f"{lines.n_lost:,} columns did not arrive ({share:.2%}): they are lines of missing shots"

@@ -140,3 +140,20 @@ def write_db3(path: Path, sent: list[Sent], *, packed: bool = False, little: boo
     base.commit()
     base.close()
     return path
+
+
+def cloud(version: int, time_ns: int, table: np.ndarray, *, height: int = 1, frame: str = "velodyne") -> Any:
+    """A ``PointCloud2`` of a structured array, with its fields and byte order."""
+    types = STORES[version].types
+    codes = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+    assert table.dtype.fields is not None
+    fields = [
+        types["sensor_msgs/msg/PointField"](name, offset, codes[kind.str[1:]], 1)
+        for name, (kind, offset, *_) in table.dtype.fields.items()
+    ]
+    is_big = any(kind.str[0] == ">" for kind, *_ in table.dtype.fields.values())
+    data = np.frombuffer(table.tobytes(), np.uint8)
+    step, width = table.dtype.itemsize, len(table) // height
+    own = types["sensor_msgs/msg/PointCloud2"]
+    head = header(STORES[version], time_ns, frame)
+    return own(head, height, width, fields, is_big, step, step * width, data, True)

@@ -282,7 +282,7 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
             assert not mine.any()
             continue
         xyz = block.xyz_m[mine, ring]
-        # the decoders spread the step of a block's azimuth, given to 0.01 deg and 0.2 deg to 0.4 deg long, over its lasers in their own ways
+        # azimuths are given to 0.01 deg; the decoders spread a block's step over its lasers in their own ways
         off = np.arctan2(-xyz[:, 0], xyz[:, 1]) - np.arctan2(points[of, 1], points[of, 0])
         assert np.rad2deg(np.abs(np.angle(np.exp(1j * off)))).max() < 0.05
         np.testing.assert_allclose(np.hypot(*xyz[:, :2].T), np.hypot(*points[of, :2].T), atol=0.002)
