@@ -65,10 +65,13 @@ def _print(inspection: Inspection, command: str, *, verbose: bool) -> None:
         results().print(f"type: {printable(command)}", soft_wrap=True)
 
 
+LISTED = ("bag", "packets")
+"""Formats whose topics or scanners are always shown."""
 FLAGS = {
     "method": "--method", "preset": "--preset", "config_file": "--config", "layout_file": "--layout",
     "points_per_line": "-M", "lines": "--lines", "columns": "--columns", "range_": "--range", "scanner": "--scanner",
-    "return_": "--return", "max_range": "--max-range", "assignments": "--set", "accept_doubts": "--accept-doubt",
+    "topic": "--topic", "metadata": "--metadata", "return_": "--return", "max_range": "--max-range",
+    "assignments": "--set", "accept_doubts": "--accept-doubt",
     "sort_by_time": "--sort-by-time", "trust_order": "--trust-order",
 }  # fmt: skip
 """Options of the command line by parameter, in the order in which they are offered."""
@@ -108,6 +111,8 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     if "point_format" in head:
         rows[0] = (rows[0][0], f"{rows[0][1]}, LAS {head['version']}, point format {head['point_format']}")
         rows.append(("CRS", str(head.get("crs") or "none in the file").split("\n")[0][:100]))
+    if inspection.format in LISTED:
+        rows.extend((key, str(value)) for key, value in head.items())
     if inspection.n_records is not None:
         rows.append(("records", f"{inspection.n_records:,}"))
     if inspection.dimensions:
@@ -120,7 +125,7 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     if inspection.facts is not None:
         tally = tally_rows(inspection.facts.tally, everything=verbose)
         rows.extend((name, f"{count:,}") for name, count in tally)
-    if verbose and inspection.header:
+    if verbose and inspection.header and inspection.format not in LISTED:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     rows.extend((f"check: {one.check}", _said(one)) for one in inspection.findings)
     if inspection.findings and not inspection.problem:

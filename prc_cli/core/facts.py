@@ -47,7 +47,8 @@ class SourceFacts:
     time_name: str = "time"
     """Name of the times in messages."""
     has_line_times: bool = False
-    """Whether the file holds one time per line, which blocks repeat for each shot of the line."""
+    """Whether lines are judged by the time of their first shot: the file holds one time per line, which blocks repeat
+    for each shot, or shots of a line are fired out of turn."""
     has_scans: bool = False
     """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
     notes: tuple[str, ...] = ()

@@ -77,11 +77,25 @@ def _e57(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
     return E57Stream(path, config)
 
 
+def _bag(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
+    from prc_cli.formats.bags.read import BagStream
+
+    return BagStream(path, config)
+
+
+def _packets(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
+    from prc_cli.formats.packets.read import PacketStream
+
+    return PacketStream(path, config)
+
+
 IMAGE_READERS: dict[str, Callable[[Path, InputConfig, int], ScanStream]] = {
     ".npy": _array,
     ".npz": _array,
     ".ptx": _ptx,
     ".e57": _e57,
+    **dict.fromkeys((".bag", ".db3", ".mcap"), _bag),
+    **dict.fromkeys((".pcap", ".pcapng"), _packets),
 }
 """Readers of range images and organised scans by suffix; these files hold lines and columns."""
 

@@ -111,6 +111,17 @@ class InputConfig(Params):
         None,
         description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's",
     )
+    topic: str | None = Field(
+        None,
+        min_length=1,
+        description="bags: the topics to read, in a row with commas; captures: ADDRESS:PORT of the "
+        "scanners; default: all scans of the best kind",
+    )
+    metadata: str | None = Field(
+        None,
+        min_length=1,
+        description="captures: the JSON metadata of an Ouster sensor; default: the name of the capture with .json",
+    )
     max_gap_lines: int = Field(
         100_000, ge=0, description="more missing lines in a row than this are an error, not a gap"
     )

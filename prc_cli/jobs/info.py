@@ -339,7 +339,9 @@ def _line_order(stream: ScanStream) -> OrderEvidence | None:
         if block.time_s is None:
             return None
         watch = watch or OrderWatch(stream.info.path, "trust", "time_s")
-        watch.see(block.time_s.ravel(), None)
+        # lines of shots fired at other times begin at the first ring's
+        own = block.time_s[:, 0] if stream.info.facts.has_line_times else block.time_s.ravel()
+        watch.see(own, None)
     return None if watch is None else watch.evidence()
 
 

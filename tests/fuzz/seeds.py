@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import struct
 from collections.abc import Callable
 from functools import cache
@@ -252,6 +253,57 @@ def _labels_csv() -> bytes:
     return ("record,class\n" + rows).encode()
 
 
+def _recorded(name: str) -> bytes:
+    """A bag of every container: two scanners, and a topic that is not read."""
+    import tempfile
+
+    from tests.formats.bags import recordings as made
+    from tests.formats.bags.test_cloud import drive, messages
+
+    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "u1"), ("t", "<u4")])
+    clouds = messages(drive(60), dtype, every=20)
+    sent = clouds if name == "cloud.db3" else [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        if name.endswith(".mcap"):
+            return made.write_mcap(path, sent, name.partition(".")[0].replace("plain", "none"), 3000).read_bytes()
+        if name.endswith(".db3"):
+            return made.write_db3(path, sent, packed=name.startswith("zstd")).read_bytes()
+        sent = [*made.lasers(1), *made.lasers(1, "/left", "left", 2), *made.strings(1)]
+        packing = name.partition(".")[0].replace("plain", "")
+        return made.write_bag(path, sent, packing, 3000).read_bytes()
+
+
+def _captured(name: str) -> bytes:
+    """A capture of a Velodyne, some of it in fragments, or of an Ouster."""
+    import tempfile
+
+    from tests.formats.packets import captures as made
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        if name.startswith("ouster"):
+            return made.write_pcap(path, made.framed(made.ouster()[1], 7502)).read_bytes()
+        frames = made.framed(made.vlp16(6))
+        body = made.udp(made.vlp16(7)[6])
+        for offset in (0, 600):
+            part = made.ip4(body[offset : offset + 600 * (1 + offset)], offset=offset, more=not offset, number=9)
+            frames.append((frames[-1][0] + 1e-3, made.ethernet(part)))
+        write = made.write_pcapng if name.endswith("ng") else made.write_pcap
+        return write(path, frames).read_bytes()
+
+
+def _metadata() -> bytes:
+    from tests.formats.packets import captures as made
+
+    return json.dumps(made.ouster()[0]).encode()
+
+
+RECORDINGS = (
+    *("plain.bag", "bz2.bag", "lz4.bag", "plain.mcap", "zstd.mcap", "lz4.mcap", "plain.db3", "zstd.db3", "cloud.db3"),
+    *("velodyne.pcap", "velodyne.pcapng", "ouster.pcap"),
+)
+
 SEEDS: dict[str, Callable[[], bytes]] = {
     **{
         f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False)
@@ -284,6 +336,8 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "text_layout.toml": lambda: TEXT_LAYOUT.encode(),
     "config.toml": lambda: CONFIG.encode(),
     "mapping.toml": lambda: MAPPING.encode(),
+    **{name: lambda name=name: _captured(name) if "pcap" in name else _recorded(name) for name in RECORDINGS},
+    "ouster.json": _metadata,
     "simulate.toml": lambda: b"seed = 3\nlength_m = 5.0\n[scanner]\npoints_per_line = 24\n",
 }
 """Content of a valid file by its name."""
