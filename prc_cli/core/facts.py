@@ -29,6 +29,18 @@ def _skip_nothing() -> None:
 
 
 @dataclass(frozen=True, slots=True)
+class KnownRule:
+    """A rule for lines, columns or ranges that follows from the format, for ``auto``."""
+
+    key: str
+    """``lines``, ``columns`` or ``range``; ``turn`` = ``whole`` where lines are whole turns with a gap."""
+    value: str
+    """As in ``[input]``."""
+    why: str
+    """The reason, for ``prc info`` and the run record."""
+
+
+@dataclass(frozen=True, slots=True)
 class SourceFacts:
     """Metadata of a source of records or of images; a format leaves what it does not know at the default."""
 
@@ -42,6 +54,8 @@ class SourceFacts:
     """Whether the file holds one time per line, which blocks repeat for each shot of the line."""
     has_scans: bool = False
     """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
+    rules: tuple[KnownRule, ...] = ()
+    """Rules for lines, columns and ranges that the file itself implies."""
     notes: tuple[str, ...] = ()
     """What is unusual about the file, one sentence each; always shown, and kept in the run record."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
@@ -52,3 +66,7 @@ class SourceFacts:
     """Makes chunks end at multiples of this many records, so that blocks need not be joined; changes no value."""
     skip_intensity: Callable[[], None] = field(default=_skip_nothing, repr=False, compare=False)
     """Leaves ``intensity`` undefined for shots where it does not choose between returns: it is slow to decode."""
+
+    def rule(self, key: str) -> KnownRule | None:
+        """Return the rule of a key, None if the file implies none."""
+        return next((rule for rule in self.rules if rule.key == key), None)

@@ -62,6 +62,8 @@ class GridRules:
     """Which return of a shot the image shows."""
     order: Policy
     """Policy for records out of order."""
+    whole_turn: bool = False
+    """Whether lines are whole turns, by their times, though no shot of some angles ever returns."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -159,6 +161,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         pads_last_line=config.partial_line == "pad",
         chosen_return=config.return_,
         order=config.order,
+        whole_turn=columns == "angle" and source.facts.rule("turn") is not None,
     )
 
 
@@ -173,10 +176,21 @@ def _argument(rule: str) -> str | None:
     return rule.partition(":")[2] if rule.startswith("dimension:") else None
 
 
+def _implied(source: RecordSource, key: str, taken: list[Assumption]) -> str | None:
+    """Return the rule that the format implies; None if it implies none."""
+    rule = source.facts.rule(key)
+    if rule is None or rule.value == "rings":
+        return None
+    taken.append(Assumption(f"input.{key}", rule.value, rule.why))
+    return rule.value
+
+
 def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumption]) -> str:
     if "scan_line" in source.dimensions:
         taken.append(Assumption("input.lines", "dimension:scan_line", "the input has a dimension of this name"))
         return "dimension:scan_line"
+    if (implied := _implied(source, "lines", taken)) is not None:
+        return implied
     if config.points_per_line is not None:
         why = f"points_per_line = {config.points_per_line} is given and the input has no dimension scan_line"
         taken.append(Assumption("input.lines", "fixed", why))
@@ -215,6 +229,8 @@ def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> 
     if lines == "fixed":
         taken.append(Assumption("input.columns", "order", "lines are fixed: every shot has its record"))
         return "order"
+    if (implied := _implied(source, "columns", taken)) is not None:
+        return implied
     if "column" in source.dimensions:
         taken.append(Assumption("input.columns", "dimension:column", "the input has a dimension of this name"))
         return "dimension:column"
@@ -246,6 +262,8 @@ def _auto_range(source: RecordSource, taken: list[Assumption]) -> str:
     if "range" in source.dimensions:
         taken.append(Assumption("input.range", "dimension:range", "the input has a dimension of this name"))
         return "dimension:range"
+    if (implied := _implied(source, "range", taken)) is not None:
+        return implied
     ways = ["--range dimension:NAME"]
     if set(XYZ) <= set(source.dimensions):
         ways += ["--range trajectory:FILE"] if "time" in source.dimensions else []
@@ -284,6 +302,8 @@ def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int |
     key = "input.points_per_line"
     if rules.points_per_line is not None:
         return rules.points_per_line, None
+    if rules.lines == "fixed" and recorded is not None and recorded > 0:
+        return recorded, Assumption(key, str(recorded), "recorded in the file")
     if rules.lines == "fixed":
         hint = f"give -M NUMBER; prc info {rules.path} estimates it"
         raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {rules.path}", hint)
