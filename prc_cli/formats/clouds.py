@@ -26,6 +26,10 @@ CHUNK_BYTES = 64 << 20
 MAX_RUN = 255
 """Most rows of a shot: longer runs of equal times and angles are no returns."""
 XYZ = ("x", "y", "z")
+NO_CELL = 0xFFFFFFFF
+"""Line and column of a point without a cell, in files of this program."""
+OWN_COMMENT = "prc points_per_line "
+"""Comment of files of this program, with M behind it."""
 TURN_OFF = 0.02
 """Tolerance for whole turns."""
 _LEAST_WRAPS = 4
@@ -35,7 +39,7 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "scan_line": ("scan_line", "scanline", "line"),
     "column": ("column", "col"),
     "angle": ("angle", "scan_angle", "angle_rad", "angle_deg", "theta"),
-    "time": ("gps_time", "gpstime", "time", "timestamp", "t"),
+    "time": ("gps_time", "gpstime", "time", "time_s", "timestamp", "t"),
     "intensity": ("intensity", "amplitude"),
     "return_number": ("return_number", "num_echo"),
     "number_of_returns": ("number_of_returns", "num_returns", "nb_of_echo"),
@@ -110,6 +114,7 @@ class CloudHead:
     rules: tuple[KnownRule, ...] = ()
     points_per_line: int | None = None
     notes: tuple[str, ...] = ()
+    comments: tuple[str, ...] = ()
     described: Mapping[str, Any] | None = None
 
 
@@ -138,16 +143,23 @@ class CloudSource:
         """File name, for messages."""
         self.format = head.format
         """Reader name."""
-        self.n_records = body.n_records
+        self.n_records: int = body.n_records
         """Number of records, from the header."""
         self._body = body
-        self._head = head
+        self.head = head
+        """What the header says."""
         given = layout is not None and bool(layout.fields)
         found = _given_fields(head, layout) if given and layout is not None else _known_fields(head.names)
         notes, rules = list(head.notes), list(head.rules)
+        own_m = _own_points_per_line(head.comments)
         first = _first_rows(body, head.names)
         if not given:
             found = _with_units(found, head, first, notes)
+        if own_m is not None:
+            for name in ("scan_line", "column"):
+                if name in found:
+                    own, item = found[name]
+                    found[name] = (own, item.model_copy(update={"missing": float(NO_CELL)}))
         self._own: dict[str, tuple[str, LayoutField]] = found
         self._has_pulses = {"return_number", "number_of_returns"} <= set(found) and "time" in found
         if self._has_pulses and len(first[found["time"][0]]):
@@ -159,13 +171,15 @@ class CloudSource:
                     f"{n_copies} of the first {n_rows} rows repeat a return of their shot that stands before: they are "
                     "taken as further returns, not as shots"
                 )
+            # other programs list every return once
+            self._has_pulses = n_copies > 0 or found["return_number"][0].lower() == "num_echo"
         renamed = [f"{own} as {name}" for name, (own, _) in found.items() if own != name and name in _RENAMED]
         if renamed and not given:
             notes.append(f"properties taken under another name: {', '.join(renamed)}")
-        rules += _usual_rules(found, head)
+        rules += _usual_rules(found, head, is_own=own_m is not None)
         rules += _turn_rules(found, first)
         self.facts = SourceFacts(
-            points_per_line=head.points_per_line,
+            points_per_line=own_m if "column" in found and own_m is not None else head.points_per_line,
             rules=tuple(rules),
             notes=tuple(notes),
             describe=lambda: dict(head.described or {}),
@@ -195,7 +209,7 @@ class CloudSource:
         grouped = self._has_pulses and bool({"return_number", "number_of_returns"} & set(names))
         keys = self._key_names if grouped else ()
         stored = tuple(dict.fromkeys((*(own for own, _ in wanted.values()), *keys)))
-        chunks = self._body.chunks(stored or self._head.names[:1])
+        chunks = self._body.chunks(stored or self.head.names[:1])
         for first, columns, n in self._whole_runs(chunks) if grouped else chunks:
             values = {name: decode(columns[own], item) for name, (own, item) in wanted.items()}
             if grouped:
@@ -203,6 +217,16 @@ class CloudSource:
                 made = {"return_number": runs.ordinal, "number_of_returns": runs.n_rows}
                 values.update({name: made[name] for name in made if name in wanted})
             yield RecordChunk(first, values, n)
+
+    def stored(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
+        """Yield index of the first record, stored values by property, and number of records.
+
+        Raises
+        ------
+        InputError
+            When the file is damaged or cut short.
+        """
+        return self._body.chunks(names or self.head.names[:1])
 
     @property
     def _key_names(self) -> tuple[str, ...]:
@@ -396,12 +420,19 @@ def _is_whole(values: NDArray[Any]) -> bool:
     return values.dtype.kind in "iu"
 
 
-def _usual_rules(found: Mapping[str, Any], head: CloudHead) -> list[KnownRule]:
+def _own_points_per_line(comments: tuple[str, ...]) -> int | None:
+    """Return M as this program wrote it; None in other files."""
+    told = [text.removeprefix(OWN_COMMENT) for text in comments if text.startswith(OWN_COMMENT)]
+    m = told[-1].strip() if told else ""
+    return int(m) if m.isascii() and m.isdecimal() and 0 < len(m) <= 8 and int(m) else None
+
+
+def _usual_rules(found: Mapping[str, Any], head: CloudHead, *, is_own: bool) -> list[KnownRule]:
     """Return what the properties say of lines, columns and ranges, for ``auto``."""
     rules: list[KnownRule] = []
     known = {rule.key for rule in head.rules}
     has_lines = "scan_line" in found
-    if "ring" in found and set(XYZ) <= set(found) and not has_lines and "angle" not in found:
+    if "ring" in found and set(XYZ) <= set(found) and (is_own or not has_lines) and "angle" not in found:
         rules.append(KnownRule("lines", "rings", "the points have a ring, and x, y, z from the scanner"))
         rules.append(KnownRule("range", "sensor-xyz", "rings turn around the origin of x, y, z"))
     elif "angle" in found and "range" in found and not has_lines and "column" not in found and "lines" not in known:

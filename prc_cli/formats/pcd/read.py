@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,16 @@ import numpy as np
 from prc_cli.core.errors import InputError
 from prc_cli.core.facts import KnownRule
 from prc_cli.core.files import open_to_read
-from prc_cli.formats.clouds import CHUNK_BYTES, CHUNK_RECORDS, BinaryBody, Body, CloudHead, CloudSource, Columns
+from prc_cli.formats.clouds import (
+    CHUNK_BYTES,
+    CHUNK_RECORDS,
+    OWN_COMMENT,
+    BinaryBody,
+    Body,
+    CloudHead,
+    CloudSource,
+    Columns,
+)
 from prc_cli.formats.options import Layout
 from prc_cli.formats.pcd.lzf import MAX_RATIO, decode_lzf
 from prc_cli.formats.text.body import TextBody
@@ -48,6 +57,7 @@ class PcdHeader:
     data: str
     n_lines: int
     n_bytes: int
+    comments: tuple[str, ...] = ()
 
     @property
     def n_points(self) -> int:
@@ -105,6 +115,7 @@ def open_pcd(path: Path, layout: Layout | None = None) -> CloudSource:
     head = CloudHead(
         path, f"PCD, {header.data.replace('_', ' ')}", kept, types,
         rules=_rules(header, kept), points_per_line=header.width if organised else None,
+        comments=tuple(text for text in header.comments if text.startswith(OWN_COMMENT)),
         described={
             "width": header.width, "height": header.height, "points": header.n_points, "data": header.data,
             "viewpoint": list(header.viewpoint_m), "fields": list(kept),
@@ -139,6 +150,7 @@ def read_pcd_header(path: Path) -> PcdHeader:
         head = handle.read(MAX_HEADER_BYTES)
     found: dict[str, tuple[int, list[str]]] = {}
     at = number = 0
+    comments: list[str] = []
     while "DATA" not in found:
         end = head.find(b"\n", at)
         if end < 0:
@@ -146,6 +158,8 @@ def read_pcd_header(path: Path) -> PcdHeader:
             raise InputError(f"{path}: line {number + 1}", problem, "check that this is a PCD file")
         line = head[at:end].decode("utf-8", errors="replace").strip()
         at, number = end + 1, number + 1
+        if line.startswith("#"):
+            comments.append(line.removeprefix("#").strip())
         if not line or line.startswith("#"):
             continue
         cells = line.split()
@@ -154,7 +168,7 @@ def read_pcd_header(path: Path) -> PcdHeader:
             problem = f"found {shorten(line)!r}, expected each of {' '.join(_KEYS)} once"
             raise InputError(f"{path}: line {number}", problem, "check that this is a PCD file")
         found[key] = (number, cells[1:])
-    return _parse(path, found, number, at)
+    return replace(_parse(path, found, number, at), comments=tuple(comments))
 
 
 def _parse(path: Path, found: dict[str, tuple[int, list[str]]], n_lines: int, n_bytes: int) -> PcdHeader:

@@ -39,7 +39,8 @@ def open_ply(path: Path, layout: Layout | None = None) -> CloudSource:
     types = {name: np.dtype(kind) for name, kind in vertex.properties}
     head = CloudHead(
         path, f"PLY, {header.form.replace('_', ' ')}", names, types,
-        offsets_m=offsets_of(header.comments), notes=tuple(notes), described=header.describe(),
+        offsets_m=offsets_of(header.comments), comments=header.comments, notes=tuple(notes),
+        described=header.describe(),
     )  # fmt: skip
     return CloudSource(head, body, layout)
 
