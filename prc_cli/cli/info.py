@@ -86,6 +86,8 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
     mends = [one.option for one in doubts if one.option]
     if inspection.mend:
         mends = [inspection.mend]
+    elif inspection.missing:
+        mends = list(inspection.missing)
     elif inspection.problem:
         against = [one for one in doubts if one.verdict is Verdict.AGAINST]
         if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
@@ -172,6 +174,11 @@ def _stream_rows(inspection: Inspection) -> list[tuple[str, str]]:
     if period is not None:
         estimate = "none" if period.points_per_line is None else f"{period.points_per_line:,}"
         rows.append(("M estimated", f"{estimate} ({period.reason})"))
+    if inspection.rates is not None:
+        rates = inspection.rates
+        rows.append(("shots a second", f"{rates.shot_hz:.8g}, from the times ({rates.share:.0%} return)"))
+        rows.append(("lines a second", f"{rates.line_hz:.6g}, of M = {rates.points_per_line:,} shots"))
+        rows.append(("a line begins", f"{rates.time_origin_s!r} s, in the middle of what rarely returns"))
     return rows
 
 

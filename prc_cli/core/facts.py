@@ -37,6 +37,18 @@ def _check_nothing() -> None:
 
 
 @dataclass(frozen=True, slots=True)
+class KnownRule:
+    """A rule for lines, columns or ranges that follows from the format, for ``auto``."""
+
+    key: str
+    """``lines``, ``columns`` or ``range``; ``turn`` = ``whole`` where lines are whole turns with a gap."""
+    value: str
+    """As in ``[input]``."""
+    why: str
+    """The reason, for ``prc info`` and the run record."""
+
+
+@dataclass(frozen=True, slots=True)
 class SourceFacts:
     """Metadata of a source of records or of images; a format leaves what it does not know at the default."""
 
@@ -51,6 +63,8 @@ class SourceFacts:
     for each shot, or shots of a line are fired out of turn."""
     has_scans: bool = False
     """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
+    rules: tuple[KnownRule, ...] = ()
+    """Rules for lines, columns and ranges that the file itself implies."""
     notes: tuple[str, ...] = ()
     """What is unusual about the file, one sentence each; always shown, and kept in the run record."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
@@ -63,3 +77,7 @@ class SourceFacts:
     """Leaves ``intensity`` undefined for shots where it does not choose between returns: it is slow to decode."""
     check_layers: Callable[[], None] = field(default=_check_nothing, repr=False, compare=False)
     """Decodes what nobody asks for too, so that damage in it is found: what is copied as bytes must be sound."""
+
+    def rule(self, key: str) -> KnownRule | None:
+        """Return the rule of a key, None if the file implies none."""
+        return next((rule for rule in self.rules if rule.key == key), None)

@@ -274,7 +274,8 @@ def _classify(
     before = source.stat()
     with timed("opening"):
         # times and intensities are needed only where a point cloud is made from another kind of input
-        only_ranges = suffix_of(output) not in LAS_SUFFIXES or suffix_of(source) in LAS_SUFFIXES
+        makes_points = suffix_of(output) in (*LAS_SUFFIXES, ".ply", ".pcd")
+        only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
         opened = _open(source, loaded.config, geometry=False, only_ranges=only_ranges)
         if suffix_of(output) == ".laz" and not asked_columns(loaded.config.output):
             opened.info.facts.check_layers()  # they are copied as they are

@@ -41,7 +41,7 @@ from prc_cli.streams.open import open_input
 
 XYZ = ("x", "y", "z")
 _LAS = (".las", ".laz")
-_TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet")
+_TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet", ".ply", ".pcd")
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""
 _STREAM_NAMES = frozenset(

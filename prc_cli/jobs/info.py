@@ -15,10 +15,11 @@ from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
-from prc_cli.core.types import F32
+from prc_cli.core.types import F32, F64
 from prc_cli.formats import open_source
-from prc_cli.formats.options import InputConfig
+from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.returns import continues_run, mark_shots
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.estimates import (
     PeriodEstimate,
@@ -28,11 +29,14 @@ from prc_cli.streams.evidence.estimates import (
     first_times,
     range_correlation,
 )
+from prc_cli.streams.evidence.rates import TimedScan, measure_rates
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
 
+RATE_OFF = 1e-3
+"""Rates that differ by more are told: a line would be off by some columns."""
 SAMPLE_SHOTS = 4_000_000
 """Number of ranges kept from the start of a file, for the median, the correlation and the estimate of M."""
 
@@ -82,6 +86,10 @@ class Inspection:
     hint: str = ""
     mend: str = ""
     """The option of the command line with which it can, where that was tried."""
+    rates: TimedScan | None = None
+    """Rates of the scanner as its times show them; None where they were not asked for or show none."""
+    missing: tuple[str, ...] = ()
+    """Every option of the command line that is still needed, with what was measured."""
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
@@ -156,14 +164,81 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         inspection = _describe(
             path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
         )
+        if _lacks_lines(source, loaded.config.input):
+            return _with_rates(inspection, source, loaded.config.input)
         if "range" in source.dimensions:
             inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(_sample(source)))
         return inspection
     found = _describe(path, source, stream, order, refusal, judged=judged)
+    found = _with_other_rates(found, source, loaded.config.input)
     if found.problem or not judged or found.facts is None or not _is_odd(found.facts.tally):
         return found
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
+
+
+def _lacks_lines(source: RecordSource, inputs: InputConfig) -> bool:
+    """Tell whether only the times can say where lines and columns are."""
+    is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
+    known = {"scan_line", "column", "angle"} & set(source.dimensions)
+    return is_asked and "time" in source.dimensions and not known and inputs.points_per_line is None
+
+
+def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
+    """Measure the rates of a scanner from its times alone; list all that is missing, with one command."""
+    rates = _measured_rates(source) if refused.order is None or refused.order.is_chronological else None
+    if rates is None:
+        return refused
+    options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
+    options.append(f"--set input.time_origin={rates.time_origin_s!r}")
+    hint = f"the times show {_shown_rates(rates)}"
+    if inputs.range == "auto" and "range" not in source.dimensions and source.facts.rule("range") is None:
+        options.append("--range trajectory:FILE")
+        hint += "; a range needs the place of the scanner: FILE holds its positions over time, or origin:X,Y,Z"
+    problem = "it has times alone: no scan lines, no columns" + (" and no ranges" if len(options) > 3 else "")
+    hint += "; give all of it at once"
+    return replace(refused, rates=rates, missing=tuple(options), problem=problem, hint=hint)
+
+
+def _with_other_rates(found: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
+    """Note rates that were given and are not those that the times show."""
+    if not (inputs.lines.startswith("time:") and inputs.columns.startswith("time:")) or found.facts is None:
+        return found
+    rates = _measured_rates(source)
+    if rates is None:
+        return found
+    off = max(abs(parse_rate(inputs.lines) / rates.line_hz - 1), abs(parse_rate(inputs.columns) / rates.shot_hz - 1))
+    note = f"the times show {_shown_rates(rates)}; --lines and --columns say otherwise"
+    return replace(found, rates=rates, notes=(*found.notes, *([note] if off > RATE_OFF else [])))
+
+
+def _shown_rates(rates: TimedScan) -> str:
+    return (
+        f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second, M = {rates.points_per_line}, "
+        f"{rates.share:.0%} of the shots return"
+    )
+
+
+def _measured_rates(source: RecordSource) -> TimedScan | None:
+    """Measure the rates from the first shots."""
+    has_returns = {"return_number", "number_of_returns"} <= set(source.dimensions)
+    names = ("time", *(("z",) if "z" in source.dimensions else ()))
+    names += ("return_number", "number_of_returns") if has_returns else ()
+    times: list[F64] = []
+    heights: list[F64] = []
+    kept = 0
+    for chunk in source.chunks(names):
+        values = chunk.values
+        first = np.ones(chunk.n, np.bool_)
+        if has_returns:
+            first = mark_shots(continues_run((values["time"],), values["number_of_returns"]), values["return_number"])
+        times.append(np.asarray(values["time"], np.float64)[first])
+        if "z" in values:
+            heights.append(np.asarray(values["z"], np.float64)[first])
+        kept += len(times[-1])
+        if kept >= SAMPLE_SHOTS:
+            break
+    return measure_rates(np.concatenate(times), np.concatenate(heights) if heights else None) if times else None
 
 
 def _with_estimate(path: Path, loaded: LoadedConfig, refused: Inspection, period: PeriodEstimate) -> Inspection:

@@ -25,6 +25,9 @@ LINE_DOUBTFUL, LINE_AGAINST = 0.12, 0.4
 SECOND = 0.5
 """A second neighbour this much more like a shot than the first: every other shot or line is of something else. In scans
 the second is less alike than the first."""
+ALIKE = 0.005
+"""Neighbouring lines this much alike are no lines of different scanners: where a turn has a number of shots and a half,
+every second line has the same angles, and differs by less than the others even while standing (0.001)."""
 HALF = 2.0
 """Half a line later as alike as the next line, within this factor: a line is two turns."""
 FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
@@ -96,7 +99,7 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
         return None
     name, expected = "line-length", f"lines of M = {m} shots that are alike"
     steps = [step for step in range(2, len(figures.line) + 1) if figures.line[step - 1] < SECOND * first]
-    if steps:
+    if steps and ratio >= ALIKE:
         return _alternating(figures, m, steps[0])
     if 0 < figures.half_line <= min(HALF * first, LINE_DOUBTFUL * figures.random):
         found = f"the ranges repeat after {m // 2} shots already"
