@@ -17,6 +17,7 @@ from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, d
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
 from prc_cli.core.types import F32, F64
 from prc_cli.formats import open_source
+from prc_cli.formats.contents import Contents, watched_contents
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.formats.returns import continues_run, mark_shots
@@ -88,6 +89,8 @@ class Inspection:
     """The option of the command line with which it can, where that was tried."""
     rates: TimedScan | None = None
     """Rates of the scanner as its times show them; None where they were not asked for or show none."""
+    contents: Contents | None = None
+    """What the records hold; None where the file is no list of records."""
     missing: tuple[str, ...] = ()
     """Every option of the command line that is still needed, with what was measured."""
 
@@ -105,6 +108,7 @@ class Inspection:
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
         table: dict[str, Any] = _plain(asdict(self))
+        table["contents"] = None if self.contents is None else self.contents.as_dict()
         table["classifiable"] = not self.problem
         table["doubts"] = [one.check for one in self.doubts]
         table["checks_not_asked"] = list(self.not_asked)
@@ -159,7 +163,22 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
         return _describe(path, None, stream, _line_order(stream), refusal, judged=judged)
-    order = _time_order(source)
+    contents = Contents()
+    order = _time_order(source, contents)
+    found = _inspect_records(path, loaded, source, stream, refusal, order)
+    return replace(found, contents=contents)
+
+
+def _inspect_records(
+    path: Path,
+    loaded: LoadedConfig,
+    source: RecordSource,
+    stream: ScanStream | None,
+    refusal: InputError | ConfigError | None,
+    order: OrderEvidence | None,
+) -> Inspection:
+    """Describe a file of records, and try what may mend it."""
+    judged = loaded.config.input.order == "require"
     if stream is None:
         inspection = _describe(
             path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
@@ -397,14 +416,13 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
     return facts, flat if ranges is not None else None
 
 
-def _time_order(source: RecordSource) -> OrderEvidence | None:
-    """Read the times alone, in the order of the input."""
-    if "time" not in source.dimensions:
-        return None
-    watch = OrderWatch(source.path, "trust", source.facts.time_name)
-    for chunk in source.chunks(("time",)):
-        watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
-    return watch.evidence()
+def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
+    """Read the records once, in the order of the input, and count what they hold; return the order of the times."""
+    watch = OrderWatch(source.path, "trust", source.facts.time_name) if "time" in source.dimensions else None
+    for chunk in watched_contents(source, contents):
+        if watch is not None:
+            watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
+    return None if watch is None else watch.evidence()
 
 
 def _line_order(stream: ScanStream) -> OrderEvidence | None:
