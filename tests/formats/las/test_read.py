@@ -753,7 +753,7 @@ def test_the_mobile_file_out_of_order_is_refused_with_its_evidence(real_data: Pa
         watch.see(chunk.values["time"], chunk.record)
         watch.finish()
     assert caught.value.problem == (
-        "gps_time decreases in 93.1 % of 10 682 steps, first at record 1: 552885.16 s after 552885.32 s; "
+        "gps_time decreases in 93.1 % of 10,682 steps, first at record 1: 552885.16 s after 552885.32 s; "
         "expected shots in the order they were fired"
     )
 
