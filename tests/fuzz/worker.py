@@ -163,7 +163,8 @@ def _judge_las(job: dict[str, Any], out: Path) -> list[str]:
         try:
             found = laspy.read(path)
         except BaseException as error:
-            if not isinstance(refusal, UnicodeDecodeError):  # a text in the header, kept as it is
+            # headers that it refuses and we do not are copied as they are; records must be sound
+            if type(refusal) is not type(error) or "Lazrs" in type(error).__name__ or "Panic" in type(error).__name__:
                 faults.append(f"laspy refuses the output: {type(error).__name__}: {error}"[:300])
             continue
         if before is None or job["command"][0] not in ("classify", "convert"):
