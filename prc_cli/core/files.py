@@ -68,6 +68,20 @@ def read_small(path: Path, limit: int) -> bytes:
     return content
 
 
+def file_state(path: Path | int) -> tuple[int, int, int, int]:
+    """Return what changes when a file does: size, time of its content, time of any change, number.
+
+    Who edits a file in place can put the first time back, but not the second.
+
+    Raises
+    ------
+    OSError
+        When it cannot be looked at.
+    """
+    found = os.fstat(path) if isinstance(path, int) else path.stat()
+    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
+
+
 def who_may_change(path: Path) -> str:
     """Return why others than this user and the administrator may change a file or folder; empty if they may not.
 

@@ -22,7 +22,7 @@ from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import DoubtWarning, InputError
-from prc_cli.core.files import check_output, remove_stale, suffix_of
+from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.profile import timed, timed_items
@@ -271,7 +271,7 @@ def _classify(
     for path in (output, record_path(output)):
         remove_stale(path)
     check_input(source)
-    before = source.stat()
+    before = file_state(source)
     with timed("opening"):
         # times and intensities are needed only where a point cloud is made from another kind of input
         makes_points = suffix_of(output) in (*LAS_SUFFIXES, ".ply", ".pcd")
@@ -304,8 +304,7 @@ def _classify(
         missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
         told = (finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
         record = replace(record, notices=(*record.notices, *missed, *told), engine=engine)
-        after = source.stat()
-        if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+        if file_state(source) != before:
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
         with timed("finishing the output"):
             record = writer.finish(record)

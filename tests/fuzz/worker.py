@@ -125,10 +125,12 @@ class Worker:
             faults.append(f"printed {bad!r}: {text[max(0, at - 60) : at + 40]!r}")
         if "Traceback (most recent" in text or "panicked at" in text:
             faults.append("printed " + text[:500])
-        if code == LOOK and "warning: " not in text:
+        told = '"doubts": [' in text and '"doubts": []' not in text  # by --json
+        if code == LOOK and "warning: " not in text and not told:
             faults.append(f"exit code {code} without a warning: {text[-200:]!r}")
         if code in (1, 2) and "error: " not in text:
             faults.append(f"exit code {code} without a message: {text[-200:]!r}")
+        faults += _judge_las(job, self._out) if code in DONE else []
         left = sorted(path.name for path in self._out.iterdir())
         if any(name.startswith(".") or name.endswith(".part") for name in left) or (code not in DONE and left):
             faults.append(f"exit code {code} left {left}")
@@ -142,6 +144,40 @@ class Worker:
             shutil.rmtree(made, ignore_errors=True)
         with contextlib.suppress(OSError):
             Path(self._printed.name).unlink()
+
+
+def _judge_las(job: dict[str, Any], out: Path) -> list[str]:
+    """Read LAS and LAZ outputs with laspy; of a file that was copied everything but the class is as it was."""
+    import laspy
+    import numpy as np
+
+    faults = []
+    case = Path(job["case"])
+    before, refusal = None, None
+    if case.suffix in (".las", ".laz"):
+        try:
+            before = laspy.read(case)
+        except BaseException as error:  # a panic of lazrs is no Exception
+            refusal = error
+    for path in (*out.glob("*.las"), *out.glob("*.laz")):
+        try:
+            found = laspy.read(path)
+        except BaseException as error:
+            # headers that it refuses and we do not are copied as they are; records must be sound
+            if type(refusal) is not type(error) or "Lazrs" in type(error).__name__ or "Panic" in type(error).__name__:
+                faults.append(f"laspy refuses the output: {type(error).__name__}: {error}"[:300])
+            continue
+        if before is None or job["command"][0] not in ("classify", "convert"):
+            continue
+        if len(before.points) != len(found.points):
+            faults.append(f"{len(found.points)} records of {len(before.points)}")
+        elif before.point_format.id == found.point_format.id:
+            same = set(before.points.array.dtype.names) & set(found.points.array.dtype.names)
+            for name in same - {"classification", "raw_classification"}:
+                old, new = before.points.array[name], found.points.array[name]
+                if old.tobytes() != new.tobytes() and old.dtype == new.dtype:
+                    faults.append(f"{name} differs in {np.count_nonzero(old != new)} records")
+    return faults
 
 
 def _reset_peak() -> int:

@@ -160,6 +160,22 @@ def test_an_input_that_changes_while_it_is_read_is_refused(tmp_path: Path) -> No
     assert os.listdir(tmp_path) == ["drive.bin"]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a file has no time of its last change there")
+def test_an_input_that_is_edited_in_place_is_refused_though_its_time_was_put_back(tmp_path: Path) -> None:
+    """Half of the outputs mixed two inputs under the fingerprint of the first."""
+    source = write_raw(tmp_path / "drive.bin", street())
+    status = source.stat()
+
+    def edit(n_lines: int) -> None:
+        with source.open("rb+") as handle:
+            handle.write(b"\0")
+        os.utime(source, ns=(status.st_atime_ns, status.st_mtime_ns))
+
+    with pytest.raises(InputError, match="changed while it was read"):
+        classify(source, tmp_path / "labels.npy", load_config(options=WITH_M), progress=edit)
+    assert os.listdir(tmp_path) == ["drive.bin"]
+
+
 def test_progress_counts_every_line(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     seen: list[int] = []

@@ -117,7 +117,8 @@ class LasSource:
         names = tuple(name for name in ("time", "angle") if name in self._layout.fields)
         with closing(self._decoded(names)) as chunks:
             first = next(chunks)
-        return tuple(name for name in names if not first.values[name].any())
+        with np.errstate(invalid="ignore"):  # a signalling NaN is not zero either
+            return tuple(name for name in names if not first.values[name].any())
 
     @cached_property
     def notes(self) -> tuple[str, ...]:

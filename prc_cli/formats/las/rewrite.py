@@ -66,8 +66,8 @@ class LasRewriter(ScatterWriter):
         super().__init__(path, codes, options, asked_columns(options), self._las.n_records)
         self._compress = path.suffix.lower() == ".laz"
 
-    def _source_state(self) -> tuple[int, int, int]:
-        """Size, time of the last change and number of the input file: if one differs, the file has changed."""
+    def _source_state(self) -> tuple[int, int, int, int]:
+        """Size, times of the last change and number of the input file: if one differs, the file has changed."""
         with open_source(self._source_path) as source:
             return source.state()
 

@@ -208,6 +208,7 @@ class _Run:
         try:
             self._settle(plan)
             self._classify(plan)
+            self._lock.check()  # somebody may have removed our folder, and with it the journal
             self._compare_classes(plan, earlier)
             evaluation = self._evaluate(plan)
             if self._stopping:

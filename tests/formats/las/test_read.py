@@ -793,3 +793,19 @@ def test_records_that_wait_are_not_overwritten(tmp_path: Path, monkeypatch: pyte
             time.sleep(0.01)  # lets the thread that reads ahead go as far as it can
             found.append(rows.tobytes())
     assert b"".join(found) == expected
+
+
+def test_two_extra_dimensions_of_one_name_are_told(tmp_path: Path) -> None:
+    """One of them was taken silently."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    for name in ("range", "angle", "tange"):
+        header.add_extra_dim(laspy.ExtraBytesParams(name, "f4"))
+    las = laspy.LasData(header)
+    las.x = las.y = las.z = np.zeros(5)
+    las.write(tmp_path / "a.las")
+    data = (tmp_path / "a.las").read_bytes()
+    (tmp_path / "a.las").write_bytes(data.replace(b"tange", b"range"))
+    source = LasSource(tmp_path / "a.las")
+    assert [note for note in source.notes if "several extra" in note] == [
+        "several extra dimensions are named 'range': another one is read as 'extra_range'"
+    ]
