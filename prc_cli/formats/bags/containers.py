@@ -387,7 +387,8 @@ def _read_db3(path: Path, end: BagEnd, wanted: Callable[[Topic], bool]) -> Itera
         topics = _topics_of(path, base, end)
         numbers = [number for number, topic in topics.items() if wanted(topic)]
         yield from _rows_of(path, base, {number: topics[number] for number in numbers}, end)
-    except (sqlite3.Error, OverflowError) as error:
+    except (sqlite3.Error, OverflowError, UnicodeError) as error:
+        # sqlite3 cannot decode its own messages where they quote damaged bytes
         problem = f"the database is damaged ({str(error)[:80]})"
         raise InputError(str(path), problem, "copy it again, or mend it: sqlite3 FILE .recover") from None
     finally:
@@ -421,7 +422,7 @@ def _rows_of(path: Path, base: sqlite3.Connection, topics: dict[int, Topic], end
     while True:
         try:
             row = rows.fetchone()
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, UnicodeError) as error:
             if not n:
                 raise
             end.problem = f"the database can be read up to message {n} ({str(error)[:80]})"
