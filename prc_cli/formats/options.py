@@ -71,7 +71,7 @@ class InputConfig(Params):
     )
     range: RangeRule = Field(
         "auto",
-        description="slant range: dimension:NAME, trajectory:FILE (CSV or SBET), origin:X,Y,Z (static scan), "
+        description="slant range: dimension:NAME, trajectory:FILE (CSV, TUM, SBET, a bag), origin:X,Y,Z (static scan), "
         "or sensor-xyz",
     )
     scanner: Literal["none", "scanner_channel", "point_source_id", "user_data"] = Field(
@@ -109,6 +109,14 @@ class InputConfig(Params):
         gt=0,
         description="points in a longer gap of the trajectory are an error [s]; default: ten times the median step, "
         "at least 1 s",
+    )
+    trajectory_topic: str | None = Field(
+        None, min_length=1, description="topic of a trajectory in a bag; default: the only one with poses"
+    )
+    trajectory_lever_arm: tuple[float, float, float] | None = Field(
+        None,
+        description="from the trajectory's point to the scanner, on the axes of the vehicle [m]; for poses with an "
+        "orientation (TUM, bags)",
     )
     trajectory_crs: str | None = Field(
         None,

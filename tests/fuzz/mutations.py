@@ -514,6 +514,7 @@ MUTATIONS: dict[str, tuple[Mutation, ...]] = {
     ".ptx": TEXT,
     ".toml": TEXT,
     ".json": TEXT,
+    ".tum": TEXT,
     ".csv.gz": (flip_bits, cut, set_number, *(inside_gzip,) * 5),
     ".csv.zst": (flip_bits, cut, set_number, *(inside_zstd,) * 5),
     ".e57": (*PLAIN, *(e57_pages,) * 6, *(e57_xml,) * 8),

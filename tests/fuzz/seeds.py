@@ -295,6 +295,19 @@ def _captured(name: str) -> bytes:
         return write(path, frames).read_bytes()
 
 
+def _poses(name: str) -> bytes:
+    """The trajectory with orientations."""
+    import tempfile
+
+    from tests.formats.bags import recordings as made
+    from tests.formats.trajectory.test_poses import odometry, poses, tum
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        rows = poses()
+        return (tum(path, rows) if name.endswith("tum") else made.write_mcap(path, odometry(rows))).read_bytes()
+
+
 def _metadata() -> bytes:
     from tests.formats.packets import captures as made
 
@@ -369,6 +382,8 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "labels.csv": _labels_csv,
     "track.csv": _trajectory_csv,
     "track.sbet": _sbet,
+    "track.tum": lambda: _poses("track.tum"),
+    "poses.mcap": lambda: _poses("poses.mcap"),
     "layout.toml": lambda: LAYOUT.encode(),
     "text_layout.toml": lambda: TEXT_LAYOUT.encode(),
     "config.toml": lambda: CONFIG.encode(),

@@ -91,7 +91,7 @@ RECORDED = (
     ("info", "--json", "{case}", "--method", "fused", "--trust-order"),
     ("classify", "{case}", "{out}/o.npy", *_P),
     ("classify", "-v", "{case}", "{out}/o.laz", *_P, "--return", "last"),
-    ("classify", "{case}", "{out}/o.csv", "--method", "fused", "--trust-order"),
+    ("classify", "{case}", "{out}/o.csv", "--method", "sequential-angle", "--trust-order"),
     ("convert", "{case}", "{out}/o.npz", "--trust-order"),
     ("convert", "{case}", "{out}/o.las", "--trust-order"),
     ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
@@ -132,7 +132,7 @@ TARGETS: dict[str, Target] = {
     ),
     "labels": Target(("labels.npy", "a.npz", "labels.csv", "a.csv", "a.parquet", "a.label", "pf6.laz"), LABELS),
     "trajectory": Target(
-        ("track.csv", "track.sbet"),
+        ("track.csv", "track.sbet", "track.tum", "poses.mcap"),
         (
             ("info", "{seeds}/pf1.las", "--range", "trajectory:{case}"),
             ("convert", "{seeds}/pf6.laz", "{out}/o.npz", "--range", "trajectory:{case}"),

@@ -371,9 +371,11 @@ class _Mcap:
 
 
 def _read_db3(path: Path, end: BagEnd, wanted: Callable[[Topic], bool]) -> Iterator[Message]:
-    with open_to_read(path) as handle:
-        if handle.read(16) != b"SQLite format 3\0":
-            raise InputError(str(path), "found no SQLite header, expected a bag of ROS 2", "copy it again")
+    _check_pages(path)
+    for suffix in ("-wal", "-journal"):
+        beside = path.with_name(path.name + suffix)
+        if beside.is_file() and beside.stat().st_size:
+            end.problem = f"the recorder did not finish: {beside.name} holds more messages, which are not read"
     try:
         # immutable: nothing is written beside the bag
         base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
@@ -387,11 +389,27 @@ def _read_db3(path: Path, end: BagEnd, wanted: Callable[[Topic], bool]) -> Itera
         topics = _topics_of(path, base, end)
         numbers = [number for number, topic in topics.items() if wanted(topic)]
         yield from _rows_of(path, base, {number: topics[number] for number in numbers}, end)
-    except (sqlite3.Error, OverflowError) as error:
+    except (sqlite3.Error, OverflowError, UnicodeError) as error:
+        # sqlite3 cannot decode its own messages where they quote damaged bytes
         problem = f"the database is damaged ({str(error)[:80]})"
         raise InputError(str(path), problem, "copy it again, or mend it: sqlite3 FILE .recover") from None
     finally:
         base.close()
+
+
+def _check_pages(path: Path) -> None:
+    """Refuse a database that is cut: SQLite takes missing pages for zeros."""
+    with open_to_read(path) as handle:
+        head = handle.read(100)
+    if head[:16] != b"SQLite format 3\0" or len(head) < 100:
+        raise InputError(str(path), "found no SQLite header, expected a bag of ROS 2", "copy it again")
+    (page,) = struct.unpack_from(">H", head, 16)
+    changed, pages = struct.unpack_from(">II", head, 24)
+    wanted, size = (1 << 16 if page == 1 else page) * pages, path.stat().st_size
+    # the number of pages counts only where the program that wrote last knew of it
+    if changed == struct.unpack_from(">I", head, 92)[0] and size < wanted:
+        problem = f"the database is cut: found {size} bytes, its header says {wanted}"
+        raise InputError(str(path), problem, "copy it again, or mend it: sqlite3 FILE .recover")
 
 
 def _check_tables(path: Path, base: sqlite3.Connection) -> None:
@@ -421,7 +439,7 @@ def _rows_of(path: Path, base: sqlite3.Connection, topics: dict[int, Topic], end
     while True:
         try:
             row = rows.fetchone()
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, UnicodeError) as error:
             if not n:
                 raise
             end.problem = f"the database can be read up to message {n} ({str(error)[:80]})"

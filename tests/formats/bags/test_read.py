@@ -118,6 +118,16 @@ def test_a_bag_that_ends_in_the_middle_is_read_up_to_there(tmp_path: Path, name:
     assert "it was read up to there" in " ".join((told.output + told.stderr).split())
 
 
+def test_a_database_that_is_not_whole(tmp_path: Path) -> None:
+    path = made.write_db3(tmp_path / "a.db3", made.lasers(2))
+    data = path.read_bytes()
+    (tmp_path / "a.db3-wal").write_bytes(b"more")
+    assert "a.db3-wal holds more messages, which are not read" in read(path)[0].info.facts.notes[0]
+    path.write_bytes(data[:-4096])
+    with pytest.raises(InputError, match=f"the database is cut: found {len(data) - 4096} bytes"):
+        BagStream(path, InputConfig())
+
+
 def test_a_bag_without_scans_names_its_topics(tmp_path: Path) -> None:
     path = made.write_mcap(tmp_path / "talk.mcap", made.strings(2))
     with pytest.raises(InputError, match=r"no topic with scans.*it has: /talk \(std_msgs/String\)"):
