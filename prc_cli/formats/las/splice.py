@@ -93,11 +93,11 @@ def splice_classes(
             records = records_of(context, standard_bytes(6))
             records[:, _CLASS_AT] = new
             first = batch * (n // n_chunk)
-            for chunk, layer in enumerate(_class_layers(target, n_chunk, records), start=first):
+            for chunk, layer in enumerate(class_layers(target, n_chunk, records), start=first):
                 source.seek(first_byte[chunk])
                 old = source.exact(first_byte[chunk + 1] - first_byte[chunk], f"LAZ chunk {chunk}")
                 code = int(new[(chunk - first) * n_chunk])
-                written = sum(target.write(part) for part in _with_layer(chunks, old, layer, code))
+                written = sum(target.write(part) for part in with_layer(chunks, old, layer, code))
                 table.append((n_chunk, written))
     table_at = target.tell()
     with codec_errors(target):
@@ -135,7 +135,7 @@ def _contexts(chunks: LazRecords, n: int, kept: ClassContexts | None) -> Generat
             yield contexts_of(records)
 
 
-def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[memoryview]:
+def class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[memoryview]:
     """Compress records of format 6 and yield the layer of classes of every chunk."""
     buffer = io.BytesIO()
     with codec_errors(target):
@@ -157,7 +157,7 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
         at += n_bytes
 
 
-def _with_layer(
+def with_layer(
     chunks: LazRecords, old: bytes, layer: memoryview, code: int
 ) -> tuple[bytearray, memoryview, memoryview, memoryview]:
     """Return the parts of a chunk with a new layer of classes and a new class of its first record."""
