@@ -334,8 +334,9 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
         half_m=rng.choice([0.08, 0.5]),
         share=rng.choice([0.0, 0.6]),
         margin=rng.choice([0.0, 0.2]),
+        steep=rng.choice([0.0, 1.5]),
     )
-    return labels, one.range_m, above, one.beams, (one.left, one.right), chosen
+    return labels, one.range_m, above, one.beams, one.step, chosen
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {

@@ -25,6 +25,10 @@ class CurbParams(Params):
     share: float = Field(0.6, ge=0, le=1, description="least share of the rise that is within the face")
     margin: float = Field(0.15, ge=0, le=0.5, description="shots nearer to foot or top than this share are ground")
 
+    steep: float = Field(
+        1.5, ge=0, le=4, description="on a face the line climbs this many column spacings in four columns"
+    )
+
     def thresholds(self) -> CurbThresholds:
         """Return what the loop is given."""
         return typed(
@@ -35,6 +39,7 @@ class CurbParams(Params):
             half_m=self.half_width_m,
             share=self.share,
             margin=self.margin,
+            steep=self.steep,
         )
 
 
@@ -43,7 +48,5 @@ def find_curbs(labels: U8, range_m: F32, above_m: F32, plane: ScanPlane, params:
     """Label the faces of curbs; see :func:`prc_cli.kernels.fused.curbs.curb_labels`."""
     if not params.enabled:
         return labels
-    found: U8 = kernels.curb_labels(
-        labels, range_m, above_m, plane.beams, (plane.left, plane.right), params.thresholds()
-    )
+    found: U8 = kernels.curb_labels(labels, range_m, above_m, plane.beams, plane.step_rad, params.thresholds())
     return found

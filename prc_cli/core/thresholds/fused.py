@@ -220,6 +220,8 @@ class CurbThresholds(NamedTuple):
     """Share of its height that the ground rises by within the face, at least."""
     margin: np.float32
     """Shots nearer to foot or top than this share of its height are ground."""
+    steep: np.float32
+    """Column spacings that the line climbs over four columns on a face, at least."""
 
 
 class TerrainThresholds(NamedTuple):
