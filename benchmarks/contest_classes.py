@@ -44,11 +44,23 @@ HELD_OUT = (
               noise=0.05),
 )  # fmt: skip
 STEPS: tuple[tuple[str, ...], ...] = (
-    ("fused.cars.enabled=false",),
-    ("fused.poles.enabled=false",),
-    ("fused.curbs.enabled=false",),
+    ("fused.flanks.enabled=false",),
+    ("fused.cars.level_bins=3",),
+    ("fused.poles.across=false",),
+    ("fused.poles.standing=false",),
+    ("fused.poles.beside_cars=false",),
+    ("fused.poles.trunks=false",),
+    ("fused.noise.lone_leaves=false",),
+    ("fused.curbs.steep=0",),
 )
 """Settings that undo each step."""
+FORMER = (
+    *(setting for step in STEPS for setting in step),
+    "fused.cars.named=false",
+    "fused.poles.named=false",
+    "fused.curbs.enabled=false",
+)
+"""Settings that give the labels of before."""
 
 
 def counts_of(scan: Scan, codes: I64) -> F64:
@@ -132,7 +144,8 @@ def main() -> None:
         print(row(scan.name, found), flush=True)
     print(row("all", base[-1]), flush=True)
     for step in STEPS:
-        print(row("all, without " + ", ".join(f"`{part.partition('=')[0]}`" for part in step), run(scans, step)[-1]))
+        print(row(f"all, `{step[0]}`", run(scans, step)[-1]), flush=True)
+    print(row("all, as before", run(scans, FORMER)[-1]))
 
 
 if __name__ == "__main__":

@@ -237,8 +237,11 @@ class _Shot:
             return NOISE
         is_car = self.is_low_with_level(rough=rough)
         if self.is_standing(is_car=is_car) and self.is_thin():
-            return VEGETATION if self.has_crown() else int(self.thresholds.pole_label)
-        if self.is_standing(is_car=is_car) and self.is_in_tree():
+            if self.has_crown():
+                return VEGETATION
+            if self.thresholds.takes_long > 0 or self._is_free_across():
+                return int(self.thresholds.pole_label)
+        elif self.is_standing(is_car=is_car) and self.is_in_tree():
             return VEGETATION
         if is_car:
             return int(self.thresholds.car_label)

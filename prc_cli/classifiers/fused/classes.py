@@ -55,7 +55,7 @@ class CarParams(Params):
     enabled: bool = Field(True, description="whether to separate them from walls and hedges")
     named: bool = Field(True, description="whether they get their class; otherwise they stay unclassified")
     top_m: float = Field(3.75, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
-    level_bins: int = Field(3, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
+    level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
 
 
@@ -73,6 +73,7 @@ class PoleParams(Params):
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
     )
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
+    across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
     standing: bool = Field(True, description="whether runs that are narrow in other lines may end at the ground ...")
     stand_m: float = Field(0.15, ge=0, le=10, description="... which is lower than this [m]")
     trunks: bool = Field(True, description="whether upright surfaces below a crown are trunks, whatever their height")
@@ -164,6 +165,7 @@ def decision_thresholds(
         far_m=poles.far_m,
         crown_slots=poles.crown_slots,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
+        takes_long=0.0 if poles.across else 1.0,
         stand_m=poles.stand_m if poles.standing else -NEVER,
         tree_slots=poles.tree_slots if poles.trunks else NEVER,
         foot_m=poles.foot_m,

@@ -82,7 +82,7 @@ class FlankParams(Params):
 
     enabled: bool = Field(True, description="whether upright surfaces with ground beneath them are cars")
     least_m: float = Field(
-        0.4, gt=0, le=100, description="least height of their smooth upright surface, mean of five lines [m]"
+        0.2, gt=0, le=100, description="least height of their smooth upright surface, mean of five lines [m]"
     )
     most_m: float = Field(3.0, gt=0, le=100, description="greatest height of that [m]")
     behind_m: float = Field(0.15, ge=0, le=10, description="ground beneath is seen at least this far behind [m]")

@@ -187,6 +187,8 @@ class DecisionThresholds(NamedTuple):
     """Slots with rough shots above a pole that make it a trunk."""
     keeps_parts: np.float32
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
+    takes_long: np.float32
+    """1 = poles may be long across lines, as fences are; 0 = lines close by see past them."""
     stand_m: np.float32
     """Narrow things stand on the ground: lower shots do not belong to their run [m]."""
     tree_slots: np.float32

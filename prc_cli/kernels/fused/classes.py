@@ -518,7 +518,7 @@ def _label_poles(
     side, height, above = points
     m = len(ranges)
     least, jump, high_m = thresholds.least_near, thresholds.jump_m, thresholds.pole_m
-    pole = np.uint8(thresholds.pole_label)
+    pole, takes_long = np.uint8(thresholds.pole_label), thresholds.takes_long > 0
     end, low, high = 0, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -541,7 +541,10 @@ def _label_poles(
         is_short = not is_high and _is_short(ranges, near, (height, above), i, thin[i] != 0, thresholds)
         if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
-            labels[i] = np.uint8(_VEGETATION) if crown >= thresholds.crown_slots else pole
+            if crown >= thresholds.crown_slots:
+                labels[i] = np.uint8(_VEGETATION)
+            elif thin[i] != 0 or takes_long:
+                labels[i] = pole
         elif _is_in_tree(rough, _strip(side[i]), _slot(above[i]), thresholds.tree_slots):
             labels[i] = np.uint8(_VEGETATION)
 
