@@ -117,6 +117,18 @@ def test_a_circle_may_begin_anywhere_and_turn_either_way(ranges: F32) -> None:
     assert (np.roll(turned, -half, axis=1) == whole).mean() > 0.999
 
 
+@pytest.mark.data
+def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    source, out = real_data / "oakland" / "oakland_1.csv.gz", tmp_path / "labels.npy"
+    result = prc("classify", source, out, "--preset", "fused", "--set", "input.nadir=0")
+    assert result.code == 0, result.err
+    gates = [word for gate in ("f1.ground=0.99", "f1.car=0.6") for word in ("--fail-under", gate)]
+    result = prc("evaluate", out, source, "--mapping", "street_oakland", *gates)
+    assert result.code == 0, result.out + result.err
+    # the mappings of the papers fold the codes back
+    assert prc("evaluate", out, source, "--mapping", "oakland").code == 0
+
+
 def labels(image: F32, beam: F64, params: FusedParams) -> U8:
     """Label one scanner alone."""
     block = ScanBlock(0, image, beam_rad=beam, is_last=True)

@@ -31,6 +31,7 @@ from prc_cli.classifiers.fused.classes import (
     texture_of,
     vote,
 )
+from prc_cli.classifiers.fused.curbs import CurbParams, find_curbs
 from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
 from prc_cli.classifiers.fused.neighbours import (
@@ -52,13 +53,15 @@ from prc_cli.classifiers.fused.plane import (
     SensorParams,
 )
 from prc_cli.classifiers.fused.returns import label_further_returns
-from prc_cli.classifiers.fused.strips import StripsParams, WallParams, stand
+from prc_cli.classifiers.fused.strips import FlankParams, StripsParams, WallParams, stand
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.012
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 10 mm cost .2 of F1."""
-KERNELS = frozenset({"fused.classes", "fused.ground", "fused.neighbours", "fused.strips"})
+KERNELS = frozenset(
+    {"fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.strips"}
+)
 FOREST_KERNELS = frozenset({"fused.stems"})
 
 
@@ -79,10 +82,12 @@ class FusedParams(MethodParams):
     ground: GroundParams = GroundParams()
     strips: StripsParams = StripsParams()
     walls: WallParams = WallParams()
+    flanks: FlankParams = FlankParams()
     noise: NoiseParams = NoiseParams()
     leaves: LeavesParams = LeavesParams()
     cars: CarParams = CarParams()
     poles: PoleParams = PoleParams()
+    curbs: CurbParams = CurbParams()
     votes: VoteParams = VoteParams()
     forest: ForestParams = ForestParams()
 
@@ -262,14 +267,15 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     """Find walls and cars above the ground, and label every shot."""
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
-    standing = stand(
-        seen.range_m, ground.above_m, seen.neighbours, plane, least, params.cars.top_m, params.strips, params.walls
-    )
+    strips = params.strips.thresholds(least, params.cars.top_m)
+    standing = stand(seen.range_m, ground.above_m, seen.neighbours, plane, strips, params.walls, params.flanks)
     thresholds = decision_thresholds(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
     labels = decide(seen.window, seen.neighbours, ground, texture, standing, plane, thresholds)
-    return vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
+    voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
+    own = slice(INNER_LINES + 1, -INNER_LINES - 1)
+    return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)
 
 
 def _last_lines(tail: F32, range_m: F32) -> F32:
