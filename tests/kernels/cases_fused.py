@@ -16,6 +16,7 @@ from prc_cli.core.thresholds.fused import (
     FlankThresholds,
     NearThresholds,
     SmoothThresholds,
+    SpacingThresholds,
     StripThresholds,
     WalkThresholds,
     WallThresholds,
@@ -127,6 +128,25 @@ def smooth_case(rng: Generator) -> tuple[Any, ...]:
         gap_steps=16.0,
     )
     return *one.seen, chosen
+
+
+def repeats_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    lines = one.window
+    stride = int(rng.integers(1, 20))
+    shape = (int(rng.integers(17, 30)), one.window.shape[1])
+    # the same leaves in several lines, some of them lost
+    leaves = np.float32(5) + rng.integers(0, 20, (shape[0] // stride + 1, shape[1])).astype(np.float32) / np.float32(8)
+    range_m = np.repeat(leaves, stride, axis=0)[: shape[0]] + rng.choice([0, 0, 0.0625], shape).astype(np.float32)
+    range_m[rng.random(shape) < 0.1] = np.nan
+    range_m[: len(lines)] = np.where(rng.random() < 0.5, range_m[: len(lines)], lines[: shape[0]])
+    chosen = typed(
+        SpacingThresholds,
+        tolerance_m=rng.choice([0.03, 0.0625, 0.2]),
+        tolerance_per_m=rng.choice([0.0, 0.01]),
+        near_m=rng.choice([1.5, 0.5]),
+    )
+    return np.ascontiguousarray(range_m, np.float32), int(rng.integers(0, 4)), chosen
 
 
 def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
@@ -349,6 +369,7 @@ CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
     "find_walls": walls_case,
     "find_flanks": flanks_case,
     "fused_labels": labels_case,
+    "leaf_repeats": repeats_case,
     "mean_smoothness": texture_case,
     "near_counts": near_case,
     "plane_points": points_case,

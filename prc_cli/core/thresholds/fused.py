@@ -61,6 +61,17 @@ class SmoothThresholds(NamedTuple):
     """... or so many distances between adjacent columns, if that is more."""
 
 
+class SpacingThresholds(NamedTuple):
+    """Which shots are on leaves, and when a shot of another line is on the same one."""
+
+    tolerance_m: np.float32
+    """Shots that differ by less in range are on one thing, at range 0 [m]."""
+    tolerance_per_m: np.float32
+    """Added to it per metre of range."""
+    near_m: np.float32
+    """Greatest difference in range to the shots on both sides of a leaf [m]."""
+
+
 class ChordThresholds(NamedTuple):
     """When a chord through a shot is upright or level."""
 

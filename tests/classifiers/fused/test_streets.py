@@ -175,7 +175,7 @@ def test_what_a_block_leaves_does_not_grow(street: tuple[F32, U8]) -> None:
     state, params = initial_state(SCANNER), FusedParams(lines_per_block=20)
     for first in range(0, 60, 20):
         _, state = classify_block(street[0][first : first + 20], None, state, params)
-        assert state.tail.shape == (5, len(BEAM))
+        assert state.tail.shape == (35, len(BEAM))
         assert state.tail.base is None, "a view would keep the whole block alive"
         assert state.memory.height_m.shape == (2, 320)
 
