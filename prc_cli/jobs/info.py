@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, with_layout_beside
+from prc_cli.config import LoadedConfig, MethodChoice
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.findings import Finding, Verdict, doubts, refuse
@@ -19,6 +19,7 @@ from prc_cli.core.types import F32
 from prc_cli.formats import open_source
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.jobs.choice import decide
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.estimates import (
     PeriodEstimate,
@@ -73,7 +74,9 @@ class Inspection:
     """Values of the file's header (LAS, LAZ)."""
     notes: tuple[str, ...] = ()
     method: str = "prc"
-    """The chosen classifier."""
+    """The classifier that is named, or was chosen."""
+    choice: MethodChoice | None = None
+    """Why it was chosen; None = it was named."""
     findings: tuple[Finding, ...] = ()
     """Answers of all checks that need no labels."""
     problem: str = ""
@@ -114,9 +117,13 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     InputError
         When the file is damaged. An intact file that the classifier cannot process is described.
     """
-    loaded = with_layout_beside(path, loaded)
+    loaded = decide(path, loaded, trust_order=True)
     found = _inspect(path, loaded)
-    return replace(found, method=loaded.config.method, notes=(*loaded.notes, *found.notes))
+    choice = loaded.choice
+    assumptions = found.assumptions if choice is None else (choice.assumption, *found.assumptions)
+    return replace(
+        found, method=loaded.config.method, choice=choice, notes=(*loaded.notes, *found.notes), assumptions=assumptions
+    )
 
 
 def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:

@@ -161,7 +161,7 @@ def test_an_input_that_changes_while_it_is_read_is_refused(tmp_path: Path) -> No
 def test_progress_counts_every_line(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     seen: list[int] = []
-    classify(source, tmp_path / "labels.npy", progress=seen.append)
+    classify(source, tmp_path / "labels.npy", load_config(preset="urban"), progress=seen.append)
     assert seen == [99, N_LINES - 99]
 
 

@@ -33,6 +33,7 @@ from prc_cli.jobs.batch.types import (
     Problem,
     Task,
 )
+from prc_cli.jobs.choice import possible_configs
 
 Reason: TypeAlias = Literal[
     "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing"
@@ -428,9 +429,14 @@ def _adopt(item: Found, task: Task, written: os.stat_result) -> Done | None:
             return None
         record = json.loads(path.read_bytes())
         trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
-        expected = RunRecord(task.config.config.of_run(), fingerprint(item.path), "", 1, trajectory=trajectory)
-        wanted = expected.as_dict()
-        if any(record[key] != wanted[key] for key in ("program", "version", "config", "input", "trajectory")):
+        print_ = fingerprint(item.path)
+        records = [
+            RunRecord(config.of_run(), print_, "", 1, trajectory=trajectory).as_dict()
+            for config in possible_configs(task.config)
+        ]
+        keys = ("program", "version", "config", "input", "trajectory")
+        wanted = next((one for one in records if all(record[key] == one[key] for key in keys)), None)
+        if wanted is None:
             return None
         stream = record["stream"]
         missing = ("missing", int(stream["n_missing"] or 0))
