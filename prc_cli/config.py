@@ -9,9 +9,9 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic.fields import FieldInfo
 
 from prc_cli.classifiers.base import MethodParams
@@ -21,6 +21,7 @@ from prc_cli.core.config import Params, build, flatten, merge, parse_toml, read_
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.samples import samples_folder
+from prc_cli.core.stream import Assumption
 from prc_cli.formats.options import LAYOUT_SUFFIXES, InputConfig, Layout
 from prc_cli.formats.writing.options import OutputConfig
 
@@ -28,10 +29,10 @@ from prc_cli.formats.writing.options import OutputConfig
 class _Input(Params):
     """Input and classification method."""
 
-    method: MethodName = Field(
-        "prc",
-        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), or fused (our own "
-        "combination of both)",
+    method: Literal["auto"] | MethodName = Field(
+        "auto",
+        description="classifier: prc (Lehtola et al. 2019), sequential-angle (Stamos et al. 2012), fused (our own "
+        "combination of both), or auto: the method whose table is given, else what labels the input best",
     )
     input: InputConfig = Field(default_factory=InputConfig, description="how the stream is read from the input")
     layout: Layout | None = Field(None, description="records of a raw dump or a text file")
@@ -44,10 +45,24 @@ class RunConfig(MethodTables, _Input):
     classes: ClassCodes = Field(default_factory=ClassCodes, description="class codes")
     output: OutputConfig = Field(default_factory=OutputConfig, description="what is written")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _decided_by_table(cls, values: Any) -> Any:
+        """Take the method whose table is given, where none is named."""
+        if not isinstance(values, Mapping) or "method" in values:
+            return values
+        given = tables_given(values)
+        return {**values, "method": given[0]} if len(given) == 1 else values
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether a method is named; otherwise the input decides (:mod:`prc_cli.jobs.choice`)."""
+        return self.method != "auto"
+
     @property
     def classifier(self) -> MethodParams:
-        """Parameters of the classifier that ``method`` names."""
-        params: MethodParams = getattr(self, table_of(self.method))
+        """Parameters of the classifier that ``method`` names; undecided, of PRC, which needs the least of an input."""
+        params: MethodParams = self.prc if self.method == "auto" else getattr(self, table_of(self.method))
         return params
 
     @property
@@ -68,13 +83,53 @@ class RunConfig(MethodTables, _Input):
         """Return :meth:`to_table` without the parameters of the other classifiers, which labels do not depend on."""
         table = self.to_table()
         for method in METHODS:
-            if method != self.method:
+            if method not in (CHOSEN_FROM if self.method == "auto" else (self.method,)):
                 del table[table_of(method)]
         return table
 
 
+CHOSEN_FROM: tuple[MethodName, ...] = ("prc", "fused")
+"""Methods that an input may decide on."""
+
+
+def tables_given(table: Mapping[str, Any]) -> list[MethodName]:
+    """Return the methods whose tables a configuration holds.
+
+    >>> tables_given({"sequential_angle": {}, "input": {}})
+    ['sequential-angle']
+    """
+    return [method for method in METHODS if table_of(method) in table]
+
+
 PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-scan-published")
 """Names of the presets; each is a file of the sample configurations (:func:`preset_file`)."""
+
+
+ChosenPreset = Literal["urban", "fused", "fused-forest"]
+"""Presets that an input may decide on."""
+
+
+@dataclass(frozen=True, slots=True)
+class MethodChoice:
+    """The method that was chosen for an input, where none is named."""
+
+    preset: ChosenPreset
+    """Preset with the same labels."""
+    why: str
+
+    @property
+    def method(self) -> MethodName:
+        """Its method."""
+        return "prc" if self.preset == "urban" else "fused"
+
+    @property
+    def assumption(self) -> Assumption:
+        """The choice as it stands in the run record.
+
+        >>> MethodChoice("urban", "as an example").assumption.value
+        'prc (--preset urban)'
+        """
+        return Assumption("method", f"{self.method} (--preset {self.preset})", self.why)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +143,8 @@ class LoadedConfig:
     """Files it was read from; a run never overwrites them."""
     notes: tuple[str, ...] = ()
     """What was taken without being told, one sentence each."""
+    choice: MethodChoice | None = None
+    """The method that was chosen for an input, and why; None = it was named."""
 
     @property
     def trajectory(self) -> Path | None:
@@ -134,7 +191,7 @@ def load_config(
     chosen = preset if preset is not None else named
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if chosen is not None:
-        layers.append((f"preset {chosen}", preset_table(chosen)))
+        layers.append((f"{_PRESET}{chosen}", preset_table(chosen)))
     if file_path is not None:
         layers.append((str(file_path), from_folder(table, file_path.parent)))
     if options:
@@ -155,16 +212,29 @@ def from_layers(layers: Sequence[tuple[str, Mapping[str, Any]]], files: tuple[Pa
     Raises
     ------
     ConfigError
-        Naming the layer, the key, what was found and what was expected.
+        Naming the layer, the key, what was found and what was expected; without a method, several methods' tables.
     """
     merged: dict[str, Any] = {}
     sources: dict[str, str] = {}
     for name, layer in layers:
+        if layer.get("method") == "auto" and sources.get("method", "").startswith(_PRESET):
+            # a file that leaves the method open leaves it to the preset beside it
+            layer = {key: value for key, value in layer.items() if key != "method"}
         merged = merge(merged, layer)
         # validated after every layer, so that the message names the right source
         build(RunConfig, merged, name)
         sources.update(dict.fromkeys(dict(flatten(layer)), name))
+    if "method" not in merged and (given := tables_given(merged)):
+        tables = " and ".join(f"[{table_of(method)}]" for method in given)
+        if len(given) > 1:
+            problem = f"found the tables {tables} and no method, expected one method"
+            raise ConfigError(layers[-1][0], problem, 'name it: method = "auto" is what labels the input best')
+        sources["method"] = f"the table {tables}"
     return LoadedConfig(build(RunConfig, merged, "configuration"), sources, files)
+
+
+_PRESET = "preset "
+"""Beginning of the source of values that a preset sets."""
 
 
 def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
@@ -211,7 +281,7 @@ def preset_summaries() -> list[PresetSummary]:
     """Read every preset.
 
     >>> [(each.name, each.n_changed) for each in preset_summaries()][:3]
-    [('urban', 0), ('forest', 5), ('fused', 1)]
+    [('urban', 1), ('forest', 6), ('fused', 1)]
     """
     defaults = dict(flatten(RunConfig().to_table()))
     summaries = []

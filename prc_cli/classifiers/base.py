@@ -162,6 +162,11 @@ class Classifier(Protocol[ScannerT, StateT_co]):
         """What its labels of a rightly told scan look like; by default nothing is known."""
         return UsualLabels()
 
+    @property
+    def gives(self) -> frozenset[Label]:
+        """Labels that it may give; by default all."""
+        return frozenset(Label)
+
     @abstractmethod
     def scanner(self, first: ScanBlock) -> ScannerT:
         """Return the constants of a scanner, such as its beams, from its first block.

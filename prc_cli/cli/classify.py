@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,15 @@ import click
 
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.profile import print_profile, profile_of
-from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_classes, print_doubts
+from prc_cli.cli.report import (
+    compiling_note,
+    console,
+    line_progress,
+    print_assumptions,
+    print_choice,
+    print_classes,
+    print_doubts,
+)
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
@@ -49,8 +58,13 @@ def classify(
     OUT is .las or .laz (class codes; everything else stays as it is in IN), or the labels alone: .npy, .csv,
     .parquet. The run is recorded in OUT and in OUT.prc.json beside it.
 
+    Without --preset, --method or a configuration that names one, the method that labels IN best is taken: fused where
+    the angles of the beams are known, with its forest classes where the place looks like a forest; else PRC. A line on
+    stderr and the run record say which and why.
+
     \b
     Examples:
+      prc classify drive.laz drive_classified.laz
       prc classify drive.laz drive_classified.laz --preset urban
       prc classify drive.bin labels.npy --preset urban -M 2154
       prc classify plot.laz out.laz --preset forest --range trajectory:plot.csv --lines time:97 --columns time:414190
@@ -60,14 +74,15 @@ def classify(
     threads, wants_profile = threads_of(engine, options.pop("threads")), options.pop("profile")
     loaded = config_from(options)
     with profiling() if wants_profile else nullcontext() as profile:
-        if source.is_file():  # otherwise refuse it without waiting for the compiler
+        if source.is_file() and loaded.config.is_decided:  # otherwise refuse it without waiting for the compiler
             with compiling_note(quiet=quiet), timed("loading compiled loops"):
                 load_classifier(loaded, engine)
         start = time.perf_counter()
         with line_progress(source.name, quiet=quiet) as progress:
             summary = classify_file(
-                source, output, loaded, overwrite=overwrite, progress=progress, threads=threads, engine=engine
-            )
+                source, output, loaded, overwrite=overwrite, progress=progress, threads=threads, engine=engine,
+                loading=partial(compiling_note, quiet=quiet),
+            )  # fmt: skip
         seconds = time.perf_counter() - start
     if as_json:
         result = summary.record.as_dict()
@@ -85,6 +100,8 @@ def classify(
 def _print_summary(summary: RunSummary, seconds: float, *, verbose: bool) -> None:
     record, counts = summary.record, summary.counts
     print_classes(summary)
+    if not verbose:
+        print_choice(next((one for one in record.assumptions if one.key == "method"), None))
     if verbose:
         print_assumptions(record.assumptions, record.tally)
     if record.tally.n_time_steps_back:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from prc_cli.cli.report import compiling_note, console, line_progress, print_classes
+from prc_cli.cli.report import compiling_note, console, line_progress, print_choice, print_classes
 from prc_cli.cli.report_evaluation import print_evaluation
 from prc_cli.config import load_config
 from prc_cli.evaluation.reports import as_dict
@@ -16,7 +16,7 @@ from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.demo import PARTS, run_demo
 from prc_cli.simulation.drive import load_simulator
 
-TITLES = {"drive": "prc", "fused": "fused", "static": "sequential-angle", "walk": "prc forest"}
+TITLES = {"drive": "default", "published": "prc", "static": "sequential-angle", "walk": "prc forest"}
 """Titles of the parts."""
 
 
@@ -40,7 +40,8 @@ TITLES = {"drive": "prc", "fused": "fused", "static": "sequential-angle", "walk"
 def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
     """Simulate a drive, a static scan and a walk in a forest; classify, evaluate and draw them.
 
-    Their presets are urban, street-scan and forest. The drive is classified with the preset fused as well.
+    The drive is classified without a preset, and with the preset urban as well; the presets of the other two are
+    street-scan and forest.
 
     \b
     Example: prc demo --output /tmp/prc-demo
@@ -59,6 +60,7 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
         return
     for method, part in parts.items():
         print_classes(part.summary)
+        print_choice(next((one for one in part.summary.record.assumptions if one.key == "method"), None))
         if not json_wanted:
             click.echo(f"\n{method}: labels against those of the simulator")
             print_evaluation(part.matrix, scores(part.matrix))

@@ -110,8 +110,8 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
     stem = path.name[: len(path.name) - len(suffix_of(path))]
     output = path.with_name(f"{stem}_{'classified' + suffix_of(path) if is_las else 'labels.npy'}")
     words = ["prc", "classify", str(path), str(output)]
-    if not any(options.get(name) for name in ("method", "preset", "config_file")):
-        words += ["--preset", "urban"]
+    if inspection.choice is not None:
+        words += ["--preset", inspection.choice.preset]
     for name, flag in FLAGS.items():
         value = options.get(name)
         if not value or any(mend.startswith(f"{flag} ") and flag != "--set" for mend in mends):

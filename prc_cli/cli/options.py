@@ -23,7 +23,7 @@ CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
 _CLASSIFIER_OPTIONS = [
     click.option("--method", type=click.Choice(METHODS),
-                 help="Classifier; default: what the preset or the configuration says, else prc."),
+                 help="Classifier; default: what the preset or the configuration says, else what labels IN best."),
     click.option("--preset", type=click.Choice(list(PRESETS)), help="Parameters to start from."),
 ]  # fmt: skip
 

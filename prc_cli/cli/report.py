@@ -107,6 +107,12 @@ def print_classes(summary: RunSummary) -> None:
     console().print(table)
 
 
+def print_choice(choice: Assumption | None) -> None:
+    """Print which method was chosen and why, where none was named."""
+    if choice is not None:
+        console().print(f"method: {choice.value}: {choice.why}", soft_wrap=True)
+
+
 def print_assumptions(assumptions: Sequence[Assumption], tally: ReadTally) -> None:
     """Print the assumptions and the counts of the reader."""
     if assumptions:

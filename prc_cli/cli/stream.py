@@ -11,7 +11,8 @@ from typing import Any
 import click
 
 from prc_cli.cli.options import config_from, live_options, output_options
-from prc_cli.cli.report import LOOK, compiling_note, console, print_assumptions, print_doubts
+from prc_cli.cli.report import LOOK, compiling_note, console, print_assumptions, print_choice, print_doubts
+from prc_cli.config import MethodChoice
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding
 from prc_cli.jobs.classify import load_classifier
@@ -52,8 +53,9 @@ def stream(
 
     Without a layout the input is float32 ranges, -M of them a line; the output is the class code of every shot, 0 = no
     return, the same bytes that prc classify writes as an array. Labels leave block by block (k lines), with --hop
-    sooner. The rate is reported on stderr, and every doubt about the input as soon as it is known (exit code 4); with
-    --json a line of JSON each, the last one with the labels' counts and all doubts.
+    sooner. Where no method is named, PRC labels ranges without angles, and the fused method all others; a line on
+    stderr says so. The rate is reported on stderr, and every doubt about the input as soon as it is known (exit code
+    4); with --json a line of JSON each, the last one with the labels' counts and all doubts.
 
     \b
     Examples:
@@ -71,20 +73,24 @@ def stream(
             message = f"{name} is a terminal, expected a pipe or a file: ranges and labels are bytes, not text"
             raise click.UsageError(message)
     loaded = config_from(options)
-    if (continuous or hop is not None) and loaded.config.method != "prc":
+    if (continuous or hop is not None) and loaded.config.method not in ("auto", "prc"):
         message = (
             "--hop and --continuous are for PRC: the sequential-angle classifier goes line by line as it is, and "
             "labels of the fused one leave sooner with a smaller fused.lines_per_block"
         )
         raise click.UsageError(message)
-    with compiling_note(quiet=quiet or as_json):
-        load_classifier(loaded)
+    if loaded.config.is_decided:
+        with compiling_note(quiet=quiet or as_json):
+            load_classifier(loaded)
     report = None if quiet or not every else _Reporter(every, line_hz, as_json=as_json)
     # unbuffered: labels must not wait until a buffer is full
     source = io.FileIO(sys.stdin.fileno(), closefd=False)
     sink = io.FileIO(sys.stdout.fileno(), "w", closefd=False)
     hop = 1 if continuous else hop
-    summary = label_stream(source, sink, loaded, hop=hop, report=report, doubted=_tell_json if as_json else _tell)
+    summary = label_stream(
+        source, sink, loaded, hop=hop, report=report, doubted=_tell_json if as_json else _tell,
+        chosen=_choice_json if as_json else lambda choice: None if quiet else print_choice(choice.assumption),
+    )  # fmt: skip
     if as_json:
         labels = {label.name.lower(): int(summary.counts.labels[label]) for label in Label}
         doubts = [doubt.as_dict() for doubt in summary.doubts]
@@ -104,6 +110,12 @@ def _tell(doubt: Finding) -> None:
 
 def _tell_json(doubt: Finding) -> None:
     click.echo(json.dumps({"doubt": doubt.as_dict()}, sort_keys=True), err=True)
+
+
+def _choice_json(choice: MethodChoice) -> None:
+    click.echo(
+        json.dumps({"method": choice.method, "preset": choice.preset, "why": choice.why}, sort_keys=True), err=True
+    )
 
 
 class _Reporter:

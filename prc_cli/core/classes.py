@@ -78,6 +78,8 @@ LABEL_COLOURS: dict[Label, tuple[int, int, int]] = {
 }
 """Colour of every label in pictures [sRGB]; distinct for colour-blind readers (Okabe and Ito; poles darker)."""
 
+FIRST_USER_CODE = 64
+"""LAS 1.4 table 17: codes from here on are defined by their users."""
 MISSING_CODE = 0
 """Code of a shot without return in label files (LAS: created, never classified)."""
 
@@ -112,6 +114,14 @@ class ClassCodes(Params):
         np.uint8(2)
         """
         return np.array([self.code(label) for label in Label], dtype=np.uint8)
+
+    def user_names(self) -> dict[int, str]:
+        """Return the class name of every user code.
+
+        >>> ClassCodes(stem=20).user_names()[65]
+        'car'
+        """
+        return {code: name for code, name in self.names().items() if code >= FIRST_USER_CODE}
 
     def names(self) -> dict[int, str]:
         """Return the class name of every code; names that share a code are joined by ``/``.

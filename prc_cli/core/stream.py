@@ -244,3 +244,6 @@ class LabelledBlock:
     """(lines, M) int64, segment id R_b (Lehtola et al. 2019, II-E); 0 = none."""
     stages: StageLabels | None = None
     """Intermediate results of the sequential-angle classifier."""
+    above_m: F32 | None = None
+    """(lines, M) float32, height above the ground [m]; NaN = missing, or no ground is known. None = the method has no
+    ground, or it was not asked for."""

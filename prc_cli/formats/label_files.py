@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from prc_cli.core.classes import ClassCodes
@@ -55,6 +56,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     options: OutputConfig,
     overwrite: bool,
     laz_contexts: ClassContexts | None = None,
+    user_names: Mapping[int, str] | None = None,
 ) -> LabelWriter:
     """Choose and check a writer; nothing is created before its ``with`` block.
 
@@ -78,6 +80,8 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
         Whether an existing output may be replaced.
     laz_contexts : ClassContexts, optional
         Kept from reading the LAZ input, to rewrite it faster; the output is the same without.
+    user_names : mapping, optional
+        Name of every user code that may be written; LAS and LAZ hold them. Default: none.
 
     Raises
     ------
@@ -116,7 +120,7 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     if source_is_las:
         from prc_cli.formats.las.rewrite import LasRewriter
 
-        return LasRewriter(path, codes, options, source, laz_contexts)
+        return LasRewriter(path, codes, options, source, laz_contexts, user_names)
     from prc_cli.formats.las.build import LasBuilder
 
-    return LasBuilder(path, codes, options, points_per_line)
+    return LasBuilder(path, codes, options, points_per_line, user_names)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from prc_cli.classifiers.base import MethodParams, UsualLabels, Wanted
 from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
-from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
+from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import DoubtWarning, InputError
@@ -42,7 +42,9 @@ from prc_cli.formats.writing.record import (
     fingerprint,
     record_path,
 )
+from prc_cli.jobs.choice import choice_by_place, choice_by_request, choose, decided_by
 from prc_cli.kernels import Engine, load_kernels, use_engine
+from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.evidence.result import ResultWatch
 from prc_cli.streams.evidence.watch import watched
 from prc_cli.streams.open import open_input
@@ -150,6 +152,28 @@ def _open(path: Path, config: RunConfig, *, geometry: bool, only_ranges: bool = 
     return with_beams(stream, config.input, from_ground=config.nadir_from_ground)
 
 
+def _open_decided(
+    path: Path, loaded: LoadedConfig, engine: Engine,
+    *, only_ranges: bool, loading: Callable[[], AbstractContextManager[None]],
+) -> tuple[LoadedConfig, ScanStream]:  # fmt: skip
+    """Open an input for the method that is named, else for the one chosen for it."""
+    config = loaded.config
+    if not config.is_decided:
+        choice = choice_by_request(config, engine=engine)
+        if choice is None:
+            stream = open_input(
+                path, config.input, config.layout,
+                lines_at_once=config.fused.method().needs.lines_per_block or 1, only_ranges=only_ranges,
+            )  # fmt: skip
+            choice, stream = choose(stream, config)
+        loaded = decided_by(choice, loaded)
+        with loading():
+            load_classifier(loaded, engine)
+        if loaded.config.needs_beams:
+            return loaded, stream
+    return loaded, _open(path, loaded.config, geometry=False, only_ranges=only_ranges)
+
+
 def label_blocks(
     blocks: Iterator[ScanBlock],
     params: MethodParams,
@@ -188,6 +212,8 @@ def label_blocks(
 def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engine = "compiled") -> None:
     """Load the loops of the classifier; after installation they are compiled once, which takes a while.
 
+    Where no method is named, those of all methods that an input may decide on are loaded.
+
     Raises
     ------
     ConfigError
@@ -195,8 +221,13 @@ def load_classifier(config: LoadedConfig | RunConfig | None = None, engine: Engi
     PrcError
         When the compiler is needed and cannot be loaded.
     """
+    chosen = _loaded(config).config
+    methods = [chosen.classifier]
+    if not chosen.is_decided and choice_by_request(chosen, engine=engine) is None:
+        forest = chosen.fused.model_copy(update={"environment": "forest"})
+        methods = [*(getattr(chosen, name) for name in CHOSEN_FROM), forest]
     with use_engine(engine):
-        load_kernels(_loaded(config).config.classifier.method().needs.kernels)
+        load_kernels(frozenset().union(*(params.method().needs.kernels for params in methods)))
 
 
 def classify(
@@ -208,6 +239,7 @@ def classify(
     progress: Progress | None = None,
     threads: int | None = None,
     engine: Engine = "compiled",
+    loading: Callable[[], AbstractContextManager[None]] = nullcontext,
 ) -> RunSummary:
     """Classify one file and write its labels; the output is complete or absent.
 
@@ -218,7 +250,8 @@ def classify(
     output : path
         ``.las``, ``.laz``, ``.npy``, ``.csv`` or ``.parquet``.
     config : LoadedConfig or RunConfig, optional
-        Default: the published urban parameters.
+        Default: the method that labels the input best (:mod:`prc_cli.jobs.choice`); the record's assumption
+        ``method`` says which and why.
     overwrite : bool
         Replace an existing output.
     progress : callable, optional
@@ -229,6 +262,8 @@ def classify(
     engine : str
         ``compiled`` or ``reference``: the papers' methods in plain NumPy, SciPy and scikit-image, slow, in one thread,
         with the same labels.
+    loading : callable
+        Context in which the loops of a method that was chosen are loaded.
 
     Returns
     -------
@@ -246,7 +281,7 @@ def classify(
     with use_engine(engine):
         return _classify(
             Path(source), Path(output), loaded,
-            overwrite=overwrite, progress=progress, threads=threads_of(engine, threads), engine=engine,
+            overwrite=overwrite, progress=progress, threads=threads_of(engine, threads), engine=engine, loading=loading,
         )  # fmt: skip
 
 
@@ -260,6 +295,7 @@ def threads_of(engine: Engine, threads: int | None = None) -> int:
 def _classify(
     source: Path, output: Path, loaded: LoadedConfig,
     *, overwrite: bool, progress: Progress | None, threads: int, engine: Engine,
+    loading: Callable[[], AbstractContextManager[None]],
 ) -> RunSummary:  # fmt: skip
     """Classify one file with the engine that is set; see :func:`classify`."""
     loaded = with_layout_beside(source, loaded)
@@ -276,7 +312,7 @@ def _classify(
         # times and intensities are needed only where a point cloud is made from another kind of input
         makes_points = suffix_of(output) in (*LAS_SUFFIXES, ".ply", ".pcd")
         only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
-        opened = _open(source, loaded.config, geometry=False, only_ranges=only_ranges)
+        loaded, opened = _open_decided(source, loaded, engine, only_ranges=only_ranges, loading=loading)
         if suffix_of(output) == ".laz" and not asked_columns(loaded.config.output):
             opened.info.facts.check_layers()  # they are copied as they are
         needs = loaded.config.classifier.method().needs
@@ -293,6 +329,7 @@ def _classify(
             options=loaded.config.output,
             overwrite=overwrite,
             laz_contexts=stream.info.facts.laz_contexts,
+            user_names=user_names(loaded.config),
         ) as writer,
     ):
         result = ResultWatch(usual_labels(loaded.config, stream.info))
@@ -309,6 +346,12 @@ def _classify(
         with timed("finishing the output"):
             record = writer.finish(record)
     return RunSummary(output, record, counts, found)
+
+
+def user_names(config: RunConfig) -> dict[int, str]:
+    """Return the name of every user code that the method may write."""
+    given = {config.classes.code(label) for label in config.classifier.method().gives}
+    return {code: name for code, name in config.classes.user_names().items() if code in given}
 
 
 def _write_labels(
@@ -388,7 +431,7 @@ def classify_ranges(
     range_m : (lines, M) float, metres
         Chronological; NaN, infinite or not positive = missing.
     config : LoadedConfig or RunConfig, optional
-        Default: the published urban parameters.
+        Default: what labels the image best, ``fused`` with beam angles, PRC without.
     beam_rad : (M,) float, radians, optional
         Angle of every column's beam from straight down; the sign is the side of the scan plane. Required by all
         classifiers but PRC.
@@ -439,6 +482,7 @@ def classify_ranges(
         load_classifier(config, engine)
     with use_engine(engine):
         block = _block_of(given, config, beam_rad, xyz_m)
+        config = _decided(config, block, engine)
         is_judged = block.range_m.size >= LEAST_SHOTS
         found = _input_findings(block, config.input) if is_judged else ()
         refuse("range_m", found)
@@ -466,6 +510,17 @@ class _InMemory:
 
     def blocks(self) -> Iterator[ScanBlock]:
         yield self.block
+
+
+def _decided(config: RunConfig, block: ScanBlock, engine: Engine) -> RunConfig:
+    """Return a configuration that names a method, chosen for the image where none is named."""
+    if config.is_decided:
+        return config
+    choice = choice_by_request(config, engine=engine)
+    if choice is None and block.beam_rad is None:
+        return config.model_copy(update={"method": "prc"})
+    choice = choice_by_place(place_of_blocks(iter([block]))) if choice is None else choice
+    return decided_by(choice, LoadedConfig(config)).config
 
 
 def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...]:
@@ -556,7 +611,7 @@ def run_record(
         n_lines=counts.n_lines,
         n_records=counts.tally.n_records if info.n_records is None else info.n_records,
         n_missing=int(counts.labels[Label.MISSING]),
-        assumptions=info.assumptions,
+        assumptions=info.assumptions if loaded.choice is None else (loaded.choice.assumption, *info.assumptions),
         tally=counts.tally,
         notices=(*loaded.notes, *info.facts.notes),
     )

@@ -27,8 +27,8 @@ class Part:
     """What is simulated."""
     stem: str
     """Prefix of its file names."""
-    preset: str
-    """Parameters of the classifier."""
+    preset: str | None
+    """Parameters of the classifier; None = the method is chosen for the scan, as where nothing is typed."""
     mapping: str
     """Class mapping of the evaluation."""
     picture: RenderOptions
@@ -39,14 +39,17 @@ class Part:
 
 
 PARTS: dict[str, Part] = {
-    # the steps of one block, as the paper's Fig. 1 shows them (Lehtola et al. 2019); houses with and without gardens
+    # houses with and without gardens
     "drive": Part(
-        "street", "street", "urban", "prc", RenderOptions(figure1=True), {"lines": 600, "scene": {"name": "suburb"}}
+        "street",
+        "street",
+        None,
+        "prc",
+        RenderOptions(steps=("range", "classes", "reference")),
+        {"lines": 600, "scene": {"name": "suburb"}},
     ),
-    # the same drive, for the comparison
-    "fused": Part(
-        "street", "fused", "fused", "prc", RenderOptions(steps=("range", "classes", "reference")), {}, scan_of="drive"
-    ),
+    # the same drive, for the comparison: the steps of one block, as the paper's Fig. 1 shows them (Lehtola et al. 2019)
+    "published": Part("street", "urban", "urban", "prc", RenderOptions(figure1=True), {}, scan_of="drive"),
     # every third line, and as close along the line as curbs need
     "static": Part(
         "street-scan",
@@ -66,7 +69,7 @@ PARTS: dict[str, Part] = {
         {"lines": 255, "sight_m": 40.0},
     ),
 }
-"""A drive, classified with PRC and with the fused classifier, and a walk, with PRC; a static scan, classified with the
+"""A drive, classified by default and with PRC as published, and a walk, with PRC; a static scan, classified with the
 sequential-angle classifier."""
 
 

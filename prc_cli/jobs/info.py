@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, with_layout_beside
+from prc_cli.config import LoadedConfig, MethodChoice, with_layout_beside
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
@@ -21,6 +21,7 @@ from prc_cli.formats.contents import Contents, watched_contents
 from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
 from prc_cli.formats.returns import continues_run, mark_shots
+from prc_cli.jobs.choice import decide
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.estimates import (
     PeriodEstimate,
@@ -79,7 +80,9 @@ class Inspection:
     """Values of the file's header (LAS, LAZ)."""
     notes: tuple[str, ...] = ()
     method: str = "prc"
-    """The chosen classifier."""
+    """The classifier that is named, or was chosen."""
+    choice: MethodChoice | None = None
+    """Why it was chosen; None = it was named."""
     findings: tuple[Finding, ...] = ()
     """Answers of all checks that need no labels."""
     problem: str = ""
@@ -139,8 +142,13 @@ def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspecti
     loaded = with_layout_beside(path, loaded)
     if deep:
         _decode(path, loaded)
+    loaded = decide(path, loaded, trust_order=True)
     found = _inspect(path, loaded)
-    return replace(found, method=loaded.config.method, notes=(*loaded.notes, *found.notes))
+    choice = loaded.choice
+    assumptions = found.assumptions if choice is None else (choice.assumption, *found.assumptions)
+    return replace(
+        found, method=loaded.config.method, choice=choice, notes=(*loaded.notes, *found.notes), assumptions=assumptions
+    )
 
 
 def _decode(path: Path, loaded: LoadedConfig) -> None:

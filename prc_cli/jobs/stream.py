@@ -14,12 +14,13 @@ from typing import Protocol
 import numpy as np
 
 from prc_cli.classifiers.run import run_blocks
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, MethodChoice, RunConfig
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.findings import Finding, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import U8
-from prc_cli.jobs.classify import Counts
+from prc_cli.jobs.choice import choice_by_request, choose, decided_by
+from prc_cli.jobs.classify import Counts, load_classifier
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.live import LiveEvidence
 from prc_cli.streams.evidence.result import ResultWatch
@@ -28,8 +29,8 @@ from prc_cli.streams.grid import GridStream
 from prc_cli.streams.pipe import ByteStream, open_pipe
 
 
-def _ignore(doubt: Finding) -> None:
-    """Do nothing with a doubt: it is in the summary."""
+def _ignore(told: Finding | MethodChoice) -> None:
+    """Do nothing with what is told: it is in the summary."""
 
 
 RESULT_LINES = 1024
@@ -84,6 +85,8 @@ class StreamSummary:
     info: StreamInfo
     findings: tuple[Finding, ...] = ()
     """The worst answer of every check of the input and of its labels while they passed."""
+    choice: MethodChoice | None = None
+    """The method that was chosen, and why; None = it was named."""
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
@@ -99,6 +102,7 @@ def stream(
     hop: int | None = None,
     report: Callable[[Rate], None] | None = None,
     doubted: Callable[[Finding], None] = _ignore,
+    chosen: Callable[[MethodChoice], None] = _ignore,
 ) -> StreamSummary:
     """Label a live stream.
 
@@ -109,7 +113,8 @@ def stream(
     sink : ByteSink
         Receives one byte per shot, its class code, in chronological order; 0 = no return.
     config : LoadedConfig or RunConfig, optional
-        Default: the published urban parameters. An incomplete last line is padded for processing, and cut again.
+        Default: what labels the stream best: PRC where it has no angles, else fused. An incomplete last line is padded
+        for processing, and cut again.
     hop : int, optional
         PRC: lines labelled together, 1 to k (:func:`prc_cli.classifiers.prc.continuous.classify_lines`); default: the
         paper's blocks of k lines, with the same labels as ``prc classify``.
@@ -117,6 +122,8 @@ def stream(
         Called with the :class:`Rate` whenever labels were written.
     doubted : callable
         Called with the first doubt of every check of the input and of its labels as soon as it is known.
+    chosen : callable
+        Called with the method that was chosen where none is named, before the first label.
 
     Returns
     -------
@@ -135,24 +142,32 @@ def stream(
         When the stream cannot be classified live, for example with several scanners.
     """
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
-    chosen = loaded.config
-    if chosen.input.scanner != "none":
+    config = loaded.config
+    if config.input.scanner != "none":
         problem = (
-            f"found {chosen.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"
+            f"found {config.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"
         )
         raise ConfigError("input.scanner", problem, "split the stream first, or write it to a file for prc classify")
     start = time.perf_counter()
-    pipe, opened = open_pipe(source, chosen.input.model_copy(update={"partial_line": "pad"}), chosen.layout)
+    pipe, opened = open_pipe(source, config.input.model_copy(update={"partial_line": "pad"}), config.layout)
     is_dense = isinstance(opened, GridStream) and opened.rules.is_dense
-    classifier = chosen.classifier.method()
+    if not config.is_decided:
+        choice = choice_by_request(config, hops=hop is not None)
+        if choice is None:
+            choice, _ = choose(opened, config)
+        loaded = decided_by(choice, loaded)
+        config = loaded.config
+        load_classifier(loaded)
+        chosen(choice)
+    classifier = config.classifier.method()
     if classifier.needs.beams:
-        opened = with_beams(opened, chosen.input, from_ground=classifier.needs.nadir_from_ground)
+        opened = with_beams(opened, config.input, from_ground=classifier.needs.nadir_from_ground)
     if hop is not None:
         classifier = classifier.hopping(hop)
     pipe.seal()
-    watch = LiveEvidence(watched(opened, chosen.input), doubted)
+    watch = LiveEvidence(watched(opened, config.input), doubted)
     blocks = _UntilError(watch)
-    lookup = chosen.classes.lookup()
+    lookup = config.classes.lookup()
     counts, latency, result, asks_at = Counts.none(), 0.0, ResultWatch(classifier.usual), RESULT_LINES
     for item in run_blocks(iter(blocks), classifier, shots_at_once=1):
         counts = counts.add(item)
@@ -170,7 +185,8 @@ def stream(
     if blocks.error is not None:
         raise blocks.error
     watch.hear(result.findings())
-    return StreamSummary(_rate(counts, start, opened.info, latency), counts, opened.info, watch.findings())
+    rate = _rate(counts, start, opened.info, latency)
+    return StreamSummary(rate, counts, opened.info, watch.findings(), loaded.choice)
 
 
 def _rate(counts: Counts, start: float, info: StreamInfo, latency: float) -> Rate:

@@ -220,11 +220,12 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--output", folder, "--lines", "200", "--json", "--quiet")
     assert result.code == 0, result.err
     found = json.loads(result.out)
-    # found: .98 and .58; .89, .996, .88 and .95; .99, .86 and .38; .29 and .39, for ground is a strip there and stems
+    # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; .29 and .39, for ground is a strip there and stems
     # far away are lost
+    assert list(found) == ["default", "prc", "sequential-angle", "prc forest"]
     floors = {
         "prc": {"ground": 0.9, "building": 0.2},
-        "fused": {"noise": 0.7, "ground": 0.95, "building": 0.85, "vegetation": 0.6},
+        "default": {"noise": 0.7, "ground": 0.95, "building": 0.85, "vegetation": 0.6},
         "sequential-angle": {"horizontal": 0.9, "vertical": 0.75, "car": 0.25},
         "prc forest": {"ground": 0.2, "stem": 0.25},
     }
@@ -235,7 +236,7 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names >= {"street.npz", "street.laz", "street.png", "street_labels.npy", "street_reference.npy"}
     assert names >= {"street.toml", "evaluation.md", "evaluation.json", "street.laz.prc.json"}
-    assert names >= {"fused.png", "fused.toml", "fused_labels.npy", "fused_evaluation.md"}
+    assert names >= {"urban.png", "urban.toml", "urban_labels.npy", "urban_evaluation.md"}
     assert names >= {"static_scan.npz", "static_scan.laz", "static_scan.png", "static_scan.toml"}
     assert names >= {"static_scan_labels.npy", "static_scan_reference.npy", "static_scan_evaluation.md"}
     assert names >= {"forest.npz", "forest.laz", "forest.png", "forest_labels.npy", "forest_evaluation.md"}

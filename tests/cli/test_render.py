@@ -66,7 +66,7 @@ def test_refusals_are_one_line_each(prc: Prc, drive: Path, tmp_path: Path) -> No
     out = tmp_path / "a.png"
     np.save(tmp_path / "short.npy", np.full(100, 2, np.uint8))
     for options, code, parts in (
-        (["--steps", "coarse"], 2, ["'coarse', which is no step of prc", "possible here: range, intensity, support"]),
+        (["--steps", "coarse"], 2, ["'coarse', which is no step of fused", "possible here: range, intensity, classes"]),
         (["--block", 7], 2, ["--block: found 7, expected 0 to 1"]),
         (["--only-lines", "9-12"], 2, ["--only-lines: found '9-12', expected A:B"]),
         (["--only-lines", "500:600"], 2, ["found 500:600, expected A:B within 0:137"]),

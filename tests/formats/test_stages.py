@@ -30,7 +30,7 @@ LINES, M = 15, 20
 N = LINES * M
 STAGES = OutputConfig(stages=True)
 NAMES = ["surface", "dense_vegetation", "ground_height"]
-NOTICE = "output.stages needs the sequential-angle method; nothing was added"
+NOTICE = "output.stages needs the fused or sequential-angle method; nothing was added"
 
 
 @dataclass
@@ -262,11 +262,11 @@ def test_an_empty_output_has_the_columns(tmp_path: Path, suffix: str) -> None:
     write(tmp_path / f"a{suffix}", SOURCE, [], options=STAGES)
     path = tmp_path / f"a{suffix}"
     if suffix == ".csv":
-        assert path.read_text() == "record,class,name,surface,dense_vegetation,ground_height\n"
+        assert path.read_text() == "record,class,name,surface,dense_vegetation,ground_height,height_above_ground\n"
     elif suffix == ".parquet":
-        assert pq.read_schema(path).names[-3:] == NAMES
+        assert pq.read_schema(path).names[-4:] == [*NAMES, "height_above_ground"]
     else:
-        assert list(laspy.read(path).point_format.extra_dimension_names)[-3:] == NAMES
+        assert list(laspy.read(path).point_format.extra_dimension_names)[-4:] == [*NAMES, "height_above_ground"]
 
 
 def test_names_and_descriptions_fit_their_fields() -> None:

@@ -179,7 +179,7 @@ def test_an_input_that_is_edited_in_place_is_refused_though_its_time_was_put_bac
 def test_progress_counts_every_line(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", street())
     seen: list[int] = []
-    classify(source, tmp_path / "labels.npy", progress=seen.append)
+    classify(source, tmp_path / "labels.npy", load_config(preset="urban"), progress=seen.append)
     assert seen == [99, N_LINES - 99]
 
 

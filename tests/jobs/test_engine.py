@@ -72,7 +72,9 @@ def test_both_engines_give_the_same_labels_and_segments(tmp_path: Path, preset: 
 
 def test_the_record_names_the_reference_alone(tmp_path: Path) -> None:
     source = write_npz(tmp_path / "drive.npz", piece())
-    compiled, plain = (json.loads(record_path(path).read_text()) for path in by_both(source, ".npy"))
+    compiled, plain = (
+        json.loads(record_path(path).read_text()) for path in by_both(source, ".npy", "--preset", "urban")
+    )
     assert plain.pop("engine") == "reference"
     assert plain == compiled
 
@@ -94,7 +96,7 @@ def every_format(folder: Path) -> dict[str, Path]:
 def test_every_format_is_read_by_both_engines(tmp_path: Path) -> None:
     for name, source in every_format(tmp_path).items():
         options = ("-M", str(angles().size)) if name == "bin" else ()
-        compiled, plain = by_both(source, ".npy", *options)
+        compiled, plain = by_both(source, ".npy", "--preset", "urban", *options)
         assert compiled.read_bytes() == plain.read_bytes(), name
 
 
@@ -162,5 +164,5 @@ def test_without_numba_the_reference_classifies(tmp_path: Path) -> None:
     assert "prc classify --engine reference" in done.stderr
     assert not (tmp_path / "compiled.npy").exists()
     for name in ("npz", "csv", "laz"):
-        expected = classify(made[name], tmp_path / f"{name}.expected.npy").output
+        expected = classify(made[name], tmp_path / f"{name}.expected.npy", load_config(preset="urban")).output
         assert (tmp_path / f"{name}.out.npy").read_bytes() == expected.read_bytes()

@@ -34,6 +34,7 @@ from prc_cli.classifiers.fused.classes import (
 from prc_cli.classifiers.fused.curbs import CurbParams, find_curbs
 from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
+from prc_cli.classifiers.fused.heights import Overhearing, true_heights
 from prc_cli.classifiers.fused.neighbours import (
     DirectionParams,
     NeighbourhoodParams,
@@ -64,6 +65,8 @@ from prc_cli.classifiers.fused.spacing import (
     strides_of,
 )
 from prc_cli.classifiers.fused.strips import FlankParams, StripsParams, WallParams, stand
+from prc_cli.classifiers.fused.terrain import heights_over_ground
+from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 
@@ -71,6 +74,7 @@ FOREST_NOISE_M = 0.012
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 10 mm cost .2 of F1."""
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual."""
+FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
         "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.spacing",
@@ -200,6 +204,14 @@ class Fused(Classifier[FusedScanner, FusedState]):
             return replace(common, level_share=0.35, lean_deg=12.0)
         return replace(common, level_share=0.6, lean_deg=5.0)
 
+    @property
+    def gives(self) -> frozenset[Label]:
+        """Stems in forests alone; surfaces have no labels of their own."""
+        every = frozenset(Label) - {Label.VERTICAL, Label.HORIZONTAL}
+        if self.params.environment == "forest":
+            return every & FOREST_LABELS
+        return every - {Label.STEM}
+
     def scanner(self, first: ScanBlock) -> FusedScanner:
         """Return the beam directions."""
         return FusedScanner.of(beams_of(first))
@@ -211,10 +223,20 @@ class Fused(Classifier[FusedScanner, FusedState]):
     def label(self, block: ScanBlock, scanner: FusedScanner, turn: Turn, wanted: Wanted) -> Sequence[LabelledBlock]:
         """Label a block, and its further returns by neighbouring shots of similar range."""
         _check_shapes(block.range_m, block.next_m, scanner.points_per_line, self.params)
-        labels = classify_block(block.range_m, block.next_m, scanner, turn, self.params)
+        heard = Overhearing(turn) if wanted.stages else None
+        labels = classify_block(block.range_m, block.next_m, scanner, heard or turn, self.params)
         further, limit_m = block.extra, self.params.extra_return_m
         extra = label_further_returns(block.range_m, labels, further.line, further.column, further.range_m, limit_m)
-        return (LabelledBlock(block, labels, extra),)
+        above_m = None if heard is None else true_heights(self._above(block, scanner, heard), block)
+        return (LabelledBlock(block, labels, extra, above_m=above_m),)
+
+    def _above(self, block: ScanBlock, scanner: FusedScanner, heard: Overhearing) -> F32:
+        """Return the heights in the scan plane that the labels of a block were decided by."""
+        if self.params.environment == "forest":
+            return heights_over_ground(block.range_m, scanner.plane, self.params.forest.terrain)
+        ground: Ground = heard.results[MEMORY.name]
+        before = (len(ground.above_m) - block.n_lines) // 2
+        return ground.above_m[before : before + block.n_lines]
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
         """Report that this method has no segments."""

@@ -26,12 +26,14 @@ from prc_cli.classifiers.prc.surfaces import (
 )
 from prc_cli.classifiers.prc.urban import Totals, UrbanParams, count_smooth, find_ground, urban
 from prc_cli.classifiers.returns import label_extra_returns
+from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, I64, U8, Mask
 
 FOREST_NOISE_M = 0.012
 """Range noise that the thresholds of forests stand [m]: scanners in forests have 2 to 3 mm; 10 mm cost .1 of F1."""
+_EVERYWHERE = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION})
 KERNELS = frozenset({"prc.components", "prc.support", "prc.surfaces"})
 
 
@@ -115,6 +117,12 @@ class Prc(Classifier[int, PrcState]):
         if self.params.environment == "forest":
             return UsualLabels(0.96, 0.99)
         return UsualLabels(0.5, 0.8)
+
+    @property
+    def gives(self) -> frozenset[Label]:
+        """Stems in forests, buildings elsewhere (II-F)."""
+        smooth = Label.STEM if self.params.environment == "forest" else Label.BUILDING
+        return frozenset({*_EVERYWHERE, smooth})
 
     def scanner(self, first: ScanBlock) -> int:
         """Return M."""

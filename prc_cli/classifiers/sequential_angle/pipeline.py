@@ -227,6 +227,11 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             vanished_share=0.3,
         )  # fmt: skip
 
+    @property
+    def gives(self) -> frozenset[Label]:
+        """All but what only the other methods tell."""
+        return frozenset(Label) - {Label.NOISE, Label.BUILDING, Label.STEM}
+
     def scanner(self, first: ScanBlock) -> Beams:
         """Return the beam directions."""
         return Beams.of(beams_of(first))
@@ -246,7 +251,8 @@ class SequentialAngle(Classifier[Beams, SequentialAngleState]):
             rows = slice(start, start + part.n_lines)
             start = rows.stop
             of_part = None if stages is None else stages.of_lines(rows)
-            labelled.append(_labelled(part, found.labels[rows], of_part, self.params))
+            item = _labelled(part, found.labels[rows], of_part, self.params)
+            labelled.append(item if of_part is None else replace(item, above_m=_above(part, of_part, scanner)))
         return labelled
 
     def notices(self, labels: I64, tally: ReadTally, *, segments: bool) -> tuple[str, ...]:
@@ -296,6 +302,16 @@ def classify_block(
     found = [find_cars(part, params) for part in ready]
     done, curb = turn.hand_on(CURBS, lambda before: decide_curbs(found, before, params, last=last))
     return Final(in_columns(done, curb, beams), done)
+
+
+def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
+    """Return heights above the ground at every line [m], (lines, M) float32; NaN = missing or unknown."""
+    if block.xyz_m is None:
+        up_m = block.range_m * -np.cos(beams.beam_rad).astype(np.float32)
+    else:
+        up_m = np.where(np.isnan(block.range_m), np.float32(np.nan), block.xyz_m[..., 2])
+    above: F32 = (up_m - stages.ground_height_m).astype(np.float32, copy=False)
+    return above
 
 
 def _take_lines(waiting: tuple[ScanBlock, ...], n_lines: int) -> tuple[list[ScanBlock], tuple[ScanBlock, ...]]:

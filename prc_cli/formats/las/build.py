@@ -7,6 +7,7 @@ Coordinates are those of the input's sensor frame, or scan-plane coordinates ``x
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 from prc_cli.formats.las.copy import RECORD_TEXT
 from prc_cli.formats.las.header import LASZIP_KEY, RECORD_KEY, Vlr, make_vlr
+from prc_cli.formats.las.lookup import lookup_vlr
 from prc_cli.formats.las.points import SCAN_ANGLE_STEP_DEG, extra_bytes_vlr
 from prc_cli.formats.las.sinks import LasSink, LazSink, PointSink, Target, batch_size, new_laszip_payload
 from prc_cli.formats.writing.base import StagedWriter, close_quietly
@@ -46,13 +48,23 @@ class LasBuilder(StagedWriter):
     ----------
     points_per_line : int
         M; without scan angles the columns are spread over a full turn.
+    user_names : mapping, optional
+        Name of every user code that may be written.
     """
 
-    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig, points_per_line: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        codes: ClassCodes,
+        options: OutputConfig,
+        points_per_line: int,
+        user_names: Mapping[int, str] | None = None,
+    ) -> None:
         # every built file has the range
         columns = [column for column in asked_columns(options) if column.dimension is not RANGE]
         super().__init__(path, codes, options, columns)
         self._points_per_line = points_per_line
+        self._user_names = dict(user_names or {})
         self._compress = path.suffix.lower() == ".laz"
         self._by_return = np.zeros(15, np.int64)
         self._low = np.full(3, np.iinfo(np.int64).max, np.int64)
@@ -75,6 +87,8 @@ class LasBuilder(StagedWriter):
         if self._compress:
             payload = new_laszip_payload(self.path, _POINT_FORMAT, self._header.point_format.num_extra_bytes)
             vlrs.append(make_vlr(LASZIP_KEY, payload, "laszip (lazrs)"))
+        if self._user_names:
+            vlrs.append(lookup_vlr(self._user_names))
         self._header.vlrs.extend(_as_laspy_has_it(vlr) for vlr in vlrs)
         self._target = Target(self._handle)
         self._write_header()
@@ -282,7 +296,9 @@ class LasStream(LasBuilder):
     """
 
     def __init__(self, path: Path, shape: StreamShape) -> None:
-        super().__init__(path, ClassCodes(), OutputConfig(), shape.points_per_line)
+        # which codes come is not known before; without classes there are none
+        names = ClassCodes().user_names() if shape.codes else {}
+        super().__init__(path, ClassCodes(), OutputConfig(), shape.points_per_line, names)
         self._item: StreamItem | None = None
         self._n_codes_lost = 0
         self._has_offset = False

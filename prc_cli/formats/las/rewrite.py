@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -31,6 +31,7 @@ from prc_cli.formats.las.copy import (
 from prc_cli.formats.las.crs import with_wkt
 from prc_cli.formats.las.header import RECORD_KEY, HeaderFields, LasHeader, Source, Vlr, open_source, standard_bytes
 from prc_cli.formats.las.laz import read_records
+from prc_cli.formats.las.lookup import with_lookup
 from prc_cli.formats.las.points import (
     FORMAT_FOR_CODES,
     append_bytes,
@@ -59,9 +60,11 @@ class LasRewriter(ScatterWriter):
         options: OutputConfig,
         source: Path,
         laz_contexts: ClassContexts | None = None,
+        user_names: Mapping[int, str] | None = None,
     ) -> None:
         self._source_path = source
         self._laz_contexts = laz_contexts
+        self._user_names = dict(user_names or {})
         self._state = self._source_state()
         self._las = read_las(source)
         super().__init__(path, codes, options, asked_columns(options), self._las.n_records)
@@ -178,6 +181,9 @@ class LasRewriter(ScatterWriter):
         vlrs, notice = with_laszip(las, plan, vlrs)
         if notice:
             self._notice(notice)
+        vlrs, notices = with_lookup(las, vlrs, self._user_names)
+        for notice in notices:
+            self._notice(notice)
         return vlrs
 
 
@@ -249,7 +255,7 @@ class LasRecoder(LasRewriter):
     """
 
     def __init__(self, path: Path, source: Path, carried: tuple[str, ...] = ()) -> None:
-        super().__init__(path, ClassCodes(), OutputConfig(), source)
+        super().__init__(path, ClassCodes(), OutputConfig(), source, user_names={})
         for name in carried:
             if name not in CARRIED:
                 raise ConfigError("--carry", f"found {name!r}, expected one of {', '.join(CARRIED)}")
@@ -265,6 +271,10 @@ class LasRecoder(LasRewriter):
             self._stack.close()
             raise
         return self
+
+    def name_classes(self, names: Mapping[int, str]) -> None:
+        """Set the names of user codes that the output has to name."""
+        self._user_names = dict(names)
 
     def put(self, record: I64, codes: U8) -> None:
         """Set class codes by record index.

@@ -212,8 +212,9 @@ class StagedWriter(StagedOutput):
         self._settled = True
         if block is not None:
             found = {column.name: column.of_shots(block) is not None for column in self._optional}
+            added = {column.option for column in self._optional if found[column.name]}
             for column in self._optional:
-                if not found[column.name]:
+                if not found[column.name] and column.option not in added:
                     self._notice(f"output.{column.option} needs the {column.needs}; nothing was added")
             self._optional = tuple(column for column in self._optional if found[column.name])
         self._begin()

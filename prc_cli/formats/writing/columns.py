@@ -84,7 +84,7 @@ def _ground_height(stages: StageLabels) -> F32:
     return stages.ground_height_m
 
 
-_SEQUENTIAL_ANGLE = "sequential-angle method"
+_WITH_GROUND = "fused or sequential-angle method"
 
 OPTIONAL_COLUMNS = (
     OptionalColumn(
@@ -112,7 +112,7 @@ OPTIONAL_COLUMNS = (
         "stage",
         0,
         _stage(_surface),
-        needs=_SEQUENTIAL_ANGLE,
+        needs=_WITH_GROUND,
     ),
     OptionalColumn(
         ExtraDimension("dense_vegetation", np.dtype("u1"), "less sensitive test T', 1 = yes"),
@@ -121,7 +121,7 @@ OPTIONAL_COLUMNS = (
         "stage",
         0,
         _stage(_dense_vegetation),
-        needs=_SEQUENTIAL_ANGLE,
+        needs=_WITH_GROUND,
     ),
     OptionalColumn(
         ExtraDimension("ground_height", np.dtype("<f4"), "z_g, 0 = height of scanner [m]"),
@@ -130,7 +130,16 @@ OPTIONAL_COLUMNS = (
         "stage",
         np.nan,
         _stage(_ground_height),
-        needs=_SEQUENTIAL_ANGLE,
+        needs=_WITH_GROUND,
+    ),
+    OptionalColumn(
+        ExtraDimension("height_above_ground", np.dtype("<f4"), "above ground [m], NaN unknown"),
+        "height_above_ground",
+        "stages",
+        "stage",
+        np.nan,
+        lambda block: block.above_m,
+        needs=_WITH_GROUND,
     ),
 )
 """All optional columns, in the order of outputs."""
@@ -140,6 +149,6 @@ def asked_columns(options: OutputConfig) -> tuple[OptionalColumn, ...]:
     """Return the columns that ``[output]`` requests, in order.
 
     >>> [column.name for column in asked_columns(OutputConfig(segment_ids=True, stages=True))]
-    ['segment_id', 'surface', 'dense_vegetation', 'ground_height']
+    ['segment_id', 'surface', 'dense_vegetation', 'ground_height', 'height_above_ground']
     """
     return tuple(column for column in OPTIONAL_COLUMNS if getattr(options, column.option))

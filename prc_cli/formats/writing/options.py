@@ -27,9 +27,10 @@ class OutputConfig(Params):
     range: bool = Field(False, description="add the range of every shot [m]: extra bytes float32 `range` (LAS, LAZ)")
     stages: bool = Field(
         False,
-        description="add what the classifier found on the way, sequential-angle only: extra bytes uint8 `surface` "
-        "(coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 undecided), uint8 `dense_vegetation` (T'), float32 "
-        "`ground_height` [m, relative to the scanner; NaN unknown], or columns of these names",
+        description="add what the classifier found on the way, as extra bytes or columns: float32 "
+        "`height_above_ground` [m; NaN unknown] (fused, sequential-angle); of sequential-angle also uint8 `surface` "
+        "(coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 undecided), uint8 `dense_vegetation` (T') and "
+        "float32 `ground_height` [m, relative to the scanner; NaN unknown]",
     )
     codes: Literal["upgrade", "below-32"] = Field(
         "upgrade",

@@ -9,6 +9,7 @@ import os
 from prc_cli.core.files import is_same, parts_of, read_small
 from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
 from prc_cli.jobs.batch.types import Done, InputPrint, Task
+from prc_cli.jobs.choice import possible_configs
 
 _MAX_RECORD = 1 << 24
 """Largest run record that is read [bytes]."""
@@ -29,9 +30,14 @@ def outcome_of_record(task: Task, before: InputPrint, written: os.stat_result) -
     try:
         record = json.loads(read_small(record_path(task.output), _MAX_RECORD))
         trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
-        expected = RunRecord(task.config.config.of_run(), fingerprint(task.source), "", 1, trajectory=trajectory)
-        wanted = expected.as_dict()
-        if any(record[key] != wanted[key] for key in ("program", "version", "config", "input", "trajectory")):
+        content = fingerprint(task.source)
+        records = [
+            RunRecord(config.of_run(), content, "", 1, trajectory=trajectory).as_dict()
+            for config in possible_configs(task.config)
+        ]
+        keys = ("program", "version", "config", "input", "trajectory")
+        wanted = next((one for one in records if all(record[key] == one[key] for key in keys)), None)
+        if wanted is None:
             return None
         stream = record["stream"]
         missing = ("missing", int(stream["n_missing"] or 0))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.classifiers.prc.surfaces import area_threshold
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, MethodChoice, RunConfig
 from prc_cli.core.blocks import regroup
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import output_errors
@@ -38,6 +38,7 @@ from prc_cli.jobs.calibrate.search import (
     with_values,
 )
 from prc_cli.jobs.calibrate.sensor import SensorEstimate, SensorMeter
+from prc_cli.jobs.choice import decided_by
 from prc_cli.jobs.classify import Progress, open_stream
 from prc_cli.streams.evidence.watch import watched
 
@@ -136,7 +137,8 @@ def calibrate(
     source : path
         Any readable input.
     config : LoadedConfig, optional
-        How the stream is read, and the initial parameters. Default: the published urban ones.
+        How the stream is read, and the initial parameters. Default: the published urban ones; where no method is named,
+        it is PRC's parameters that are calibrated.
     search : SearchOptions, optional
         Reference and options of the search; without it, parameters are those implied by the sensor.
     progress : callable, optional
@@ -159,6 +161,8 @@ def calibrate(
         When the objective or an option of the search is invalid.
     """
     loaded = config if config is not None else LoadedConfig(RunConfig())
+    if not loaded.config.is_decided:
+        loaded = decided_by(MethodChoice("urban", "its parameters follow from the sensor; fused measures it"), loaded)
     run = loaded.config
     prepared = None if search is None else _prepare(search, run)
     stream = open_stream(source, loaded)

@@ -8,16 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig
+from prc_cli.config import LoadedConfig, MethodChoice
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
 from prc_cli.formats import check_input
 from prc_cli.imaging.page import html_page
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
+from prc_cli.jobs.choice import decide, decided_by
 from prc_cli.jobs.classify import Progress
 from prc_cli.jobs.render.options import (
     CAPTIONS,
     COLOURS,
+    PRC_STEPS,
     SUFFIXES,
     VIEWS,
     RenderOptions,
@@ -74,6 +76,7 @@ def render(
     check_output(output, overwrite=overwrite, inputs=inputs)
     remove_stale(output)
     check_input(source)
+    config = _decided(source, config, chosen)
     with temporary_folder("prc-render-") as scratch:
         if chosen.view == "scan":
             drawing = draw_scan(source, config, chosen, scratch, progress)
@@ -90,6 +93,17 @@ def render(
             panel, key, result = draw_cloud(source, config, chosen, scratch, progress)
             pages = [("", [panel])]
     return _write(output, source.name, result, pages, key, max_height=chosen.height, overwrite=overwrite, inputs=inputs)
+
+
+def _decided(source: Path, config: LoadedConfig, options: RenderOptions) -> LoadedConfig:
+    """Return a configuration that names a method: PRC where its steps are asked for, or no method is needed."""
+    if config.config.is_decided or options.view != "scan":
+        return config
+    steps = set(options.steps or ())
+    of_prc = options.figure1 or options.block is not None or steps & set(PRC_STEPS)
+    if of_prc or options.labels is not None or (steps and not steps - {"range", "intensity", "reference"}):
+        return decided_by(MethodChoice("urban", "its steps are asked for"), config)
+    return decide(source, config)
 
 
 def _pages(drawing: Drawing) -> list[tuple[str, list[Panel]]]:

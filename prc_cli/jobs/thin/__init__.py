@@ -28,6 +28,7 @@ from prc_cli.formats.writing.record import RunRecord, record_path
 from prc_cli.formats.writing.record_values import RecordValues
 from prc_cli.formats.writing.spool import Spool
 from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem
+from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import (
     Counts,
     Progress,
@@ -153,6 +154,8 @@ def thin(
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
     source, output = Path(source), Path(output)
     rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
+    if labels == CLASSIFY:
+        loaded = decide(source, loaded)
     label_file = Path(labels) if labels is not None and labels != CLASSIFY else None
     prepare_output(source, output, loaded, overwrite=overwrite, more=() if label_file is None else (label_file,))
     run = _Run(source, output, rules, loaded, label_file, classify=labels == CLASSIFY)

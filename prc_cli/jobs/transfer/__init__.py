@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import check_output, file_state, remove_stale
+from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
+from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.las.lookup import names_of_file
 from prc_cli.formats.las.rewrite import LasRecoder
 from prc_cli.formats.options import Layout
 from prc_cli.formats.writing.record import (
@@ -115,7 +118,7 @@ def transfer(
     before = [_state(path) for path in inputs]
     sides = open_sides(labels, registered, points, layout, options)
     tally = JoinTally()
-    n_changed = 0
+    n_changed, moved = 0, np.zeros(256, np.bool_)
     names = (KEY, SAME, CODE)
     with LasRecoder(output, registered, options.carry) as writer:
         target = columns_of(sides.points, names, sort=not sides.found[1].in_order)
@@ -124,6 +127,7 @@ def transfer(
         for item in merge_join(target, origin, match, sides.tolerance, tally, paths, spare=SPARE_LABELS):
             record, codes = item.left[RECORD], item.left[CODE].copy()
             codes[item.at] = item.right[CODE][item.to]
+            moved[codes[item.at]] = True
             n_changed += int(np.count_nonzero(codes != item.left[CODE]))
             writer.put(record, codes)
             if options.carry:
@@ -147,7 +151,14 @@ def transfer(
             points=None if points is None else fingerprint(points),
             counts=counts,
         )
+        writer.name_classes({code: name for code, name in _user_names(labels).items() if moved[code]})
         return TransferSummary(output, writer.finish(stored), counts)
+
+
+def _user_names(labels: Path) -> dict[int, str]:
+    """Return the names of user codes: those of the file with the classes, else those of this program."""
+    own = names_of_file(labels) if suffix_of(labels) in LAS_SUFFIXES else {}
+    return {**ClassCodes().user_names(), **own}
 
 
 def _state(path: Path) -> tuple[int, ...]:

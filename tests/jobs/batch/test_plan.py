@@ -366,7 +366,7 @@ def test_the_hash_tells_configurations_apart_and_not_folders(tmp_path: Path) -> 
     base = RunConfig()
     other = RunConfig.model_validate({"prc": {"support": {"zeta_p": 0.123}}})
     assert config_hash(base, None) != config_hash(other, None)
-    unused = RunConfig.model_validate({"sequential_angle": {"max_range_m": 77.0}})
+    unused = RunConfig.model_validate({"method": "auto", "sequential_angle": {"max_range_m": 77.0}})
     assert config_hash(base, None) == config_hash(unused, None)
     here = RunConfig.model_validate({"input": {"range": "trajectory:/here/a.csv"}})
     there = RunConfig.model_validate({"input": {"range": "trajectory:/there/b.csv"}})

@@ -1,0 +1,150 @@
+"""Chooses the method for an input where none is named (``method = "auto"``).
+
+What is asked for may leave one method: segment ids, the plain engine and ``--hop`` are PRC's. Otherwise the input
+decides: ``fused`` where the angle of every beam from straight down is known, for streets or for forests as its first
+lines look; else PRC, which needs ranges alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import get_args
+
+from prc_cli.config import ChosenPreset, LoadedConfig, MethodChoice, RunConfig, with_layout_beside
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanStream
+from prc_cli.kernels import Engine
+from prc_cli.streams.beams import BeamStream, with_beams
+from prc_cli.streams.evidence.place import Place, place_of_blocks
+from prc_cli.streams.open import open_input
+
+_NO_ANGLES = "the input gives neither scan angles nor coordinates relative to the scanner"
+LEAST_COSINE = math.cos(math.radians(60.0))
+"""Planes that lean more are no scan planes of streets: fused allows 45 degrees, ranges in feet look like 72."""
+_BETTER = "with the angles of the beams fused labels better"
+
+
+def decided_by(choice: MethodChoice, loaded: LoadedConfig) -> LoadedConfig:
+    """Return a configuration that names the method of a choice.
+
+    >>> from prc_cli.config import load_config
+    >>> decided_by(MethodChoice("fused-forest", "as an example"), load_config()).config.fused.environment
+    'forest'
+    """
+    config, sources = loaded.config, {**loaded.sources, "method": "chosen"}
+    changes: dict[str, object] = {"method": choice.method}
+    if choice.preset == "fused-forest":
+        changes["fused"] = config.fused.model_copy(update={"environment": "forest"})
+        sources["fused.environment"] = "chosen"
+    return replace(loaded, config=config.model_copy(update=changes), sources=sources, choice=choice)
+
+
+def possible_configs(loaded: LoadedConfig) -> list[RunConfig]:
+    """Return the configurations that a run may have been done with: where no method is named, one for every choice."""
+    if loaded.config.is_decided:
+        return [loaded.config]
+    return [decided_by(MethodChoice(preset, ""), loaded).config for preset in get_args(ChosenPreset)]
+
+
+def choice_by_request(config: RunConfig, *, engine: Engine = "compiled", hops: bool = False) -> MethodChoice | None:
+    """Return the choice where what is asked for leaves one method; None = the input decides.
+
+    >>> choice_by_request(RunConfig(output={"segment_ids": True})).preset
+    'urban'
+    """
+    if config.output.segment_ids:
+        return MethodChoice("urban", "segment ids are those of PRC")
+    if engine == "reference":
+        return MethodChoice("urban", "the plain engine has the papers' methods alone")
+    return MethodChoice("urban", "labels every few lines are those of PRC") if hops else None
+
+
+def choice_by_place(place: Place) -> MethodChoice:
+    """Return the choice for an input whose beam directions are known."""
+    known = "the angles of the beams are known"
+    if place.kind == "forest":
+        return MethodChoice("fused-forest", f"{known}, and the place looks like a forest: {place.why}")
+    if place.kind == "street":
+        return MethodChoice("fused", f"{known}, and the place looks like a street: {place.why}")
+    return MethodChoice("fused", f"{known}; taken for a street: {place.why}; in a forest give --preset fused-forest")
+
+
+def choose(stream: ScanStream, config: RunConfig) -> tuple[MethodChoice, ScanStream]:
+    """Choose the method for an opened stream.
+
+    Parameters
+    ----------
+    stream : ScanStream
+        Opened with its geometry. Its first lines are read; with several scanners all, because each must have
+        directions.
+    config : RunConfig
+        How it was opened.
+
+    Returns
+    -------
+    MethodChoice, ScanStream
+        And the stream with beam directions, or as it was if they are not known.
+    """
+    try:
+        first = next(stream.blocks(), None)
+        if first is None:
+            return MethodChoice("urban", "the input has no lines"), stream
+        if first.angle_rad is None and stream.info.angle_rad is None and first.xyz_m is None:
+            return MethodChoice("urban", f"{_NO_ANGLES}; {_BETTER}"), stream
+        directed = with_beams(stream, config.input, from_ground=True)
+        if isinstance(directed, BeamStream) and any(found.is_made_up for found in directed.known.values()):
+            return MethodChoice("urban", "no line has two returns"), stream
+        if (cosine := least_cosine(directed)) < LEAST_COSINE:
+            lean = f"the scan plane seems to lean by {math.degrees(math.acos(cosine)):.0f} deg"
+            return MethodChoice("urban", f"{lean}, which fused does not stand; look at the unit of the ranges"), stream
+        if stream.info.facts.has_scans or config.input.scanner != "none":
+            # a later scanner may be refused only when it is reached
+            for _ in directed.blocks():
+                pass
+        return choice_by_place(place_of_blocks(directed.blocks())), directed
+    except (InputError, ConfigError) as refusal:
+        return MethodChoice("urban", f"{refusal.problem}; {_BETTER}"), stream
+
+
+def least_cosine(stream: ScanStream) -> float:
+    """Return the least cosine of the lean of the scan planes from the vertical that were found."""
+    known = stream.known.values() if isinstance(stream, BeamStream) else ()
+    return min((found.cos_tilt for found in known), default=1.0)
+
+
+def decide(path: Path, loaded: LoadedConfig, *, engine: Engine = "compiled", trust_order: bool = False) -> LoadedConfig:
+    """Return a configuration that names a method: the given one, or with the method chosen for a file.
+
+    Parameters
+    ----------
+    path : Path
+        Any readable input.
+    loaded : LoadedConfig
+        A configuration that names a method is returned as it is, with the layout beside the file.
+    engine : str
+        The plain engine leaves PRC.
+    trust_order : bool
+        Look at an input that is not in order, too.
+
+    Returns
+    -------
+    LoadedConfig
+        Its ``choice`` says what was taken and why. An input that cannot be opened is left to PRC, which says why.
+    """
+    loaded = with_layout_beside(path, loaded)
+    config = loaded.config
+    if config.is_decided:
+        return loaded
+    asked = choice_by_request(config, engine=engine)
+    if asked is not None:
+        return decided_by(asked, loaded)
+    inputs = config.input
+    if trust_order and inputs.order == "require":
+        inputs = inputs.model_copy(update={"order": "trust"})
+    try:
+        stream = open_input(path, inputs, config.layout)
+    except (InputError, ConfigError) as refusal:
+        return decided_by(MethodChoice("urban", refusal.problem), loaded)
+    return decided_by(choose(stream, config)[0], loaded)

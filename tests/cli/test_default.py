@@ -1,0 +1,159 @@
+"""The default: what a user gets who names no method, in every command, and that it is said."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from prc_cli import classify_ranges, load_config
+from prc_cli.config import RunConfig, from_layers, preset_table
+from prc_cli.core.errors import ConfigError
+from tests import patience
+from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.cli.test_commands import Prc
+from tests.streams.evidence.test_place import forest_lines
+
+M = len(BEAM)
+ANGLES = ("-M", M, "--set", "input.angle_start=-150", "--set", "input.angle_step=0.2", "--set", "input.nadir=0")
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+@pytest.fixture
+def scans(tmp_path: Path) -> Path:
+    """A folder with a street and a forest as dumps without angles, and as arrays with them."""
+    for name, ranges in (("street", street_lines(140)[0]), ("forest", forest_lines(140))):
+        ranges.tofile(tmp_path / f"{name}.bin")
+        np.savez(tmp_path / f"{name}.npz", range_m=ranges, zenith_deg=180 - np.abs(np.rad2deg(BEAM)), side=0)
+        np.savez(tmp_path / f"{name}.npz", range_m=ranges, angle_deg=np.rad2deg(BEAM))
+    return tmp_path
+
+
+CASES = (
+    ("street.npz", ("--set", "input.nadir=0"), "fused", "fused"),
+    ("forest.npz", ("--set", "input.nadir=0"), "fused-forest", "fused"),
+    ("street.bin", ("-M", M), "urban", "prc"),
+    ("forest.bin", ANGLES, "fused-forest", "fused"),
+)
+
+
+@pytest.mark.parametrize(("name", "given", "preset", "method"), CASES)
+def test_the_default_is_a_preset_and_says_so(
+    prc: Prc, scans: Path, name: str, given: tuple[object, ...], preset: str, method: str
+) -> None:
+    result = prc("classify", scans / name, scans / "a.npy", *given)
+    assert result.code == 0, result.err
+    assert f"method: {method} (--preset {preset}): " in result.err
+    assert prc("classify", scans / name, scans / "b.npy", *given, "--preset", preset, "-q").code == 0
+    np.testing.assert_array_equal(np.load(scans / "a.npy"), np.load(scans / "b.npy"))
+    record, named = (json.loads((scans / f"{one}.npy.prc.json").read_text()) for one in "ab")
+    assert record["assumptions"][0]["key"] == "method"
+    assert record["assumptions"][0]["value"] == f"{method} (--preset {preset})"
+    assert record["config"] == named["config"]
+    assert all(one["key"] != "method" for one in named["assumptions"])
+    found = json.loads(prc("info", scans / name, *given, "--json").out)
+    assert found["method"] == method
+    assert f"--preset {preset}" in found["command"]
+
+
+def test_a_las_file_holds_the_choice(prc: Prc, scans: Path) -> None:
+    assert prc("classify", scans / "street.npz", scans / "o.laz", "--set", "input.nadir=0", "-q").code == 0
+    header = laspy.read(scans / "o.laz").header
+    record = next(vlr for vlr in (*header.vlrs, *header.evlrs) if vlr.user_id == "prc-cli")
+    assert json.loads(record.record_data_bytes())["assumptions"][0]["value"] == "fused (--preset fused)"
+
+
+def test_the_pipe_takes_the_same(prc: Prc, scans: Path) -> None:
+    for given, preset in ((("-M", M), "urban"), (ANGLES, "fused")):
+        assert prc("classify", scans / "street.bin", scans / "o.npy", *given, "--overwrite", "-q").code == 0
+        command = [sys.executable, "-m", "prc_cli", "stream", "--report", "0", *map(str, given)]
+        with (scans / "street.bin").open("rb") as source:
+            done = patience.run(command, stdin=source, capture_output=True, check=True)
+        assert done.stdout == np.load(scans / "o.npy").tobytes()
+        assert f"(--preset {preset})" in done.stderr.decode()
+
+
+def test_what_is_asked_for_may_leave_one_method(prc: Prc, scans: Path) -> None:
+    down = ("--set", "input.nadir=0")
+    for given in (("--segment-ids",), ("--engine", "reference"), ("--set", "prc.support.zeta_p=0.5")):
+        result = prc("classify", scans / "street.npz", scans / "o.npy", "--json", "-q", "--overwrite", *down, *given)
+        assert result.code == 0, result.err
+        assert json.loads(result.out)["config"]["method"] == "prc"
+    result = prc("render", scans / "street.npz", scans / "o.png", "--block", "0", *down)
+    assert result.code == 0, result.err
+    result = prc("render", scans / "street.npz", scans / "o.html", *down)
+    assert (result.code, "fused" in result.err) == (0, True), result.err
+
+
+def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> None:
+    (scans / "in").mkdir()
+    for name in ("street.npz", "forest.npz"):
+        (scans / name).rename(scans / "in" / name)
+    given = ("batch", scans / "in", scans / "out", "--set", "input.nadir=0", "--jobs", 1, "--to", "npy")
+    result = prc(*given)
+    assert result.code == 0, result.err
+    records = {path.name.split(".")[0]: json.loads(path.read_text()) for path in scans.rglob("*.prc.json")}
+    environments = {name: record["config"]["fused"]["environment"] for name, record in records.items()}
+    assert environments == {"street": "urban", "forest": "forest"}
+    assert all(record["config"]["method"] == "fused" for record in records.values())
+    before = {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")}
+    assert prc(*given).code == 0
+    # without the journal the outputs are known by their records
+    for path in (scans / "out").rglob("*.sqlite*"):
+        path.unlink()
+    result = prc(*given, "--adopt")
+    assert result.code == 0, result.err
+    assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} == before
+    # another method is another configuration
+    assert prc(*given, "--preset", "urban").code == 0
+    assert {path: path.stat().st_mtime_ns for path in (scans / "out").rglob("*.npy")} != before
+
+
+def test_python_takes_the_same() -> None:
+    ranges = street_lines(140)[0]
+    fused = classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM)
+    np.testing.assert_array_equal(classify_ranges(ranges, beam_rad=BEAM), fused)
+    np.testing.assert_array_equal(classify_ranges(ranges), classify_ranges(ranges, load_config(preset="urban")))
+    forest = forest_lines(140)
+    stems = classify_ranges(forest, load_config(preset="fused-forest"), beam_rad=BEAM)
+    np.testing.assert_array_equal(classify_ranges(forest, beam_rad=BEAM), stems)
+
+
+def test_tables_and_presets_decide() -> None:
+    assert RunConfig().method == "auto"
+    assert not RunConfig().is_decided
+    assert RunConfig.model_validate({"sequential_angle": {}}).method == "sequential-angle"
+    assert RunConfig.model_validate({"method": "auto", "prc": {}}).method == "auto"
+    assert load_config(preset="forest").config.method == "prc"
+    file = ("a.toml", {"method": "auto", "sequential_angle": {}})
+    assert from_layers([("preset urban", preset_table("urban")), file]).config.method == "prc"
+    assert from_layers([file]).config.method == "auto"
+    assert from_layers([("a.toml", {"prc": {}})]).sources["method"] == "the table [prc]"
+    with pytest.raises(ConfigError, match=r"the tables \[prc\] and \[fused\] and no method"):
+        from_layers([("a.toml", {"prc": {}, "fused": {}})])
+
+
+def test_a_printed_configuration_stays_undecided(prc: Prc, tmp_path: Path) -> None:
+    (tmp_path / "all.toml").write_text(prc("config", "show").out)
+    assert load_config(tmp_path / "all.toml").config == RunConfig()
+
+
+def test_calibration_is_of_prc(prc: Prc, scans: Path) -> None:
+    result = prc("calibrate", scans / "street.bin", "-M", M, "-o", scans / "c.toml", "-q")
+    assert result.code == 0, result.err
+    assert load_config(scans / "c.toml").config.method == "prc"
+
+
+@pytest.mark.data
+def test_real_scans_get_what_labels_them_best(prc: Prc, real_data: Path) -> None:
+    for name, preset in (("oakland/oakland_2.csv.gz", "fused"), ("forest/tls_park.npz", "fused")):
+        found = json.loads(prc("info", real_data / name, "--json").out)
+        assert found["choice"]["preset"] == preset
