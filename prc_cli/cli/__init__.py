@@ -29,17 +29,17 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
     "info": ("prc_cli.cli.info:info", "Say what a file holds, whether it can be classified, and how."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
+    "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
-    "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
-    "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
+    "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
-    "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "thin": ("prc_cli.cli.thin:thin", "Drop noise and thin out chosen classes of a stream."),
     "simulate": ("prc_cli.cli.simulate:simulate", "Make a scan of a street or a forest whose classes are known."),
-    "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation and a folder for outputs."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
-    "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
+    "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation and a folder for outputs."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
 """Commands by name: their module (loaded when called) and the line in ``prc --help``."""
@@ -91,7 +91,7 @@ class LazyGroup(click.Group):
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Example: prc classify drive.laz drive_classified.laz --preset urban",
+    epilog="Example: prc classify drive.laz drive_classified.laz",
 )
 @click.version_option(__version__, prog_name="prc")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")

@@ -14,6 +14,7 @@ from rich.table import Table
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
@@ -23,7 +24,7 @@ from prc_cli.formats.las.crs import short_crs
 from prc_cli.jobs.info import Inspection, inspect
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
 @click.option("--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs.")
 @stream_options

@@ -24,7 +24,9 @@ CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 _CLASSIFIER_OPTIONS = [
     click.option("--method", type=click.Choice(METHODS),
                  help="Classifier; default: what the preset or the configuration says, else what labels IN best."),
-    click.option("--preset", type=click.Choice(list(PRESETS)), help="Parameters to start from."),
+    click.option("--preset", type=click.Choice(list(PRESETS)),
+                 help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
+                 "fused, fused-forest: both combined. Default: what labels IN best."),
 ]  # fmt: skip
 
 _INPUT_OPTIONS = [

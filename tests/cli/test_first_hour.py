@@ -87,3 +87,14 @@ def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Pat
     assert repr(found).startswith(f"{N_LINES} lines of {POINTS_PER_LINE} shots: ")
     assert sum(found.counts.values()) == image.size == len(angles()) * N_LINES
     assert issubclass(prc_cli.EvidenceError, prc_cli.PrcError)
+
+
+def test_help_stands_in_sections(prc: Prc) -> None:
+    text = prc("classify", "--help").out
+    places = [text.index(f"\n{name}:\n") for name in ("Method", "Input", "Output", "Run")]
+    assert places == sorted(places)
+    for option, section in (("--preset", 0), ("--sort-by-time", 1), ("--overwrite", 2), ("--quiet", 3), ("--help", 3)):
+        after = places[section + 1] if section < 3 else len(text)
+        assert places[section] < text.index(f"{option} ", places[section]) < after
+    assert "\nOptions:\n" not in text
+    assert "\nOptions:\n" in prc("evaluate", "--help").out
