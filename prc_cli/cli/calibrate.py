@@ -139,7 +139,7 @@ def calibrate(
         found = calibrate_file(source, loaded, search, progress=progress, tried=tried)
     for target, text in ((output, as_toml), (plot, as_svg)):
         if target is not None:
-            with atomic_output(target) as temporary:
+            with atomic_output(target, overwrite=overwrite) as temporary:
                 temporary.write_text(text(found), encoding="utf-8")
     chosen = "json" if as_json_flag else form
     if chosen in ("json", "markdown"):

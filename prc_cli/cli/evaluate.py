@@ -196,7 +196,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         )
     texts = [_text(FORMS[path.suffix.lower()], found, gates, mapping, pictures) for path in options["outputs"]]
     for path, text in zip(options["outputs"], texts, strict=True):
-        with atomic_output(path) as temporary:
+        with atomic_output(path, overwrite=options["overwrite"]) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
     if form != "table":
         click.echo(printable_lines(_text(form, found, gates, mapping, pictures).rstrip("\n")))

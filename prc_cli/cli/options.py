@@ -43,11 +43,12 @@ _INPUT_OPTIONS = [
     click.option("--return", "return_", help="strongest, first or last."),
     click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line."),
     click.option("--max-range", type=float, metavar="METRES", help="Ranges beyond are missing."),
-    click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first."),
     click.option("--accept-doubt", "accept_doubts", multiple=True, metavar="NAME", type=click.Choice(CHECK_NAMES),
                  help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several."),
     click.option("--trust-order", "trust_order", is_flag=True, help="Take the order of the records as it is."),
 ]  # fmt: skip
+
+_SORT_OPTION = click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first.")
 
 _OUTPUT_OPTIONS = [
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
@@ -58,6 +59,11 @@ _OUTPUT_OPTIONS = [
 
 def stream_options(command: CommandT) -> CommandT:
     """Add the options for reading and classifying a stream."""
+    return live_options(_SORT_OPTION(command))
+
+
+def live_options(command: CommandT) -> CommandT:
+    """Add the options for classifying a stream as it arrives, which cannot be sorted."""
     for option in reversed([*_CLASSIFIER_OPTIONS, *_INPUT_OPTIONS]):
         command = option(command)
     return command
@@ -65,7 +71,7 @@ def stream_options(command: CommandT) -> CommandT:
 
 def input_options(command: CommandT) -> CommandT:
     """Add the options for reading a stream, for commands that do not classify."""
-    for option in reversed(_INPUT_OPTIONS):
+    for option in reversed([*_INPUT_OPTIONS, _SORT_OPTION]):
         command = option(command)
     return command
 
@@ -100,10 +106,11 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
 
 def layers_from(options: dict[str, Any]) -> Layers:
     """Read the values of :func:`stream_options` as separate layers, without merging them."""
-    if options["sort_by_time"] and options["trust_order"]:
+    sort_by_time = options.get("sort_by_time", False)
+    if sort_by_time and options["trust_order"]:
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)
-    order = "sort-time" if options["sort_by_time"] else "trust" if options["trust_order"] else None
+    order = "sort-time" if sort_by_time else "trust" if options["trust_order"] else None
     table: dict[str, Any] = {}
     layout_file: Path | None = options["layout_file"]
     if layout_file is not None:

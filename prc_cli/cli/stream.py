@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.options import config_from, live_options, output_options
 from prc_cli.cli.report import LOOK, compiling_note, console, print_assumptions, print_doubts
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding
@@ -20,7 +20,7 @@ from prc_cli.jobs.stream import stream as label_stream
 
 
 @click.command()
-@stream_options
+@live_options
 @click.option(
     "--hop",
     type=click.IntRange(min=1),

@@ -16,7 +16,10 @@ MAX_RECORD_BYTES = 1 << 20
 """Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
 
 
-LAYOUT_SUFFIXES = (".bin", ".raw", ".dat", ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst")
+LAYOUT_SUFFIXES = (
+    ".bin", ".raw", ".dat", ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst", ".xyz", ".asc", ".pts",
+    ".ply", ".pcd",
+)  # fmt: skip
 """Files whose records a layout describes."""
 LEAST_RATE_HZ, MOST_RATE_HZ = 1e-6, 1e12
 """Allowed line frequencies and shot rates, well beyond those of real scanners [Hz]."""
@@ -217,7 +220,11 @@ class LayoutField(Params):
     scale: float = Field(1.0, description="value = stored * scale + offset, in m, s, rad or deg")
     offset: float = Field(0.0, description="value = stored * scale + offset")
     missing: float | None = Field(None, description="stored value that means no return")
-    unit: Literal["m", "s", "rad", "deg", ""] = Field("", description="angle: rad or deg (default deg)")
+    unit: Literal["m", "cm", "mm", "ft", "s", "ms", "us", "ns", "rad", "deg", "gon", ""] = Field(
+        "",
+        description="range, x, y, z: m, cm, mm or ft (default m); time: s, ms, us or ns (default s); "
+        "angle: deg, rad or gon (default deg)",
+    )
 
 
 class Layout(Params):
@@ -230,6 +237,9 @@ class Layout(Params):
         ge=1,
         le=MAX_RECORD_BYTES,
         description="raw binary: size of a record if it is larger than its fields (padding at the end)",
+    )
+    decimal: Literal[".", ","] | None = Field(
+        None, description="text: character before the decimals; default: found by looking"
     )
     delimiter: str = Field(",", min_length=1, max_length=1, description="text: between cells; a space = any blanks")
     header: bool | None = Field(None, description="text: the first row holds names; default: found by looking")

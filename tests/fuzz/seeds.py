@@ -15,6 +15,8 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
+from tests.formats import cloud_files
+
 N_LINES, M = 14, 24
 """Lines and columns of every seed."""
 LINE_HZ = 50.0
@@ -317,6 +319,32 @@ RECORDINGS = (
     *("velodyne.pcap", "velodyne.pcapng", "ouster.pcap"),
 )
 
+
+def _cloud(*, with_nan: bool = False) -> dict[str, np.ndarray]:
+    points = _flat()
+    columns = {name: points[name].astype("f4") for name in ("range", "x", "y", "z")}
+    columns |= {"theta": np.deg2rad(points["angle"]).astype("f4"), "GPS_time": points["time"]}
+    columns |= {name: np.ones(len(points["range"]), "u1") for name in ("num_echo", "nb_of_echo")}
+    if with_nan:
+        image = ranges()
+        columns = {"x": np.full(image.size, 3.0, "f4"), "y": np.full(image.size, 1.0, "f4"), "z": image.ravel()}
+    return columns
+
+
+def _frame() -> dict[str, np.ndarray]:
+    """A frame in column order, ring after ring in a column."""
+    column, ring = np.divmod(np.arange(360 * 8), 8)
+    azimuth, elevation = np.deg2rad(column), np.deg2rad(ring * 2.0 - 10)
+    return {
+        "x": (9 * np.cos(azimuth) * np.cos(elevation)).astype("f4"),
+        "y": (9 * np.sin(azimuth) * np.cos(elevation)).astype("f4"),
+        "z": (9 * np.sin(elevation)).astype("f4"),
+        "t": (column * 1000).astype("u4"),
+        "ring": ring.astype("u1"),
+        "range": np.full(len(ring), 9000, "u4"),
+    }
+
+
 SEEDS: dict[str, Callable[[], bytes]] = {
     **{
         f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False)
@@ -332,6 +360,15 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "a.txt": lambda: _csv().replace(b",", b" "),
     "a.3d": _uos,
     "a.bin": _raw,
+    "a.ply": lambda: cloud_files.ply(_cloud(), comments=("offset Pos 1.0 2.0 0.0",)),
+    "big.ply": lambda: cloud_files.ply(_cloud(), "binary_big_endian"),
+    "text.ply": lambda: cloud_files.ply(_cloud(), "ascii"),
+    "rings.ply": lambda: cloud_files.ply(_frame()),
+    "a.pcd": lambda: cloud_files.pcd(_cloud(with_nan=True), height=N_LINES),
+    "text.pcd": lambda: cloud_files.pcd(_cloud(), "ascii"),
+    "lzf.pcd": lambda: cloud_files.pcd(_cloud(with_nan=True), "binary_compressed", height=N_LINES),
+    "a.xyz": lambda: _uos().replace(b".", b","),
+    "a.pts": lambda: b"%d\n" % len(_flat()["x"]) + _uos(),
     "f4.bin": lambda: ranges().tobytes(),
     "a.npy": lambda: _npy(ranges()),
     "fortran.npy": lambda: _npy(np.asfortranarray(ranges())),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import check_output, remove_stale
+from prc_cli.core.files import check_output, file_state, remove_stale
 from prc_cli.formats.las.rewrite import LasRecoder
 from prc_cli.formats.options import Layout
 from prc_cli.formats.writing.record import (
@@ -150,9 +150,8 @@ def transfer(
         return TransferSummary(output, writer.finish(stored), counts)
 
 
-def _state(path: Path) -> tuple[int, int]:
+def _state(path: Path) -> tuple[int, ...]:
     try:
-        found = path.stat()
+        return file_state(path)
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({error.strerror or error})", "check the name") from error
-    return found.st_size, found.st_mtime_ns
