@@ -83,7 +83,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         raise ShortMessageError(message)
     if len(intensity) != len(ranges):
         intensity = np.empty(0, np.float32)
-    return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges, intensity, n_echoes)
+    # copies: the message may be much longer than what is kept of it
+    return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges.copy(), intensity.copy(), n_echoes)
 
 
 def _echoes(cursor: Cursor) -> tuple[F32, I64]:
