@@ -61,6 +61,8 @@ class SourceFacts:
     has_line_times: bool = False
     """Whether lines are judged by the time of their first shot: the file holds one time per line, which blocks repeat
     for each shot, or shots of a line are fired out of turn."""
+    has_returns: bool = False
+    """Whether shots of the file may have several returns, known where images are read (bags, packets)."""
     has_scans: bool = False
     """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
     rules: tuple[KnownRule, ...] = ()

@@ -275,7 +275,8 @@ def open_items(
             carried = _carry_array(source, stream.info, output, stack)
         item = _item(first, carried)
         scanners = loaded.config.input.scanner != "none" or stream.info.facts.has_scans
-        returns = stream.rules.has_returns if isinstance(stream, GridStream) else stream.info.format == "E57"
+        of_images = stream.info.facts.has_returns or stream.info.format == "E57"
+        returns = stream.rules.has_returns if isinstance(stream, GridStream) else of_images
         shape = StreamShape.of(item, stream.info, scanners=scanners, returns=returns)
 
         def items() -> Iterator[StreamItem]:

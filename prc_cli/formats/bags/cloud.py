@@ -38,6 +38,10 @@ _TURN = 2 * math.pi
 _NEAR_COLUMNS = 8
 """Azimuths are compared over fewer columns than this."""
 _MOST_SHIFT = 512
+_MOST_WAITING = 1 << 20
+"""Most points that wait for others to tell their columns."""
+_MOST_COLUMNS = 1e9
+"""Most columns of a message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +100,10 @@ def parse_cloud(data: bytes, *, is_cdr: bool) -> Cloud:
         message = f"has fields beyond the {step} bytes of a point"
         raise ShortMessageError(message)
     point = np.dtype({"names": list(kinds), "formats": list(kinds.values()), "offsets": offsets, "itemsize": step})
-    rows = [raw[at * row_step : at * row_step + width * step] for at in range(height)]
-    table = np.frombuffer((rows[0] if height == 1 else np.concatenate([*rows, raw[:0]])).tobytes(), point)
+    shape = (height, width * step) if width else (0, step)
+    # rows may be longer than their points; their bounds are checked above
+    rows = np.lib.stride_tricks.as_strided(raw, shape, (row_step, 1), writeable=False)
+    table = np.frombuffer(rows.tobytes(), point)
     return _cloud(frame, stamp_s, table, names)
 
 
@@ -162,7 +168,7 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
     Returns
     -------
     Timing or None
-        None when no ring has two times.
+        None when no ring has two times, or they tell no columns.
 
     Examples
     --------
@@ -178,6 +184,8 @@ def find_columns(ring: I64, time_s: F64) -> Timing | None:
         return None
     low = float(np.percentile(steps, 10))
     period = float(np.median(steps[steps < 1.5 * low]))
+    if not float(time_s.max() - time_s.min()) < _MOST_COLUMNS * period:
+        return None
     every, which = np.unique(np.rint((time_s - at.min()) / _LEAST_PERIOD_S), return_inverse=True)
     if len(every) <= 2 * int(np.bincount(ring).max()):
         number = np.cumsum(np.rint(np.diff(every, prepend=0.0) * (_LEAST_PERIOD_S / period))).astype(np.int64)
@@ -295,6 +303,9 @@ class CloudLines:
         timing = find_columns(points.ring, points.time_s) if len(points.ring) else None
         if timing is None:
             self._rest = points
+            if len(points.ring) > _MOST_WAITING:
+                problem = f"the times of {len(points.ring)} points tell no columns, expected a time a firing"
+                raise InputError(self._where, problem, "let the driver write the times of the points")
             return
         n, n_rest = int(timing.column.max()) + 1, len(self._rest.ring)
         if n * m > MAX_EMPTY * len(points.ring) + SPARE_CELLS:

@@ -49,6 +49,12 @@ class Cursor:
         self._align(size)
         return struct.unpack_from(self.order + form, self.data, self._need(size))[0]
 
+    def numbers(self, form: str, n: int) -> tuple[Any, ...]:
+        """Read ``n`` numbers of one format letter."""
+        size = struct.calcsize(f"={form}")
+        self._align(size)
+        return struct.unpack_from(f"{self.order}{n}{form}", self.data, self._need(n * size))
+
     def text(self) -> str:
         """Read a string."""
         n = self.number("I")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -19,6 +20,8 @@ from prc_cli.formats.returns import choose_returns
 LASER, ECHOES = "sensor_msgs/LaserScan", "sensor_msgs/MultiEchoLaserScan"
 MAX_ECHOES = 64
 """Most echoes of a beam."""
+_NEAR, _SAME = 0.25, 1e-3
+"""Tolerances for the first angle and the step of later messages, in steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +65,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
     """
     cursor = Cursor(data, is_cdr=is_cdr)
     stamp_s, frame = cursor.header()
-    first, _, step, shot_s, _, low, high = (cursor.number("f") for _ in range(7))
-    if not all(np.isfinite((first, step, shot_s))) or step == 0:
+    first, _, step, shot_s, _, low, high = cursor.numbers("f", 7)
+    if not math.isfinite(first + step + shot_s) or step == 0:
         message = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}, expected finite numbers"
         raise ShortMessageError(message)
     if not is_multi:
@@ -80,7 +83,8 @@ def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
         raise ShortMessageError(message)
     if len(intensity) != len(ranges):
         intensity = np.empty(0, np.float32)
-    return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges, intensity, n_echoes)
+    # copies: the message may be much longer than what is kept of it
+    return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges.copy(), intensity.copy(), n_echoes)
 
 
 def _echoes(cursor: Cursor) -> tuple[F32, I64]:
@@ -134,7 +138,8 @@ class LaserLines:
             problem = f"found {scan.points_per_line} ranges, expected {self.points_per_line} as in the first message"
             raise InputError(f"{self._where}: message {number}", problem, "record every set-up in a bag of its own")
         found = (scan.angle_min_rad, scan.angle_step_rad)
-        if not np.allclose(found, self._first, rtol=1e-4, atol=abs(self._first[1]) / 4):
+        start, step = self._first
+        if not (abs(found[0] - start) <= _NEAR * abs(step) and abs(found[1] - step) <= _SAME * abs(step)):
             problem = (
                 f"found angle_min {found[0]:g} and angle_increment {found[1]:g}, expected {self._first[0]:g} and "
                 f"{self._first[1]:g} as in the first message"

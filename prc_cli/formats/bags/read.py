@@ -11,7 +11,7 @@ from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
 from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
-from prc_cli.formats.bags.containers import BagEnd, Message, Topic, read_messages
+from prc_cli.formats.bags.containers import MAX_RECORD, BagEnd, Message, Topic, read_messages
 from prc_cli.formats.bags.cursor import ShortMessageError
 from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, parse_laser
 from prc_cli.formats.bags.packed import OUSTER, PACKED, parse_packets
@@ -86,6 +86,7 @@ class BagStream:
         self._chosen = self._choose()
         self._notes: list[str] = []
         self._numbers = _Numbers()
+        self._has_returns = False
         self._widest = self._look()
         check_width(path, self._widest, config)
 
@@ -115,6 +116,7 @@ class BagStream:
             assumptions=tuple(assumed),
             facts=SourceFacts(
                 has_line_times=not lasers,
+                has_returns=self._has_returns,
                 notes=tuple(notes),
                 describe=lambda: {f"topic {name}": count.told() for name, count in topics.items()},
             ),
@@ -169,6 +171,7 @@ class BagStream:
                 for _ in reader.add(message, 0):
                     pass
                 widest = max(widest, reader.points_per_line)
+                self._has_returns = self._has_returns or reader.has_returns
         if not widest:
             names = ", ".join(topic.name for topic in self._chosen)
             raise InputError(f"{self._path}: {names}", "no message with shots, expected scans", "record it again")
@@ -208,6 +211,9 @@ def _survey(path: Path) -> _Survey:
         count.add(message)
         if topic.name not in found.firsts and topic.kind in READABLE:
             found.firsts[topic.name] = message
+            if sum(len(one.data) for one in found.firsts.values()) > MAX_RECORD:
+                problem = f"the first messages of the scan topics hold more than {MAX_RECORD} bytes, expected scans"
+                raise InputError(str(path), problem, "record the scanner's own topic")
     for topic in found.end.topics:
         found.topics.setdefault(topic.name, TopicCount(topic))
     return found
@@ -242,6 +248,8 @@ class _TopicReader(ABC):
         self.n_taken = 0
         """Records of the last message."""
         self.points_per_line = 0
+        self.has_returns = False
+        """Whether shots may have several returns."""
 
     def _of(self, frame: str) -> str:
         """Return the name of a scanner."""
@@ -284,7 +292,8 @@ class _LaserReader(_TopicReader):
         self._frames: dict[str, LaserLines] = {}
 
     def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
-        scan = parse_laser(message.data, is_cdr=message.topic.is_cdr, is_multi=message.topic.kind == ECHOES)
+        self.has_returns = message.topic.kind == ECHOES
+        scan = parse_laser(message.data, is_cdr=message.topic.is_cdr, is_multi=self.has_returns)
         lines = self._frames.get(scan.frame)
         if lines is None:
             number = self._numbers.number(self._of(scan.frame))
@@ -347,6 +356,7 @@ class _PacketReader(_TopicReader):
                 number = self._numbers.number(self._of(frame))
                 lines = PacketLines(self._where, number, data, self._metadata, self._config)
                 self._frames[frame] = lines
+                self.has_returns = self.has_returns or lines.decoder.n_returns > 1
                 self.points_per_line = max(self.points_per_line, lines.points_per_line)
             yield from lines.add(data, time_s, first_record + self.n_taken)
             self.n_taken += lines.n_records

@@ -24,6 +24,8 @@ MAX_METADATA = 1 << 20
 """Longest metadata file [bytes]."""
 _MAX_COLUMNS, _MAX_PIXELS = 4096, 256
 _FRAME_IDS = 1 << 16
+_MOST = 1e6
+"""Larger numbers are no angles, columns or millimetres."""
 _PROFILES: dict[str, dict[str, Any]] = {
     "LEGACY": {"head": 0, "column": 16, "pixel": 12, "foot": 4, "end": 0},
     "RNG19_RFL8_SIG16_NIR16": {"head": 32, "column": 12, "pixel": 12, "foot": 0, "end": 32},
@@ -116,16 +118,19 @@ class _Parser:
 
     def _numbers(self, name: str, n: int, default: Any = None) -> F64:
         value = self._find(name, default)
-        good = isinstance(value, list) and len(value) == n
-        if not good or not all(isinstance(one, int | float) and math.isfinite(one) for one in value):
-            raise self._wrong(name, f"{type(value).__name__} of {len(value) if good else 'another length'}",
-                              f"{n} numbers")  # fmt: skip
+        if not isinstance(value, list) or len(value) != n:
+            found = f"list of {len(value)}" if isinstance(value, list) else type(value).__name__
+            raise self._wrong(name, found, f"{n} numbers")
+        for one in value:
+            # compared, not converted: a whole number may be larger than any float
+            if not isinstance(one, int | float) or not -_MOST < one < _MOST:
+                raise self._wrong(name, one, f"{n} numbers of angles, columns or millimetres")
         return np.array(value, np.float64)
 
     def metadata(self) -> Metadata:
         """Return what is needed."""
         profile = self._find("udp_profile_lidar", "LEGACY")
-        if profile not in _PROFILES:
+        if not isinstance(profile, str) or profile not in _PROFILES:
             raise self._wrong("udp_profile_lidar", profile, f"one of {', '.join(_PROFILES)}")
         n = self._whole("pixels_per_column", 1, _MAX_PIXELS)
         frame = self._whole("columns_per_frame", 1, _MAX_COLUMNS)

@@ -65,11 +65,12 @@ class PacketStream:
         self._metadata = find_metadata(path, config)
         self._survey = self._look()
         self._names: dict[str, str] = {}
-        widest = 0
+        widest, self._has_returns = 0, False
         for key, scanner in self._survey.scanners.items():
             decoder = open_decoder(self._where(key), scanner.first, self._metadata, config.return_)
             self._names[key] = decoder.name
             widest = max(widest, len(decoder.shift))
+            self._has_returns = self._has_returns or decoder.n_returns > 1
         self._widest = widest
         check_width(path, widest, config)
         self._lost: list[str] = []
@@ -95,7 +96,12 @@ class PacketStream:
             n_records=None,
             n_lines=None,
             assumptions=tuple(assumed),
-            facts=SourceFacts(has_line_times=True, notes=(*self._notes(), *self._lost), describe=self._describe),
+            facts=SourceFacts(
+                has_line_times=True,
+                has_returns=self._has_returns,
+                notes=(*self._notes(), *self._lost),
+                describe=self._describe,
+            ),
         )
 
     def _notes(self) -> list[str]:

@@ -25,6 +25,7 @@ class Decoder(Protocol):
     shift: I64
     n_columns: int
     n_records: int
+    n_returns: int
 
     @property
     def name(self) -> str:

@@ -137,7 +137,7 @@ def _pose(path: Path, message: Message, number: int) -> list[float]:
         stamp_s, _ = cursor.header()
         if message.topic.kind == ODOMETRY:
             cursor.text()
-        values = [float(cursor.number("d")) for _ in range(7)]
+        values = list(cursor.numbers("d", 7))
     except ShortMessageError as error:
         raise InputError(where, f"the message {error}", "copy the bag again") from None
     if not np.isfinite(values).all():

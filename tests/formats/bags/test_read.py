@@ -94,6 +94,12 @@ def test_echoes_are_returns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(block.extra.line, [0, 1])
     (first,) = read(path, **{"return": "first"})[1]
     assert first.range_m[0, 0] == 3
+    output = tmp_path / "echoes.csv"
+    result = CliRunner().invoke(cli, ["convert", str(path), str(output)])
+    assert result.exit_code == 0, result.output + result.stderr
+    rows = [row.split(",") for row in output.read_text().split("\n")]
+    number = rows[0].index("return_number")
+    assert [row[number] for row in rows[1:4]] == ["2", "1", "1"]
     assert block.tally.n_records == 14
 
 

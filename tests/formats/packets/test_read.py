@@ -234,7 +234,9 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
         assert result.exit_code == 1
         assert any(one in result.stderr for one in expected.split("|"))
     for changes, expected in (
-        ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of another length, expected 5 numbers"),
+        ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of 4, expected 5 numbers"),
+        ({"pixel_shift_by_row": [0, 10**400, 0, 0]}, "pixel_shift_by_row: found 10000.*, expected 4 numbers"),
+        ({"udp_profile_lidar": ["NEW"]}, "udp_profile_lidar: found .'NEW'., expected one of LEGACY"),
         ({"udp_profile_lidar": "NEW"}, "udp_profile_lidar: found NEW, expected one of LEGACY"),
         ({"columns_per_packet": 8}, "no packets of a known scanner: 16 of 1024 bytes to port 7502"),
         ({"columns_per_frame": "x"}, "columns_per_frame: found x, expected a whole number from 1 to 4096"),
