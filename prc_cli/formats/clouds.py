@@ -218,6 +218,17 @@ class CloudSource:
                 values.update({name: made[name] for name in made if name in wanted})
             yield RecordChunk(first, values, n)
 
+    @property
+    def own_names(self) -> tuple[tuple[str, str, str], ...]:
+        """Standard name, property, and unit and offset as TOML, of the properties that are known."""
+        found = []
+        for name, (own, item) in self._own.items():
+            if name in (*STANDARD_NAMES, "ring"):
+                unit = f', unit = "{item.unit}"' if item.unit else ""
+                offset = f", offset = {item.offset!r}" if item.offset else ""
+                found.append((name, own, unit + offset))
+        return tuple(found)
+
     def stored(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
         """Yield index of the first record, stored values by property, and number of records.
 
