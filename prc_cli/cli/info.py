@@ -15,12 +15,14 @@ from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
 from prc_cli.cli.sections import Sectioned
+from prc_cli.config import LoadedConfig, load_config
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.contents import Contents
 from prc_cli.formats.las.crs import short_crs
+from prc_cli.jobs.draft import draft as write_draft
 from prc_cli.jobs.info import Inspection, inspect
 
 
@@ -28,8 +30,16 @@ from prc_cli.jobs.info import Inspection, inspect
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
 @click.option("--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs.")
 @stream_options
+@click.option(
+    "--draft",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Write a layout that reads FILE, from its header, its first records or the period of its bytes.",
+)
 @output_options
-def info(files: tuple[Path, ...], deep: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+def info(
+    files: tuple[Path, ...], deep: bool, draft: Path | None, as_json: bool, quiet: bool, verbose: bool, **options: Any,
+) -> None:  # fmt: skip
     """Say what FILE holds, what would be taken for granted, and whether it can be classified.
 
     The same options as for classify say how lines, columns and ranges are found.
@@ -38,6 +48,9 @@ def info(files: tuple[Path, ...], deep: bool, as_json: bool, quiet: bool, verbos
     Example: prc info drive.laz --lines time:200 --columns time:1000000
     """
     loaded = config_from(options)
+    if draft is not None:
+        loaded = _drafted(files, draft, loaded)
+        options = {**options, "config_file": draft}
     found: list[dict[str, Any]] = []
     code = 0
     for path in files:
@@ -56,6 +69,15 @@ def info(files: tuple[Path, ...], deep: bool, as_json: bool, quiet: bool, verbos
         click.echo(json.dumps(found[0] if len(files) == 1 else found, indent=2))
     if code:
         raise SystemExit(code)
+
+
+def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig) -> LoadedConfig:
+    """Write the draft of one file; return the configuration with it."""
+    if len(files) != 1 or loaded.files:
+        message = "--draft takes one file, and no --config or --layout"
+        raise click.UsageError(message)
+    write_draft(files[0], output, loaded)
+    return load_config(output)
 
 
 def _print(inspection: Inspection, command: str, *, verbose: bool) -> None:

@@ -21,7 +21,7 @@ from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
 
 CHUNK_RECORDS = 1 << 18
 """Records decoded at a time."""
-CHUNK_BYTES = 64 << 20
+CHUNK_BYTES = 16 << 20
 """Most bytes decoded at a time: long records make shorter chunks."""
 MAX_RUN = 255
 """Most rows of a shot: longer runs of equal times and angles are no returns."""
@@ -85,7 +85,8 @@ class BinaryBody:
             handle.seek(self.start)
             for first in range(0, self.n_records, each):
                 found = self._read(handle, first, min(each, self.n_records - first))
-                yield first, {name: found[name] for name in names}, len(found)
+                # contiguous and in native order: faster from here on, and the records can be freed
+                yield first, {name: _native(found[name]) for name in names}, len(found)
 
     def _read(self, handle: IO[bytes], first: int, wanted: int) -> NDArray[Any]:
         try:
@@ -97,6 +98,10 @@ class BinaryBody:
             problem = f"the file ends after {first + len(found)} points, expected {self.n_records} as when opened"
             raise InputError(str(self.path), problem, "it was cut while being read; wait until its writer is done")
         return found
+
+
+def _native(values: NDArray[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(values, values.dtype.newbyteorder("="))
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +157,8 @@ class CloudSource:
         found = _given_fields(head, layout) if given and layout is not None else _known_fields(head.names)
         notes, rules = list(head.notes), list(head.rules)
         own_m = _own_points_per_line(head.comments)
-        first = _first_rows(body, head.names)
+        looked_at = ("time", "angle", "range", *XYZ, "return_number", "number_of_returns")
+        first = _first_rows(body, tuple(dict.fromkeys(found[name][0] for name in looked_at if name in found)))
         if not given:
             found = _with_units(found, head, first, notes)
         if own_m is not None:
@@ -210,13 +216,27 @@ class CloudSource:
         keys = self._key_names if grouped else ()
         stored = tuple(dict.fromkeys((*(own for own, _ in wanted.values()), *keys)))
         chunks = self._body.chunks(stored or self.head.names[:1])
-        for first, columns, n in self._whole_runs(chunks) if grouped else chunks:
-            values = {name: decode(columns[own], item) for name, (own, item) in wanted.items()}
-            if grouped:
-                runs = self._runs(columns)
-                made = {"return_number": runs.ordinal, "number_of_returns": runs.n_rows}
-                values.update({name: made[name] for name in made if name in wanted})
-            yield RecordChunk(first, values, n)
+        if not grouped:
+            for first, columns, n in chunks:
+                yield RecordChunk(first, {name: decode(columns[own], item) for name, (own, item) in wanted.items()}, n)
+            return
+        for first, columns, runs in self._whole_runs(chunks):
+            made = {"return_number": runs.ordinal, "number_of_returns": runs.n_rows}
+            values = {
+                name: made[name] if name in made else decode(columns[own], item) for name, (own, item) in wanted.items()
+            }
+            yield RecordChunk(first, values, len(runs.ordinal))
+
+    @property
+    def own_names(self) -> tuple[tuple[str, str, str], ...]:
+        """Standard name, property, and unit and offset as TOML, of the properties that are known."""
+        found = []
+        for name, (own, item) in self._own.items():
+            if name in (*STANDARD_NAMES, "ring"):
+                unit = f', unit = "{item.unit}"' if item.unit else ""
+                offset = f", offset = {item.offset!r}" if item.offset else ""
+                found.append((name, own, unit + offset))
+        return tuple(found)
 
     def stored(self, names: tuple[str, ...]) -> Iterator[tuple[int, Columns, int]]:
         """Yield index of the first record, stored values by property, and number of records.
@@ -240,22 +260,21 @@ class CloudSource:
         number = columns[self._own["return_number"][0]]
         return find_runs(same, place, number, columns[self._own["number_of_returns"][0]])
 
-    def _whole_runs(self, chunks: Iterator[tuple[int, Columns, int]]) -> Iterator[tuple[int, Columns, int]]:
+    def _whole_runs(self, chunks: Iterator[tuple[int, Columns, int]]) -> Iterator[tuple[int, Columns, _Runs]]:
         """Yield the chunks with the rows of a shot never apart."""
-        held: tuple[int, Columns, int] | None = None
+        held: tuple[int, Columns] | None = None
         for first, columns, n in chunks:
             if held is not None:
                 columns = {name: np.concatenate([held[1][name], column]) for name, column in columns.items()}
-                first, n = held[0], held[2] + n
-            keep = n - int(self._runs(columns).ordinal[-1]) + 1
-            cut = keep if 0 < keep < n else n
-            if cut < n:
-                yield first, {name: column[:cut] for name, column in columns.items()}, cut
-                held = (first + cut, {name: column[cut:].copy() for name, column in columns.items()}, n - cut)
-            else:
-                held = (first, columns, n)
+                first, n = held[0], n + first - held[0]
+            runs = self._runs(columns)
+            # the last shot may go on in the next chunk
+            cut = n - int(runs.ordinal[-1])
+            if cut:
+                yield first, {name: column[:cut] for name, column in columns.items()}, runs.until(cut)
+            held = (first + cut, {name: column[cut:].copy() for name, column in columns.items()})
         if held is not None:
-            yield held
+            yield held[0], held[1], self._runs(held[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +287,10 @@ class _Runs:
     """(n,) int64, rows of the shot."""
     is_copy: Mask
     """(n,) bool, rows that repeat another return of the shot."""
+
+    def until(self, stop: int) -> _Runs:
+        """Return the first rows."""
+        return _Runs(self.ordinal[:stop], self.n_rows[:stop], self.is_copy[:stop])
 
 
 def find_runs(same: list[NDArray[Any]], place: list[NDArray[Any]], number: NDArray[Any], count: NDArray[Any]) -> _Runs:
@@ -375,6 +398,8 @@ def _given_fields(head: CloudHead, layout: Layout) -> dict[str, tuple[str, Layou
 
 def _first_rows(body: Body, names: tuple[str, ...]) -> Columns:
     """Return the first rows as stored."""
+    if not names:
+        return {}
     chunks = body.chunks(names)
     try:
         _, columns, _ = next(chunks, (0, {name: np.empty(0) for name in names}, 0))

@@ -191,10 +191,10 @@ def _inspect_records(
         inspection = _describe(
             path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
         )
-        if _lacks_lines(source, loaded.config.input):
-            return _with_rates(inspection, source, loaded.config.input)
         if "range" in source.dimensions:
             inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(_sample(source)))
+        if not inspection.mend and _lacks_lines(source, loaded.config.input):
+            inspection = _with_rates(inspection, source, loaded.config.input)
         return inspection
     found = _describe(path, source, stream, order, refusal, judged=judged)
     found = _with_other_rates(found, source, loaded.config.input)

@@ -132,7 +132,7 @@ def npy_one_dimension(folder: Path) -> Path:
 
 
 def unknown_suffix(folder: Path) -> Path:
-    path = folder / "drive.xyz"
+    path = folder / "drive.shp"
     path.write_text("1 2 3\n")
     return path
 
@@ -164,7 +164,7 @@ CASES: list[tuple[Callable[[Path], Path], tuple[str, ...], int, list[str]]] = [
     (npz_wrong_type, (), 1, ["range_m"]),
     (npz_not_a_zip, (), 1, ["drive.npz", "zip"]),
     (npy_one_dimension, (), 1, ["points_per_line"]),
-    (unknown_suffix, (), 1, [".xyz", ".laz", ".npz"]),
+    (unknown_suffix, (), 1, [".shp", ".laz", ".npz"]),
     (no_file, (), 1, ["no such file"]),
     (folder_as_file, (), 1, ["is a folder"]),
 ]

@@ -33,8 +33,9 @@ RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
 CLASS = "class"
 """Name of the array of class codes: not part of the stream, but conversion and evaluation read it."""
 ZENITH = "zenith_deg"
-ANGLES = ("angle_deg", ZENITH)
-"""Names of the array of scan angles [deg]; the first one present is used."""
+ANGLES = {"angle_deg": ("degrees", math.pi / 180), ZENITH: ("degrees", math.pi / 180), "angle_rad": ("radians", 1.0),
+          "angle_gon": ("gon", math.pi / 200)}  # fmt: skip
+"""Names of the array of scan angles, with their unit and its size [rad]; the first one present is used."""
 XYZ_DIMENSIONS = 3
 """Lines, columns and axes."""
 _RECORD_LISTS = ("line", "scan_line", "column", "record")
@@ -44,7 +45,8 @@ class ArrayStream:
     """A range image as a :class:`prc_cli.core.stream.ScanStream`.
 
     ``.npy``: ranges [m], (lines, M), or (shots,) with ``points_per_line``. ``.npz``: the same as ``range_m`` or
-    the only array of two dimensions, and, where present, ``angle_deg`` or ``zenith_deg`` (M,), ``time_s``
+    the only array of two dimensions, and, where present, ``angle_deg``, ``angle_rad``, ``angle_gon`` or ``zenith_deg``
+    (M,), ``time_s``
     (lines,) or (lines, M), ``xyz`` (lines, M, 3) sensor-centred [m] and ``intensity`` (lines, M).
     Without an array of ranges, the range is the length of ``xyz``. Integers are taken as metres. One time per line
     applies to all its shots.
@@ -151,15 +153,18 @@ class ArrayStream:
             problem = f"found shape {header.shape}, expected ({self._m},), one angle a column"
             raise InputError(header.where, problem, "give one angle for every column of the ranges")
         with self._file.open(name) as (rows,):
-            degrees = rows.read(self._m).astype(np.float64)
+            given = rows.read(self._m).astype(np.float64)
             rows.finish()
-        if not np.isfinite(degrees).all():
-            column = int(np.flatnonzero(~np.isfinite(degrees))[0])
-            problem = f"column {column}: found {degrees[column]}, expected an angle in degrees"
+        unit, size = ANGLES[name]
+        if not np.isfinite(given).all():
+            column = int(np.flatnonzero(~np.isfinite(given))[0])
+            problem = f"column {column}: found {given[column]}, expected an angle in {unit}"
             raise InputError(header.where, problem, "give every column its angle or leave the array out")
         self._angles = name
-        why = f"the array {name!r} is in the file, in degrees"
-        return np.deg2rad(degrees), [Assumption("input.angle_start", f"{degrees[0]:g} deg", why)]
+        why = f"the array {name!r} is in the file, in {unit}"
+        # degrees as numpy converts them, bit for bit
+        angle_rad: F64 = np.deg2rad(given) if unit == "degrees" else given * size
+        return angle_rad, [Assumption("input.angle_start", f"{np.rad2deg(angle_rad[0]):g} deg", why)]
 
     def _find_line_hz(self) -> float | None:
         """Return the line frequency [Hz] from the first lines' times, None if they do not tell."""

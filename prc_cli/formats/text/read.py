@@ -21,7 +21,7 @@ from prc_cli.core.threads import default_threads, ordered
 from prc_cli.core.types import F64
 from prc_cli.formats.layout import check_fields, decode
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import RecordChunk
+from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
 from prc_cli.formats.text.columns import CLOUD_SUFFIXES, TextColumn, find_columns
 from prc_cli.formats.text.dialect import (
     BLANKS,
@@ -144,7 +144,23 @@ class TextSource:
     def describe(self) -> dict[str, Any]:
         """Return the dialect as plain values for JSON, for ``prc info``."""
         text = self._text
-        return {"delimiter": text.delimiter, "header_line": text.header_line, "columns": list(text.names)}
+        return {
+            "delimiter": text.delimiter,
+            "decimal": text.decimal,
+            "header_line": text.header_line,
+            "columns": list(text.names),
+        }
+
+    @property
+    def known_columns(self) -> tuple[tuple[str, int, str], ...]:
+        """Standard name, column number from 0 and unit of the columns whose names are known."""
+        return tuple(
+            (name, column.index, column.item.unit) for name, column in self._columns.items() if name in STANDARD_NAMES
+        )
+
+    def column_of(self, name: str) -> int:
+        """Return the number of a column from 0."""
+        return self._columns[name].index
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named columns from the start, in bounded memory, in the order of the file.

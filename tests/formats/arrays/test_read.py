@@ -151,6 +151,13 @@ def test_everything_an_archive_can_hold(tmp_path: Path, compressed: bool, chunk:
     np.testing.assert_array_equal(block.intensity, intensity.astype(np.float32))
 
 
+@pytest.mark.parametrize(("name", "factor"), [("angle_rad", 1.0), ("angle_gon", np.pi / 200)])
+def test_angles_in_other_units(tmp_path: Path, name: str, factor: float) -> None:
+    given = np.linspace(-1.5, 1.5, 5) / factor
+    stream = ArrayStream(save_npz(tmp_path, range_m=image(), **{name: given}), AUTO)
+    np.testing.assert_array_equal(stream.info.angle_rad, given * factor)
+
+
 def test_the_only_image_is_taken_whatever_its_name(tmp_path: Path) -> None:
     stream = ArrayStream(save_npz(tmp_path, depth=image(), angle_deg=np.arange(5.0)), AUTO)
     assert stream.info.assumptions[0].value == "depth"

@@ -9,7 +9,7 @@ import pytest
 
 from prc_cli.core.blocks import join
 from prc_cli.core.errors import InputError
-from prc_cli.formats import open_source
+from prc_cli.formats import clouds, open_source
 from prc_cli.formats.options import InputConfig, Layout, LayoutField
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.open import open_input
@@ -109,6 +109,28 @@ def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
     assert len(block.extra) == len(time) - 400
     assert block.tally.n_collisions == 0
     np.testing.assert_array_equal(block.range_m[np.isfinite(block.range_m)], 6.0)
+
+
+@pytest.mark.parametrize("rows", [1, 7, 64, 1000])
+def test_shots_do_not_depend_on_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+    """A shot whose returns lie in two chunks is one shot, and no chunk waits for the next but for its last shot."""
+    path = tmp_path / "a.ply"
+    n_echo = np.random.default_rng(2).integers(1, 4, 300)
+    shot = np.repeat(np.arange(300), n_echo)
+    echo = np.arange(len(shot)) - np.repeat(np.cumsum(n_echo) - n_echo, n_echo) + 1
+    made = {
+        "GPS_time": shot * 1e-5, "range": echo.astype("f4"), "num_echo": echo.astype("u1"),
+        "nb_of_echo": n_echo[shot].astype("u1"),
+    }  # fmt: skip
+    path.write_bytes(ply(made))
+    monkeypatch.setattr(clouds, "CHUNK_RECORDS", rows)
+    names = ("return_number", "number_of_returns")
+    chunks = list(opened(path).chunks(names))
+    assert max(chunk.n for chunk in chunks) <= rows + 3
+    found = {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
+    np.testing.assert_array_equal(found["return_number"], echo)
+    np.testing.assert_array_equal(found["number_of_returns"], n_echo[shot])
+    assert [chunk.first_record for chunk in chunks] == np.cumsum([0, *(chunk.n for chunk in chunks)])[:-1].tolist()
 
 
 @pytest.mark.parametrize(

@@ -110,7 +110,7 @@ def test_columns_without_names_have_numbers_and_a_single_one_is_the_range(tmp_pa
 
 def test_describe_is_ready_for_json(tmp_path: Path) -> None:
     described = TextSource(write(tmp_path, "# made by hand\nx;range\n1;2\n")).describe()
-    assert described == {"delimiter": ";", "header_line": 2, "columns": ["x", "range"]}
+    assert described == {"delimiter": ";", "decimal": ".", "header_line": 2, "columns": ["x", "range"]}
 
 
 # --- cells, lines, compressions

@@ -1,0 +1,259 @@
+"""Guesses the records of an unknown raw dump, and what columns of numbers mean, for a layout to begin with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.files import open_to_read
+from prc_cli.core.types import F64, U8
+
+LOOKED_BYTES = 1 << 20
+"""Bytes at the end of a dump that are looked at."""
+MOST_RECORD_BYTES = 256
+"""Longest record that is looked for."""
+LEAST_RECORDS = 200
+"""Fewer records show no period."""
+MOST_HEADER_BYTES = 1 << 16
+"""Longest header that is looked for."""
+SAME_AS_BEST = 0.97
+"""A record is the shortest period that repeats bytes by this share of the best."""
+_ALIKE = 0.5
+"""Neighbours of a range differ by at most this share of what random ones do."""
+_EVEN = 0.9
+_MAJORITY = 0.99
+_TRIED = ("f8", "f4", "i4", "u2", "u1")
+
+
+@dataclass(frozen=True, slots=True)
+class GuessedField:
+    """A field of a record, with what it seems to be."""
+
+    name: str
+    """A standard name, or one with the position."""
+    kind: str
+    """numpy type without byte order."""
+    scale: float = 1.0
+    missing: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GuessedRecords:
+    """Records of a dump."""
+
+    header_bytes: int
+    endian: str
+    fields: tuple[GuessedField, ...]
+
+
+def guess_records(path: Path) -> GuessedRecords | None:
+    """Guess header, byte order and fields of a dump from the period of its bytes.
+
+    Parameters
+    ----------
+    path : Path
+        Dump of fixed-size records.
+
+    Returns
+    -------
+    GuessedRecords or None
+        None where nothing repeats.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read.
+    """
+    with open_to_read(path) as handle:
+        size = handle.seek(0, 2)
+        # without what may be the header
+        handle.seek(max(size - LOOKED_BYTES, min(MOST_HEADER_BYTES, size // 2)))
+        tail = np.frombuffer(handle.read(LOOKED_BYTES), np.uint8)
+        handle.seek(0)
+        head = np.frombuffer(handle.read(MOST_HEADER_BYTES + 64 * MOST_RECORD_BYTES), np.uint8)
+    period = byte_period(tail)
+    if period is None:
+        return None
+    # records end with the file, so a header does not move them
+    rows = tail[len(tail) % period :].reshape(-1, period)
+    found = [(endian, _fields(rows, endian)) for endian in ("little", "big")]
+    endian, kinds = max(found, key=lambda one: _merit(rows, one[1], one[0]))
+    columns = {str(at): _column(rows, at, kind, endian) for at, kind in kinds}
+    named = guess_names(columns)
+    fields = tuple(_field(named.get(str(at), f"field_{at}"), kind, columns[str(at)]) for at, kind in kinds)
+    return GuessedRecords(_header_bytes(head, size, period, rows), endian, fields)
+
+
+def byte_period(data: U8) -> int | None:
+    """Return the shortest distance at which bytes repeat nearly best; None if none does.
+
+    >>> shots = np.zeros(900, [("range", "<f4"), ("more", "<u2")])
+    >>> shots["range"], shots["more"] = 5 + np.arange(900) % 70 / 9, 700
+    >>> byte_period(np.frombuffer(shots.tobytes(), np.uint8))
+    6
+    """
+    most = min(MOST_RECORD_BYTES, len(data) // LEAST_RECORDS)
+    if most < 2:
+        return None
+    same = np.array([float(np.mean(data[lag:] == data[:-lag])) for lag in range(1, most + 1)])
+    if same.max() < same.mean() + 0.02 and most > 8:
+        return None
+    good = np.flatnonzero(same >= SAME_AS_BEST * same.max()) + 1
+    return next((int(lag) for lag in good if lag >= 2), None)
+
+
+def _column(rows: U8, at: int, kind: str, endian: str) -> NDArray[Any]:
+    dtype = np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
+    return np.ascontiguousarray(rows[:, at : at + dtype.itemsize]).view(dtype)[:, 0]
+
+
+def _float(values: NDArray[Any]) -> F64:
+    with np.errstate(invalid="ignore"):  # misread bytes may be signalling NaN
+        found: F64 = values.astype(np.float64)
+    return found
+
+
+def _fields(rows: U8, endian: str) -> list[tuple[int, str]]:
+    """Return first byte and type of every field: those that explain the bytes best."""
+    width = rows.shape[1]
+    # best merit, and the fields, of what is left behind every byte
+    best: list[tuple[float, list[tuple[int, str]]]] = [(0.0, [])] * (width + 1)
+    for at in range(width - 1, -1, -1):
+        ways = []
+        for kind in _TRIED:
+            stop = at + np.dtype(kind).itemsize
+            if stop <= width and _makes_sense(_column(rows, at, kind, endian)):
+                merit = _merit(rows, [(at, kind)], endian) + best[stop][0]
+                ways.append((merit, [(at, kind), *best[stop][1]]))
+        best[at] = max(ways, key=lambda way: way[0])
+    return best[0][1]
+
+
+def _makes_sense(values: NDArray[Any]) -> bool:
+    if values.dtype.itemsize == 1:
+        return True
+    number = _float(values)
+    if values.dtype.kind == "f":
+        with np.errstate(invalid="ignore"):
+            size = np.abs(number)
+            usual = (size == 0) | ((size > 1e-4) & (size < 1e10 if values.dtype.itemsize == 8 else size < 1e6))
+        some = np.isfinite(number) & (number != 0)
+        return bool(np.mean(usual | np.isnan(number)) >= _MAJORITY and some.mean() > 0.02)
+    # whole numbers of 2 or 4 bytes use their upper half little, and change it seldom
+    upper = np.abs(number) / 2.0 ** (8 * values.dtype.itemsize - (6 if values.dtype.itemsize == 4 else 0))
+    varies = float(np.ptp(number)) > 0
+    return bool(varies and np.mean(upper < 1) >= _MAJORITY and _likeness(number) < 1.2)
+
+
+def _merit(rows: U8, fields: list[tuple[int, str]], endian: str) -> float:
+    """Return how well fields explain the bytes: long types, and neighbours that are alike."""
+    merit = 0.0
+    for at, kind in fields:
+        values = _float(_column(rows, at, kind, endian))
+        merit += np.dtype(kind).itemsize ** 1.5 * (1.5 - min(_likeness(values), 1.5))
+    return merit
+
+
+def _likeness(values: F64) -> float:
+    """Return how much neighbours differ, as a share of what random pairs do; 1 where nothing varies."""
+    known = values[np.isfinite(values)]
+    if len(known) < LEAST_RECORDS:
+        return 1.0
+    other = np.random.default_rng(0).permutation(known)
+    random = float(np.median(np.abs(other - known)))
+    return float(np.median(np.abs(np.diff(known)))) / random if random > 0 else 1.0
+
+
+def _header_bytes(head: U8, size: int, period: int, rows: U8) -> int:
+    """Return the bytes before the first record: all before that are unlike the records behind."""
+    low, high = np.percentile(rows, (0.5, 99.5), axis=0)
+    # bytes that take few values tell records from other bytes
+    tells = high - low < 128
+    first = size % period
+    if not tells.any():
+        return first
+    last = first
+    for at in range(first, min(len(head) - period, MOST_HEADER_BYTES), period):
+        record = head[at : at + period]
+        if np.mean((record[tells] >= low[tells]) & (record[tells] <= high[tells])) >= 0.5:
+            return last
+        last = at + period
+    return first
+
+
+def _field(name: str, kind: str, values: NDArray[Any]) -> GuessedField:
+    if name != "range":
+        return GuessedField(name, kind)
+    scale, missing = range_scale(values)
+    return GuessedField(name, kind, scale, missing)
+
+
+def range_scale(values: NDArray[Any]) -> tuple[float, float | None]:
+    """Return the metres of one, and the stored value that means no return, of what seems to be ranges.
+
+    >>> range_scale(np.array([0, 5200, 5210, 0, 7000] * 50, "i4"))
+    (0.001, 0.0)
+    """
+    number = _float(values)
+    number = number[np.isfinite(number)]
+    value, count = np.unique(number, return_counts=True)
+    ends = [at for at in (0, len(value) - 1) if len(value) > 1 and count[at] > 0.005 * len(number)]
+    common = max(ends, key=lambda at: count[at]) if ends else None
+    # ranges from 0 down, and the largest number of a type, are missing by themselves or by this
+    missing = None if common is None else float(value[common])
+    real = number[number > 0] if missing is None else number[(number > 0) & (number != missing)]
+    middle = float(np.median(real)) if len(real) else 1.0
+    if values.dtype.kind == "f":
+        return 1.0, missing
+    return (0.001 if middle > 1500 else 0.01 if middle > 150 else 1.0), missing
+
+
+def guess_names(columns: dict[str, NDArray[Any]]) -> dict[str, str]:
+    """Return standard names of columns by what their numbers do; columns that tell nothing are left out.
+
+    Times never fall and hardly repeat; lines never fall and repeat; columns and angles rise evenly and begin anew;
+    neighbouring ranges are alike, positive, and not even.
+
+    Examples
+    --------
+    >>> shot = np.arange(2000)
+    >>> range_m = 9 + 3 * np.sin(shot % 100 / 9.0)
+    >>> guess_names({"a": shot * 1e-5, "b": shot // 100, "c": shot % 100, "d": range_m})
+    {'a': 'time', 'b': 'scan_line', 'c': 'column', 'd': 'range'}
+    """
+    found: dict[str, str] = {}
+    ranges: list[tuple[float, str]] = []
+    for key, stored in columns.items():
+        values = _float(stored)
+        known = values[np.isfinite(values)]
+        if len(known) < LEAST_RECORDS or float(np.ptp(known)) <= 0:
+            continue
+        step = np.diff(known)
+        name = _even_name(known, step)
+        if name is not None:
+            if name not in found.values():
+                found[key] = name
+            continue
+        alike = _likeness(known[known > 0]) if np.mean(known > 0) > 0.2 else 1.0
+        middle = float(np.median(known[known > 0])) if (known > 0).any() else 0.0
+        if alike < _ALIKE and np.mean(known < -1) < 0.01 and middle > 0.1 and len(np.unique(known)) > 50:
+            ranges.append((alike, key))
+    if ranges:
+        found[min(ranges)[1]] = "range"
+    return {key: found[key] for key in columns if key in found}
+
+
+def _even_name(known: F64, step: F64) -> str | None:
+    whole = bool(np.all(known == np.floor(known)))
+    if np.all(step >= 0):
+        rises = float(np.mean(step > 0))
+        return "time" if rises > 0.5 and not whole else "scan_line" if whole and rises < 0.5 else None
+    usual = float(np.median(step))
+    even = float(np.mean(np.abs(step - usual) <= 0.1 * abs(usual))) if usual else 0.0
+    if even < _EVEN:
+        return None
+    return "column" if whole and usual == 1 and known.min() == 0 else "angle"

@@ -1,0 +1,181 @@
+"""``prc info --draft``: a layout or configuration that reads a file, to begin with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from prc_cli.config import LoadedConfig
+from prc_cli.core.errors import InputError
+from prc_cli.core.files import check_output, commit, output_errors, suffix_of, temporary_name
+from prc_cli.formats import open_source
+from prc_cli.formats.clouds import CloudSource
+from prc_cli.formats.guessing import guess_names, guess_records, range_scale
+from prc_cli.formats.options import InputConfig, Layout
+from prc_cli.formats.text.read import TextSource
+from prc_cli.jobs.info import Inspection, inspect
+
+_DUMPS = (".bin", ".raw", ".dat")
+_ROWS = 1 << 16
+_KEPT = ("lines", "columns", "range")
+
+
+def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = False) -> str:
+    """Write a configuration with what a file says of itself, and what its numbers show.
+
+    Parameters
+    ----------
+    path : Path
+        Input.
+    output : Path
+        TOML file, for ``--config``; its ``[layout]`` serves as ``--layout`` too.
+    loaded : LoadedConfig
+        Options given.
+    overwrite : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    str
+        What was written.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or shows no records.
+    OutputError
+        When the draft cannot be written.
+    """
+    check_output(output, overwrite=overwrite, inputs=(path, *loaded.files))
+    lines, layout = _layout_lines(path, loaded)
+    told = loaded if layout is None else _with_layout(loaded, layout)
+    inspection = inspect(path, told)
+    text = "\n".join([f"# drafted from {path.name} by prc info --draft: look at it before you rely on it", ""])
+    text += "\n".join([*_input_lines(inspection), *lines, ""])
+    temporary = temporary_name(output)
+    with output_errors(output):
+        try:
+            temporary.write_text(text, encoding="utf-8")
+            commit(temporary, output)
+        finally:
+            temporary.unlink(missing_ok=True)
+    return text
+
+
+def _with_layout(loaded: LoadedConfig, layout: Layout) -> LoadedConfig:
+    config = loaded.config.model_copy(update={"layout": layout})
+    return LoadedConfig(config, sources=loaded.sources, files=loaded.files, notes=loaded.notes)
+
+
+def _input_lines(found: Inspection) -> list[str]:
+    """Return the table ``[input]``: what was taken, what was measured, and what is missing."""
+    lines = ["[input]"]
+    taken = [(item.key.removeprefix("input."), item.value, item.why) for item in found.assumptions if not found.missing]
+    lines += [
+        f"{key} = {_quoted(value)}  # {why}" for key, value, why in taken if key in _KEPT and _is_valid(key, value)
+    ]
+    for option in found.missing:
+        flag, _, value = option.partition(" ")
+        if flag == "--set":
+            key, _, value = value.removeprefix("input.").partition("=")
+            lines.append(f"{key} = {value}  # measured from the times")
+        elif value.endswith("FILE"):
+            lines.append(f"# {flag.removeprefix('--')} = {_quoted(value)}  # the positions of the scanner over time")
+        else:
+            lines.append(f"{flag.removeprefix('--')} = {_quoted(value)}  # measured from the times")
+    period = found.period
+    if found.points_per_line is None and not found.missing and period is not None and period.points_per_line:
+        lines.append(f"points_per_line = {period.points_per_line}  # {period.reason}")
+    elif found.problem and not found.missing:
+        lines += [f"# {found.problem}", f"# {found.hint}"]
+    return [line.replace("\n", " ") for line in lines]
+
+
+def _is_valid(key: str, value: str) -> bool:
+    try:
+        InputConfig.model_validate({key: value})
+    except ValidationError:
+        return False
+    return True
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(one if one.isprintable() else "?" for one in escaped) + '"'
+
+
+def _layout_lines(path: Path, loaded: LoadedConfig) -> tuple[list[str], Layout | None]:
+    """Return the table ``[layout]`` of a dump, a text file or a cloud; none for other files."""
+    if loaded.config.layout is not None and loaded.config.layout.fields:
+        return [], None
+    source = open_source(path, loaded.config.layout)
+    if suffix_of(path) in _DUMPS and not path.name.startswith("pulse-"):
+        return _dump_lines(path)
+    if isinstance(source, TextSource):
+        return _text_lines(source)
+    if isinstance(source, CloudSource):
+        own = source.own_names
+        rows = [f"    {{ name = {_quoted(name)}, source = {_quoted(one)}{unit} }}," for name, one, unit in own]
+        return ["", "[layout]", "fields = [", *rows, "]"], None
+    return [], None
+
+
+def _dump_lines(path: Path) -> tuple[list[str], Layout | None]:
+    found = guess_records(path)
+    if found is None:
+        problem = "nothing repeats in its bytes, expected records of one size"
+        raise InputError(str(path), problem, "write the layout by hand: docs, Input formats, Raw binary")
+    rows, fields = [], []
+    for field in found.fields:
+        values: dict[str, object] = {"name": field.name, "type": field.kind}
+        if field.scale != 1.0:
+            values["scale"] = field.scale
+        if field.missing is not None:
+            values["missing"] = field.missing
+        fields.append(values)
+        rows.append(_field_line(values))
+    lines = [
+        "", "[layout]", f"header_bytes = {found.header_bytes}", f'endian = "{found.endian}"', "fields = [", *rows, "]",
+    ]  # fmt: skip
+    layout = Layout.model_validate(
+        {"header_bytes": found.header_bytes, "endian": found.endian, "fields": tuple(fields)}
+    )
+    return lines, layout
+
+
+def _field_line(values: dict[str, object]) -> str:
+    shown = (f"{key} = {_quoted(value) if isinstance(value, str) else repr(value)}" for key, value in values.items())
+    return f"    {{ {', '.join(shown)} }},"
+
+
+def _text_lines(source: TextSource) -> tuple[list[str], Layout | None]:
+    """Return the columns that are known by name, and those that show what they are."""
+    told = source.describe()
+    first = next(iter(source.chunks(source.dimensions)), None)
+    columns = {} if first is None else {name: np.asarray(values[:_ROWS]) for name, values in first.values.items()}
+    known = source.known_columns
+    taken = {name for name, *_ in known}
+    shown = {name: values for name, values in columns.items() if name not in taken}
+    fields: list[dict[str, object]] = [
+        {"name": name, "source": at, **({"unit": unit} if unit else {})} for name, at, unit in known
+    ]
+    for column, name in guess_names(shown).items():
+        if name in taken:
+            continue
+        guessed: dict[str, object] = {"name": name, "source": source.column_of(column)}
+        if name == "range":
+            scale, missing = range_scale(shown[column])
+            whole = bool(np.all(shown[column][np.isfinite(shown[column])] % 1 == 0))
+            scale, missing = range_scale(shown[column].astype(np.int64)) if whole else (scale, missing)
+            guessed |= ({"scale": scale} if scale != 1 else {}) | ({} if missing is None else {"missing": missing})
+        fields.append(guessed)
+    has_header = told["header_line"] is not None and any(told["columns"])
+    values = {
+        "delimiter": told["delimiter"], "decimal": told["decimal"], "header": has_header, "fields": tuple(fields),
+    }  # fmt: skip
+    delimiter = '"\\t"' if told["delimiter"] == "\t" else _quoted(str(told["delimiter"]))
+    lines = ["", "[layout]", f"delimiter = {delimiter}", f'decimal = "{told["decimal"]}"']
+    lines += [f"header = {str(has_header).lower()}", "fields = [", *(_field_line(one) for one in fields), "]"]
+    return lines, Layout.model_validate(values) if fields else None

@@ -1,0 +1,105 @@
+"""``prc info --draft``: a layout that writes itself reads its file."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.cli import main
+from tests.golden.inputs import N_LINES, M, image
+from tests.streams.evidence.test_rates import drive, las_of_times
+
+
+def run(*words: Any) -> int:
+    with pytest.raises(SystemExit) as left:
+        main([str(word) for word in words])
+    return int(str(left.value.code))
+
+
+def drafted(path: Path, *options: str) -> dict[str, Any]:
+    """The draft, read as TOML; classifying with it must work."""
+    target = path.with_name("draft.toml")
+    assert run("info", path, "--draft", target, "-q", *options) == 0
+    return tomllib.loads(target.read_text(encoding="utf-8"))
+
+
+def ranges_read(path: Path) -> Any:
+    out = path.with_name("again.npz")
+    assert run("convert", path, out, "-q", "--config", path.with_name("draft.toml"), "--overwrite") == 0
+    assert run("classify", path, path.with_name("l.npy"), "-q", "--config", path.with_name("draft.toml")) in (0, 4)
+    with np.load(out) as arrays:
+        return arrays["range_m"]
+
+
+@pytest.mark.parametrize("endian", ["little", "big"])
+@pytest.mark.parametrize("header", [0, 128])
+def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: int) -> None:
+    """int32 millimetres, uint16 intensity, float64 seconds."""
+    order = "<" if endian == "little" else ">"
+    shots = np.zeros(N_LINES * M, np.dtype([("r", f"{order}i4"), ("i", f"{order}u2"), ("t", f"{order}f8")]))
+    shots["r"] = np.nan_to_num(image() * 1000).ravel()
+    shots["i"] = 300 + 50 * np.sin(np.arange(len(shots)) / 9)
+    shots["t"] = 4000 + np.arange(len(shots)) / (50 * M)
+    path = tmp_path / "d.bin"
+    path.write_bytes(bytes(np.random.default_rng(0).integers(32, 127, header, np.uint8)) + shots.tobytes())
+    found = drafted(path)
+    layout = found["layout"]
+    assert (layout["header_bytes"], layout["endian"]) == (header, endian)
+    assert [(field["name"], field["type"]) for field in layout["fields"]] == [
+        ("range", "i4"), ("field_4", "u2"), ("time", "f8"),
+    ]  # fmt: skip
+    assert found["input"]["points_per_line"] == M
+    np.testing.assert_allclose(ranges_read(path), image(), atol=1e-3)
+
+
+def test_a_dump_of_ranges_alone(tmp_path: Path) -> None:
+    path = tmp_path / "d.bin"
+    image().tofile(path)
+    found = drafted(path)
+    assert [(field["name"], field["type"]) for field in found["layout"]["fields"]] == [("range", "f4")]
+    np.testing.assert_array_equal(ranges_read(path), image())
+
+
+def test_text_without_names(tmp_path: Path) -> None:
+    """Seconds; centimetres, with 0 where nothing returned; a status."""
+    cells = np.round(np.nan_to_num(image()) * 1000).astype(int).ravel()
+    rows = [f"{i / (50 * M):.6f};{r};7".replace(".", ",") for i, r in enumerate(cells)]
+    path = tmp_path / "d.txt"
+    path.write_text("\n".join(rows) + "\n")
+    found = drafted(path)
+    layout = found["layout"]
+    assert (layout["delimiter"], layout["decimal"], layout["header"]) == (";", ",", False)
+    assert {field["name"]: field["source"] for field in layout["fields"]} == {"time": 0, "range": 1}
+    np.testing.assert_allclose(ranges_read(path), image(), atol=1e-3)
+
+
+def test_a_file_that_only_has_times(tmp_path: Path) -> None:
+    time, _, column = drive(54.0, 2154, 30)
+    path = tmp_path / "a.laz"
+    las_of_times(path, time, np.stack([time, column / 100, column / 200], axis=1))
+    found = drafted(path)["input"]
+    assert float(found["lines"].partition(":")[2]) == pytest.approx(54, rel=2e-5)
+    assert float(found["columns"].partition(":")[2]) == pytest.approx(116_316, rel=2e-6)
+    assert '# range = "trajectory:FILE"' in (tmp_path / "draft.toml").read_text()
+
+
+def test_noise_is_no_dump(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "d.bin"
+    path.write_bytes(np.random.default_rng(0).bytes(50_000))
+    assert run("info", path, "--draft", tmp_path / "draft.toml") == 1
+    assert "nothing repeats in its bytes" in capsys.readouterr().err
+    assert not (tmp_path / "draft.toml").exists()
+
+
+@pytest.mark.data
+def test_the_profiler_of_ign(real_data: Path, tmp_path: Path) -> None:
+    path = tmp_path / "p.ply"
+    path.write_bytes((real_data / "riegl" / "sample_riegl_18_02.ply").read_bytes())
+    found = drafted(path)
+    assert found["input"] == {"lines": "angle-wrap", "columns": "angle", "range": "dimension:range"}
+    assert {"name": "angle", "source": "theta", "unit": "rad"} in found["layout"]["fields"]
+    ranges_read(path)
