@@ -12,6 +12,7 @@ not hold. A curb is right if a shot of the other side's curbs is within
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -112,18 +113,20 @@ def scores(counts: F64) -> F64:
 
 
 def run(scans: Sequence[Scan], assignments: Sequence[str]) -> list[F64]:
-    """Return the scores of every scan, and of all of them together."""
+    """Return the scores of every scan, and their mean over the scans that have the class."""
     options: dict[str, object] = {}
     for assignment in assignments:
         options = merge(options, parse_assignment(assignment))
     config = load_config(preset="fused", options=options)
-    each = [counts_of(scan, label(scan, config).codes.astype(np.int64)) for scan in scans]
-    return [*map(scores, each), scores(np.sum(each, axis=0))]
+    each = [scores(counts_of(scan, label(scan, config).codes.astype(np.int64))) for scan in scans]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # classes that no scan has
+        return [*each, np.nanmean(each, axis=0)]
 
 
 def row(name: str, found: F64) -> str:
     """Return F1, precision and recall of every class as a row of a table."""
-    cells = (f"{f1:.3f} ({precision:.2f}, {recall:.2f})" for precision, recall, f1 in found)
+    cells = ("" if np.isnan(f1) else f"{f1:.3f} ({precision:.2f}, {recall:.2f})" for precision, recall, f1 in found)
     return f"| {name} | {' | '.join(cells)} |"
 
 
@@ -145,10 +148,10 @@ def main() -> None:
     base = run(scans, [])
     for scan, found in zip(scans, base, strict=False):
         print(row(scan.name, found), flush=True)
-    print(row("all", base[-1]), flush=True)
+    print(row("mean", base[-1]), flush=True)
     for step in STEPS:
-        print(row(f"all, `{step[0]}`", run(scans, step)[-1]), flush=True)
-    print(row("all, as before", run(scans, FORMER)[-1]))
+        print(row(f"mean, `{step[0]}`", run(scans, step)[-1]), flush=True)
+    print(row("mean, as before", run(scans, FORMER)[-1]))
 
 
 if __name__ == "__main__":
