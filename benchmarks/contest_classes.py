@@ -4,13 +4,15 @@
     python -m benchmarks.contest_classes held-out
     python -m benchmarks.contest_classes oakland
 
-Seeds 1 to 5 are for tuning, 901 to 910 decided nothing. A curb is right if a shot of the other side's curbs is within
+Seeds 1 to 5 are for tuning, 911 to 920 decided nothing; 901 to 910 were looked at once, and showed two rules that did
+not hold. A curb is right if a shot of the other side's curbs is within
 10 cm; in all else curbs are ground. Reads ../shared/data or $PRC_DATA for the Oakland strips.
 """
 
 from __future__ import annotations
 
 import argparse
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,23 +35,25 @@ TUNING = (
     *(Simulated(f"{scene}, photon-80", seed + 1, 60, scene) for seed, scene in enumerate(SCENES)),
     Simulated("residential, sick-push-broom", 2, 120, "residential", "sick-push-broom", noise=0.02),
     Simulated("mixed, profiler-1mhz", 1, 20, "mixed", "profiler-1mhz", noise=0.02),
-)
+    Simulated("suburb, profiler-1mhz, slant 45°", 3, 20, "suburb", "profiler-1mhz", mount={"slant_deg": 45.0},
+              noise=0.05),
+    Simulated("mixed, photon-80, gap of 50° down, slant 20°", 4, 60, "mixed", mount=data.GAP_DOWN),
+    Simulated("boulevard, sick-push-broom", 5, 120, "boulevard", "sick-push-broom", noise=0.05),
+)  # fmt: skip
 HELD_OUT = (
-    *(Simulated(f"{scene}, photon-80", seed + 901, 100, scene) for seed, scene in enumerate(SCENES)),
-    Simulated("mixed, photon-80, gap of 50° down, slant 20°", 906, 80, "mixed", mount=data.GAP_DOWN),
-    Simulated("residential, sick-push-broom", 907, 160, "residential", "sick-push-broom", noise=0.02),
-    Simulated("boulevard, sick-push-broom", 908, 160, "boulevard", "sick-push-broom", noise=0.05),
-    Simulated("mixed, profiler-1mhz", 909, 30, "mixed", "profiler-1mhz", noise=0.02),
-    Simulated("suburb, profiler-1mhz, slant 45°", 910, 30, "suburb", "profiler-1mhz", mount={"slant_deg": 45.0},
+    *(Simulated(f"{scene}, photon-80", seed + 911, 100, scene) for seed, scene in enumerate(SCENES)),
+    Simulated("mixed, photon-80, gap of 50° down, slant 20°", 916, 80, "mixed", mount=data.GAP_DOWN),
+    Simulated("residential, sick-push-broom", 917, 160, "residential", "sick-push-broom", noise=0.02),
+    Simulated("boulevard, sick-push-broom", 918, 160, "boulevard", "sick-push-broom", noise=0.05),
+    Simulated("mixed, profiler-1mhz", 919, 30, "mixed", "profiler-1mhz", noise=0.02),
+    Simulated("suburb, profiler-1mhz, slant 45°", 920, 30, "suburb", "profiler-1mhz", mount={"slant_deg": 45.0},
               noise=0.05),
 )  # fmt: skip
 STEPS: tuple[tuple[str, ...], ...] = (
     ("fused.flanks.enabled=false",),
     ("fused.cars.level_bins=3",),
     ("fused.poles.across=false",),
-    ("fused.poles.standing=false",),
     ("fused.poles.beside_cars=false",),
-    ("fused.poles.trunks=false",),
     ("fused.noise.lone_leaves=false",),
     ("fused.curbs.steep=0",),
 )
@@ -109,18 +113,20 @@ def scores(counts: F64) -> F64:
 
 
 def run(scans: Sequence[Scan], assignments: Sequence[str]) -> list[F64]:
-    """Return the scores of every scan, and of all of them together."""
+    """Return the scores of every scan, and their mean over the scans that have the class."""
     options: dict[str, object] = {}
     for assignment in assignments:
         options = merge(options, parse_assignment(assignment))
     config = load_config(preset="fused", options=options)
-    each = [counts_of(scan, label(scan, config).codes.astype(np.int64)) for scan in scans]
-    return [*map(scores, each), scores(np.sum(each, axis=0))]
+    each = [scores(counts_of(scan, label(scan, config).codes.astype(np.int64))) for scan in scans]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # classes that no scan has
+        return [*each, np.nanmean(each, axis=0)]
 
 
 def row(name: str, found: F64) -> str:
     """Return F1, precision and recall of every class as a row of a table."""
-    cells = (f"{f1:.3f} ({precision:.2f}, {recall:.2f})" for precision, recall, f1 in found)
+    cells = ("" if np.isnan(f1) else f"{f1:.3f} ({precision:.2f}, {recall:.2f})" for precision, recall, f1 in found)
     return f"| {name} | {' | '.join(cells)} |"
 
 
@@ -142,10 +148,10 @@ def main() -> None:
     base = run(scans, [])
     for scan, found in zip(scans, base, strict=False):
         print(row(scan.name, found), flush=True)
-    print(row("all", base[-1]), flush=True)
+    print(row("mean", base[-1]), flush=True)
     for step in STEPS:
-        print(row(f"all, `{step[0]}`", run(scans, step)[-1]), flush=True)
-    print(row("all, as before", run(scans, FORMER)[-1]))
+        print(row(f"mean, `{step[0]}`", run(scans, step)[-1]), flush=True)
+    print(row("mean, as before", run(scans, FORMER)[-1]))
 
 
 if __name__ == "__main__":

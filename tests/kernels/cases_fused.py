@@ -38,8 +38,8 @@ USUAL = typed(
     DecisionThresholds,
     least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
     soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
-    car_top_m=3.75, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5, tree_slots=4,
-    keeps_parts=1, takes_long=0, stand_m=0.15, foot_m=0.3, keeps_held=1, ghost_m=1.5, ghost_near=15,
+    car_top_m=3.75, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5,
+    keeps_parts=1, takes_long=0, foot_m=0.3, keeps_held=1, ghost_m=1.5, ghost_near=15,
     car_label=7, pole_label=11,
 )  # fmt: skip
 
@@ -270,11 +270,13 @@ def flanks_case(rng: Generator) -> tuple[Any, ...]:
         FlankThresholds,
         least_m=rng.choice([0.0, 0.1]),
         most_m=rng.choice([0.3, 3.0]),
+        share=rng.choice([0.0, 0.5]),
         behind_m=rng.choice([0.15, 0.0]),
         soil_m=rng.choice([0.1, 2.0]),
         shots=rng.choice([0, 1, 3]),
     )
-    return one.range_m, above, counts[2], one.beams, (wall, wall * middle), levels, chosen
+    length = wall * rng.choice([1.0, 2.0, 3.0], shape).astype(np.float32)
+    return one.range_m, above, counts[2], one.beams, (length, wall, wall * middle), levels, chosen
 
 
 def texture_case(rng: Generator) -> tuple[Any, ...]:

@@ -176,25 +176,15 @@ class _Shot:
     def is_thin(self) -> bool:
         return self._is_short_in_line() or self._is_narrow_across()
 
-    def is_in_tree(self) -> bool:
-        assert self.strip is not None
-        if not 2 <= self.strip < N - 2:
-            return False
-        words = (int(self.slots[1][self.line, self.strip + way]) for way in (-2, 2))
-        return all((word >> self.slot).bit_count() >= self.thresholds.tree_slots for word in words)
-
     def _is_short_in_line(self) -> bool:
         ranges, heights = self.window[self.line + 4], self.points[1][self.line + 2]
         held = self.counts[0][self.line + 2] >= self.thresholds.least_near
-        above, can_stand = self.points[2][self.line + 2], self._is_free_across()
         heights_met, length = [self.height], 1
         for way in (-1, 1):
             last, gap, j = self.i, 0, self.i + way
             while 0 <= j < len(ranges) and gap <= 3 + length:
                 if not held[j]:
                     gap += 1
-                elif can_stand and above[j] < self.thresholds.stand_m:
-                    break
                 elif abs(ranges[j] - ranges[last]) < self.thresholds.jump_m:
                     last, gap, length = j, 0, length + 1
                     heights_met.append(heights[j])
@@ -241,8 +231,6 @@ class _Shot:
                 return VEGETATION
             if self.thresholds.takes_long > 0 or self._is_free_across():
                 return int(self.thresholds.pole_label)
-        elif self.is_standing(is_car=is_car) and self.is_in_tree():
-            return VEGETATION
         if is_car:
             return int(self.thresholds.car_label)
         return VEGETATION if rough or leaf else BUILDING

@@ -18,7 +18,7 @@ def find_flanks(
     above_m: F32,
     upright: U8,
     beams: tuple[F32, F32],
-    sums: tuple[F32, F32],
+    sums: tuple[F32, F32, F32],
     levels: U8,
     thresholds: FlankThresholds,
 ) -> tuple[U8, U8]:
@@ -28,10 +28,10 @@ def find_flanks(
     is_ground = (np.abs(above_m) < thresholds.soil_m) & (upright < 2)
     for line in range(len(levels)):
         lines = slice(line, line + 5)
-        wall, place = (sum_around(values[lines]) for values in sums)
+        length, wall, place = (sum_around(values[lines]) for values in sums)
         least, most = thresholds.least_m * np.float32(5), thresholds.most_m * np.float32(5)
-        for b in np.flatnonzero((wall > 0) & (wall >= least) & (wall <= most)):
-            beside = sums[0][lines, max(b - 1, 0) : b + 2]
+        for b in np.flatnonzero((wall > 0) & (wall >= least) & (wall <= most) & (wall >= thresholds.share * length)):
+            beside = sums[1][lines, max(b - 1, 0) : b + 2]
             has_ground = is_ground[lines] & (beside > 0).any(axis=1)[:, None]
             places = [floor(y / BIN) for y in side_m[lines][has_ground]]
             out = [q if b >= N // 2 else -1 - q for q in places]

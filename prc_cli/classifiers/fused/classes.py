@@ -74,12 +74,6 @@ class PoleParams(Params):
     )
     beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
     across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
-    standing: bool = Field(True, description="whether runs that are narrow in other lines may end at the ground ...")
-    stand_m: float = Field(0.15, ge=0, le=10, description="... which is lower than this [m]")
-    trunks: bool = Field(True, description="whether upright surfaces below a crown are trunks, whatever their height")
-    tree_slots: int = Field(
-        4, ge=1, le=64, description="cells of 0.25 m with rough shots above them, as many before as behind, are a crown"
-    )
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
 
 
@@ -166,8 +160,6 @@ def decision_thresholds(
         crown_slots=poles.crown_slots,
         keeps_parts=0.0 if poles.beside_cars else 1.0,
         takes_long=0.0 if poles.across else 1.0,
-        stand_m=poles.stand_m if poles.standing else -NEVER,
-        tree_slots=poles.tree_slots if poles.trunks else NEVER,
         foot_m=poles.foot_m,
         keeps_held=1.0 if noise.held else 0.0,
         ghost_m=noise.ghost_m,

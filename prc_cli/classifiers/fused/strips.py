@@ -85,6 +85,7 @@ class FlankParams(Params):
         0.2, gt=0, le=100, description="least height of their smooth upright surface, mean of five lines [m]"
     )
     most_m: float = Field(3.0, gt=0, le=100, description="greatest height of that [m]")
+    share: float = Field(0.3, ge=0, le=1, description="least share of that surface in everything in the strip")
     behind_m: float = Field(0.15, ge=0, le=10, description="ground beneath is seen at least this far behind [m]")
     soil_m: float = Field(0.1, gt=0, le=10, description="shots this near to the ground are ground beneath [m]")
     shots: int = Field(3, ge=1, le=1000, description="least number of such shots in five lines")
@@ -95,6 +96,7 @@ class FlankParams(Params):
             FlankThresholds,
             least_m=self.least_m,
             most_m=self.most_m,
+            share=self.share,
             behind_m=self.behind_m,
             soil_m=self.soil_m,
             shots=self.shots,
@@ -142,7 +144,7 @@ def stand(
     vehicles = np.zeros((len(wide), every.shape[1]), np.uint8)
     if flanks.enabled:
         vehicles, wide = kernels.find_flanks(
-            range_m, above_m, seen.upright, plane.beams, (wall, place), wide, flanks.thresholds()
+            range_m, above_m, seen.upright, plane.beams, (length, wall, place), wide, flanks.thresholds()
         )
     found = kernels.find_walls((length, wall, place, top), vehicles, walls.thresholds())
     return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, wide)

@@ -143,6 +143,8 @@ class FlankThresholds(NamedTuple):
     """Least height of its smooth upright surface, mean of five lines [m]."""
     most_m: np.float32
     """Greatest height of that [m]."""
+    share: np.float32
+    """Least share of that in everything in the strip."""
     behind_m: np.float32
     """Ground beneath it is seen at least this far behind it [m]."""
     soil_m: np.float32
@@ -200,10 +202,6 @@ class DecisionThresholds(NamedTuple):
     """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
     takes_long: np.float32
     """1 = poles may be long across lines, as fences are; 0 = lines close by see past them."""
-    stand_m: np.float32
-    """Narrow things stand on the ground: lower shots do not belong to their run [m]."""
-    tree_slots: np.float32
-    """Slots with rough shots above, both before and behind, that make an upright surface part of a tree."""
     foot_m: np.float32
     """Lower shots are neither poles nor lonely leaves [m]."""
     keeps_held: np.float32

@@ -36,10 +36,6 @@ CAR_REACH = 6
 """Bins on either side in which level surfaces count."""
 BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
-NEVER_M = np.float32(1e9)
-"""Height that nothing reaches [m]."""
-CROWN_STRIPS = 2
-"""Strips before and behind a trunk in which its crown is looked for; widened by one, 0.5 to 1.75 m away on average."""
 ACROSS_LINES = 4
 """Lines before and after by which a thing is found to be thin."""
 VOTERS = 4
@@ -208,24 +204,8 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 
 @inlined
-def _is_in_tree(rough: Slots, b: int, slot: int, least: np.float32) -> bool:
-    """Return whether rough shots are above a slot both before and behind it: a wall has no leaves behind it."""
-    if b < CROWN_STRIPS or b >= STRIPS - CROWN_STRIPS:
-        return False
-    before, behind = rough[b - CROWN_STRIPS] >> np.uint64(slot), rough[b + CROWN_STRIPS] >> np.uint64(slot)
-    return bool(np.float32(_bits(before)) >= least and np.float32(_bits(behind)) >= least)
-
-
-@inlined
-def _is_short(
-    ranges: F32, near: U8, points: tuple[F32, F32], i: int, is_narrow: bool, thresholds: DecisionThresholds
-) -> bool:
-    """Return whether a shot's run along its line is short, with nothing, or only far things, beyond both ends.
-
-    The run of something narrow may stand on the ground.
-    """
-    heights, above = points
-    foot = thresholds.stand_m if is_narrow else -NEVER_M
+def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionThresholds) -> bool:
+    """Return whether a shot's run along its line is short, with nothing, or only far things, beyond both ends."""
     m = len(ranges)
     least, jump, far = thresholds.least_near, thresholds.jump_m, thresholds.far_m
     low, high = heights[i], heights[i]
@@ -239,8 +219,6 @@ def _is_short(
                 gap += 1
                 j += way
                 continue
-            if above[j] < foot:
-                break
             if abs(ranges[j] - ranges[last]) < jump:
                 last, gap = j, 0
                 length += 1
@@ -537,16 +515,14 @@ def _label_poles(
                 low, high = min(low, height[end]), max(high, height[end])
                 end += 1
         own = height[i]
-        is_high = (thin[i] == 0) & ((high - own >= high_m) | (own - low >= high_m))
-        is_short = not is_high and _is_short(ranges, near, (height, above), i, thin[i] != 0, thresholds)
+        is_high = (high - own >= high_m) | (own - low >= high_m)
+        is_short = not is_high and _is_short(ranges, near, height, i, thresholds)
         if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
             if crown >= thresholds.crown_slots:
                 labels[i] = np.uint8(_VEGETATION)
             elif thin[i] != 0 or takes_long:
                 labels[i] = pole
-        elif _is_in_tree(rough, _strip(side[i]), _slot(above[i]), thresholds.tree_slots):
-            labels[i] = np.uint8(_VEGETATION)
 
 
 @kernel(

@@ -63,7 +63,7 @@ def _ground_in(bins: I32, side: int, first: int, n: int) -> int:
 
 @kernel(
     "Tuple((uint8[:, ::1], uint8[:, ::1]))(float32[:, ::1], float32[:, ::1], uint8[:, ::1], UniTuple(float32[::1], 2), "
-    "UniTuple(float32[:, ::1], 2), uint8[:, ::1], FlankThresholds)",
+    "UniTuple(float32[:, ::1], 3), uint8[:, ::1], FlankThresholds)",
     tuples=[FlankThresholds],
 )
 def find_flanks(
@@ -71,7 +71,7 @@ def find_flanks(
     above_m: F32,
     upright: U8,
     beams: tuple[F32, F32],
-    sums: tuple[F32, F32],
+    sums: tuple[F32, F32, F32],
     levels: U8,
     thresholds: FlankThresholds,
 ) -> tuple[U8, U8]:
@@ -86,7 +86,7 @@ def find_flanks(
     beams : tuple of (M,) float32
         Sine and cosine of every column's beam from straight down.
     sums : tuple of (lines + 4, STRIPS) float32
-        Height extents of the smooth upright shots of a strip, and the same times their side
+        Height extents of the shots of a strip, of the smooth upright ones, and those times their side
         (:func:`prc_cli.kernels.fused.strips.fill_strips`).
     levels : (lines, 2 STRIPS) uint8
         Bins with a level surface, widened.
@@ -99,13 +99,14 @@ def find_flanks(
     levels : (lines, 2 STRIPS) uint8
         With the bins of the vehicles behind flanks.
     """
-    wall, place = sums
+    length, wall, place = sums
     n_lines = levels.shape[0]
     flanks, found = np.empty((n_lines, STRIPS), np.uint8), np.empty((n_lines, 2 * STRIPS), np.uint8)
     # ring buffer of lines
     room = 2 * LINES + 1
     bins = np.empty((room, 2 * STRIPS), np.int32)
     lines, walls, places = np.empty(STRIPS + 2, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32)
+    lengths = np.empty(STRIPS, np.float32)
     least, most = thresholds.least_m * np.float32(room), thresholds.most_m * np.float32(room)
     for k in range(n_lines + 2 * LINES):
         _count_ground(range_m[k], above_m[k], upright[k], beams[0], thresholds.soil_m, bins[k % room])
@@ -114,11 +115,12 @@ def find_flanks(
         line = k - 2 * LINES
         for q in range(2 * STRIPS):
             found[line, q] = levels[line, q]
+        _add_around(length, line, lines, lengths)
         _add_around(wall, line, lines, walls)
         _add_around(place, line, lines, places)
         for b in range(STRIPS):
             flanks[line, b] = 0
-            if walls[b] <= 0 or walls[b] < least or walls[b] > most:
+            if walls[b] <= 0 or walls[b] < least or walls[b] > most or walls[b] < thresholds.share * lengths[b]:
                 continue
             away = abs(places[b] / walls[b])
             side = 0 if b >= STRIPS // 2 else 1

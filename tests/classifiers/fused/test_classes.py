@@ -84,16 +84,3 @@ def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
     high = hit & (HEIGHT_M - np.broadcast_to(post * DOWN, ranges.shape) > 0.5)
     assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
     assert (classified(ranges, poles={"named": False})[high] == Label.UNCLASSIFIED).mean() > 0.7
-
-
-def test_an_upright_surface_below_a_crown_is_a_trunk(street: tuple[F32, U8]) -> None:
-    ranges, rng = street[0].copy(), np.random.default_rng(4)
-    trunk, hit = surface(-3.0, 0.0, 1.6), np.zeros(ranges.shape, np.bool_)
-    hit[20:27] = np.isfinite(trunk)
-    ranges[hit] = np.broadcast_to(trunk, ranges.shape)[hit].astype(np.float32)
-    crown = (surface(-3.0, 1.6, 6.0) * rng.uniform(0.5, 1.5, ranges.shape)).astype(np.float32)
-    leafy = np.isfinite(crown) & (rng.random(ranges.shape) < 0.8)
-    ranges[leafy] = crown[leafy]
-    high = hit & (HEIGHT_M - np.broadcast_to(trunk * DOWN, ranges.shape) > 0.5)
-    found, missed = classified(ranges), classified(ranges, poles={"trunks": False})
-    assert (found[high] == Label.VEGETATION).mean() > (missed[high] == Label.VEGETATION).mean() + 0.3
