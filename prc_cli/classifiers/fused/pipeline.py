@@ -32,6 +32,7 @@ from prc_cli.classifiers.fused.classes import (
     vote,
 )
 from prc_cli.classifiers.fused.forest import ForestParams, forest
+from prc_cli.classifiers.fused.forest_noise import forest_noise
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
 from prc_cli.classifiers.fused.neighbours import (
     DirectionParams,
@@ -66,8 +67,8 @@ from prc_cli.classifiers.fused.strips import StripsParams, WallParams, stand
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 
-FOREST_NOISE_M = 0.012
-"""Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 10 mm cost .2 of F1."""
+FOREST_NOISE_M = 0.035
+"""Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
 WIDEST_FAN_RAD = math.radians(60)
 """Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual."""
 KERNELS = frozenset({"fused.classes", "fused.ground", "fused.neighbours", "fused.spacing", "fused.strips"})
@@ -254,9 +255,10 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     >>> Label(labels[4, 100]).name, Label(labels[4, 120]).name
     ('NOISE', 'GROUND')
     """
-    if params.environment == "forest":  # a block is labelled by itself
-        return forest(range_m, scanner.plane, params.forest)
     plane = scanner.scan_plane
+    if params.environment == "forest":  # but for the range noise, a block is labelled by itself
+        noise_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, plane, known, params.sensor))
+        return forest(range_m, scanner.plane, noise_m, params.forest)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
     wide = _window(tail, range_m, next_m)
     window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
@@ -277,6 +279,13 @@ def _measure(window: F32, plane: ScanPlane, known: Noise, params: SensorParams) 
     """Measure the range noise [m]."""
     noise = known.after(window, plane, params)
     return noise.noise_m(params), noise
+
+
+def _measure_forest(range_m: F32, plane: ScanPlane, known: Noise, params: SensorParams) -> tuple[float, Noise]:
+    """Measure the range noise in a forest [m], 0 until it is known."""
+    noise = known.after(range_m, plane, params, forest_noise)
+    is_known = params.range_noise_m != "auto" or math.isfinite(noise.least_m)
+    return noise.noise_m(params) if is_known else 0.0, noise
 
 
 def _strides(wide: F32, scanner: FusedScanner, noise_m: float, turn: Turn, params: FusedParams) -> I64:
