@@ -36,7 +36,7 @@ def forest_noise(range_m: F32) -> float | None:
     >>> lines = 5 + rng.normal(0, 0.01, (400, 200)).astype(np.float32)
     >>> lines[:, 60:] += rng.exponential(0.5, (400, 140)).astype(np.float32)
     >>> round(forest_noise(lines), 3)
-    0.01
+    0.009
     """
     ranges = range_m[::EVERY_LINE].astype(np.float64)
     if ranges.shape[1] < RUN_SHOTS + 2:
