@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from prc_cli.config import LoadedConfig
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import check_output, commit, output_errors, suffix_of, temporary_name
+from prc_cli.core.files import atomic_output, check_output, suffix_of
 from prc_cli.formats import open_source
 from prc_cli.formats.clouds import CloudSource
 from prc_cli.formats.guessing import guess_names, guess_records, range_scale
@@ -54,13 +54,8 @@ def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = F
     inspection = inspect(path, told)
     text = "\n".join([f"# drafted from {path.name} by prc info --draft: look at it before you rely on it", ""])
     text += "\n".join([*_input_lines(inspection), *lines, ""])
-    temporary = temporary_name(output)
-    with output_errors(output):
-        try:
-            temporary.write_text(text, encoding="utf-8")
-            commit(temporary, output)
-        finally:
-            temporary.unlink(missing_ok=True)
+    with atomic_output(output, overwrite=overwrite) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     return text
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from prc_cli import classify_ranges, load_config
 from prc_cli.classifiers.fused.pipeline import FusedParams
+from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.stream import ScanBlock
 from prc_cli.core.types import F32, F64, U8
@@ -133,3 +134,25 @@ def labels(image: F32, beam: F64, params: FusedParams) -> U8:
     """Label one scanner alone."""
     block = ScanBlock(0, image, beam_rad=beam, is_last=True)
     return np.concatenate([item.labels for item in label_blocks(iter([block]), params)])
+
+
+@pytest.mark.data
+def test_the_kitti_frame_is_labelled_by_rings(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    config = Path(__file__).resolve().parents[2] / "sample_configs" / "kitti_frame.toml"
+    reference = np.fromfile(real_data / "kitti" / "000000.label", np.uint32) & 0xFFFF
+    lookup = ClassCodes().lookup()
+    kinds = {Label.GROUND: (40, 44, 48, 49, 60, 72), Label.BUILDING: (50, 51, 52), Label.VEGETATION: (70, 71)}
+    judged = np.isin(reference, [code for codes in kinds.values() for code in codes])
+    f1 = {}
+    for name, options in (("rings", ()), ("profiler", ("--set", "fused.rings.enabled=false"))):
+        output = tmp_path / f"{name}.npy"
+        frame = real_data / "kitti" / "000000.bin"
+        result = prc("classify", frame, output, "--config", config, "--preset", "fused", *options)
+        assert result.code in (0, 4), result.err
+        labels = np.load(output)
+        for label, codes in kinds.items():
+            mine, truth = (labels == lookup[label]) & judged, np.isin(reference, codes) & judged
+            f1[name, label] = 2 * (mine & truth).sum() / (mine.sum() + truth.sum())
+    assert f1["rings", Label.GROUND] > max(0.96, f1["profiler", Label.GROUND] + 0.005)
+    assert f1["rings", Label.BUILDING] > max(0.78, f1["profiler", Label.BUILDING] + 0.05)
+    assert f1["rings", Label.VEGETATION] > max(0.78, f1["profiler", Label.VEGETATION] + 0.2)

@@ -30,7 +30,10 @@ class FlatParams(Params):
     enabled: bool = Field(True, description="whether flat places are ground up to a greater height")
     cover_m: float = Field(0.15, ge=0, le=10, description="height over the ground up to which flat places are ground")
     step_m: float = Field(
-        0.04, ge=0, le=10, description="greatest step in height to both neighbours of a shot on a flat place [m]"
+        0.04, ge=0, le=10, description="greatest step in height to both neighbours of a shot on a flat place [m] ..."
+    )
+    noise_sigmas: float = Field(
+        3.0, ge=0, le=100, description="... or so many standard deviations of the range noise, if more"
     )
 
 
@@ -56,7 +59,12 @@ class IsolationParams(Params):
 class ForestParams(Params):
     """The forest, in the scan plane (``[fused.forest]``)."""
 
-    soil_m: float = Field(0.04, ge=0, le=10, description="returns up to this height above the ground are ground [m]")
+    soil_m: float = Field(
+        0.04, ge=0, le=10, description="returns up to this height above the ground are ground [m] ..."
+    )
+    soil_sigmas: float = Field(
+        2.0, ge=0, le=100, description="... or up to so many standard deviations of the range noise, if more"
+    )
     below_m: float = Field(0.2, ge=0, le=100, description="what is farther below the ground is noise [m]")
     stem_top_m: float = Field(
         1000.0,
@@ -71,15 +79,16 @@ class ForestParams(Params):
     touching: TouchingParams = TouchingParams()
     company: IsolationParams = IsolationParams()
 
-    def thresholds(self) -> ForestThresholds:
+    def thresholds(self, noise_m: float) -> ForestThresholds:
         """Return the thresholds of the labelling loop; steps that are off get limits without effect."""
         flat, touching, company = self.flat, self.touching, self.company
+        soil_m = max(self.soil_m, self.soil_sigmas * noise_m)
         return typed(
             ForestThresholds,
             below_m=self.below_m,
-            soil_m=self.soil_m,
-            cover_m=flat.cover_m if flat.enabled else self.soil_m,
-            flat_m=flat.step_m,
+            soil_m=soil_m,
+            cover_m=max(flat.cover_m, soil_m) if flat.enabled else soil_m,
+            flat_m=max(flat.step_m, flat.noise_sigmas * noise_m),
             top_m=self.stem_top_m,
             # below any difference of ranges
             beside_m=touching.range_m if touching.enabled else -1.0,
@@ -87,7 +96,7 @@ class ForestParams(Params):
         )
 
 
-def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
+def forest(range_m: F32, plane: Plane, noise_m: float, params: ForestParams) -> U8:
     """Label a block of forest.
 
     Parameters
@@ -96,6 +105,8 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
         The block, chronological; NaN = missing, all else finite and positive.
     plane : Plane
         Of the scanner.
+    noise_m : float
+        Range noise [m], from :func:`prc_cli.classifiers.fused.forest_noise.forest_noise`; 0 = unknown.
     params : ForestParams
 
     Returns
@@ -113,19 +124,21 @@ def forest(range_m: F32, plane: Plane, params: ForestParams) -> U8:
     >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (8, 1)).astype(np.float32)
     >>> lines[:, 551:] = np.nan
     >>> lines[3, 600] = 30.0
-    >>> labels = forest(lines, Plane.of(beam), ForestParams())
+    >>> labels = forest(lines, Plane.of(beam), 0.0, ForestParams())
     >>> [Label(labels[3, column]).name for column in (0, 500, 590, 600)]
     ['GROUND', 'STEM', 'MISSING', 'NOISE']
     """
     range_m = np.ascontiguousarray(range_m)
     heights = heights_over_ground(range_m, plane, params.terrain)
-    stems = find_stems(range_m, heights, plane, params.stems)
-    return _draw(range_m, heights, stems, plane, params)
+    stems = find_stems(range_m, heights, plane, noise_m, params.stems)
+    return _draw(range_m, heights, stems, plane, params.thresholds(noise_m), params.company)
 
 
 @stage("classes")
-def _draw(range_m: F32, heights_m: F32, stems: Mask, plane: Plane, params: ForestParams) -> U8:
+def _draw(
+    range_m: F32, heights_m: F32, stems: Mask, plane: Plane, thresholds: ForestThresholds, company: IsolationParams
+) -> U8:
     """Label ground and stems; other shots are vegetation, or noise if no shot is near."""
-    columns = round(math.radians(params.company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
+    columns = round(math.radians(company.angle_deg) / plane.step_rad) if plane.step_rad > 0 else LEAST_COLUMNS
     around = min(max(columns, LEAST_COLUMNS), MOST_COLUMNS)
-    return kernels.forest_labels(range_m, heights_m, stems, around, params.thresholds())
+    return kernels.forest_labels(range_m, heights_m, stems, around, thresholds)

@@ -33,6 +33,7 @@ from prc_cli.classifiers.fused.classes import (
 )
 from prc_cli.classifiers.fused.curbs import CurbParams, find_curbs
 from prc_cli.classifiers.fused.forest import ForestParams, forest
+from prc_cli.classifiers.fused.forest_noise import forest_noise
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
 from prc_cli.classifiers.fused.heights import Overhearing, true_heights
 from prc_cli.classifiers.fused.neighbours import (
@@ -53,6 +54,7 @@ from prc_cli.classifiers.fused.plane import (
     SensorParams,
 )
 from prc_cli.classifiers.fused.returns import label_further_returns
+from prc_cli.classifiers.fused.rings import RingsParams, is_fan
 from prc_cli.classifiers.fused.spacing import (
     BESIDE_LINES,
     SPACED_LINES,
@@ -70,10 +72,8 @@ from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
 from prc_cli.core.types import F32, F64, I64, U8
 
-FOREST_NOISE_M = 0.012
-"""Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 10 mm cost .2 of F1."""
-WIDEST_FAN_RAD = math.radians(60)
-"""Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual."""
+FOREST_NOISE_M = 0.035
+"""Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
@@ -109,6 +109,7 @@ class FusedParams(MethodParams):
     poles: PoleParams = PoleParams()
     curbs: CurbParams = CurbParams()
     votes: VoteParams = VoteParams()
+    rings: RingsParams = RingsParams()
     forest: ForestParams = ForestParams()
 
     def method(self) -> Fused:
@@ -168,7 +169,7 @@ class FusedScanner:
         beam_rad : (M,) float64
             Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
         """
-        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), bool(np.ptp(beam_rad) < WIDEST_FAN_RAD))
+        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), is_fan(beam_rad))
 
     @property
     def points_per_line(self) -> int:
@@ -284,9 +285,12 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     >>> Label(labels[4, 100]).name, Label(labels[4, 120]).name
     ('NOISE', 'GROUND')
     """
-    if params.environment == "forest":  # a block is labelled by itself
-        return forest(range_m, scanner.plane, params.forest)
     plane = scanner.scan_plane
+    if params.environment == "forest":  # but for the range noise, a block is labelled by itself
+        noise_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, plane, known, params.sensor))
+        return forest(range_m, scanner.plane, noise_m, params.forest)
+    if scanner.is_fan and params.rings.enabled:
+        params = _for_rings(params)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
     wide = _window(tail, range_m, next_m)
     window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
@@ -303,10 +307,34 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits))
 
 
+def _for_rings(params: FusedParams) -> FusedParams:
+    """Return the parameters for a fan of rings."""
+    rings = params.rings
+    own = {
+        "ground": rings.ground(params.ground),
+        "smoothness": rings.smoothness(params.smoothness),
+        "walls": rings.walls(params.walls),
+        "leaves": rings.leaves(params.leaves),
+    }
+    return params.model_copy(update=own)
+
+
 def _measure(window: F32, plane: ScanPlane, known: Noise, params: SensorParams) -> tuple[float, Noise]:
     """Measure the range noise [m]."""
     noise = known.after(window, plane, params)
     return noise.noise_m(params), noise
+
+
+def _measure_forest(range_m: F32, plane: ScanPlane, known: Noise, params: SensorParams) -> tuple[float, Noise]:
+    """Measure the range noise in a forest [m], 0 until it is known.
+
+    It is rounded to half octaves, so that labels hardly depend on which blocks it was measured in.
+    """
+    noise = known.after(range_m, plane, params, forest_noise)
+    if params.range_noise_m != "auto":
+        return noise.noise_m(params), noise
+    is_known = math.isfinite(noise.least_m) and noise.least_m > 0
+    return 2.0 ** (round(2.0 * math.log2(noise.least_m)) / 2.0) if is_known else 0.0, noise
 
 
 def _strides(wide: F32, scanner: FusedScanner, noise_m: float, turn: Turn, params: FusedParams) -> I64:

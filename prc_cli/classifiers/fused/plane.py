@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -133,8 +134,14 @@ class Noise:
     blocks: int = 0
     """Blocks so far."""
 
-    def after(self, window_m: F32, plane: ScanPlane, params: SensorParams) -> Noise:
-        """Add a block, given by its ranges, (lines, M) float32 [m].
+    def after(
+        self,
+        window_m: F32,
+        plane: ScanPlane,
+        params: SensorParams,
+        measure: Callable[[F32], float | None] | None = None,
+    ) -> Noise:
+        """Add a block, given by its ranges, (lines, M) float32 [m]; ``measure`` takes the place of range_noise.
 
         Rough surfaces add to the measured noise, so the smallest measurement is the best one: a drive may begin
         beneath trees. The noise is a property of the scanner, so it is measured on every block up to the first
@@ -146,7 +153,10 @@ class Noise:
         is_asked = math.isinf(self.least_m) or (params.again and self.blocks & (self.blocks - 1) == 0)
         if params.range_noise_m != "auto" or not is_asked:
             return Noise(self.least_m, self.blocks + 1)
-        measured = range_noise(*points_of(np.ascontiguousarray(window_m[::EVERY_LINE]), plane))
+        if measure is not None:
+            measured = measure(window_m)
+        else:
+            measured = range_noise(*points_of(np.ascontiguousarray(window_m[::EVERY_LINE]), plane))
         return Noise(self.least_m if measured is None else min(self.least_m, measured), self.blocks + 1)
 
     def noise_m(self, params: SensorParams) -> float:

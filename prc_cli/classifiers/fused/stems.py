@@ -55,6 +55,9 @@ class StemsParams(Params):
     tolerance_m: float = Field(
         0.004, ge=0, le=1, description="how far beside a run its next return may be in any case [m] ..."
     )
+    noise_sigmas: float = Field(
+        2.0, ge=0, le=100, description="... or so many standard deviations of the range noise, if more ..."
+    )
     tolerance_share: float = Field(0.0003, ge=0, le=0.1, description="... plus this share of the range")
     steep: float = Field(1.0, gt=0, le=100, description="... plus so many metres for every metre up or down")
     lean: float = Field(0.7, gt=0, le=100, description="metres that a run goes to the side for every metre up, at most")
@@ -69,14 +72,14 @@ class StemsParams(Params):
     opacity: OpacityParams = OpacityParams()
     joining: JoiningParams = JoiningParams()
 
-    def run_thresholds(self, step_rad: float) -> RunThresholds:
+    def run_thresholds(self, step_rad: float, noise_m: float) -> RunThresholds:
         """Return the thresholds of the loop over the runs of a line; steps that are off get limits without effect."""
         gaps, opacity = self.gaps, self.opacity
         return typed(
             RunThresholds,
             step_rad=step_rad,
             above_m=self.above_m,
-            tolerance_m=self.tolerance_m,
+            tolerance_m=max(self.tolerance_m, self.noise_sigmas * noise_m),
             tolerance_share=self.tolerance_share,
             steep=self.steep,
             gap_m=gaps.longest_m if gaps.enabled else math.inf,
@@ -105,7 +108,7 @@ class StemsParams(Params):
 
 
 @stage("stems")
-def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) -> Mask:
+def find_stems(range_m: F32, heights_m: F32, plane: Plane, noise_m: float, params: StemsParams) -> Mask:
     """Mark the shots on stems.
 
     Parameters
@@ -115,6 +118,8 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) 
     heights_m : (lines, M) float32, metres
         From :func:`prc_cli.classifiers.fused.terrain.heights_over_ground`.
     plane : Plane
+    noise_m : float
+        Range noise [m].
     params : StemsParams
 
     Returns
@@ -130,10 +135,10 @@ def find_stems(range_m: F32, heights_m: F32, plane: Plane, params: StemsParams) 
     >>> down = np.maximum(np.cos(beam), 1e-9)
     >>> lines = np.tile(np.minimum(4 / np.sin(beam), 2 / down), (4, 1)).astype(np.float32)
     >>> heights = (2 - lines * np.cos(beam)).astype(np.float32)
-    >>> stems = find_stems(lines, heights, Plane.of(beam), StemsParams())
+    >>> stems = find_stems(lines, heights, Plane.of(beam), 0.0, StemsParams())
     >>> heights[stems].min().round(1), stems[:, -1].all()
     (np.float32(0.1), np.True_)
     """
-    thresholds = params.run_thresholds(plane.step_rad)
+    thresholds = params.run_thresholds(plane.step_rad, noise_m)
     runs, table = kernels.upright_runs(range_m, heights_m, plane.sine, plane.cosine, thresholds)
     return kernels.stem_shots(range_m, runs, table, params.stem_thresholds())

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from prc_cli.classifiers.fused.forest import ForestParams, forest
+from prc_cli.classifiers.fused.forest_noise import forest_noise
 from prc_cli.classifiers.fused.plane import Plane
 from prc_cli.classifiers.fused.stems import StemsParams, find_stems
 from prc_cli.classifiers.fused.terrain import TerrainParams, heights_over_ground
@@ -55,7 +56,7 @@ def image(*bodies: F64) -> F32:
 
 
 def labels_of(ranges: F32, **options: Any) -> U8:
-    return forest(ranges, PLANE, ForestParams.model_validate(options))
+    return forest(ranges, PLANE, 0.0, ForestParams.model_validate(options))
 
 
 def count(labels: U8, where: Any) -> dict[str, int]:
@@ -185,8 +186,8 @@ def test_blocks_are_labelled_by_themselves() -> None:
 def test_small_and_empty_blocks(shape: tuple[int, int]) -> None:
     plane = Plane.of(np.linspace(-1.0, 1.0, shape[1]))
     nothing = np.full(shape, np.nan, dtype=np.float32)
-    assert (forest(nothing, plane, ForestParams()) == Label.MISSING).all()
-    labels = forest(np.full(shape, 5.0, dtype=np.float32), plane, ForestParams())
+    assert (forest(nothing, plane, 0.0, ForestParams()) == Label.MISSING).all()
+    labels = forest(np.full(shape, 5.0, dtype=np.float32), plane, 0.0, ForestParams())
     assert (labels != Label.MISSING).all()
 
 
@@ -195,7 +196,7 @@ def test_no_ground_is_no_reason_against_stems() -> None:
     ranges[:, np.cos(BEAM) > 0] = np.nan
     heights = np.full(ranges.shape, 1e9, dtype=np.float32)
     heights[np.isnan(ranges)] = np.nan
-    assert find_stems(ranges, heights, PLANE, StemsParams()).sum() > 0.9 * np.isfinite(ranges).sum()
+    assert find_stems(ranges, heights, PLANE, 0.0, StemsParams()).sum() > 0.9 * np.isfinite(ranges).sum()
 
 
 @cache
@@ -212,7 +213,7 @@ def walk() -> tuple[F32, F64, U8]:
 def test_stems_and_ground_of_a_simulated_walk() -> None:
     """Fewer lines and columns than a user has; the figures of whole walks are in the documentation."""
     ranges, angle, reference = walk()
-    labels = forest(ranges, Plane.of(angle), ForestParams())
+    labels = forest(ranges, Plane.of(angle), 0.0, ForestParams())
     for label, recall, precision in ((Label.STEM, 0.75, 0.9), (Label.GROUND, 0.9, 0.85), (Label.NOISE, 0.35, 0.6)):
         both = np.count_nonzero((labels == label) & (reference == label))
         assert both > recall * np.count_nonzero(reference == label), label.name
@@ -227,12 +228,49 @@ def test_the_preset_labels_a_stream_block_by_block(threads: int) -> None:
     found = classify_ranges(ranges, config, beam_rad=angle, threads=threads).labels
     parts = [np.ascontiguousarray(ranges[i : i + 40]) for i in range(0, len(ranges), 40)]
     plane = Plane.of(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
-    np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, ForestParams()) for part in parts]))
+    np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, 0.0, ForestParams()) for part in parts]))
 
 
 def test_sides_may_be_exchanged() -> None:
     """Mirrored beams are the same forest."""
     ranges, angle, _ = walk()
-    labels = forest(ranges, Plane.of(angle), ForestParams())
-    mirrored = forest(ranges, Plane.of(-angle), ForestParams())
+    labels = forest(ranges, Plane.of(angle), 0.0, ForestParams())
+    mirrored = forest(ranges, Plane.of(-angle), 0.0, ForestParams())
     assert (labels == mirrored).mean() > 0.999
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.01, 0.03])
+def test_stems_are_found_with_a_noisy_scanner(noise_m: float) -> None:
+    ranges, angle, reference = walk()
+    noisy = ranges + np.random.default_rng(1).normal(0, noise_m, ranges.shape).astype(np.float32)
+    measured = forest_noise(noisy)
+    assert measured is not None
+    assert measured == pytest.approx(noise_m, rel=0.25)
+    aware, not_aware = (forest(noisy, Plane.of(angle), told, ForestParams()) for told in (measured, 0.0))
+    stems = reference == Label.STEM
+    assert (aware == Label.STEM)[stems].mean() > 0.75
+    if noise_m == 0.03:
+        soil = reference == Label.GROUND
+        assert (aware == Label.GROUND)[soil].mean() > (not_aware == Label.GROUND)[soil].mean() + 0.1
+        by_preset = classify_ranges(noisy, load_config(preset="fused-forest"), beam_rad=angle)
+        assert (by_preset == aware).mean() > 0.99
+
+
+def test_noise_of_too_few_runs_is_unknown() -> None:
+    assert forest_noise(np.full((400, 10), 5.0, np.float32)) is None
+    assert forest_noise(np.full((40, 100), np.nan, np.float32)) is None
+    # edges are no noise
+    steps = np.tile(np.repeat([2.0, 9.0], 50), (100, 3)).astype(np.float32)
+    assert forest_noise(steps) == 0.0
+
+
+def test_a_run_is_as_wide_as_the_noise() -> None:
+    ranges = image(ground(), stem(5.0))
+    noisy = ranges + np.random.default_rng(1).normal(0, 0.03, ranges.shape).astype(np.float32)
+    on_stem = np.isclose(ranges * np.sin(BEAM), 5.0, atol=0.001) & (-ranges * np.cos(BEAM) > 1 - HEIGHT_M)
+    heights = heights_over_ground(noisy, PLANE, TerrainParams())
+    found = {told: find_stems(noisy, heights, PLANE, told, StemsParams())[on_stem].mean() for told in (0.0, 0.03)}
+    assert found[0.03] > 0.97
+    assert found[0.03] > found[0.0] + 0.03
+    unaware = StemsParams(noise_sigmas=0.0)
+    assert find_stems(noisy, heights, PLANE, 0.03, unaware)[on_stem].mean() == found[0.0]

@@ -1,0 +1,95 @@
+"""The fused method on frames of spinning scanners: the KITTI frame and the labelled range views.
+
+    python -m benchmarks.rings            # even-numbered views, which the parameters of rings were chosen on
+    python -m benchmarks.rings report     # odd-numbered views
+
+Reads ../shared/data or $PRC_DATA. The views are images of rings by azimuth, one point a cell. In the nuScenes views
+verges are called vegetation.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import contest_data as data
+from benchmarks.contest_data import Scan
+from benchmarks.contest_judge import judge
+from benchmarks.contest_methods import label
+from prc_cli.config import load_config, parse_assignment
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.config import merge
+from prc_cli.core.types import U8
+
+CLASSES = {
+    "kitti": {Label.GROUND: (9, 10, 11, 12, 17), Label.BUILDING: (13, 14), Label.VEGETATION: (15, 16)},
+    "nuscenes": {Label.GROUND: (0, 1), Label.BUILDING: (2,), Label.VEGETATION: (4,)},
+}
+"""Reference codes of the views; others are not judged."""
+NAMES = ("ground", "building", "vegetation")
+SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("fused", ()),
+    ("as for profilers", ("fused.rings.enabled=false",)),
+    ("memory of the ground", ("fused.rings.memory_lines=60",)),
+    ("steps of the ground", ("fused.rings.step_m=0.14", "fused.rings.gap_slope=0.08")),
+    ("tolerance", ("fused.rings.noise_sigmas=2.25", "fused.rings.per_step=0.1")),
+    ("walls", ("fused.rings.wall_m=1.5",)),
+    ("leaves", ("fused.rings.leaf_share=0.4", "fused.rings.leaf_share_before_walls=0.2")),
+)
+"""Settings that give single parameters the value for profilers."""
+
+
+def views(kind: str, parity: int) -> Iterator[Scan]:
+    """Read the views of a kind with even or odd numbers."""
+    for path in sorted((data.DATA / "rangeviews").glob(f"{kind}_train_*.npz")):
+        if int(path.stem.rsplit("_", 1)[1]) % 2 == parity:
+            yield view(path)
+
+
+def view(path: Path) -> Scan:
+    """Read a view as vertical lines, by the median elevation of its rings."""
+    with np.load(path) as arrays:
+        xyz, ranges, codes = arrays["xyz"].astype(np.float64), arrays["range_m"], arrays["label"]
+    elevation = np.arctan2(xyz[..., 2], np.hypot(xyz[..., 0], xyz[..., 1]))
+    rings = np.nanmedian(np.where(np.isfinite(ranges), elevation, np.nan), axis=1)
+    order = np.argsort(rings)
+    lines = np.ascontiguousarray(ranges[order].T)
+    return Scan(path.stem, lines, np.pi / 2 + rings[order], codes[order].T.astype(np.int64), "kitti")
+
+
+def f1_of(scan: Scan, labels: U8, classes: dict[Label, tuple[int, ...]]) -> list[float]:
+    """Return the F1 of the three classes, among what is judged."""
+    judged = np.isfinite(scan.range_m) & np.isin(scan.codes, [code for codes in classes.values() for code in codes])
+    lookup, scores = ClassCodes().lookup(), []
+    for one, codes in classes.items():
+        reference, predicted = np.isin(scan.codes, codes) & judged, (labels == lookup[one]) & judged
+        scores.append(2 * (reference & predicted).sum() / max(reference.sum() + predicted.sum(), 1))
+    return scores
+
+
+def main() -> None:
+    """Print the table."""
+    parity = int("report" in sys.argv[1:])
+    frame = data.kitti()
+    scans = {kind: list(views(kind, parity)) for kind in CLASSES}
+    print(f"F1, {'odd' if parity else 'even'}-numbered views, means\n")
+    print(f"| | {' | '.join(f'{scan} {name}' for scan in ('frame', *CLASSES) for name in NAMES)} |")
+    print(f"|---|{'---:|' * 9}")
+    for title, assignments in SETTINGS:
+        options: dict[str, object] = {}
+        for assignment in assignments:
+            options = merge(options, parse_assignment(assignment))
+        config = load_config(preset="fused", options=options)
+        found = label(frame, config)
+        scores = judge(frame, found.codes, found.extra_codes).f1()
+        cells = [scores[name] for name in NAMES]
+        for kind, classes in CLASSES.items():
+            cells += np.mean([f1_of(scan, label(scan, config).codes, classes) for scan in scans[kind]], axis=0).tolist()
+        print(f"| {title} | {' | '.join(f'{cell:.3f}' for cell in cells)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""Fans of rings: what is different where lines turn about the scanner instead of moving on with it.
+
+A profiler's shots lie close together, and its lines see one place after the other. The rings of a spinning scanner lie
+decimetres apart, its lines look another way each, and see a wall only as high as the highest ring.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydantic import Field
+
+from prc_cli.classifiers.fused.classes import LeavesParams
+from prc_cli.classifiers.fused.ground import GroundParams
+from prc_cli.classifiers.fused.neighbours import SmoothnessParams
+from prc_cli.classifiers.fused.strips import WallParams
+from prc_cli.core.config import Params
+from prc_cli.core.types import F64
+
+WIDEST_FAN_RAD = math.radians(60)
+"""Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual, profilers see 125 and
+more."""
+
+
+class RingsParams(Params):
+    """What takes the place of other parameters for spinning scanners (``[fused.rings]``)."""
+
+    enabled: bool = Field(
+        True, description="whether fans of rings, narrower than 60 degrees, have parameters of their own"
+    )
+    memory_lines: int = Field(
+        1, ge=0, le=100_000, description="for fused.ground.memory_lines: the next line looks at other ground"
+    )
+    step_m: float = Field(0.1, ge=0, le=10, description="for fused.ground.step_m [m]")
+    gap_slope: float = Field(
+        0.05, ge=0, le=10, description="for fused.ground.gap_slope: far rings are metres apart on the ground"
+    )
+    noise_sigmas: float = Field(1.5, ge=0, le=100, description="for fused.smoothness.noise_sigmas")
+    per_step: float = Field(
+        0.0, ge=0, le=10, description="for fused.smoothness.per_step: walls are straight however far rings are apart"
+    )
+    wall_m: float = Field(0.5, gt=0, le=1000, description="for fused.walls.height_m: the highest ring hardly rises [m]")
+    leaf_share: float = Field(
+        0.7, ge=0, le=1, description="for fused.leaves.share: with so few shots hedges look smooth"
+    )
+    leaf_share_before_walls: float = Field(0.1, ge=0, le=1, description="for fused.leaves.share_before_walls")
+
+    def ground(self, params: GroundParams) -> GroundParams:
+        """Return the parameters of the ground for rings."""
+        own = {"memory_lines": self.memory_lines, "step_m": self.step_m, "gap_slope": self.gap_slope}
+        return params.model_copy(update=own)
+
+    def smoothness(self, params: SmoothnessParams) -> SmoothnessParams:
+        """Return the parameters of smoothness for rings."""
+        return params.model_copy(update={"noise_sigmas": self.noise_sigmas, "per_step": self.per_step})
+
+    def walls(self, params: WallParams) -> WallParams:
+        """Return the parameters of walls for rings."""
+        return params.model_copy(update={"height_m": self.wall_m})
+
+    def leaves(self, params: LeavesParams) -> LeavesParams:
+        """Return the parameters of foliage for rings."""
+        own = {"share": self.leaf_share, "share_before_walls": self.leaf_share_before_walls}
+        return params.model_copy(update=own)
+
+
+def is_fan(beam_rad: F64) -> bool:
+    """Return whether beams, (M,) float64 [rad], are a fan of rings.
+
+    >>> is_fan(np.deg2rad([65.0, 90.0, 92.0])), is_fan(np.deg2rad([-90.0, 0.0, 90.0]))
+    (True, False)
+    """
+    return len(beam_rad) > 0 and bool(np.ptp(beam_rad) < WIDEST_FAN_RAD)
