@@ -27,6 +27,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
+    "objects": ("prc_cli.cli.objects:objects", "List stems, poles, cars and curbs as they pass."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
