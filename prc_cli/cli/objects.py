@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -44,17 +45,25 @@ def objects(
     with compiling_note(quiet=quiet):
         load_classifier(loaded)
 
+    is_table = output is None and not as_json
+    rows = count(1)
+
+    def head() -> None:
+        # after what may be refused
+        if is_table and next(rows) == 1:
+            click.echo(",".join(COLUMNS))
+
     def show(thing: Thing) -> None:
+        head()
         values = {name: plain(getattr(thing, name)) for name in COLUMNS}
         if as_json:
             click.echo(json.dumps(values))
-        elif output is None:
+        elif is_table:
             click.echo(",".join("" if value is None else str(value) for value in values.values()))
 
-    if output is None and not as_json:
-        click.echo(",".join(COLUMNS))
     with line_progress(source.name, quiet=quiet) as progress:
         summary = find_objects(source, output, loaded, kinds=kinds, each=show, overwrite=overwrite, progress=progress)
+    head()
     if not quiet:
         record = summary.record
         if verbose:
