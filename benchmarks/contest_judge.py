@@ -26,7 +26,7 @@ MAPPINGS = {
     "kitti": FOLDER / "contest_kitti.toml",
 }
 """File or name of the mapping, as for ``prc evaluate --mapping``."""
-_PROFILE_OTHERS = {"cars": [65], "poles, signs, wires, people": [1]}
+_PROFILE_OTHERS = {"cars": [65], "poles, signs, wires, people": [1, 69]}
 OTHERS: dict[str, dict[str, list[int]]] = {
     "street": _PROFILE_OTHERS,
     "forest": {},

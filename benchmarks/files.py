@@ -82,7 +82,7 @@ def jobs_of(folder: Path, n_lines: int) -> tuple[dict[str, tuple[Path, Callable[
         "npz to labels": (array, lambda: classify(array, folder / "b.npy", without, overwrite=True)),
         "csv: parse, write": (text, plain(text, parse, few)),
         "csv to labels": (text, lambda: classify(text, folder / "c.npy", with_m, overwrite=True)),
-        "PRC in memory": (small, lambda: classify_ranges(in_memory, with_m)),
+        "PRC in memory": (small, lambda: classify_ranges(in_memory, with_m).labels),
         "SHA-256": (raw, lambda: hashlib.file_digest(raw.open("rb"), "sha256")),
     }, {
         "raw": image.size, "npz": image.size, "csv": len(few), "PRC": in_memory.size, "SHA-256": image.size,

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.simulated import made
 from prc_cli.config import load_config
 from prc_cli.kernels import KERNELS
 
@@ -25,6 +26,8 @@ LOAD = "import sys, prc_cli.kernels as k; k.load_kernels(frozenset(sys.argv[1:])
 """As the command does it."""
 METHODS = {"prc": "urban", "sequential-angle": "street-scan", "fused": "fused", "fused-forest": "fused-forest"}
 """One preset for every set of compiled loops."""
+WARM = ("urban", "street-scan", "fused")
+"""Presets whose warm start is timed."""
 ONE = """
 import sys, time
 from importlib import import_module
@@ -61,25 +64,23 @@ def cold(folder: Path) -> None:
 
 
 def warm(folder: Path) -> None:
-    """The command on a file of 60 lines."""
-    rng = np.random.default_rng(1)
-    ranges = (20 + rng.normal(0, 0.005, (60, 500))).astype("<f4")
-    np.savez(folder / "small.npz", range_m=ranges, zenith_deg=np.linspace(0, 180, 500))
-    common = ["--overwrite", "--quiet"]
-    for title, arguments in {
-        "warm start, `python -c pass`": ["-c", "pass"],
-        "warm start, `import numpy, numba`": ["-c", "import numpy, numba"],
-        "warm start, `prc --version`": ["-c", "from prc_cli.cli import main; main(['--version'])"],
-        "warm start, `prc classify`, urban": [
-            "-m", "prc_cli", "classify", str(folder / "small.npz"), str(folder / "o.npy"), "--preset", "urban", *common,
-        ],
-        "warm start, `prc classify`, street-scan": [
-            "-m", "prc_cli", "classify", str(folder / "small.npz"), str(folder / "o.npy"), "--preset", "street-scan",
-            *common,
-        ],
-    }.items():  # fmt: skip
+    """The command on a file of 60 lines of one side of a simulated street."""
+    with np.load(made("street", folder, lines=60, seed=1)) as street:
+        one_side = (street["angle_deg"] >= 0) & (street["angle_deg"] < 160)
+        np.savez(
+            folder / "small.npz",
+            range_m=np.ascontiguousarray(street["range_m"][:, one_side]),
+            zenith_deg=180 - street["angle_deg"][one_side],
+        )
+    classify = ["-m", "prc_cli", "classify", str(folder / "small.npz"), str(folder / "o.npy"), "--overwrite", "--quiet"]
+    works = {
+        "`python -c pass`": ["-c", "pass"],
+        "`import numpy, numba`": ["-c", "import numpy, numba"],
+        "`prc --version`": ["-c", "from prc_cli.cli import main; main(['--version'])"],
+    } | {f"`prc classify`, {preset}": [*classify, "--preset", preset] for preset in WARM}
+    for title, arguments in works.items():
         run(arguments, folder / "warm")
-        row(title, [run(arguments, folder / "warm") for _ in range(RUNS)])
+        row(f"warm start, {title}", [run(arguments, folder / "warm") for _ in range(RUNS)])
 
 
 def modules(folder: Path) -> None:

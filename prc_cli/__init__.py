@@ -4,8 +4,9 @@ The commands call the functions below. All are loaded on first use, so that ``im
 
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)
-['DoubtWarning', 'EvidenceError', 'calibrate', 'classify', 'classify_ranges', 'convert', 'evaluate', 'evaluate_all', \
-'find_objects', 'load_config', 'open_stream', 'render', 'simulate', 'stream', 'thin', 'transfer']
+['ClassCodes', 'ClassifiedRanges', 'DoubtWarning', 'EvidenceError', 'Label', 'PrcError', 'calibrate', 'classify', \
+'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'find_objects', 'load_config', 'open_stream', 'render', \
+'simulate', 'stream', 'thin', 'transfer']
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from prc_cli.config import load_config
-    from prc_cli.core.errors import DoubtWarning, EvidenceError
+    from prc_cli.core.classes import ClassCodes, Label
+    from prc_cli.core.errors import DoubtWarning, EvidenceError, PrcError
     from prc_cli.jobs.calibrate.calibrate import calibrate
-    from prc_cli.jobs.classify import classify, classify_ranges, open_stream
+    from prc_cli.jobs.classify import ClassifiedRanges, classify, classify_ranges, open_stream
     from prc_cli.jobs.convert import convert
     from prc_cli.jobs.evaluate import evaluate, evaluate_all
     from prc_cli.jobs.objects import find_objects
@@ -29,8 +31,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
+    "ClassCodes",
+    "ClassifiedRanges",
     "DoubtWarning",
     "EvidenceError",
+    "Label",
+    "PrcError",
     "calibrate",
     "classify",
     "classify_ranges",
@@ -48,8 +54,11 @@ __all__ = [
 ]
 
 _HOME = {
+    "ClassCodes": "prc_cli.core.classes",
     "DoubtWarning": "prc_cli.core.errors",
     "EvidenceError": "prc_cli.core.errors",
+    "Label": "prc_cli.core.classes",
+    "PrcError": "prc_cli.core.errors",
     "calibrate": "prc_cli.jobs.calibrate.calibrate",
     "convert": "prc_cli.jobs.convert",
     "evaluate": "prc_cli.jobs.evaluate",

@@ -309,14 +309,19 @@ def with_layout_beside(path: Path, loaded: LoadedConfig) -> LoadedConfig:
     Returns
     -------
     LoadedConfig
-        With ``[layout]`` and ``[input]`` of the file, and a note that says so.
+        With ``[layout]`` and ``[input]`` of the file, and a note that says so; or with a note that a layout that was
+        given is of no use to this format.
 
     Raises
     ------
     ConfigError
         When the file is no valid configuration.
     """
-    if loaded.config.layout is not None or suffix_of(path) not in LAYOUT_SUFFIXES:
+    layout = loaded.config.layout
+    if layout is not None and layout.fields and suffix_of(path) not in LAYOUT_SUFFIXES:
+        note = f"the layout is not used: {suffix_of(path) or 'these'} files describe their records themselves"
+        return loaded if note in loaded.notes else replace(loaded, notes=(*loaded.notes, note))
+    if layout is not None or suffix_of(path) not in LAYOUT_SUFFIXES:
         return loaded
     for beside in dict.fromkeys((path.with_name(f"{path.name}.toml"), path.with_suffix(".toml"))):
         if beside in loaded.files or not beside.is_file():

@@ -6,16 +6,20 @@ import contextlib
 import gc
 import importlib
 import io
+import math
 import os
 import signal
 import sys
 import threading
+import time
 import traceback
+import warnings
 from typing import Any
 
 import click
 
 from prc_cli import __version__
+from prc_cli.cli.guard import begin
 from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.errors import PrcError
 from prc_cli.core.garbage import no_collecting
@@ -25,18 +29,18 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
     "info": ("prc_cli.cli.info:info", "Say what a file holds, whether it can be classified, and how."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
+    "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
+    "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
     "objects": ("prc_cli.cli.objects:objects", "List stems, poles, cars and curbs as they pass."),
-    "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
-    "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
-    "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "thin": ("prc_cli.cli.thin:thin", "Drop noise and thin out chosen classes of a stream."),
     "simulate": ("prc_cli.cli.simulate:simulate", "Make a scan of a street or a forest whose classes are known."),
-    "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation and a folder for outputs."),
     "config": ("prc_cli.cli.config:config", "Show, check or describe the configuration."),
-    "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
+    "doctor": ("prc_cli.cli.doctor:doctor", "Check the installation and a folder for outputs."),
     "completion": ("prc_cli.cli.completion:completion", "Print the shell completion script."),
 }
 """Commands by name: their module (loaded when called) and the line in ``prc --help``."""
@@ -46,6 +50,10 @@ INTERRUPTED = 130
 """Exit code after Ctrl-C, as in shells."""
 AGAIN_S = 0.05
 """Delay after which a dropped signal is raised again [s]."""
+
+
+REPEATED_S = 0.3
+"""A signal that comes again within this time is the same one [s]."""
 
 
 class LazyGroup(click.Group):
@@ -84,7 +92,7 @@ class LazyGroup(click.Group):
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="Example: prc classify drive.laz drive_classified.laz --preset urban",
+    epilog="Example: prc classify drive.laz drive_classified.laz",
 )
 @click.version_option(__version__, prog_name="prc")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
@@ -99,10 +107,14 @@ def cli(debug: bool) -> None:
 def main(args: list[str] | None = None) -> None:
     """Run the command line; errors of the package become one line and an exit code."""
     arguments = sys.argv[1:] if args is None else args
+    if args is None:
+        begin(arguments, frozenset(COMMANDS))
     # the parent process may have closed stdout and stderr, as some daemons do
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     _leave_on_signals()
+    if args is None and "--debug" not in arguments and not sys.warnoptions:
+        warnings.simplefilter("ignore")  # of NumPy and Python, for programmers; tests run with them as errors
     # escape names that the terminal cannot show instead of stopping
     if args is None and isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -114,26 +126,33 @@ def main(args: list[str] | None = None) -> None:
 
 def _run(arguments: list[str], *, debug: bool) -> int:
     """Run one command and return its exit code."""
+    failure: BaseException
     try:
         # without standalone mode click returns the exit code of ``ctx.exit`` and raises the rest
         code = cli.main(args=arguments, prog_name="prc", standalone_mode=False)
         sys.stdout.flush()
     except PrcError as error:
+        failure = error
         message, code = printable(str(error)), error.exit_code
     except click.ClickException as error:
         if type(error).__name__ == "NoArgsIsHelpError":  # click 8.2 and newer: its message is the whole help
             error.show()
             return error.exit_code
+        failure = error
         context = getattr(error, "ctx", None)
         hint = f"; see {context.command_path} --help" if context is not None else ""
         message, code = printable(f"{error.format_message()}{hint}"), error.exit_code
-    except MemoryError:
+    except MemoryError as error:
+        failure = error
         message, code = "not enough memory for this input and these parameters; no output was left behind", 1
     except ImportError as error:
+        failure = error
         message, code = printable(f"a package cannot be loaded ({error}); prc doctor checks the installation"), 1
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt) as error:
+        failure = error
         message, code = "interrupted; no output was left behind", INTERRUPTED
     except OSError as error:
+        failure = error
         # errors of input and output files are handled where they occur: this is the terminal or a pipe
         message, code = f"the result cannot be printed ({error.strerror or error})", 1
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115 - else Python complains at exit
@@ -141,7 +160,7 @@ def _run(arguments: list[str], *, debug: bool) -> int:
         return code if isinstance(code, int) else 0
     if debug:
         with contextlib.suppress(OSError):
-            click.echo(printable_lines(traceback.format_exc()), err=True)
+            click.echo(printable_lines("".join(traceback.format_exception(failure))), err=True)
     with contextlib.suppress(OSError):
         click.echo(f"error: {message}", err=True)
     return code
@@ -151,11 +170,22 @@ def _leave_on_signals() -> None:
     """Make SIGTERM (``kill``, ``timeout``) end a run like Ctrl-C, so that temporary files are removed."""
     if threading.current_thread() is not threading.main_thread():
         return
-    signal.signal(signal.SIGTERM, lambda number, frame: raise_or_hold(SystemExit(128 + number)))
+    signal.signal(signal.SIGTERM, lambda number, frame: _hear(number, SystemExit(128 + number)))
     # the parent process may have set Ctrl-C to be ignored, as nohup does
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, lambda number, frame: raise_or_hold(KeyboardInterrupt()))
+        signal.signal(signal.SIGINT, lambda number, frame: _hear(number, KeyboardInterrupt()))
     sys.unraisablehook = _deliver_again
+
+
+_heard: dict[int, float] = {}
+
+
+def _hear(number: int, error: BaseException) -> None:
+    """Raise for a signal, once for two of a kind at a time: systemd sends one, and the guard passes its own on."""
+    now, before = time.monotonic(), _heard.get(number, -math.inf)
+    if now - before > REPEATED_S:
+        _heard[number] = now
+        raise_or_hold(error)
 
 
 def _deliver_again(dropped: sys.UnraisableHookArgs) -> None:
@@ -164,6 +194,7 @@ def _deliver_again(dropped: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(dropped)
         return
     number = signal.SIGINT if isinstance(dropped.exc_value, KeyboardInterrupt) else signal.SIGTERM
+    _heard.pop(number, None)
     main = threading.main_thread().ident
     # by a timer: an exception raised in this hook would be dropped as well
     if main is not None and hasattr(signal, "pthread_kill"):

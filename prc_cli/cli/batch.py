@@ -17,7 +17,7 @@ from click.shell_completion import CompletionItem
 
 from prc_cli.cli.options import layers_from, output_options, stream_options
 from prc_cli.core.errors import ConfigError, PrcError
-from prc_cli.core.files import atomic_output, remove_stale
+from prc_cli.core.files import atomic_output, read_small, remove_stale, who_may_change
 from prc_cli.core.interrupts import raise_or_hold
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from prc_cli.jobs.batch.types import Engine, Shard
 
 _COMMAND_SCHEMA = 1
+_MAX_COMMAND = 1 << 20
+"""Largest file that is read as the last command [bytes]."""
 
 
 class BatchCommand(click.Group):
@@ -373,8 +375,10 @@ def _write_command(settings: BatchSettings, options: dict[str, Any]) -> None:
         "folder": str(Path.cwd()),
         "options": {key: None if value is None else _plain(value) for key, value in options.items()},
     }
-    remove_stale(_command_path(settings.out / OWN_FOLDER, settings.shard))  # of a run that was killed just here
-    with contextlib.suppress(PrcError), atomic_output(_command_path(settings.out / OWN_FOLDER, settings.shard)) as file:
+    path = _command_path(settings.out / OWN_FOLDER, settings.shard)
+    remove_stale(path)  # of a run that was killed just here
+    with contextlib.suppress(PrcError), atomic_output(path, overwrite=True) as file:
+        file.touch(0o600)  # prc batch retry obeys nobody else
         file.write_text(json.dumps(table, indent=1) + "\n", encoding="ascii", newline="\n")
 
 
@@ -388,13 +392,16 @@ def _read_command(path: Path) -> tuple[Path, dict[str, Any]]:
     """Return the folder that the last run was started in, and its options, checked as if they were typed."""
     hint = "give the whole command with --only-failed instead"
     try:
-        table = json.loads(path.read_bytes())
+        if why := who_may_change(path):
+            problem = f"could have been changed by others ({why}), expected a file of this user alone"
+            raise ConfigError(str(path), problem, hint)
+        table = json.loads(read_small(path, _MAX_COMMAND))
         folder, kept = Path(table["folder"]), dict(table["options"])
         if table["schema"] != _COMMAND_SCHEMA or not folder.is_dir():
             raise ValueError
     except FileNotFoundError:
         raise ConfigError(str(path), "is not there, expected what the last run was asked for", hint) from None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(str(path), "cannot be used, expected what the last run was asked for", hint) from None
     context = click.Context(batch)
     options: dict[str, Any] = {}

@@ -15,6 +15,7 @@ from rich.table import Table
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress, print_doubts, results
 from prc_cli.cli.safe import printable_lines
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError
 from prc_cli.core.files import atomic_output, check_output, remove_stale
 from prc_cli.jobs.calibrate.calibrate import Calibration, SearchOptions
@@ -33,7 +34,7 @@ from prc_cli.jobs.calibrate.reports import (
 from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.option(
     "-o",
@@ -139,7 +140,7 @@ def calibrate(
         found = calibrate_file(source, loaded, search, progress=progress, tried=tried)
     for target, text in ((output, as_toml), (plot, as_svg)):
         if target is not None:
-            with atomic_output(target) as temporary:
+            with atomic_output(target, overwrite=overwrite) as temporary:
                 temporary.write_text(text(found), encoding="utf-8")
     chosen = "json" if as_json_flag else form
     if chosen in ("json", "markdown"):

@@ -22,6 +22,7 @@ from prc_cli.cli.report import (
     print_classes,
     print_doubts,
 )
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
 from prc_cli.core.profile import profiling, timed
 from prc_cli.jobs.classify import RunSummary, load_classifier, threads_of
@@ -29,7 +30,7 @@ from prc_cli.jobs.classify import classify as classify_file
 from prc_cli.kernels import ENGINES, Engine
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @stream_options

@@ -11,12 +11,13 @@ import click
 
 from prc_cli.cli.options import config_from, input_options, output_options
 from prc_cli.cli.report import console, line_progress, print_assumptions, print_doubts
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
 from prc_cli.jobs.convert import ConversionSummary
 from prc_cli.jobs.convert import convert as convert_file
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @input_options

@@ -11,6 +11,7 @@ import click
 
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
 from prc_cli.evaluation.gates import GateResult, check_gates, parse_gate, refuse_failed
@@ -154,7 +155,7 @@ def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("predicted", type=click.Path(path_type=Path))
 @click.argument("reference", type=click.Path(path_type=Path))
 @_evaluate_options
@@ -196,7 +197,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         )
     texts = [_text(FORMS[path.suffix.lower()], found, gates, mapping, pictures) for path in options["outputs"]]
     for path, text in zip(options["outputs"], texts, strict=True):
-        with atomic_output(path) as temporary:
+        with atomic_output(path, overwrite=options["overwrite"]) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
     if form != "table":
         click.echo(printable_lines(_text(form, found, gates, mapping, pictures).rstrip("\n")))

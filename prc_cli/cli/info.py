@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +14,22 @@ from rich.table import Table
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import results, tally_rows
 from prc_cli.cli.safe import printable
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import PrcError
 from prc_cli.core.files import suffix_of
 from prc_cli.core.findings import LABEL_CHECKS, Finding, Verdict
 from prc_cli.formats import LAS_SUFFIXES
+from prc_cli.formats.contents import Contents
+from prc_cli.formats.las.crs import short_crs
 from prc_cli.jobs.info import Inspection, inspect
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
+@click.option("--deep", is_flag=True, help="Decode every layer of LAZ, also those that no classifier needs.")
 @stream_options
 @output_options
-def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
+def info(files: tuple[Path, ...], deep: bool, as_json: bool, quiet: bool, verbose: bool, **options: Any) -> None:
     """Say what FILE holds, what would be taken for granted, and whether it can be classified.
 
     The same options as for classify say how lines, columns and ranges are found.
@@ -37,7 +42,7 @@ def info(files: tuple[Path, ...], as_json: bool, quiet: bool, verbose: bool, **o
     code = 0
     for path in files:
         try:
-            inspection = inspect(path, loaded)
+            inspection = inspect(path, loaded, deep=deep)
         except PrcError as error:
             click.echo(f"error: {printable(str(error))}", err=True)
             found.append({"path": str(path), "error": str(error), "classifiable": False})
@@ -64,10 +69,23 @@ def _print(inspection: Inspection, command: str, *, verbose: bool) -> None:
         results().print(f"type: {printable(command)}", soft_wrap=True)
 
 
+LISTED = ("bag", "packets")
+"""Formats whose topics or scanners are always shown."""
+ASPRS = {
+    0: "never classified", 1: "unclassified", 2: "ground", 3: "low vegetation", 4: "medium vegetation",
+    5: "high vegetation", 6: "building", 7: "low noise", 8: "model key point", 9: "water", 10: "rail",
+    11: "road surface", 12: "overlap", 13: "wire guard", 14: "wire", 15: "tower", 16: "wire connector",
+    17: "bridge deck", 18: "high noise", 19: "overhead structure", 20: "ignored ground", 21: "snow",
+    22: "temporal exclusion",
+}  # fmt: skip
+"""Names of the standard codes (ASPRS, LAS 1.4 R15, table 17); codes from 64 on mean what the file's maker says."""
+MOST_SHOWN = 12
+"""Classes, returns and point sources that are printed; ``--json`` has them all."""
 FLAGS = {
     "method": "--method", "preset": "--preset", "config_file": "--config", "layout_file": "--layout",
     "points_per_line": "-M", "lines": "--lines", "columns": "--columns", "range_": "--range", "scanner": "--scanner",
-    "return_": "--return", "max_range": "--max-range", "assignments": "--set", "accept_doubts": "--accept-doubt",
+    "topic": "--topic", "metadata": "--metadata", "return_": "--return", "max_range": "--max-range",
+    "assignments": "--set", "accept_doubts": "--accept-doubt",
     "sort_by_time": "--sort-by-time", "trust_order": "--trust-order",
 }  # fmt: skip
 """Options of the command line by parameter, in the order in which they are offered."""
@@ -82,13 +100,16 @@ def _command(inspection: Inspection, options: dict[str, Any]) -> str:
     mends = [one.option for one in doubts if one.option]
     if inspection.mend:
         mends = [inspection.mend]
+    elif inspection.missing:
+        mends = list(inspection.missing)
     elif inspection.problem:
         against = [one for one in doubts if one.verdict is Verdict.AGAINST]
         if not all(one.option for one in against) or inspection.problem not in {one.problem for one in against}:
             return ""
     path = Path(inspection.path)
     is_las = suffix_of(path) in LAS_SUFFIXES
-    output = path.with_name(f"{path.name.split('.')[0]}_{'classified' + suffix_of(path) if is_las else 'labels.npy'}")
+    stem = path.name[: len(path.name) - len(suffix_of(path))]
+    output = path.with_name(f"{stem}_{'classified' + suffix_of(path) if is_las else 'labels.npy'}")
     words = ["prc", "classify", str(path), str(output)]
     if inspection.choice is not None:
         words += ["--preset", inspection.choice.preset]
@@ -106,11 +127,15 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     head = inspection.header
     if "point_format" in head:
         rows[0] = (rows[0][0], f"{rows[0][1]}, LAS {head['version']}, point format {head['point_format']}")
-        rows.append(("CRS", str(head.get("crs") or "none in the file").split("\n")[0][:100]))
+        rows.append(("CRS", short_crs(head["crs"]) if head.get("crs") else "none in the file"))
+    if inspection.format in LISTED:
+        rows.extend((key, str(value)) for key, value in head.items())
     if inspection.n_records is not None:
         rows.append(("records", f"{inspection.n_records:,}"))
     if inspection.dimensions:
         rows.append(("dimensions", ", ".join(inspection.dimensions)))
+    if inspection.contents is not None:
+        rows.extend(_contents_rows(inspection.contents))
     rows.extend(_stream_rows(inspection))
     if inspection.order is not None:
         rows.append(("time order", inspection.order.sentence()))
@@ -119,10 +144,14 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     if inspection.facts is not None:
         tally = tally_rows(inspection.facts.tally, everything=verbose)
         rows.extend((name, f"{count:,}") for name, count in tally)
-    if verbose and inspection.header:
+    if verbose and inspection.header and inspection.format not in LISTED:
         rows.extend((f"header: {key}", str(value)) for key, value in inspection.header.items())
     rows.extend((f"check: {one.check}", _said(one)) for one in inspection.findings)
     if inspection.findings and not inspection.problem:
+        if inspection.not_asked:
+            rows.append(
+                ("checks not asked", f"they need more lines, times or scan angles: {', '.join(inspection.not_asked)}")
+            )
         rows.append(("checks of the labels", f"asked by prc classify, when they are there: {', '.join(LABEL_CHECKS)}"))
     hint = f"; {inspection.hint}" if inspection.hint else ""
     names = ", ".join(one.check for one in inspection.doubts)
@@ -132,6 +161,26 @@ def _rows(inspection: Inspection, *, verbose: bool) -> list[tuple[str, str]]:
     name = {"prc": "PRC"}.get(inspection.method, inspection.method)
     rows.append((f"{name} can classify it", verdict))
     return rows
+
+
+def _contents_rows(contents: Contents) -> Iterator[tuple[str, str]]:
+    """Tell what the records hold, as surveyors know it from lasinfo."""
+    if contents.bounds_m:
+        spans = ", ".join(f"{axis} {low:,.2f} to {high:,.2f}" for axis, (low, high) in contents.bounds_m.items())
+        where = {True: ": registered", False: ": may be relative to the scanner", None: ""}[contents.is_registered]
+        yield "bounds", f"{spans} m{where}"
+    if contents.time_s is not None:
+        first, last = contents.time_s
+        yield "times", f"{first:,.6f} to {last:,.6f} s: {last - first:,.3f} s"
+    for name, counts in (
+        ("classes", {f"{code} {ASPRS.get(code, '')}".strip(): n for code, n in sorted(contents.classes.items())}),
+        ("returns", dict(sorted(contents.returns.items()))),
+        ("point sources", {str(code): n for code, n in sorted(contents.sources.items())}),
+    ):
+        if counts:
+            shown = [f"{what}: {n:,}" for what, n in list(counts.items())[:MOST_SHOWN]]
+            more = [f"and {len(counts) - MOST_SHOWN} more"] if len(counts) > MOST_SHOWN else []
+            yield name, ", ".join(shown + more)
 
 
 def _said(finding: Finding) -> str:
@@ -162,6 +211,11 @@ def _stream_rows(inspection: Inspection) -> list[tuple[str, str]]:
     if period is not None:
         estimate = "none" if period.points_per_line is None else f"{period.points_per_line:,}"
         rows.append(("M estimated", f"{estimate} ({period.reason})"))
+    if inspection.rates is not None:
+        rates = inspection.rates
+        rows.append(("shots a second", f"{rates.shot_hz:.8g}, from the times ({rates.share:.0%} return)"))
+        rows.append(("lines a second", f"{rates.line_hz:.6g}, of M = {rates.points_per_line:,} shots"))
+        rows.append(("a line begins", f"{rates.time_origin_s!r} s, in the middle of what rarely returns"))
     return rows
 
 

@@ -11,13 +11,14 @@ import click
 
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import compiling_note, console, line_progress, print_assumptions, print_choice, print_doubts
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.findings import is_doubt
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.objects import KINDS, Thing, find_objects
 from prc_cli.jobs.objects.write import COLUMNS, plain
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), metavar="OUT", help="A .csv, .geojson or .parquet file."

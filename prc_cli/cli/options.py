@@ -24,7 +24,9 @@ CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 _CLASSIFIER_OPTIONS = [
     click.option("--method", type=click.Choice(METHODS),
                  help="Classifier; default: what the preset or the configuration says, else what labels IN best."),
-    click.option("--preset", type=click.Choice(list(PRESETS)), help="Parameters to start from."),
+    click.option("--preset", type=click.Choice(list(PRESETS)),
+                 help="Parameters to start from. urban, forest: PRC; street-scan: sequential-angle, for static scans; "
+                 "fused, fused-forest: both combined. Default: what labels IN best."),
 ]  # fmt: skip
 
 _INPUT_OPTIONS = [
@@ -38,14 +40,17 @@ _INPUT_OPTIONS = [
     click.option("--columns", help="dimension:NAME, angle, time:HZ or order."),
     click.option("--range", "range_", help="dimension:NAME, trajectory:FILE, origin:X,Y,Z or sensor-xyz."),
     click.option("--scanner", help="none, scanner_channel, point_source_id or user_data."),
+    click.option("--topic", help="Bags: topics to read; captures: ADDRESS:PORT. Several with commas."),
+    click.option("--metadata", metavar="FILE.json", help="Captures: metadata of an Ouster sensor."),
     click.option("--return", "return_", help="strongest, first or last."),
     click.option("-M", "--points-per-line", type=click.IntRange(min=1), help="Shots in a scan line."),
     click.option("--max-range", type=float, metavar="METRES", help="Ranges beyond are missing."),
-    click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first."),
     click.option("--accept-doubt", "accept_doubts", multiple=True, metavar="NAME", type=click.Choice(CHECK_NAMES),
                  help="Go on in spite of a check (prc info names them); it is recorded. Repeat for several."),
     click.option("--trust-order", "trust_order", is_flag=True, help="Take the order of the records as it is."),
 ]  # fmt: skip
+
+_SORT_OPTION = click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first.")
 
 _OUTPUT_OPTIONS = [
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
@@ -56,6 +61,11 @@ _OUTPUT_OPTIONS = [
 
 def stream_options(command: CommandT) -> CommandT:
     """Add the options for reading and classifying a stream."""
+    return live_options(_SORT_OPTION(command))
+
+
+def live_options(command: CommandT) -> CommandT:
+    """Add the options for classifying a stream as it arrives, which cannot be sorted."""
     for option in reversed([*_CLASSIFIER_OPTIONS, *_INPUT_OPTIONS]):
         command = option(command)
     return command
@@ -63,7 +73,7 @@ def stream_options(command: CommandT) -> CommandT:
 
 def input_options(command: CommandT) -> CommandT:
     """Add the options for reading a stream, for commands that do not classify."""
-    for option in reversed(_INPUT_OPTIONS):
+    for option in reversed([*_INPUT_OPTIONS, _SORT_OPTION]):
         command = option(command)
     return command
 
@@ -98,10 +108,11 @@ def config_from(options: dict[str, Any]) -> LoadedConfig:
 
 def layers_from(options: dict[str, Any]) -> Layers:
     """Read the values of :func:`stream_options` as separate layers, without merging them."""
-    if options["sort_by_time"] and options["trust_order"]:
+    sort_by_time = options.get("sort_by_time", False)
+    if sort_by_time and options["trust_order"]:
         message = "--sort-by-time and --trust-order contradict each other"
         raise click.UsageError(message)
-    order = "sort-time" if options["sort_by_time"] else "trust" if options["trust_order"] else None
+    order = "sort-time" if sort_by_time else "trust" if options["trust_order"] else None
     table: dict[str, Any] = {}
     layout_file: Path | None = options["layout_file"]
     if layout_file is not None:
@@ -114,6 +125,8 @@ def layers_from(options: dict[str, Any]) -> Layers:
         "columns": options["columns"],
         "range": options["range_"],
         "scanner": options["scanner"],
+        "topic": options["topic"],
+        "metadata": options["metadata"],
         "return": options["return_"],
         "points_per_line": options["points_per_line"],
         "max_range": options["max_range"],

@@ -12,6 +12,7 @@ import click
 
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress
+from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError
 from prc_cli.jobs.render import (
     COLOURS,
@@ -24,7 +25,7 @@ from prc_cli.jobs.render import render as render_file
 _FILE = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("source", metavar="INPUT", type=_FILE)
 @click.argument("output", metavar="OUT", type=_FILE)
 @click.option("--steps", metavar="A,B,...", help="Pictures, e.g. range,support,classes; default: those that suit.")

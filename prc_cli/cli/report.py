@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -45,8 +46,9 @@ def console() -> Console:
 @cache
 def results() -> Console:
     """Return the console on stdout, for tables that are the result of a command."""
-    # a pipe or a file gets the whole table, not one cut to 80 columns
-    return SafeConsole(width=None if sys.stdout.isatty() else 160, markup=False, highlight=False, emoji=False)
+    # a pipe or a file gets the whole table, not one cut to 80 columns, unless COLUMNS says how wide
+    is_told = sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
+    return SafeConsole(width=None if is_told else 160, markup=False, highlight=False, emoji=False)
 
 
 COMPILING_S = 2.0

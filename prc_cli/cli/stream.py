@@ -10,8 +10,9 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.options import config_from, live_options, output_options
 from prc_cli.cli.report import LOOK, compiling_note, console, print_assumptions, print_choice, print_doubts
+from prc_cli.cli.sections import Sectioned
 from prc_cli.config import MethodChoice
 from prc_cli.core.classes import Label
 from prc_cli.core.findings import Finding
@@ -20,8 +21,8 @@ from prc_cli.jobs.stream import Rate
 from prc_cli.jobs.stream import stream as label_stream
 
 
-@click.command()
-@stream_options
+@click.command(cls=Sectioned)
+@live_options
 @click.option(
     "--hop",
     type=click.IntRange(min=1),

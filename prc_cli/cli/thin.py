@@ -12,11 +12,12 @@ from rich.table import Table
 
 from prc_cli.cli.options import config_from, output_options, stream_options
 from prc_cli.cli.report import line_progress, print_assumptions, results
+from prc_cli.cli.sections import Sectioned
 from prc_cli.jobs.thin import CLASSIFY, ThinningSummary, parse_rules
 from prc_cli.jobs.thin import thin as thin_file
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @click.option("--keep", multiple=True, metavar="CLASS=FRACTION", help="Keep a share, by line and column: ground=1/4.")

@@ -15,6 +15,7 @@ from rich.table import Table
 
 from prc_cli.cli.options import output_options
 from prc_cli.cli.report import console, print_assumptions
+from prc_cli.cli.sections import Sectioned
 from prc_cli.config import load_config
 from prc_cli.core.config import read_toml
 from prc_cli.core.stream import ReadTally
@@ -24,7 +25,7 @@ from prc_cli.jobs.transfer import transfer as transfer_files
 from prc_cli.jobs.transfer.options import TransferOptions
 
 
-@click.command()
+@click.command(cls=Sectioned)
 @click.argument("labels", type=click.Path(path_type=Path))
 @click.argument("registered", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))

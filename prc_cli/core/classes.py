@@ -29,6 +29,7 @@ class Label(IntEnum):
     CURB = 8
     VERTICAL = 9
     HORIZONTAL = 10
+    POLE = 11
 
 
 class Surface(IntEnum):
@@ -73,8 +74,9 @@ LABEL_COLOURS: dict[Label, tuple[int, int, int]] = {
     Label.CURB: (240, 228, 66),
     Label.VERTICAL: (230, 159, 0),
     Label.HORIZONTAL: (86, 180, 233),
+    Label.POLE: (106, 61, 154),
 }
-"""Colour of every label in pictures [sRGB]; distinct for colour-blind readers (Okabe and Ito)."""
+"""Colour of every label in pictures [sRGB]; distinct for colour-blind readers (Okabe and Ito; poles darker)."""
 
 FIRST_USER_CODE = 64
 """LAS 1.4 table 17: codes from here on are defined by their users."""
@@ -91,10 +93,11 @@ class ClassCodes(Params):
     building: int = Field(6, ge=0, le=255, description="other smooth surfaces in towns")
     vegetation: int = Field(5, ge=0, le=255, description="non-smooth surfaces; other vegetation in forest")
     stem: int = Field(64, ge=0, le=255, description="smooth surfaces in forest")
-    car: int = Field(65, ge=0, le=255, description="cars (sequential-angle)")
-    curb: int = Field(66, ge=0, le=255, description="curbs (sequential-angle)")
+    car: int = Field(65, ge=0, le=255, description="cars (sequential-angle, fused)")
+    curb: int = Field(66, ge=0, le=255, description="curbs (sequential-angle, fused)")
     vertical: int = Field(67, ge=0, le=255, description="vertical surfaces (sequential-angle)")
     horizontal: int = Field(68, ge=0, le=255, description="horizontal surfaces (sequential-angle)")
+    pole: int = Field(69, ge=0, le=255, description="poles, lamps, signs and other street furniture (fused)")
 
     def code(self, label: Label) -> int:
         """Return the class code of one label.

@@ -16,6 +16,10 @@ class ClassContexts(Protocol):
     def n_seen(self) -> int:
         """Number of records whose contexts are kept, from the first one."""
 
+    @property
+    def n_checked(self) -> int:
+        """Number of records of which every layer was decoded, from the first one."""
+
     def take(self, n: int) -> Iterator[U8]:
         """Yield the contexts kept, ``n`` at a time, fewer at the end."""
 
@@ -26,6 +30,22 @@ def _align_nothing(n_records: int) -> None:
 
 def _skip_nothing() -> None:
     """Decode all that is asked for."""
+
+
+def _check_nothing() -> None:
+    """Decode no more than what is asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class KnownRule:
+    """A rule for lines, columns or ranges that follows from the format, for ``auto``."""
+
+    key: str
+    """``lines``, ``columns`` or ``range``; ``turn`` = ``whole`` where lines are whole turns with a gap."""
+    value: str
+    """As in ``[input]``."""
+    why: str
+    """The reason, for ``prc info`` and the run record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +59,12 @@ class SourceFacts:
     time_name: str = "time"
     """Name of the times in messages."""
     has_line_times: bool = False
-    """Whether the file holds one time per line, which blocks repeat for each shot of the line."""
+    """Whether lines are judged by the time of their first shot: the file holds one time per line, which blocks repeat
+    for each shot, or shots of a line are fired out of turn."""
     has_scans: bool = False
     """Whether the file holds several scans in sequence; each is a scanner of the stream with its own directions."""
+    rules: tuple[KnownRule, ...] = ()
+    """Rules for lines, columns and ranges that the file itself implies."""
     notes: tuple[str, ...] = ()
     """What is unusual about the file, one sentence each; always shown, and kept in the run record."""
     laz_contexts: ClassContexts | None = field(default=None, repr=False, compare=False)
@@ -52,3 +75,9 @@ class SourceFacts:
     """Makes chunks end at multiples of this many records, so that blocks need not be joined; changes no value."""
     skip_intensity: Callable[[], None] = field(default=_skip_nothing, repr=False, compare=False)
     """Leaves ``intensity`` undefined for shots where it does not choose between returns: it is slow to decode."""
+    check_layers: Callable[[], None] = field(default=_check_nothing, repr=False, compare=False)
+    """Decodes what nobody asks for too, so that damage in it is found: what is copied as bytes must be sound."""
+
+    def rule(self, key: str) -> KnownRule | None:
+        """Return the rule of a key, None if the file implies none."""
+        return next((rule for rule in self.rules if rule.key == key), None)

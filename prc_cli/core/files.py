@@ -13,7 +13,9 @@ import os
 import platform
 import re
 import secrets
-from collections.abc import Iterator
+import stat
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import IO
 
@@ -21,6 +23,12 @@ from prc_cli.core.errors import InputError, OutputError, OutputExistsError
 
 _TEMPORARY = re.compile(r"\..+\.(?P<machine>[0-9a-f]{8})-(?P<process>[0-9]{1,9})-[0-9a-f]{8}\.part", re.DOTALL)
 """Names that :func:`temporary_name` gives."""
+NAME_BYTES = 255
+"""Longest name of a file [bytes], on all usual file systems."""
+_OWN_BYTES = 40
+"""What :func:`temporary_name` adds to a name at most [bytes], rounded up."""
+_NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EINVAL})
+"""What systems answer where a file system has no hard links."""
 
 
 @contextlib.contextmanager
@@ -39,6 +47,87 @@ def open_to_read(path: Path) -> Iterator[IO[bytes]]:
         raise InputError(str(path), problem, "check the name and its permissions") from error
     with handle:
         yield handle
+
+
+def read_small(path: Path, limit: int) -> bytes:
+    """Return the content of a small file; of nothing else, so that a pipe of its name does not stop a run.
+
+    Raises
+    ------
+    OSError
+        When it cannot be read, is no regular file, or is longer than the limit.
+    """
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with open(descriptor, "rb") as handle:  # noqa: PTH123 - a descriptor
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "is no regular file", str(path))
+        content = handle.read(limit + 1)
+    if len(content) > limit:
+        raise OSError(errno.EFBIG, f"is longer than {limit} bytes", str(path))
+    return content
+
+
+def file_state(path: Path | int) -> tuple[int, int, int, int]:
+    """Return what changes when a file does: size, time of its content, time of any change, number.
+
+    Who edits a file in place can put the first time back, but not the second.
+
+    Raises
+    ------
+    OSError
+        When it cannot be looked at.
+    """
+    found = os.fstat(path) if isinstance(path, int) else path.stat()
+    return found.st_size, found.st_mtime_ns, found.st_ctime_ns, found.st_ino
+
+
+def who_may_change(path: Path) -> str:
+    """Return why others than this user and the administrator may change a file or folder; empty if they may not.
+
+    Members of a group may not, unless it is the user's own, as many systems give every user one. Always empty on
+    systems without such permissions.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> who_may_change(folder)
+    ''
+    >>> folder.chmod(0o777)
+    >>> who_may_change(folder)
+    'its mode is 777'
+
+    Raises
+    ------
+    OSError
+        When it is not there.
+    """
+    if not hasattr(os, "getuid"):
+        return ""
+    status = path.lstat()
+    if status.st_uid not in (os.getuid(), 0):
+        return f"it belongs to user {status.st_uid}"
+    mode = stat.S_IMODE(status.st_mode)
+    if stat.S_ISLNK(status.st_mode):  # whose own mode means nothing
+        return ""
+    is_open = mode & 0o002 or (mode & 0o020 and not _is_own_group(status.st_gid))
+    return f"its mode is {mode:o}" if is_open else ""
+
+
+@lru_cache(maxsize=32)
+def _is_own_group(group: int) -> bool:
+    """Whether a group has no other member than this user, or is that of the administrator."""
+    import grp
+    import pwd
+
+    if group == 0:
+        return True
+    try:
+        found, name = grp.getgrgid(group), pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:  # an account without a name, as in containers
+        return False
+    return found.gr_name == name and not set(found.gr_mem) - {name}
 
 
 def suffix_of(path: Path) -> str:
@@ -65,6 +154,10 @@ def check_output(path: Path, *, overwrite: bool, inputs: tuple[Path, ...] = ()) 
     OutputError
         When its folder is missing or cannot be written.
     """
+    n_bytes = len(os.fsencode(path.name))
+    if n_bytes > NAME_BYTES:
+        problem = f"a name of {n_bytes} bytes, expected at most {NAME_BYTES}"
+        raise OutputError(str(path), problem, "choose a shorter one; its record has .prc.json at the end")
     for source in inputs:
         if path.exists() and source.exists() and path.samefile(source):
             problem = "the output is the input itself; inputs are never modified"
@@ -99,22 +192,78 @@ def temporary_name(path: Path) -> Path:
     """Return a fresh hidden name beside ``path`` (same file system, so that a rename is atomic).
 
     It holds the machine and the process id, so that files left by a killed process can be recognised.
+
+    >>> len(temporary_name(Path("n" * NAME_BYTES)).name) <= NAME_BYTES
+    True
     """
-    return path.with_name(f".{path.name}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}.part")
+    _note(path)
+    return path.with_name(f".{_stem(path.name)}.{_machine()}-{os.getpid()}-{secrets.token_hex(4)}.part")
+
+
+@contextlib.contextmanager
+def temporary_folder(prefix: str) -> Iterator[Path]:
+    """Make a folder for temporary files where the system has them; remove it at the end."""
+    import tempfile  # here, as below: it takes 20 ms to load
+
+    with tempfile.TemporaryDirectory(prefix=prefix, ignore_cleanup_errors=True) as name:
+        _note(Path(name), is_folder=True)
+        yield Path(name)
+
+
+_notes: list[int] = []
+
+
+def note_temporaries(descriptor: int) -> None:
+    """Note from now on in an open file what has temporary files, for a process that removes them after a crash.
+
+    Every name ends with a null byte, that of a folder with a slash before it.
+    """
+    _notes[:] = [descriptor]
+
+
+def _note(path: Path, *, is_folder: bool = False) -> None:
+    for descriptor in _notes:
+        with contextlib.suppress(OSError):
+            os.write(descriptor, os.fsencode(path.absolute()) + (b"/\0" if is_folder else b"\0"))
+
+
+def _stem(name: str) -> str:
+    """Return a name, shortened where a temporary one made of it would be too long."""
+    raw = os.fsencode(name)
+    if len(raw) <= NAME_BYTES - _OWN_BYTES:
+        return name
+    kept = raw[: NAME_BYTES - _OWN_BYTES - 17].decode("utf-8", "ignore")
+    return f"{kept}~{hashlib.sha256(raw).hexdigest()[:16]}"
+
+
+def parts_of(path: Path, machine: str = "*") -> Iterator[Path]:
+    """Yield the temporary files of ``path``, of all machines and processes, or of one machine."""
+    yield from path.parent.glob(f".{glob.escape(_stem(path.name))}.{machine}-*.part")
 
 
 def remove_stale(path: Path) -> tuple[Path, ...]:
     """Remove temporary files of ``path`` left by dead processes of this machine; return what was removed.
 
-    Files of other machines that share the folder, and of running processes, are kept.
+    Files of other machines that share the folder, and of running processes, are kept. A ``path`` that is the same file
+    as one of them is removed, too: its process died between giving it its name and finishing, see :func:`place`.
     """
     removed = []
-    for part in path.parent.glob(f".{glob.escape(path.name)}.{_machine()}-*.part"):
+    for part in parts_of(path, _machine()):
         if is_left_behind(part):
             with contextlib.suppress(OSError):
+                if is_same(part, path):
+                    path.unlink()
                 part.unlink()
                 removed.append(part)
     return tuple(removed)
+
+
+def is_same(first: Path, second: Path) -> bool:
+    """Tell whether two names are those of one file; links are not followed."""
+    try:
+        return os.path.samestat(first.lstat(), second.lstat())
+    except OSError:
+        return False
 
 
 def is_left_behind(part: Path) -> bool | None:
@@ -148,11 +297,20 @@ def _is_running(process: int) -> bool:
 
 
 @contextlib.contextmanager
-def atomic_output(path: Path) -> Iterator[Path]:
-    """Give a temporary path to write; rename it to ``path`` on success, remove it on any failure.
+def atomic_output(path: Path, *, overwrite: bool | None = None) -> Iterator[Path]:
+    """Give a temporary path to write; give it its name on success, remove it on any failure.
+
+    Parameters
+    ----------
+    path : Path
+        Output.
+    overwrite : bool, optional
+        Whether a file of this name is replaced; default: one that is there now, none that appears meanwhile.
 
     Raises
     ------
+    OutputExistsError
+        When a file of this name is there at the end and is not to be replaced.
     OutputError
         When the file cannot be created, filled (disk full) or renamed.
 
@@ -165,22 +323,89 @@ def atomic_output(path: Path) -> Iterator[Path]:
     >>> target.read_bytes()
     b'abc'
     """
-    temporary = temporary_name(path)
+    with atomic_outputs(path, overwrite=overwrite) as (temporary,):
+        yield temporary
+
+
+@contextlib.contextmanager
+def atomic_outputs(*paths: Path, overwrite: bool | None = None) -> Iterator[tuple[Path, ...]]:
+    """Give temporary paths to write, as :func:`atomic_output`; all get their names, in this order, or none does."""
+    temporaries = tuple(temporary_name(path) for path in paths)
+    replaced = tuple(os.path.lexists(path) if overwrite is None else overwrite for path in paths)
     try:
-        with output_errors(path):
-            yield temporary
-            commit(temporary, path)
+        with output_errors(paths[0]):
+            yield temporaries
+            place_all(tuple(zip(temporaries, paths, replaced, strict=True)))
     finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        for temporary in temporaries:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
 
 
-def commit(temporary: Path, path: Path) -> None:
-    """Flush a finished temporary file to the disk and rename it to ``path``."""
+def place_all(files: Sequence[tuple[Path, Path, bool]]) -> None:
+    """Flush finished temporary files and give them their names; if one fails, remove those that got theirs before.
+
+    Parameters
+    ----------
+    files : sequence of (Path, Path, bool)
+        Temporary name, name, and whether a file of this name is replaced.
+    """
+    for temporary, _, _ in files:
+        flush(temporary)
+    made: list[Path] = []
+    try:
+        for temporary, path, overwrite in files:
+            place(temporary, path, overwrite=overwrite)
+            if not overwrite:
+                made.append(path)
+    except BaseException:
+        for path in made:
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+        raise
+
+
+def flush(temporary: Path) -> None:
+    """Flush a finished temporary file to the disk."""
     with temporary.open("rb+") as handle:
         os.fsync(handle.fileno())
-    temporary.replace(path)
+
+
+def place(temporary: Path, path: Path, *, overwrite: bool) -> None:
+    """Give a flushed temporary file its name, and flush the folder.
+
+    Unless it replaces a file, it may keep its temporary name beside the new one: the caller removes that when all files
+    of an output are in place. So a process that dies in between leaves a proof that the output is its own.
+
+    Raises
+    ------
+    OutputExistsError
+        When a file of this name is there and is not to be replaced.
+    """
+    if overwrite:
+        temporary.replace(path)
+    else:
+        _link(temporary, path)
     _sync_folder(path.parent)
+
+
+def _link(temporary: Path, path: Path) -> None:
+    """Give a file its name only if nothing has it; a rename would replace what has appeared there."""
+    try:
+        if os.name == "nt":  # where a rename never replaces
+            temporary.rename(path)
+        else:
+            os.link(temporary, path)
+    except FileExistsError as error:
+        if is_same(temporary, path):  # the answer of a file server was lost, and the request repeated
+            return
+        problem = "appeared while it was being written, and was not replaced"
+        raise OutputExistsError(str(path), problem, "choose another name or add --overwrite") from error
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        check_output(path, overwrite=False)
+        temporary.rename(path)
 
 
 @contextlib.contextmanager

@@ -13,6 +13,11 @@ from prc_cli.formats.records import RecordSource
 
 
 def _raw_binary(path: Path, layout: Layout | None) -> RecordSource:
+    if path.name.startswith("pulse-"):
+        from prc_cli.formats.echopulse.read import EchoPulseSource, is_count_file
+
+        if is_count_file(path):
+            return EchoPulseSource(path)
     from prc_cli.formats.raw_binary.read import RawBinarySource
 
     return RawBinarySource(path, layout if layout is not None and layout.fields else _ranges_only(layout))
@@ -42,6 +47,18 @@ def _las(path: Path, layout: Layout | None) -> RecordSource:
     return LasSource(path)
 
 
+def _ply(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.formats.ply.read import open_ply
+
+    return open_ply(path, layout)
+
+
+def _pcd(path: Path, layout: Layout | None) -> RecordSource:
+    from prc_cli.formats.pcd.read import open_pcd
+
+    return open_pcd(path, layout)
+
+
 READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
     ".bin": _raw_binary,
     ".raw": _raw_binary,
@@ -53,6 +70,11 @@ READERS: dict[str, Callable[[Path, Layout | None], RecordSource]] = {
     ".txt.gz": _text,
     ".txt.zst": _text,
     ".3d": _uos,
+    ".ply": _ply,
+    ".pcd": _pcd,
+    ".xyz": _text,
+    ".asc": _text,
+    ".pts": _text,
     ".las": _las,
     ".laz": _las,
 }
@@ -77,11 +99,25 @@ def _e57(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
     return E57Stream(path, config)
 
 
+def _bag(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
+    from prc_cli.formats.bags.read import BagStream
+
+    return BagStream(path, config)
+
+
+def _packets(path: Path, config: InputConfig, lines_at_once: int) -> ScanStream:
+    from prc_cli.formats.packets.read import PacketStream
+
+    return PacketStream(path, config)
+
+
 IMAGE_READERS: dict[str, Callable[[Path, InputConfig, int], ScanStream]] = {
     ".npy": _array,
     ".npz": _array,
     ".ptx": _ptx,
     ".e57": _e57,
+    **dict.fromkeys((".bag", ".db3", ".mcap"), _bag),
+    **dict.fromkeys((".pcap", ".pcapng"), _packets),
 }
 """Readers of range images and organised scans by suffix; these files hold lines and columns."""
 
@@ -99,7 +135,11 @@ def check_input(path: Path) -> str:
     known = (*READERS, *IMAGE_READERS)
     suffix = suffix_of(path)
     if path.is_dir():
-        raise InputError(str(path), "is a folder, expected a file", "name the files in it")
+        from prc_cli.formats.echopulse.read import count_file
+
+        counts = count_file(path)
+        hint = "name the files in it" if counts is None else f"name the file that counts its returns: {counts}"
+        raise InputError(str(path), "is a folder, expected a file", hint)
     if path.exists() and not path.is_file():
         problem = "not a regular file, expected an archive file (it is read more than once)"
         raise InputError(str(path), problem, "write the stream to a file first")

@@ -1,7 +1,7 @@
 """Writers of labels, by suffix: LAS and LAZ with everything else kept, or labels alone; complete outputs or none.
 
 >>> sorted(SUFFIXES)
-['.csv', '.las', '.laz', '.npy', '.parquet']
+['.csv', '.las', '.laz', '.npy', '.parquet', '.pcd', '.ply']
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ SUFFIXES = {
     ".npy": "class codes, uint8 array",
     ".csv": "table of record, class, name",
     ".parquet": "table of record, class, name",
+    ".ply": "cloud of named properties",
+    ".pcd": "cloud of named properties",
 }
 """Known outputs by suffix."""
 
@@ -96,8 +98,8 @@ def open_writer(  # noqa: PLR0913 - all but the path are named
     ...             codes=ClassCodes(), options=OutputConfig(), overwrite=False)
     Traceback (most recent call last):
     ...
-    prc_cli.core.errors.ConfigError: a.tif: found suffix '.tif', expected one of .csv, .las, .laz, .npy, .parquet; \
-choose an output name that ends in one of them
+    prc_cli.core.errors.ConfigError: a.tif: found suffix '.tif', expected one of .csv, .las, .laz, .npy, .parquet, \
+.pcd, .ply; choose an output name that ends in one of them
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
@@ -106,6 +108,11 @@ choose an output name that ends in one of them
     check_codes(codes, options)
     check_output(path, overwrite=overwrite, inputs=(source,))
     check_output(record_path(path), overwrite=overwrite, inputs=(source,))
+    if suffix in (".ply", ".pcd"):
+        from prc_cli.formats.cloud_writing import CloudBuilder, open_rewriter
+
+        rewriter = open_rewriter(path, codes, options, source, points_per_line)
+        return rewriter if rewriter is not None else CloudBuilder(path, codes, options)
     if suffix not in (".las", ".laz"):
         from prc_cli.formats.labels.write import LabelFileWriter
 

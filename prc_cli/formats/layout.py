@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,20 @@ from numpy.typing import NDArray
 from prc_cli.core.errors import ConfigError
 from prc_cli.formats.options import Layout, LayoutField
 
+FACTORS = {
+    "m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048,
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
+    "rad": 1.0, "deg": math.pi / 180, "gon": math.pi / 200,
+}  # fmt: skip
+"""Metres, seconds or radians in one of a unit; ft is the international foot."""
+_LENGTHS = ("", "m", "cm", "mm", "ft")
 UNITS = {
-    "range": ("", "m"),
-    "x": ("", "m"),
-    "y": ("", "m"),
-    "z": ("", "m"),
-    "time": ("", "s"),
-    "angle": ("", "deg", "rad"),
+    "range": _LENGTHS,
+    "x": _LENGTHS,
+    "y": _LENGTHS,
+    "z": _LENGTHS,
+    "time": ("", "s", "ms", "us", "ns"),
+    "angle": ("", "deg", "rad", "gon"),
 }
 """Units allowed for fields of a standard name; use ``scale`` to convert others."""
 
@@ -99,7 +107,9 @@ def _check_missing(item: LayoutField, stored: np.dtype[Any]) -> None:
 
 
 def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
-    """Turn stored numbers into values: ``stored * scale + offset``, NaN where missing, angles in radians.
+    """Turn stored numbers into values: ``stored * scale + offset`` in the unit of the field, NaN where missing.
+
+    Values are in metres, seconds and radians.
 
     Parameters
     ----------
@@ -119,7 +129,8 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
     >>> decode(np.array([12_345, 0], "<i4"), LayoutField(name="range", type="i4", scale=0.001, missing=0))
     array([12.345,    nan])
     """
-    plain = item.scale == 1.0 and item.offset == 0.0
+    factor = 1.0 if item.unit in ("", "deg") else FACTORS[item.unit]
+    plain = item.scale == 1.0 and item.offset == 0.0 and factor == 1.0
     missing = None if item.missing is None else stored == np.array(item.missing).astype(stored.dtype)
     if plain and missing is None and stored.dtype.kind in "iu" and item.name not in UNITS:
         return np.ascontiguousarray(stored, dtype=stored.dtype.newbyteorder("="))
@@ -132,7 +143,9 @@ def decode(stored: NDArray[Any], item: LayoutField) -> NDArray[Any]:
         if not plain:
             values *= item.scale
             values += item.offset
-    if item.name == "angle" and item.unit != "rad":
+            if factor != 1.0:
+                values *= factor
+    if item.name == "angle" and item.unit in ("", "deg"):
         values = np.deg2rad(values)
     if missing is not None:
         values[missing] = np.nan

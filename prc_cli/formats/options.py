@@ -16,7 +16,10 @@ MAX_RECORD_BYTES = 1 << 20
 """Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
 
 
-LAYOUT_SUFFIXES = (".bin", ".raw", ".dat", ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst")
+LAYOUT_SUFFIXES = (
+    ".bin", ".raw", ".dat", ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst", ".xyz", ".asc", ".pts",
+    ".ply", ".pcd",
+)  # fmt: skip
 """Files whose records a layout describes."""
 LEAST_RATE_HZ, MOST_RATE_HZ = 1e-6, 1e12
 """Allowed line frequencies and shot rates, well beyond those of real scanners [Hz]."""
@@ -68,7 +71,7 @@ class InputConfig(Params):
     )
     range: RangeRule = Field(
         "auto",
-        description="slant range: dimension:NAME, trajectory:FILE (CSV or SBET), origin:X,Y,Z (static scan), "
+        description="slant range: dimension:NAME, trajectory:FILE (CSV, TUM, SBET, a bag), origin:X,Y,Z (static scan), "
         "or sensor-xyz",
     )
     scanner: Literal["none", "scanner_channel", "point_source_id", "user_data"] = Field(
@@ -107,9 +110,28 @@ class InputConfig(Params):
         description="points in a longer gap of the trajectory are an error [s]; default: ten times the median step, "
         "at least 1 s",
     )
+    trajectory_topic: str | None = Field(
+        None, min_length=1, description="topic of a trajectory in a bag; default: the only one with poses"
+    )
+    trajectory_lever_arm: tuple[float, float, float] | None = Field(
+        None,
+        description="from the trajectory's point to the scanner, on the axes of the vehicle [m]; for poses with an "
+        "orientation (TUM, bags)",
+    )
     trajectory_crs: str | None = Field(
         None,
         description="coordinate system of the points for an SBET trajectory, e.g. EPSG:32635; default: the file's",
+    )
+    topic: str | None = Field(
+        None,
+        min_length=1,
+        description="bags: the topics to read, in a row with commas; captures: ADDRESS:PORT of the "
+        "scanners; default: all scans of the best kind",
+    )
+    metadata: str | None = Field(
+        None,
+        min_length=1,
+        description="captures: the JSON metadata of an Ouster sensor; default: the name of the capture with .json",
     )
     max_gap_lines: int = Field(
         100_000, ge=0, description="more missing lines in a row than this are an error, not a gap"
@@ -198,7 +220,11 @@ class LayoutField(Params):
     scale: float = Field(1.0, description="value = stored * scale + offset, in m, s, rad or deg")
     offset: float = Field(0.0, description="value = stored * scale + offset")
     missing: float | None = Field(None, description="stored value that means no return")
-    unit: Literal["m", "s", "rad", "deg", ""] = Field("", description="angle: rad or deg (default deg)")
+    unit: Literal["m", "cm", "mm", "ft", "s", "ms", "us", "ns", "rad", "deg", "gon", ""] = Field(
+        "",
+        description="range, x, y, z: m, cm, mm or ft (default m); time: s, ms, us or ns (default s); "
+        "angle: deg, rad or gon (default deg)",
+    )
 
 
 class Layout(Params):
@@ -211,6 +237,9 @@ class Layout(Params):
         ge=1,
         le=MAX_RECORD_BYTES,
         description="raw binary: size of a record if it is larger than its fields (padding at the end)",
+    )
+    decimal: Literal[".", ","] | None = Field(
+        None, description="text: character before the decimals; default: found by looking"
     )
     delimiter: str = Field(",", min_length=1, max_length=1, description="text: between cells; a space = any blanks")
     header: bool | None = Field(None, description="text: the first row holds names; default: found by looking")

@@ -119,8 +119,15 @@ def lines_per_block(points_per_line: int) -> int:
     return max(1, CHUNK_SHOTS // points_per_line)
 
 
-def check_rules(path: Path, config: InputConfig) -> None:
+def check_rules(path: Path, config: InputConfig, what: str = "organised scans") -> None:
     """Refuse options that do not apply to an organised scan, which holds its lines, columns and ranges.
+
+    Parameters
+    ----------
+    path : Path
+    config : InputConfig
+    what : str
+        What the file holds, for messages.
 
     Raises
     ------
@@ -135,12 +142,25 @@ def check_rules(path: Path, config: InputConfig) -> None:
     }
     for key, (value, values) in allowed.items():
         if value not in values:
-            problem = f"found {value!r}, expected {' or '.join(values)}: {path.name} holds organised scans"
+            problem = f"found {value!r}, expected {' or '.join(values)}: {path.name} holds {what}"
             raise ConfigError(f"input.{key}", problem, "leave the key out")
     for key in ("angle_start", "angle_step"):
         if getattr(config, key) is not None:
-            problem = f"given, but {path.name} holds organised scans, whose angles follow from xyz"
+            problem = f"given, but {path.name} holds {what}, whose angles follow from xyz"
             raise ConfigError(f"input.{key}", problem, "leave the key out")
+
+
+def check_width(path: Path, points_per_line: int, config: InputConfig) -> None:
+    """Refuse another line length than ``input.points_per_line``, where the file says its own.
+
+    Raises
+    ------
+    InputError
+    """
+    wanted = config.points_per_line
+    if wanted is not None and wanted != points_per_line:
+        problem = f"found {points_per_line} points per line, expected {wanted} as input.points_per_line says"
+        raise InputError(str(path), problem, "leave input.points_per_line out")
 
 
 def check_shapes(path: Path, shapes: list[ScanShape], config: InputConfig) -> None:

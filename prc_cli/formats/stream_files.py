@@ -20,6 +20,8 @@ STREAM_SUFFIXES = {
     ".npz": "range image with angles, times, coordinates, intensities and classes",
     ".npy": "range image alone",
     ".bin": "raw dump, with a configuration beside it that reads it",
+    ".ply": "cloud, a point a cell, with line, column, range and class",
+    ".pcd": "the same",
     ".e57": "organised scans, relative to the scanner",
 }
 """Outputs that hold a stream, by suffix."""
@@ -41,7 +43,7 @@ def stream_suffix(path: Path) -> str:
     Traceback (most recent call last):
     ...
     prc_cli.core.errors.ConfigError: drive.xyz: found suffix '.xyz', expected one of .las .laz .csv .csv.gz .csv.zst \
-.parquet .npz .npy .bin .e57; choose an output name that ends in one of them
+.parquet .npz .npy .bin .ply .pcd .e57; choose an output name that ends in one of them
     """
     suffix = suffix_of(path)
     if suffix not in STREAM_SUFFIXES:
@@ -85,6 +87,7 @@ def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False
         Deflate the arrays of an ``.npz`` (as ``numpy.savez_compressed``).
     """
     from prc_cli.formats.arrays.write import NpyStream, NpzStream
+    from prc_cli.formats.cloud_writing import CloudStream
     from prc_cli.formats.e57.write import E57Stream
     from prc_cli.formats.las.build import LasStream
     from prc_cli.formats.raw_binary.write import RawStream
@@ -102,6 +105,8 @@ def open_stream_writer(path: Path, shape: StreamShape, *, compress: bool = False
         ".parquet": ParquetStream,
         ".npy": NpyStream,
         ".bin": RawStream,
+        ".ply": CloudStream,
+        ".pcd": CloudStream,
         ".e57": E57Stream,
     }
     return makers[suffix](path, shape)

@@ -20,9 +20,9 @@ from prc_cli.classifiers.base import MethodParams, UsualLabels, Wanted
 from prc_cli.classifiers.run import SHOTS_AT_ONCE, run_blocks
 from prc_cli.config import CHOSEN_FROM, LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.bytewise import count_bytes
-from prc_cli.core.classes import Label
+from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.errors import DoubtWarning, InputError
-from prc_cli.core.files import check_output, remove_stale, suffix_of
+from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.memory import keep_memory
 from prc_cli.core.profile import timed, timed_items
@@ -34,6 +34,7 @@ from prc_cli.formats.label_files import open_writer
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ranges import clean_ranges
 from prc_cli.formats.writing.base import LabelWriter
+from prc_cli.formats.writing.columns import asked_columns
 from prc_cli.formats.writing.record import (
     Fingerprint,
     FingerprintBeside,
@@ -301,15 +302,19 @@ def _classify(
     trajectory = loaded.trajectory
     keep_memory()  # before any thread
     inputs = (source, *loaded.files, *([] if trajectory is None else [trajectory]))
+    check_output(output, overwrite=overwrite, inputs=inputs)  # also that it has a name, before the record's
+    check_output(record_path(output), overwrite=overwrite, inputs=inputs)
     for path in (output, record_path(output)):
-        check_output(path, overwrite=overwrite, inputs=inputs)
         remove_stale(path)
     check_input(source)
-    before = source.stat()
+    before = file_state(source)
     with timed("opening"):
         # times and intensities are needed only where a point cloud is made from another kind of input
-        only_ranges = suffix_of(output) not in LAS_SUFFIXES or suffix_of(source) in LAS_SUFFIXES
+        makes_points = suffix_of(output) in (*LAS_SUFFIXES, ".ply", ".pcd")
+        only_ranges = not makes_points or (suffix_of(source) in LAS_SUFFIXES and suffix_of(output) in LAS_SUFFIXES)
         loaded, opened = _open_decided(source, loaded, engine, only_ranges=only_ranges, loading=loading)
+        if suffix_of(output) == ".laz" and not asked_columns(loaded.config.output):
+            opened.info.facts.check_layers()  # they are copied as they are
         needs = loaded.config.classifier.method().needs
         stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
     with (
@@ -336,8 +341,7 @@ def _classify(
         missed = loaded.config.classifier.method().notices(counts.labels, counts.tally, segments=segments)
         told = (finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
         record = replace(record, notices=(*record.notices, *missed, *told), engine=engine)
-        after = source.stat()
-        if (after.st_size, after.st_mtime_ns) != (before.st_size, before.st_mtime_ns):
+        if file_state(source) != before:
             raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
         with timed("finishing the output"):
             record = writer.finish(record)
@@ -386,6 +390,31 @@ def _write_labels(
     return counts
 
 
+@dataclass(frozen=True, slots=True, repr=False)
+class ClassifiedRanges:
+    """The classes of a range image."""
+
+    labels: U8
+    """:class:`prc_cli.core.classes.Label` of every shot, (lines, M) uint8: numbers of this program alone."""
+    classes: ClassCodes
+    """The code of every label."""
+
+    @property
+    def codes(self) -> U8:
+        """LAS class code of every shot, (lines, M) uint8, as files hold them: 2 = ground, 7 = noise."""
+        return self.classes.lookup()[self.labels]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Return the number of shots of every class that occurs, by name, the most frequent first."""
+        n = np.bincount(self.labels.ravel(), minlength=len(Label))
+        return {label.name.lower(): int(n[label]) for label in sorted(Label, key=lambda one: -n[one]) if n[label]}
+
+    def __repr__(self) -> str:
+        lines, shots = self.labels.shape
+        return f"{lines:,} lines of {shots:,} shots: " + ", ".join(f"{k} {n:,}" for k, n in self.counts.items())
+
+
 def classify_ranges(
     range_m: ArrayLike,
     config: LoadedConfig | RunConfig | None = None,
@@ -394,7 +423,7 @@ def classify_ranges(
     xyz_m: ArrayLike | None = None,
     threads: int | None = None,
     engine: Engine = "compiled",
-) -> U8:
+) -> ClassifiedRanges:
     """Classify a range image that is in memory.
 
     Parameters
@@ -415,8 +444,8 @@ def classify_ranges(
 
     Returns
     -------
-    (lines, M) uint8
-        :class:`prc_cli.core.classes.Label` of every shot.
+    ClassifiedRanges
+        ``codes`` of every shot as files hold them, and ``labels`` by name.
 
     Raises
     ------
@@ -439,9 +468,11 @@ def classify_ranges(
 
     >>> image = np.full((6, 9), 20.0)
     >>> image[3, 4] = 5.0
-    >>> labels = classify_ranges(image)
-    >>> Label(labels[3, 4]).name, Label(labels[0, 0]).name
-    ('NOISE', 'GROUND')
+    >>> found = classify_ranges(image)
+    >>> found
+    6 lines of 9 shots: ground 53, noise 1
+    >>> found.codes[3, 4], found.labels[3, 4] == Label.NOISE
+    (np.uint8(7), np.True_)
     """
     config = _loaded(config).config
     given = np.asarray(range_m)
@@ -463,7 +494,7 @@ def classify_ranges(
     for doubt in doubts(found):
         told = f"range_m: {doubt.sentence()} (to accept it: input.accept_doubts = [{doubt.check!r}])"
         warnings.warn(told, DoubtWarning, stacklevel=2)
-    return np.concatenate([item.labels for item in labelled])
+    return ClassifiedRanges(np.concatenate([item.labels for item in labelled]), config.classes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -593,6 +624,7 @@ def _loaded(config: LoadedConfig | RunConfig | None) -> LoadedConfig:
 
 
 __all__ = [
+    "ClassifiedRanges",
     "Counts",
     "Progress",
     "RunSummary",

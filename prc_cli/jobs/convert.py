@@ -16,7 +16,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig, with_layout_beside
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import atomic_output, remove_stale, suffix_of, temporary_name
+from prc_cli.core.files import atomic_outputs, file_state, remove_stale, suffix_of, temporary_name
 from prc_cli.core.findings import Finding, Verdict, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.formats import LAS_SUFFIXES, check_input, open_source
@@ -41,7 +41,7 @@ from prc_cli.streams.open import open_input
 
 XYZ = ("x", "y", "z")
 _LAS = (".las", ".laz")
-_TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet")
+_TABLES = (".csv", ".csv.gz", ".csv.zst", ".parquet", ".ply", ".pcd")
 NOT_READ = "not read: "
 """Prefix of the assumptions in which readers report what they skip."""
 _STREAM_NAMES = frozenset(
@@ -141,7 +141,7 @@ def convert(
     prepare_output(source, output, loaded, overwrite=overwrite)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in _LAS:
         return _copy(source, output, loaded)
-    before = source.stat()
+    before = file_state(source)
     facts = Facts(Counts.none())
     watches: list[EvidenceStream] = []
 
@@ -167,7 +167,7 @@ def convert(
         odd = tuple(finding.notice() for finding in found if finding.verdict is not Verdict.FINE)
         record = replace(record, notices=(*record.notices, *told, *how_to_read(output, opened, facts), *odd))
         record = record_of_scanners(record, facts)
-        check_unchanged(source, before.st_size, before.st_mtime_ns)
+        check_unchanged(source, before)
         record = writer.finish(record)
     counts = facts.counts
     return ConversionSummary(output, record, losses, counts.n_lines, counts.n_shots, facts.n_returned, found)
@@ -191,19 +191,18 @@ def prepare_output(
         remove_stale(path)
 
 
-def check_unchanged(source: Path, size: int, mtime_ns: int) -> None:
-    """Refuse an input that changed while it was read."""
-    after = source.stat()
-    if (after.st_size, after.st_mtime_ns) != (size, mtime_ns):
+def check_unchanged(source: Path, before: tuple[int, ...]) -> None:
+    """Refuse an input that changed while it was read; ``before`` is its :func:`~prc_cli.core.files.file_state`."""
+    if file_state(source) != before:
         raise InputError(str(source), "changed while it was read", "run again when the copy is complete")
 
 
 def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary:
     """Change the compression of a LAS or LAZ file and nothing else."""
-    las, before = read_las(source), source.stat()
-    with atomic_output(output) as temporary:
+    las, before = read_las(source), file_state(source)
+    with atomic_outputs(output, record_path(output)) as (temporary, beside):
         notices = copy_las(las, output, temporary)
-        check_unchanged(source, before.st_size, before.st_mtime_ns)
+        check_unchanged(source, before)
         record = RunRecord(
             config=loaded.config.to_table(),
             input=fingerprint(source),
@@ -212,8 +211,7 @@ def _copy(source: Path, output: Path, loaded: LoadedConfig) -> ConversionSummary
             n_records=las.n_records,
             notices=("records were copied as bytes; no stream was read", *notices),
         )
-        with atomic_output(record_path(output)) as beside:
-            beside.write_bytes(record.to_json())
+        beside.write_bytes(record.to_json())
     return ConversionSummary(output, record, (), 0, las.n_records, las.n_records)
 
 

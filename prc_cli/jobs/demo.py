@@ -163,7 +163,7 @@ def _write_texts(folder: Path, part: Part, config: LoadedConfig, matrix: Confusi
         f"{prefix}evaluation.md": as_markdown(matrix),
     }
     for name, text in texts.items():
-        with atomic_output(folder / name) as temporary:
+        with atomic_output(folder / name, overwrite=True) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
 
 

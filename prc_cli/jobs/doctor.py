@@ -621,8 +621,10 @@ def _engines() -> Iterator[Check]:
         load_classifier(config)
         start = time.perf_counter()
         block = join(list(open_simulation(kind, load_settings(kind, options=options), threads=1).scan.blocks()))
-        compiled = classify_ranges(block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m)
-        plain = classify_ranges(block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m, engine="reference")
+        compiled = classify_ranges(block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m).labels
+        plain = classify_ranges(
+            block.range_m, config, beam_rad=block.beam_rad, xyz_m=block.xyz_m, engine="reference"
+        ).labels
         n_shots += block.range_m.size
         n_other[preset] = int((compiled != plain).sum())
         seconds += time.perf_counter() - start

@@ -10,15 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, MethodChoice
+from prc_cli.config import LoadedConfig, MethodChoice, with_layout_beside
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
-from prc_cli.core.findings import Finding, Verdict, doubts, refuse
+from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
 from prc_cli.core.stream import Assumption, ReadTally, ScanStream
-from prc_cli.core.types import F32
+from prc_cli.core.types import F32, F64
 from prc_cli.formats import open_source
-from prc_cli.formats.options import InputConfig
+from prc_cli.formats.contents import Contents, watched_contents
+from prc_cli.formats.options import InputConfig, parse_rate
 from prc_cli.formats.records import DerivedSource, RecordChunk, RecordSource
+from prc_cli.formats.returns import continues_run, mark_shots
 from prc_cli.jobs.choice import decide
 from prc_cli.streams.beams import with_beams
 from prc_cli.streams.evidence.estimates import (
@@ -26,13 +28,17 @@ from prc_cli.streams.evidence.estimates import (
     RangeCorrelation,
     estimate_line_frequency,
     estimate_points_per_line,
+    first_times,
     range_correlation,
 )
+from prc_cli.streams.evidence.rates import TimedScan, measure_rates
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
 
+RATE_OFF = 1e-3
+"""Rates that differ by more are told: a line would be off by some columns."""
 SAMPLE_SHOTS = 4_000_000
 """Number of ranges kept from the start of a file, for the median, the correlation and the estimate of M."""
 
@@ -84,17 +90,31 @@ class Inspection:
     hint: str = ""
     mend: str = ""
     """The option of the command line with which it can, where that was tried."""
+    rates: TimedScan | None = None
+    """Rates of the scanner as its times show them; None where they were not asked for or show none."""
+    contents: Contents | None = None
+    """What the records hold; None where the file is no list of records."""
+    missing: tuple[str, ...] = ()
+    """Every option of the command line that is still needed, with what was measured."""
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
         """Findings that the user has to look at."""
         return doubts(self.findings)
 
+    @property
+    def not_asked(self) -> tuple[str, ...]:
+        """Names of the checks of the input that could not be answered: short streams, no times, no scan angles."""
+        told = {*LABEL_CHECKS, *(one.check for one in self.findings)}
+        return tuple(name for name in CHECK_NAMES if name not in told)
+
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values, undefined figures as None."""
         table: dict[str, Any] = _plain(asdict(self))
+        table["contents"] = None if self.contents is None else self.contents.as_dict()
         table["classifiable"] = not self.problem
         table["doubts"] = [one.check for one in self.doubts]
+        table["checks_not_asked"] = list(self.not_asked)
         for finding in table["findings"]:
             finding["verdict"] = Verdict(finding["verdict"]).name.lower()
         if self.order is not None:
@@ -102,7 +122,7 @@ class Inspection:
         return table
 
 
-def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
+def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspection:
     """Read a file once or twice and describe its contents.
 
     Parameters
@@ -111,12 +131,17 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         Any readable input.
     loaded : LoadedConfig
         Rules for lines, columns and ranges, as for ``prc classify``.
+    deep : bool
+        Decode all records whole, too: LAZ has layers that nothing else asks for.
 
     Raises
     ------
     InputError
         When the file is damaged. An intact file that the classifier cannot process is described.
     """
+    loaded = with_layout_beside(path, loaded)
+    if deep:
+        _decode(path, loaded)
     loaded = decide(path, loaded, trust_order=True)
     found = _inspect(path, loaded)
     choice = loaded.choice
@@ -124,6 +149,15 @@ def inspect(path: Path, loaded: LoadedConfig) -> Inspection:
     return replace(
         found, method=loaded.config.method, choice=choice, notes=(*loaded.notes, *found.notes), assumptions=assumptions
     )
+
+
+def _decode(path: Path, loaded: LoadedConfig) -> None:
+    """Decode every byte of a file of records, and keep nothing."""
+    source = open_source(path, loaded.config.layout)
+    if source is not None:
+        source.facts.check_layers()
+        for _ in source.chunks(source.dimensions):
+            pass
 
 
 def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
@@ -137,19 +171,101 @@ def _inspect(path: Path, loaded: LoadedConfig) -> Inspection:
         if stream is None:
             raise refusal if refusal is not None else InputError(str(path), "cannot be opened")
         return _describe(path, None, stream, _line_order(stream), refusal, judged=judged)
-    order = _time_order(source)
+    contents = Contents()
+    order = _time_order(source, contents)
+    found = _inspect_records(path, loaded, source, stream, refusal, order)
+    return replace(found, contents=contents)
+
+
+def _inspect_records(
+    path: Path,
+    loaded: LoadedConfig,
+    source: RecordSource,
+    stream: ScanStream | None,
+    refusal: InputError | ConfigError | None,
+    order: OrderEvidence | None,
+) -> Inspection:
+    """Describe a file of records, and try what may mend it."""
+    judged = loaded.config.input.order == "require"
     if stream is None:
         inspection = _describe(
             path, source, _lines_only(source, loaded.config.input), order, refusal, judged=judged, with_ranges=False
         )
+        if _lacks_lines(source, loaded.config.input):
+            return _with_rates(inspection, source, loaded.config.input)
         if "range" in source.dimensions:
             inspection = _with_estimate(path, loaded, inspection, estimate_points_per_line(_sample(source)))
         return inspection
     found = _describe(path, source, stream, order, refusal, judged=judged)
+    found = _with_other_rates(found, source, loaded.config.input)
     if found.problem or not judged or found.facts is None or not _is_odd(found.facts.tally):
         return found
     told = _refused_as_told(path, loaded)
     return found if told is None else replace(found, problem=told.problem, hint=told.hint)
+
+
+def _lacks_lines(source: RecordSource, inputs: InputConfig) -> bool:
+    """Tell whether only the times can say where lines and columns are."""
+    is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
+    known = {"scan_line", "column", "angle"} & set(source.dimensions)
+    return is_asked and "time" in source.dimensions and not known and inputs.points_per_line is None
+
+
+def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
+    """Measure the rates of a scanner from its times alone; list all that is missing, with one command."""
+    rates = _measured_rates(source) if refused.order is None or refused.order.is_chronological else None
+    if rates is None:
+        return refused
+    options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
+    options.append(f"--set input.time_origin={rates.time_origin_s!r}")
+    hint = f"the times show {_shown_rates(rates)}"
+    if inputs.range == "auto" and "range" not in source.dimensions and source.facts.rule("range") is None:
+        options.append("--range trajectory:FILE")
+        hint += "; a range needs the place of the scanner: FILE holds its positions over time, or origin:X,Y,Z"
+    problem = "it has times alone: no scan lines, no columns" + (" and no ranges" if len(options) > 3 else "")
+    hint += "; give all of it at once"
+    return replace(refused, rates=rates, missing=tuple(options), problem=problem, hint=hint)
+
+
+def _with_other_rates(found: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
+    """Note rates that were given and are not those that the times show."""
+    if not (inputs.lines.startswith("time:") and inputs.columns.startswith("time:")) or found.facts is None:
+        return found
+    rates = _measured_rates(source)
+    if rates is None:
+        return found
+    off = max(abs(parse_rate(inputs.lines) / rates.line_hz - 1), abs(parse_rate(inputs.columns) / rates.shot_hz - 1))
+    note = f"the times show {_shown_rates(rates)}; --lines and --columns say otherwise"
+    return replace(found, rates=rates, notes=(*found.notes, *([note] if off > RATE_OFF else [])))
+
+
+def _shown_rates(rates: TimedScan) -> str:
+    return (
+        f"{rates.shot_hz:.8g} shots and {rates.line_hz:.6g} lines a second, M = {rates.points_per_line}, "
+        f"{rates.share:.0%} of the shots return"
+    )
+
+
+def _measured_rates(source: RecordSource) -> TimedScan | None:
+    """Measure the rates from the first shots."""
+    has_returns = {"return_number", "number_of_returns"} <= set(source.dimensions)
+    names = ("time", *(("z",) if "z" in source.dimensions else ()))
+    names += ("return_number", "number_of_returns") if has_returns else ()
+    times: list[F64] = []
+    heights: list[F64] = []
+    kept = 0
+    for chunk in source.chunks(names):
+        values = chunk.values
+        first = np.ones(chunk.n, np.bool_)
+        if has_returns:
+            first = mark_shots(continues_run((values["time"],), values["number_of_returns"]), values["return_number"])
+        times.append(np.asarray(values["time"], np.float64)[first])
+        if "z" in values:
+            heights.append(np.asarray(values["z"], np.float64)[first])
+        kept += len(times[-1])
+        if kept >= SAMPLE_SHOTS:
+            break
+    return measure_rates(np.concatenate(times), np.concatenate(heights) if heights else None) if times else None
 
 
 def _with_estimate(path: Path, loaded: LoadedConfig, refused: Inspection, period: PeriodEstimate) -> Inspection:
@@ -280,7 +396,7 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
     scanners: set[int] = set()
     tally = ReadTally()
     sample: list[F32] = []
-    line_times: list[float] = []
+    line_times: list[np.ndarray] = []
     for block in stream.blocks():
         missing = np.isnan(block.range_m)
         n_lines += block.n_lines
@@ -294,10 +410,10 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
             sample.append(block.range_m.ravel()[: SAMPLE_SHOTS - kept])
             kept += sample[-1].size
             if block.time_s is not None:
-                line_times.extend(_first_times(block.time_s))
+                line_times.append(first_times(block.time_s))
     flat = np.concatenate(sample) if sample else np.empty(0, np.float32)
     ranges = (low, float(np.nanmedian(flat)), high) if with_ranges and low <= high else None
-    times = np.asarray(line_times, np.float64)
+    times = np.concatenate(line_times) if line_times else np.empty(0, np.float64)
     line_hz = stream.info.line_hz
     if line_hz is None:
         line_hz = estimate_line_frequency(times)
@@ -308,22 +424,13 @@ def _measure(stream: ScanStream, *, with_ranges: bool) -> tuple[StreamFacts, F32
     return facts, flat if ranges is not None else None
 
 
-def _first_times(time_s: np.ndarray) -> list[float]:
-    """First known time of every line, NaN where there is none."""
-    known = np.isfinite(time_s)
-    first = np.argmax(known, axis=1)
-    values = time_s[np.arange(len(time_s)), first]
-    return [float(value) for value in np.where(known.any(axis=1), values, np.nan)]
-
-
-def _time_order(source: RecordSource) -> OrderEvidence | None:
-    """Read the times alone, in the order of the input."""
-    if "time" not in source.dimensions:
-        return None
-    watch = OrderWatch(source.path, "trust", source.facts.time_name)
-    for chunk in source.chunks(("time",)):
-        watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
-    return watch.evidence()
+def _time_order(source: RecordSource, contents: Contents) -> OrderEvidence | None:
+    """Read the records once, in the order of the input, and count what they hold; return the order of the times."""
+    watch = OrderWatch(source.path, "trust", source.facts.time_name) if "time" in source.dimensions else None
+    for chunk in watched_contents(source, contents):
+        if watch is not None:
+            watch.see(np.asarray(chunk.values["time"], np.float64), chunk.record)
+    return None if watch is None else watch.evidence()
 
 
 def _line_order(stream: ScanStream) -> OrderEvidence | None:
@@ -333,7 +440,9 @@ def _line_order(stream: ScanStream) -> OrderEvidence | None:
         if block.time_s is None:
             return None
         watch = watch or OrderWatch(stream.info.path, "trust", "time_s")
-        watch.see(block.time_s.ravel(), None)
+        # lines of shots fired at other times begin at the first ring's
+        own = block.time_s[:, 0] if stream.info.facts.has_line_times else block.time_s.ravel()
+        watch.see(own, None)
     return None if watch is None else watch.evidence()
 
 

@@ -2,11 +2,14 @@
 from prc_cli.kernels.fused.classes import fused_labels as fused_labels
 from prc_cli.kernels.fused.classes import mean_smoothness as mean_smoothness
 from prc_cli.kernels.fused.classes import vote_labels as vote_labels
+from prc_cli.kernels.fused.curbs import curb_labels as curb_labels
+from prc_cli.kernels.fused.flanks import find_flanks as find_flanks
 from prc_cli.kernels.fused.ground import walk_ground as walk_ground
 from prc_cli.kernels.fused.neighbours import directions as directions
 from prc_cli.kernels.fused.neighbours import near_counts as near_counts
 from prc_cli.kernels.fused.neighbours import plane_points as plane_points
 from prc_cli.kernels.fused.neighbours import smooth_counts as smooth_counts
+from prc_cli.kernels.fused.spacing import leaf_repeats as leaf_repeats
 from prc_cli.kernels.fused.stems import forest_labels as forest_labels
 from prc_cli.kernels.fused.stems import ground_heights as ground_heights
 from prc_cli.kernels.fused.stems import ground_profiles as ground_profiles

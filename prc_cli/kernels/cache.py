@@ -19,7 +19,8 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 import numba
 from numba.core.errors import NumbaError
 
-from prc_cli.core.files import cache_folder
+from prc_cli.core.errors import PrcError
+from prc_cli.core.files import cache_folder, who_may_change
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
@@ -126,14 +127,48 @@ def inlined(function: FunctionT) -> FunctionT:
 
 @lru_cache(maxsize=1)
 def writable_cache() -> Path | None:
-    """Return the folder for compiled kernels: as configured, in the user's cache, temporary and private, or none."""
+    """Return the folder for compiled kernels: as configured, in the user's cache, temporary and private, or none.
+
+    Compiled code is loaded from pickles, which run what is in them: only this user may be able to write there.
+
+    Raises
+    ------
+    PrcError
+        When others can write into the folder that ``NUMBA_CACHE_DIR`` names.
+    """
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
-        return Path(given) if _is_writable(Path(given)) else None
-    for folder, shared in ((cache_folder() / "numba", False), (_temporary_cache(), True)):
-        if _is_writable(folder) and not (shared and not _is_private(folder)):
+        folder = Path(given)
+        if not _is_writable(folder):
+            return None
+        if why := open_to_others(folder):
+            problem = f"others can put code there that would be run: {why}, expected a folder of this user alone"
+            raise PrcError(str(folder), problem, "chmod -R go-w, or let NUMBA_CACHE_DIR name a new folder")
+        return folder
+    for folder in (cache_folder() / "numba", _temporary_cache()):
+        if _is_writable(folder) and not open_to_others(folder):
             return folder
     return None
+
+
+def open_to_others(folder: Path) -> str:
+    """Return why others may change what lies in a folder; empty if they may not.
+
+    Folders above it count, too, unless what is in them is protected from others (the sticky bit, as in /tmp); of what
+    is in it, folders and files at its top do.
+    """
+    try:
+        if why := who_may_change(folder.resolve()):
+            return why
+        for above in folder.resolve().parents:
+            if not above.stat().st_mode & stat.S_ISVTX and (why := who_may_change(above)):
+                return f"{above}: {why}"
+        for path in folder.iterdir():
+            if why := who_may_change(path):
+                return f"{path.name}: {why}"
+    except OSError as error:
+        return f"it cannot be looked at ({error.strerror or error})"
+    return ""
 
 
 def _temporary_cache() -> Path:
@@ -151,14 +186,6 @@ def _is_writable(folder: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether only this user can write compiled code there."""
-    status = folder.lstat()
-    if hasattr(os, "getuid") and status.st_uid != os.getuid():
-        return False
-    return stat.S_ISDIR(status.st_mode) and (os.name == "nt" or not status.st_mode & 0o022)
 
 
 @contextmanager

@@ -38,6 +38,9 @@ _CODES = "class codes"
 """Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
 _MAX_ID = 1 << 31
 
+FARTHEST_M = 1e100
+"""Coordinates beyond are as good as not finite: their squares are not, nor are differences of differences [m]."""
+
 
 @dataclass(frozen=True, slots=True)
 class SideFile:
@@ -215,9 +218,10 @@ class Side:
     def _finite(self, values: Columns, n: int) -> Mask:
         finite = np.ones(n, np.bool_)
         checked = () if self.key is None else (KEY, *AXES) if self.key.kind == "place" else (KEY,)
+        is_place = self.key is not None and self.key.kind == "place"
         for name in checked:
             if name in values:
-                finite &= np.isfinite(values[name])
+                finite &= np.abs(values[name]) < FARTHEST_M if is_place else np.isfinite(values[name])
         return finite
 
     @property

@@ -58,7 +58,7 @@ def static_labels(label: U8, bodies: Bodies, body: I32, place_m: F64) -> U8:
     of_material = np.array([PROPERTIES[material].label for material in Material], np.uint8)
     own = np.array([_LABELS.get(material, PROPERTIES[material].label) for material in Material], np.uint8)
     # a shot split between two surfaces has the label of the one that its range is of, which may be the neighbour's
-    found: U8 = np.where(label == Label.BUILDING, Label.VERTICAL, label).astype(np.uint8)
+    found: U8 = np.where(np.isin(label, (Label.BUILDING, Label.POLE)), Label.VERTICAL, label).astype(np.uint8)
     at = np.flatnonzero((body >= 0) & (label != Label.NOISE) & (label != Label.MISSING))
     material = bodies.material[body[at]]
     known = of_material[material] == label[at]

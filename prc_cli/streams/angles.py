@@ -23,6 +23,7 @@ MIN_AGREEMENT = 0.75
 """Least share of steps of the scan angle in one direction."""
 SEAM_RAD = math.radians(10.0)
 """Larger steps beyond the usual one are dead angles within the line."""
+_SHARE_OF_COLUMN = 0.05
 _TURN = 2 * math.pi
 
 
@@ -78,7 +79,13 @@ def find_sweep(angle: NDArray[Any], where: str) -> Sweep:
 
 
 def find_angle_grid(
-    angle: NDArray[Any], line: I64, where: str, *, start_rad: float | None = None, step_rad: float | None = None
+    angle: NDArray[Any],
+    line: I64,
+    where: str,
+    *,
+    start_rad: float | None = None,
+    step_rad: float | None = None,
+    whole_turn: bool = False,
 ) -> AngleGrid:
     """Estimate columns from the angles of the first shots.
 
@@ -94,6 +101,8 @@ def find_angle_grid(
         File, for messages.
     start_rad, step_rad : float, optional
         Known values, used as they are.
+    whole_turn : bool
+        Whether lines are known to be whole turns, though shots of some angles never return.
 
     Raises
     ------
@@ -119,7 +128,8 @@ def find_angle_grid(
         step = _refine_step(np.cumsum(forward), line, forward[within & (forward >= 0)])
     else:
         step = abs(step_rad)
-    return _grid(value, line, forward, sign * step, start_rad, keep_step=step_rad is not None)
+    keep_step = step_rad is not None
+    return _grid(value, line, forward, sign * step, start_rad, keep_step=keep_step, whole_turn=whole_turn)
 
 
 def _refine_step(along: F64, line: I64, forward: F64) -> float:
@@ -144,16 +154,27 @@ def _refine_step(along: F64, line: I64, forward: F64) -> float:
     return step
 
 
-def _grid(value: F64, line: I64, forward: F64, step: float, start_rad: float | None, *, keep_step: bool) -> AngleGrid:
+def _grid(
+    value: F64,
+    line: I64,
+    forward: F64,
+    step: float,
+    start_rad: float | None,
+    *,
+    keep_step: bool,
+    whole_turn: bool = False,
+) -> AngleGrid:
     """Place column 0 and decide whether lines are whole turns."""
     begins = begins_line(line)
     first = np.flatnonzero(begins)
     along = np.cumsum(forward)
     reach = np.maximum.reduceat(along, first) - along[first]
     size, sign = abs(step), math.copysign(1.0, step)
-    whole = float(np.max(reach)) + size >= FULL_TURN * _TURN
+    whole = whole_turn or float(np.max(reach)) + size >= FULL_TURN * _TURN
     if whole and not keep_step:
-        step = sign * _TURN / round(_TURN / size)
+        # where it is known that lines are turns: a column for every shot, though the turn holds no whole number
+        n_columns = math.ceil(_TURN / size - _SHARE_OF_COLUMN) if whole_turn else round(_TURN / size)
+        step = sign * _TURN / n_columns
         size = abs(step)
     if start_rad is None:
         # the earliest first shot of a line (the first line of the input may be cut), then fitted to all angles
@@ -164,7 +185,7 @@ def _grid(value: F64, line: I64, forward: F64, step: float, start_rad: float | N
         start_rad = middle + sign * float(away.min())
         steps = sign * (value - start_rad) / size
         start_rad += sign * size * _circular_mean(steps * _TURN) / _TURN
-    grid = AngleGrid(start_rad, step, round(_TURN / size), whole_turn=True)
+    grid = AngleGrid(start_rad, step, round(_TURN / size), whole_turn=True, is_spread=whole_turn)
     if whole:
         return grid
     column = columns_by_angle(value[begins], grid)

@@ -20,6 +20,7 @@ NO_COLUMN = -1
 MAX_COLUMN = 10_000_000
 """Largest column; larger numbers mean none. The limit of ``points_per_line``."""
 _TURN = 2 * math.pi
+_SPREAD_STEPS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,8 @@ class AngleGrid:
     n_columns: int
     """Number of columns in the sector of the lines, or in a whole turn."""
     whole_turn: bool
+    is_spread: bool = False
+    """Whether of two neighbours in one column one moves to a free column beside: shots are uneven within a turn."""
 
     def angles(self, points_per_line: int) -> F64:
         """Return the scan angle of every column, (M,) [rad]."""
@@ -75,7 +78,8 @@ def find_columns(records: Table, rule: ColumnRule, origin_s: float | None) -> I6
     if rule.dimension is not None:
         return columns_by_dimension(shots[rule.dimension])
     if rule.grid is not None:
-        return columns_by_angle(shots["angle"], rule.grid)
+        column = columns_by_angle(shots["angle"], rule.grid)
+        return spread_columns(column, line) if rule.grid.is_spread else column
     if rule.shot_hz is None:
         return columns_by_order(line)
     spread: F64 = shots[SPREAD]
@@ -193,6 +197,33 @@ def columns_by_angle(angle: NDArray[Any], grid: AngleGrid) -> I64:
         # split the rest of the turn between both ends: noise before column 0 is -1, not almost a turn
         column = np.where(column > (grid.n_columns + n_turn) / 2, column - n_turn, column)
     return np.where(known, column, NO_COLUMN)
+
+
+def spread_columns(column: I64, line: I64) -> I64:
+    """Move one of two neighbouring shots in one column to the column beside, where that is free.
+
+    Examples
+    --------
+    >>> spread_columns(np.array([1, 2, 2, 4, 6, 6, 7, 9]), np.array([0, 0, 0, 0, 0, 0, 0, 1]))
+    array([1, 2, 3, 4, 5, 6, 7, 9])
+    """
+    moved = column.copy()
+    for _ in range(_SPREAD_STEPS):
+        same = np.zeros(len(moved) + 1, np.bool_)
+        same[1:-1] = (moved[1:] == moved[:-1]) & (line[1:] == line[:-1])
+        if not same.any():
+            break
+        # the later one forward, where the next shot leaves room
+        room = np.ones(len(moved), np.bool_)
+        room[:-1] = (moved[1:] != moved[:-1] + 1) | (line[1:] != line[:-1])
+        moved[same[:-1] & room & ~same[1:]] += 1
+        # else the earlier one back, where the shot before leaves room
+        same[1:-1] = (moved[1:] == moved[:-1]) & (line[1:] == line[:-1])
+        room[1:] = (moved[:-1] != moved[1:] - 1) | (line[1:] != line[:-1])
+        room[0] = True
+        chain = same[1:] & room & (moved > 0)
+        moved[chain] -= 1
+    return moved
 
 
 def columns_by_time(spread_s: F64, stamp_s: F64, ordinal: I64, line: I64, shot_hz: float, line_start_s: F64) -> I64:

@@ -51,7 +51,8 @@ def open_input(
         from prc_cli.streams.order import WatchedStream
 
         return WatchedStream(open_images(path, config, lines_at_once=lines_at_once), config.order)
-    if config.lines == "rings":
+    implied = source.facts.rule("lines")
+    if config.lines == "rings" or (config.lines == "auto" and implied is not None and implied.value == "rings"):
         from prc_cli.streams.rings import open_rings
 
         return open_rings(source, config)

@@ -124,8 +124,8 @@ def _shown(time_s: float, step: StepBack) -> str:
 
 
 def _grouped(number: int) -> str:
-    """Group digits by a blank: 10 682."""
-    return f"{number:,}".replace(",", " ")
+    """Group digits: 10,682."""
+    return f"{number:,}"
 
 
 class OrderWatch:

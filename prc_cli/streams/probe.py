@@ -203,4 +203,5 @@ def _angle_grid(rules: GridRules, shots: Table, where: str) -> AngleGrid:
         where,
         start_rad=None if start is None else math.radians(start),
         step_rad=None if step is None else math.radians(step),
+        whole_turn=rules.whole_turn,
     )

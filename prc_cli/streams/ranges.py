@@ -48,6 +48,9 @@ class RangeRule:
         first, last = self.trajectory.span
         value = f"{self.trajectory.n_positions} positions from {first:.3f} to {last:.3f} s"
         why = "straight lines between the positions of a trajectory; they are those of the scanner, no lever arm"
+        if self.trajectory.lever_arm_m is not None:
+            shown = ", ".join(f"{one:g}" for one in self.trajectory.lever_arm_m)
+            why = f"straight lines between the positions of a trajectory, moved by the lever arm {shown} m"
         return (Assumption("input.range", value, why),)
 
     @property
@@ -117,6 +120,8 @@ def open_ranges(
         source_crs_wkt=crs_wkt,
         time_offset=config.trajectory_time_offset,
         max_gap=config.trajectory_max_gap,
+        topic=config.trajectory_topic,
+        lever_arm_m=config.trajectory_lever_arm,
     )
     return replace(bounds, trajectory=trajectory)
 

@@ -7,8 +7,10 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prc_cli.core.errors import InputError
 from prc_cli.core.types import F32, F64, I64, Mask
@@ -18,6 +20,8 @@ MAX_RINGS = 4096
 """Most rings of a frame."""
 BACKWARD_RAD = math.radians(20.0)
 """Steps back up to this are shots out of order; larger ones are steps forward over the rest of the turn."""
+MAX_RING_NUMBER = 2.0**53
+"""Numbers of rings from here on are not exact in float64."""
 MAX_RING_ORDER_RAD = math.radians(0.5)
 """Tolerance for rings out of the order of elevation."""
 MIN_RING = 0.01
@@ -40,6 +44,8 @@ class Frame:
     range_m: F32
     xyz_m: F32
     intensity: F32 | None
+    ring: I64 | None = None
+    """(n,) int64, number of the ring, where the file has it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +98,74 @@ def find_turns(frame: Frame, path: str) -> Turns:
     if best is None:
         raise InputError(path, "no ring begins", "check x, y, z")
     return best[1]
+
+
+def whole_rings(values: NDArray[Any], path: str) -> I64:
+    """Return the numbers of rings as int64.
+
+    Raises
+    ------
+    InputError
+        When they are not whole.
+    """
+    if values.dtype.kind in "iu":
+        return values.astype(np.int64)
+    with np.errstate(invalid="ignore"):
+        whole = (np.abs(values) < MAX_RING_NUMBER) & (values == np.floor(values))
+    if not whole.all():
+        odd = values[int(np.argmin(whole))]
+        raise InputError(path, f"found ring {odd:g}, expected whole numbers", "name the rings in a layout")
+    return values.astype(np.int64)
+
+
+def in_ring_order(frame: Frame) -> Frame:
+    """Return a frame sorted by ring and azimuth, as :func:`turns_of_rings` has its rings."""
+    order = _ring_order(frame)[0]
+    return Frame(
+        frame.record[order],
+        frame.range_m[order],
+        frame.xyz_m[order],
+        None if frame.intensity is None else frame.intensity[order],
+        None if frame.ring is None else frame.ring[order],
+    )
+
+
+def turns_of_rings(frame: Frame, path: str) -> Turns:
+    """Return the rings of a frame that numbers them, in any order of its records, sorted by elevation.
+
+    Records of a ring are sorted by azimuth: rings whose beams are turned against each other (staggered) then meet in
+    the lines of their azimuth, not of their time.
+
+    Raises
+    ------
+    InputError
+        When there are too many rings, or they do not turn around the scanner.
+    """
+    order, rank, along, way = _ring_order(frame)
+    n_rings = int(rank.max()) + 1
+    if n_rings > MAX_RINGS or 2 * n_rings > len(order):
+        problem = f"found {n_rings} rings in {len(order)} records with a range"
+        raise InputError(path, problem, "check that the dimension ring numbers the beams")
+    return Turns(rank[order], along[order], 0.0, way)
+
+
+def _ring_order(frame: Frame) -> tuple[I64, I64, F64, float]:
+    """Return the order by ring and azimuth, rank of the ring by elevation, azimuth from 0, sense of rotation."""
+    assert frame.ring is not None
+    xyz = frame.xyz_m.astype(np.float64)
+    azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
+    _, ring = np.unique(frame.ring, return_inverse=True)
+    # the sense of rotation from neighbours in the same ring
+    by_ring = np.argsort(ring, kind="stable")
+    step = wrap(np.diff(azimuth[by_ring]))[np.diff(ring[by_ring]) == 0]
+    way = math.copysign(1.0, float(np.sign(step).sum())) if len(step) else 1.0
+    total = np.bincount(ring, _elevation(frame)) / np.bincount(ring)
+    rank = np.empty(len(total), np.int64)
+    rank[np.argsort(total, kind="stable")] = np.arange(len(total))
+    along = np.remainder(way * azimuth, _TURN)
+    along[along >= _TURN] = 0.0
+    rank = rank[ring]
+    return np.lexsort((along, rank)), rank, along, way
 
 
 def _cut_turns(along: F64) -> tuple[I64, F64]:

@@ -1,9 +1,10 @@
 """Turns frames of multi-ring scanners (x, y, z, ring after ring) into vertical lines (``input.lines = rings``).
 
 A spinning scanner with one laser per ring writes frames of one ring after the other, each over the whole turn, without
-missing shots. Vertical lines are cells of azimuth, columns are rings from low to high. Each shot of a ring takes a cell
-of its own: along every ring, cells rise strictly and follow the azimuth as closely as possible (isotonic regression).
-This separates neighbours where the rotation is uneven, and leaves cells empty where shots are missing.
+missing shots; or in raw column order, a shot of every ring after the other, with the ring as a dimension. Vertical
+lines are cells of azimuth, columns are rings from low to high. Each shot of a ring takes a cell of its own: along every
+ring, cells rise strictly and follow the azimuth as closely as possible (isotonic regression). This separates
+neighbours where the rotation is uneven, and leaves cells empty where shots are missing.
 """
 
 from __future__ import annotations
@@ -20,7 +21,17 @@ from prc_cli.core.types import F32, I64, Mask
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.records import RecordSource
 from prc_cli.streams.ranges import clean_measured, open_ranges
-from prc_cli.streams.ring_turns import Frame, Turns, find_step, find_turns, ring_columns, ring_lines
+from prc_cli.streams.ring_turns import (
+    Frame,
+    Turns,
+    find_step,
+    find_turns,
+    in_ring_order,
+    ring_columns,
+    ring_lines,
+    turns_of_rings,
+    whole_rings,
+)
 
 MAX_RECORDS = 10_000_000
 """Most records of a frame, which is held in memory (about 130 bytes per record at most)."""
@@ -28,6 +39,8 @@ MAX_EMPTY = 64
 """Most cells per record: finer steps of azimuth give a frame of mostly missing shots."""
 SPARE_CELLS = 1 << 20
 """Number of cells always allowed."""
+RING = "ring"
+"""Dimension with the number of the ring; with it, records may be in any order, as in raw column order."""
 BLOCK_LINES = 512
 """Lines of a block."""
 
@@ -104,7 +117,9 @@ def open_rings(source: RecordSource, config: InputConfig) -> RingStream:
         raise InputError(
             source.path, f"{len(frame.record)} records have a range, too few for rings", "check the layout"
         )
-    turns = find_turns(frame, source.path)
+    turns = find_turns(frame, source.path) if frame.ring is None else turns_of_rings(frame, source.path)
+    if frame.ring is not None:
+        frame = in_ring_order(frame)
     n_rings, column = ring_columns(frame, turns, config.points_per_line, source.path)
     step = math.radians(config.azimuth_step) if config.azimuth_step is not None else find_step(turns)
     n_lines = max(round(_TURN / step), 1) if step > 0 else 0
@@ -143,9 +158,10 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Frame, int, ReadTa
     """Read the records that have a range; count the others."""
     rule = "sensor-xyz" if config.range == "auto" else config.range
     ranges = open_ranges(rule, source.dimensions, source.path, config, crs_wkt=None)
-    names = (*ranges.names, *(("intensity",) if "intensity" in source.dimensions else ()))
+    beside = tuple(name for name in ("intensity", RING) if name in source.dimensions)
+    names = (*ranges.names, *beside)
     parts: list[Frame] = []
-    tally, n_records = ReadTally(), 0
+    tally, n_records, n_unplaced = ReadTally(), 0, 0
     for chunk in source.chunks(names):
         n_records += chunk.n
         if n_records > MAX_RECORDS:
@@ -156,10 +172,14 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Frame, int, ReadTa
         if xyz is None:
             continue
         # no azimuth straight up or down
-        use = np.isfinite(range_m) & ((xyz[:, 0] != 0) | (xyz[:, 1] != 0))
+        there = np.isfinite(range_m)
+        use = there & ((xyz[:, 0] != 0) | (xyz[:, 1] != 0))
+        # with ring numbers, records without range are shots without return: their cells stay empty
+        n_unplaced += int(np.count_nonzero((there if RING in names else np.ones(chunk.n, np.bool_)) & ~use))
         record = chunk.first_record + np.flatnonzero(use) if chunk.record is None else chunk.record[use]
         intensity = np.asarray(chunk.values["intensity"], np.float32)[use] if "intensity" in names else None
-        parts.append(Frame(record, range_m[use], xyz[use], intensity))
+        ring = whole_rings(chunk.values[RING][use], source.path) if RING in names else None
+        parts.append(Frame(record, range_m[use], xyz[use], intensity, ring))
     if not parts:
         raise InputError(source.path, "no records, expected a frame", "copy it from the archive again")
     frame = Frame(
@@ -169,8 +189,9 @@ def _read(source: RecordSource, config: InputConfig) -> tuple[Frame, int, ReadTa
         np.concatenate([part.intensity for part in parts if part.intensity is not None])
         if parts[0].intensity is not None
         else None,
+        np.concatenate([part.ring for part in parts if part.ring is not None]) if parts[0].ring is not None else None,
     )
-    tally += ReadTally(n_records=n_records, n_unplaced=n_records - len(frame.record))
+    tally += ReadTally(n_records=n_records, n_unplaced=n_unplaced)
     return frame, n_records, tally
 
 

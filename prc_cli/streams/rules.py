@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 
@@ -14,6 +15,8 @@ from prc_cli.formats.returns import ReturnRule
 from prc_cli.streams.angles import find_sweep
 from prc_cli.streams.order import Policy
 from prc_cli.streams.ranges import XYZ, is_sensor_xyz
+
+_NO_RANGE = "no slant range"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,8 @@ class GridRules:
     """Which return of a shot the image shows."""
     order: Policy
     """Policy for records out of order."""
+    whole_turn: bool = False
+    """Whether lines are whole turns, by their times, though no shot of some angles ever returns."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -110,9 +115,7 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         problem = f"found 'rings', which {source.path} cannot be read by: it is no frame of x, y, z"
         raise ConfigError("input.lines", problem, "find lines in another way: --lines")
     taken: list[Assumption] = []
-    lines = _auto_lines(source, config, taken) if config.lines == "auto" else config.lines
-    columns = _auto_columns(source, lines, taken) if config.columns == "auto" else config.columns
-    range_ = _auto_range(source, taken) if config.range == "auto" else config.range
+    lines, columns, range_ = _auto_rules(source, config, taken)
     scanner = None if config.scanner == "none" else config.scanner
     for key, rule in (("lines", lines), ("columns", columns), ("range", range_)):
         if rule.startswith("dimension:"):
@@ -159,7 +162,47 @@ def resolve_rules(source: RecordSource, config: InputConfig) -> GridRules:
         pads_last_line=config.partial_line == "pad",
         chosen_return=config.return_,
         order=config.order,
+        whole_turn=columns == "angle" and source.facts.rule("turn") is not None,
     )
+
+
+def _auto_rules(source: RecordSource, config: InputConfig, taken: list[Assumption]) -> tuple[str, str, str]:
+    """Return the rules for lines, columns and ranges with ``auto`` resolved."""
+    missing: list[InputError] = []
+    has = source.dimensions
+    lines, columns, range_ = config.lines, config.columns, config.range
+    if lines == "auto":
+        lines = _or_missing(lambda: _auto_lines(source, config, taken), missing)
+    if columns == "auto":
+        # without lines, those by time are the ones that need columns
+        of_lines = lines or ("time:" if "time" in has else "fixed")
+        columns = _or_missing(lambda: _auto_columns(source, of_lines, taken), missing)
+    if range_ == "auto":
+        range_ = _or_missing(lambda: _auto_range(source, taken), missing)
+    if missing:
+        raise _all_missing(source, missing)
+    return lines, columns, range_
+
+
+def _or_missing(find: Callable[[], str], missing: list[InputError]) -> str:
+    """Return the rule found; empty, with its error kept, where none is."""
+    try:
+        return find()
+    except InputError as error:
+        missing.append(error)
+        return ""
+
+
+def _all_missing(source: RecordSource, missing: list[InputError]) -> InputError:
+    """Return one error for all that is missing, so that nobody is asked three times."""
+    has_range = not any(error.problem.startswith(_NO_RANGE) for error in missing)
+    if len(missing) == 1 or has_range:
+        return missing[0]
+    problem = "; ".join(error.problem for error in missing)
+    hint = "; ".join(error.hint for error in missing)
+    if "time" in source.dimensions:
+        hint = f"prc info {source.path} measures rates from the times and writes the command; or {hint}"
+    return InputError(source.path, problem, hint)
 
 
 def _height_names(source: RecordSource, config: InputConfig, range_: str) -> tuple[str, ...]:
@@ -173,10 +216,21 @@ def _argument(rule: str) -> str | None:
     return rule.partition(":")[2] if rule.startswith("dimension:") else None
 
 
+def _implied(source: RecordSource, key: str, taken: list[Assumption]) -> str | None:
+    """Return the rule that the format implies; None if it implies none."""
+    rule = source.facts.rule(key)
+    if rule is None or rule.value == "rings":
+        return None
+    taken.append(Assumption(f"input.{key}", rule.value, rule.why))
+    return rule.value
+
+
 def _auto_lines(source: RecordSource, config: InputConfig, taken: list[Assumption]) -> str:
     if "scan_line" in source.dimensions:
         taken.append(Assumption("input.lines", "dimension:scan_line", "the input has a dimension of this name"))
         return "dimension:scan_line"
+    if (implied := _implied(source, "lines", taken)) is not None:
+        return implied
     if config.points_per_line is not None:
         why = f"points_per_line = {config.points_per_line} is given and the input has no dimension scan_line"
         taken.append(Assumption("input.lines", "fixed", why))
@@ -215,6 +269,8 @@ def _auto_columns(source: RecordSource, lines: str, taken: list[Assumption]) -> 
     if lines == "fixed":
         taken.append(Assumption("input.columns", "order", "lines are fixed: every shot has its record"))
         return "order"
+    if (implied := _implied(source, "columns", taken)) is not None:
+        return implied
     if "column" in source.dimensions:
         taken.append(Assumption("input.columns", "dimension:column", "the input has a dimension of this name"))
         return "dimension:column"
@@ -246,12 +302,14 @@ def _auto_range(source: RecordSource, taken: list[Assumption]) -> str:
     if "range" in source.dimensions:
         taken.append(Assumption("input.range", "dimension:range", "the input has a dimension of this name"))
         return "dimension:range"
+    if (implied := _implied(source, "range", taken)) is not None:
+        return implied
     ways = ["--range dimension:NAME"]
     if set(XYZ) <= set(source.dimensions):
         ways += ["--range trajectory:FILE"] if "time" in source.dimensions else []
         ways += ["--range origin:X,Y,Z (static scan)", "--range sensor-xyz (coordinates of the sensor itself)"]
     names = ", ".join(source.dimensions[:12]) + (", ..." if len(source.dimensions) > 12 else "")
-    problem = f"no slant range: the file has no dimension range, it has {names or 'none'}"
+    problem = f"{_NO_RANGE}: the file has no dimension range, it has {names or 'none'}"
     raise InputError(source.path, problem, f"give {_either(ways)}")
 
 
@@ -284,6 +342,8 @@ def given_points_per_line(rules: GridRules, recorded: int | None) -> tuple[int |
     key = "input.points_per_line"
     if rules.points_per_line is not None:
         return rules.points_per_line, None
+    if rules.lines == "fixed" and recorded is not None and recorded > 0:
+        return recorded, Assumption(key, str(recorded), "recorded in the file")
     if rules.lines == "fixed":
         hint = f"give -M NUMBER; prc info {rules.path} estimates it"
         raise ConfigError(key, f"lines = fixed needs the shots in a scan line of {rules.path}", hint)

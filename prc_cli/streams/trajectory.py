@@ -1,4 +1,4 @@
-"""Positions of the sensor over time, from CSV and SBET files."""
+"""Positions of the sensor over time, from CSV, TUM and SBET files and from the poses of a bag."""
 
 from __future__ import annotations
 
@@ -9,14 +9,32 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from prc_cli.core.errors import InputError
+from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
+from prc_cli.formats.bags.containers import SUFFIXES as BAGS
+from prc_cli.formats.trajectory.poses import is_tum, read_poses, read_tum, turned
 from prc_cli.formats.trajectory.sbet import project, read_sbet
 from prc_cli.formats.trajectory.text import read_text
 
 _WEEK_S = 604_800.0
 _ADJUSTED_S = 1e9
 """Adjusted standard GPS time is GPS time less this (LAS 1.4, global encoding bit 0)."""
+_LEAP_S = 18.0
+"""GPS time is ahead of UTC since 2017 [s]."""
+_UNIX_S = 315_964_800.0 - _LEAP_S
+"""UNIX time (ROS, TUM) less GPS time since 2017 [s]."""
+_TO_GPS, _TO_ADJUSTED = "UNIX and GPS time", "UNIX and adjusted GPS time"
+_SINCE_1970 = (_TO_GPS, _TO_ADJUSTED)
+_CLOCKS = (
+    (0.0, ""),
+    (-_ADJUSTED_S, f"{-_ADJUSTED_S:+.0e} s"),
+    (_ADJUSTED_S, f"{_ADJUSTED_S:+.0e} s"),
+    (-_UNIX_S, _TO_GPS),
+    (-_UNIX_S - _ADJUSTED_S, _TO_ADJUSTED),
+    (_UNIX_S, _TO_GPS),
+    (_UNIX_S + _ADJUSTED_S, _TO_ADJUSTED),
+)
+"""What clocks differ by [s], whole weeks aside, and its name."""
 _GAP_STEPS, _GAP_S = 10, 1.0
 """By default, steps longer than this multiple of the median step and this time [s] are gaps."""
 _PLAIN_S = 1e15
@@ -38,6 +56,8 @@ class Trajectory:
     """(n, 3) float64, in the coordinate system of the points [m]."""
     max_gap_s: float | None = None
     """Longest step between positions that is interpolated [s]; None = ten median steps, at least 1 s."""
+    lever_arm_m: tuple[float, float, float] | None = None
+    """What the positions were moved by, on the axes of the vehicle [m]; None = not."""
     gap_limit_s: float = field(init=False)
     """The same, with its default resolved [s]."""
     _gaps: I64 = field(init=False, repr=False)
@@ -141,11 +161,15 @@ class Trajectory:
         if not abs(middle) < _PLAIN_S:
             return unknown
         slack = max((end - start - (last - first)) / 2, 0.0) + 1.0
-        for base in (0.0, -_ADJUSTED_S, _ADJUSTED_S):
-            weeks = round((middle - base) / _WEEK_S)
+        for offset in (_LEAP_S, -_LEAP_S):
+            if start + offset <= first and last <= end + offset:
+                what = f"{offset:+g} s, as UTC and GPS do"
+                return f"the clocks seem to differ by {what}: try trajectory_time_offset = {offset:.0f}"
+        for base, name in _CLOCKS:
+            weeks = 0 if name in _SINCE_1970 else round((middle - base) / _WEEK_S)
             offset = base + weeks * _WEEK_S
             if offset and abs(middle - offset) <= slack:
-                known = ((f"{weeks:+d} GPS weeks", weeks), (f"{base:+.0e} s", base))
+                known = ((f"{weeks:+d} GPS weeks", weeks), (name, base))
                 what = " and ".join(text for text, there in known if there)
                 return f"the clocks seem to differ by {what}: try trajectory_time_offset = {offset:.0f}"
         return unknown
@@ -156,14 +180,22 @@ def _shown(time_s: float, digits: int = 2) -> str:
 
 
 def load_trajectory(
-    path: Path, *, crs: str | None, source_crs_wkt: str | None, time_offset: float, max_gap: float | None = None
+    path: Path,
+    *,
+    crs: str | None,
+    source_crs_wkt: str | None,
+    time_offset: float,
+    max_gap: float | None = None,
+    topic: str | None = None,
+    lever_arm_m: tuple[float, float, float] | None = None,
 ) -> Trajectory:
-    """Read a trajectory; ``.sbet`` and ``.out`` are SBET, anything else is text with a header row.
+    """Read a trajectory: ``.sbet`` and ``.out`` are SBET, ``.bag``, ``.db3``, ``.mcap`` bags; anything else is text.
 
     Parameters
     ----------
     path : Path
-        Text: columns time (time, gps_time, t), x (x, easting, e), y (y, northing, n) and z (z, height, altitude,
+        Text without a header and with 8 numbers a row is TUM: time x y z and a quaternion qx qy qz qw. Other text:
+        columns time (time, gps_time, t), x (x, easting, e), y (y, northing, n) and z (z, height, altitude,
         alt, h) in the coordinate system of the points, any delimiter. SBET: projected to that system; heights stay
         ellipsoidal.
     crs : str or None
@@ -175,6 +207,10 @@ def load_trajectory(
     max_gap : float, optional
         Longest step between positions to interpolate in [s] (``trajectory_max_gap``); ten times the median step,
         at least 1 s, if None.
+    topic : str, optional
+        Topic of the poses in a bag (``trajectory_topic``); the only one if None.
+    lever_arm_m : tuple of three float, optional
+        From the positions to the scanner, on the axes of the vehicle that the orientations turn [m].
 
     Raises
     ------
@@ -183,6 +219,7 @@ def load_trajectory(
     ConfigError
         When an SBET file has no target coordinate system or one with a vertical datum, or pyproj is missing.
     """
+    quaternion: F64 | None = None
     try:
         size = path.stat().st_size
         if size == 0:
@@ -190,15 +227,25 @@ def load_trajectory(
         if path.suffix.lower() in (".sbet", ".out"):
             time_s, position = read_sbet(path, size)
             xyz_m = project(path, position, crs or source_crs_wkt)
+        elif path.suffix.lower() in BAGS:
+            time_s, xyz_m, quaternion = read_poses(path, topic)
+        elif is_tum(path):
+            time_s, xyz_m, quaternion = read_tum(path)
         else:
             time_s, xyz_m = read_text(path)
     except OSError as error:
         problem = f"cannot be read ({error.strerror or error})"
         raise InputError(str(path), problem, "check the trajectory's name and permissions") from None
+    if lever_arm_m is not None:
+        if quaternion is None:
+            problem = "a lever arm needs the orientation of the vehicle, which this trajectory does not give"
+            hint = "give the positions of the scanner, or poses: TUM (time x y z qx qy qz qw) or a bag"
+            raise ConfigError("input.trajectory_lever_arm", problem, hint)
+        xyz_m = xyz_m + turned(quaternion, np.array(lever_arm_m))
     with np.errstate(over="ignore"):
         time_s = time_s + time_offset
     _check(path, time_s)
-    return Trajectory(str(path), time_s, xyz_m, max_gap)
+    return Trajectory(str(path), time_s, xyz_m, max_gap, lever_arm_m)
 
 
 def _check(path: Path, time_s: F64) -> None:

@@ -246,6 +246,29 @@ def test_retry_repeats_the_last_run_for_what_failed_from_any_folder(
     assert (found.code, "--only-failed" in found.err) == (2, True)
 
 
+@pytest.mark.skipif(os.name != "posix", reason="permissions")
+def test_retry_obeys_nobody_else_and_no_nonsense(
+    office: tuple[Path, Path], prc: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who could write there chose where the log of somebody else was appended."""
+    out = tmp_path / "out"
+    shutil.copytree(office[1], out)
+    monkeypatch.chdir(tmp_path)
+    command = out / ".prc" / "command.json"
+    assert command.stat().st_mode & 0o777 == 0o600
+    command.chmod(0o666)
+    found = prc("retry", "out")
+    assert (found.code, "could have been changed by others (its mode is 666)" in found.err) == (2, True)
+    command.chmod(0o600)
+    for content in (b"[" * 200_000, b"x" * (2 << 20), b"\xff"):
+        command.write_bytes(content)
+        found = prc("retry", "out")
+        assert (found.code, found.err.count("\n"), "--only-failed" in found.err) == (2, 1, True)
+    command.unlink()
+    os.mkfifo(command, 0o600)
+    assert prc("retry", "out").code == 2
+
+
 def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     office: tuple[Path, Path], prc: Run, tmp_path: Path
 ) -> None:
@@ -261,13 +284,15 @@ def test_clean_removes_what_the_dead_left_and_forgets_what_is_lost(
     kept = out / "night" / ".mine.part"
     for path in (mine, dead, other, kept):
         path.write_bytes(b"1234")
-    assert prc("clean", out, "--dry-run").out.count("would remove") == 3
+    shared = out / ".prc" / "shared-0123456789abcdef"  # a run on Dask died while it looked at its workers
+    shared.touch()
+    assert prc("clean", out, "--dry-run").out.count("would remove") == 4
     assert dead.exists()
     moved = tmp_path / "archive"
     moved.mkdir()
     shutil.copy(office[0] / "drive.npz", moved)
     found = json.loads(prc("clean", out, "--forget", moved, "--json").out)
-    assert (found["removed"], found["bytes"]) == ([str(dead), str(parts)], 7)
+    assert (sorted(found["removed"]), found["bytes"]) == (sorted(map(str, (shared, dead, parts))), 7)
     assert sorted(found["forgotten"]) == sorted([ODD, "night/bad.laz"])
     assert found["kept"] == [str(other)]
     assert mine.exists()

@@ -49,7 +49,7 @@ def test_file_array_and_pipe_give_the_same_labels(prc: Prc, ranges: F32, dump: P
         result = prc("classify", dump, out, "--overwrite", "--threads", threads, *given)
         assert result.code == 0, result.err
         config = load_config(preset=preset, options={"fused": {"lines_per_block": 32}})
-        codes = config.config.classes.lookup()[classify_ranges(ranges, config, beam_rad=BEAM)]
+        codes = config.config.classes.lookup()[classify_ranges(ranges, config, beam_rad=BEAM).labels]
         np.testing.assert_array_equal(np.load(out).reshape(ranges.shape), codes)
     command = [sys.executable, "-m", "prc_cli", "stream", "-q", *given]
     with dump.open("rb") as source:
@@ -98,7 +98,7 @@ def test_scanners_do_not_disturb_each_other(ranges: F32, preset: str) -> None:
 @pytest.mark.parametrize("value", [np.nan, 5.0])
 def test_small_and_dull_images_are_labelled(preset: str, shape: tuple[int, int], value: float) -> None:
     beam = np.deg2rad(np.linspace(-90, 90, shape[1]) if shape[1] > 1 else [0.0])
-    found = classify_ranges(np.full(shape, value), load_config(preset=preset), beam_rad=beam)
+    found = classify_ranges(np.full(shape, value), load_config(preset=preset), beam_rad=beam).labels
     assert found.shape == shape
     assert ((found == 0) == np.isnan(value)).all()
 
@@ -109,12 +109,24 @@ def test_a_circle_may_begin_anywhere_and_turn_either_way(ranges: F32) -> None:
     first = int(np.argmin(np.abs(beam - BEAM[0])))
     circle[:, first : first + M] = ranges
     config = load_config(preset="fused")
-    whole = classify_ranges(circle, config, beam_rad=beam)
-    np.testing.assert_array_equal(classify_ranges(circle[:, ::-1], config, beam_rad=beam[::-1])[:, ::-1], whole)
+    whole = classify_ranges(circle, config, beam_rad=beam).labels
+    np.testing.assert_array_equal(classify_ranges(circle[:, ::-1], config, beam_rad=beam[::-1]).labels[:, ::-1], whole)
     half = len(beam) // 2
-    turned = classify_ranges(np.roll(circle, half, axis=1), config, beam_rad=np.roll(beam, half) % (2 * np.pi))
+    turned = classify_ranges(np.roll(circle, half, axis=1), config, beam_rad=np.roll(beam, half) % (2 * np.pi)).labels
     # at the seam shots have fewer neighbours
     assert (np.roll(turned, -half, axis=1) == whole).mean() > 0.999
+
+
+@pytest.mark.data
+def test_cars_of_a_real_street(prc: Prc, real_data: Path, tmp_path: Path) -> None:
+    source, out = real_data / "oakland" / "oakland_1.csv.gz", tmp_path / "labels.npy"
+    result = prc("classify", source, out, "--preset", "fused", "--set", "input.nadir=0")
+    assert result.code == 0, result.err
+    gates = [word for gate in ("f1.ground=0.99", "f1.car=0.6") for word in ("--fail-under", gate)]
+    result = prc("evaluate", out, source, "--mapping", "street_oakland", *gates)
+    assert result.code == 0, result.out + result.err
+    # the mappings of the papers fold the codes back
+    assert prc("evaluate", out, source, "--mapping", "oakland").code == 0
 
 
 def labels(image: F32, beam: F64, params: FusedParams) -> U8:

@@ -10,7 +10,7 @@ from prc_cli.core.classes import LABEL_COLOURS, LABEL_NAMES, ClassCodes, Label
 def test_default_codes_are_those_of_the_product() -> None:
     codes = ClassCodes()
     expected = {"unclassified": 1, "ground": 2, "vegetation": 5, "building": 6, "noise": 7}
-    expected |= {"stem": 64, "car": 65, "curb": 66, "vertical": 67, "horizontal": 68}
+    expected |= {"stem": 64, "car": 65, "curb": 66, "vertical": 67, "horizontal": 68, "pole": 69}
     assert {label.name.lower(): codes.code(label) for label in Label if label is not Label.MISSING} == expected
     assert codes.code(Label.MISSING) == 0
 

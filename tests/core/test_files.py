@@ -6,6 +6,7 @@ import errno
 import io
 import os
 import pickle
+import stat
 import sys
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 
 from prc_cli.core import files
 from prc_cli.core.errors import ConfigError, GateError, InputError, OutputError, OutputExistsError, PrcError
-from prc_cli.core.files import atomic_output, check_output
+from prc_cli.core.files import atomic_output, atomic_outputs, check_output
 from tests import patience
 
 
@@ -25,6 +26,86 @@ def test_a_finished_file_takes_its_name_and_leaves_nothing_else(tmp_path: Path) 
         assert target.read_bytes() == b"old"
     assert target.read_bytes() == b"new"
     assert os.listdir(tmp_path) == ["labels.npy"]
+
+
+@pytest.mark.parametrize("overwrite", [None, False])
+def test_a_file_that_appears_meanwhile_is_not_replaced(tmp_path: Path, overwrite: bool | None) -> None:
+    target = tmp_path / "labels.npy"
+    with (
+        pytest.raises(OutputExistsError, match="appeared while it was being written"),
+        atomic_output(target, overwrite=overwrite) as temporary,
+    ):
+        temporary.write_bytes(b"mine")
+        target.write_bytes(b"theirs")
+    assert target.read_bytes() == b"theirs"
+    assert os.listdir(tmp_path) == ["labels.npy"]
+
+
+def test_of_several_files_all_appear_or_none(tmp_path: Path) -> None:
+    first, second = tmp_path / "labels.npy", tmp_path / "labels.npy.prc.json"
+    with pytest.raises(OutputExistsError), atomic_outputs(first, second) as temporaries:
+        for temporary in temporaries:
+            temporary.write_bytes(b"mine")
+        second.write_bytes(b"theirs")
+    assert os.listdir(tmp_path) == [second.name]
+    with atomic_outputs(first, second) as temporaries:  # it was there from the beginning
+        for temporary in temporaries:
+            temporary.write_bytes(b"mine")
+    assert first.read_bytes() == second.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("number", [errno.EPERM, errno.ENOTSUP])
+def test_a_file_system_without_hard_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int) -> None:
+    def refused(source: Path, target: Path) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(files.os, "link", refused)
+    target = tmp_path / "labels.npy"
+    with atomic_output(target) as temporary:
+        temporary.write_bytes(b"mine")
+    with pytest.raises(OutputExistsError), atomic_output(target, overwrite=False) as temporary:
+        temporary.write_bytes(b"second")
+    assert target.read_bytes() == b"mine"
+
+
+def test_every_byte_is_on_the_disk_before_the_name_and_the_name_before_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The trace of the system calls: fsync of the file, its name, fsync of the folder."""
+    trace: list[str] = []
+    fsync, link, replace = os.fsync, os.link, os.replace
+
+    def synced(descriptor: int) -> None:
+        trace.append("fsync folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "fsync file")
+        fsync(descriptor)
+
+    monkeypatch.setattr(files.os, "fsync", synced)
+    monkeypatch.setattr(files.os, "link", lambda *names: (trace.append("link"), link(*names)))
+    monkeypatch.setattr(files.Path, "replace", lambda *names: (trace.append("rename"), replace(*names)))
+    for naming in ("link", "rename"):
+        with atomic_output(tmp_path / "a") as temporary:
+            temporary.write_bytes(b"x")
+        assert trace == ["fsync file", naming, "fsync folder"]
+        trace.clear()
+
+
+def test_long_names_have_temporary_ones(tmp_path: Path) -> None:
+    target = tmp_path / ("ä" * 120 + ".laz.npy")
+    with atomic_output(target) as temporary:
+        temporary.write_bytes(b"x")
+        assert list(files.parts_of(target)) == [temporary]
+    assert os.listdir(tmp_path) == [target.name]
+    with pytest.raises(OutputError, match="a name of 256 bytes, expected at most 255; choose a shorter one"):
+        check_output(tmp_path / ("n" * 252 + ".npy"), overwrite=True)
+
+
+def test_only_small_regular_files_are_read(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"12345")
+    assert files.read_small(tmp_path / "a", 5) == b"12345"
+    os.mkfifo(tmp_path / "pipe")
+    for name, limit in (("a", 4), ("pipe", 9), (".", 9), ("none", 9)):
+        with pytest.raises(OSError):
+            files.read_small(tmp_path / name, limit)
 
 
 @pytest.mark.parametrize("failure", [ValueError("wrong"), KeyboardInterrupt()])

@@ -21,6 +21,8 @@ PRESETS = (
     "prc",
     "semantic_kitti",
     "sequential_angle",
+    "street",
+    "street_oakland",
     *STREET_SCAN,
 )
 

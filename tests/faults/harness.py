@@ -135,8 +135,16 @@ class Batch:
         return found
 
     def workers(self) -> list[int]:
-        """Return all living processes of the run but the first."""
-        return [pid for pid in self.members() if pid != self.process.pid]
+        """Return all living processes of the run but the first, and the one that does its work."""
+        own = {self.process.pid, self.work()}
+        return [pid for pid in self.members() if pid not in own]
+
+    def work(self) -> int:
+        """Return the process that does the work: the first one, or the child that it guards."""
+        pid = self.process.pid
+        with contextlib.suppress(OSError, ValueError):
+            return int(Path(f"/proc/{pid}/task/{pid}/children").read_text().split()[0])
+        return pid
 
     def strike(self, number: int = signal.SIGKILL) -> bool:
         """Send a signal to the first process alone; tell whether it was still running."""

@@ -13,7 +13,7 @@ import pytest
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import ConfigError, OutputError, OutputExistsError
-from prc_cli.core.files import commit
+from prc_cli.core.files import place
 from prc_cli.formats.writing.options import OutputConfig
 from tests import patience
 from tests.formats.common import (
@@ -91,7 +91,9 @@ def test_nothing_is_created_before_the_with_block(tmp_path: Path, out: Path) -> 
 
 @pytest.mark.parametrize("name", ["a.tif", "a", "a.las.txt", "a.npz"])
 def test_unknown_suffix(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match=r"expected one of \.csv, \.las, \.laz, \.npy, \.parquet; choose"):
+    with pytest.raises(
+        ConfigError, match=r"expected one of \.csv, \.las, \.laz, \.npy, \.parquet, \.pcd, \.ply; choose"
+    ):
         writer(tmp_path / name, tmp_path / "in.bin")
 
 
@@ -202,12 +204,22 @@ def test_full_disk(tmp_path: Path, tiny_disk: Path, kind: str, suffix: str, n: i
 
 
 def test_a_record_that_cannot_be_named_takes_the_output_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def failing(temporary: Path, path: Path) -> None:
+    def failing(temporary: Path, path: Path, *, overwrite: bool) -> None:
         if path.suffix == ".json":
             raise PermissionError(errno.EACCES, "denied", str(path))
-        commit(temporary, path)
+        place(temporary, path, overwrite=overwrite)
 
-    monkeypatch.setattr("prc_cli.formats.writing.base.commit", failing)
+    monkeypatch.setattr("prc_cli.core.files.place", failing)
     with pytest.raises(OutputError, match="cannot be written"):
         write(tmp_path / "a.npy", Path("in.bin"), record_blocks(random_labels(30)), run_record())
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("late", ["a.npy", "a.npy.prc.json"])
+def test_a_file_that_appears_while_labels_are_written_stays(tmp_path: Path, late: str) -> None:
+    with pytest.raises(OutputExistsError, match="appeared"), writer(tmp_path / "a.npy", Path("in.bin")) as opened:
+        for block in record_blocks(random_labels(30)):
+            opened.add(block)
+        (tmp_path / late).write_bytes(b"theirs")
+        opened.finish(run_record())
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"theirs"]

@@ -29,7 +29,7 @@ from prc_cli.kernels import load_kernels
 from tests.fuzz.mutations import mutate
 from tests.fuzz.seeds import seed as content_of
 from tests.fuzz.seeds import write_seeds
-from tests.fuzz.targets import TARGETS, suffix_of_seed
+from tests.fuzz.targets import TARGETS, arguments, suffix_of_seed
 
 LIMIT_S = 10.0
 """A command that takes more processor time hangs [s]."""
@@ -73,11 +73,24 @@ class WatchedWorker:
         if not line:
             code = self._process.wait()
             self.close()
-            return {"code": code, "seconds": 0.0, "grown": 0, "faults": [f"died: {code}"]}
+            return {"code": code, "seconds": 0.0, "grown": 0, "faults": self._faults_under_guard(command, case)}
         answer: dict[str, Any] = json.loads(line)
         if answer["seconds"] > LIMIT_S:
             answer["faults"].append(f"hang: {answer['seconds']:.1f} s")
         return answer
+
+    def _faults_under_guard(self, command: tuple[str, ...], case: Path) -> list[str]:
+        """Run what ended the worker as the user runs it: a line, exit code 1 and nothing left are as they should be."""
+        with tempfile.TemporaryDirectory(prefix="out-", dir=self._folder) as out:
+            words = arguments(command, str(case), out, str(self._folder / "seeds"))
+            with case.open("rb") if command[0] == "stream" else open(os.devnull, "rb") as source:  # noqa: PTH123
+                ended = subprocess.run(
+                    [sys.executable, "-m", "prc_cli", *words], stdin=source, capture_output=True, check=False
+                )
+            lines, left = ended.stderr.decode("utf-8", "replace").splitlines(), os.listdir(out)
+        if ended.returncode == 1 and len(lines) == 1 and lines[0].startswith("error: ") and not left:
+            return []
+        return [f"died, and under the guard: exit code {ended.returncode}, printed {lines[:3]}, left {left}"]
 
     def _start(self) -> None:
         self.close()

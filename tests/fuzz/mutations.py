@@ -478,6 +478,19 @@ def e57_xml(data: bytearray, rng: random.Random) -> bytearray:
         return data
 
 
+def head_word(data: bytearray, rng: random.Random) -> bytearray:
+    """Another word in the text before the points."""
+    end = max(data.find(b"end_header"), data.find(b"\nDATA ") + 12)
+    words = list(re.finditer(rb"[^\s]+", bytes(data[:end])))
+    if not words:
+        return data
+    found = rng.choice(words)
+    word = rng.choice(
+        (b"%d" % rng.choice(NUMBERS), b"-1", b"nan", b"x", b"", b"list uchar int", rng.choice(words).group())
+    )
+    return data[: found.start()] + word + data[found.end() :]
+
+
 def sbet_value(data: bytearray, rng: random.Random) -> bytearray:
     if len(data) < 136:
         return data
@@ -494,8 +507,14 @@ MUTATIONS: dict[str, tuple[Mutation, ...]] = {
     ".csv": TEXT,
     ".txt": TEXT,
     ".3d": TEXT,
+    ".xyz": TEXT,
+    ".pts": TEXT,
+    ".ply": (*PLAIN, *(head_word,) * 8),
+    ".pcd": (*PLAIN, *(head_word,) * 8),
     ".ptx": TEXT,
     ".toml": TEXT,
+    ".json": TEXT,
+    ".tum": TEXT,
     ".csv.gz": (flip_bits, cut, set_number, *(inside_gzip,) * 5),
     ".csv.zst": (flip_bits, cut, set_number, *(inside_zstd,) * 5),
     ".e57": (*PLAIN, *(e57_pages,) * 6, *(e57_xml,) * 8),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import json
 import struct
 from collections.abc import Callable
 from functools import cache
@@ -13,6 +14,8 @@ import laspy
 import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
+
+from tests.formats import cloud_files
 
 N_LINES, M = 14, 24
 """Lines and columns of every seed."""
@@ -252,6 +255,96 @@ def _labels_csv() -> bytes:
     return ("record,class\n" + rows).encode()
 
 
+def _recorded(name: str) -> bytes:
+    """A bag of every container: two scanners, and a topic that is not read."""
+    import tempfile
+
+    from tests.formats.bags import recordings as made
+    from tests.formats.bags.test_cloud import drive, messages
+
+    dtype = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "u1"), ("t", "<u4")])
+    clouds = messages(drive(60), dtype, every=20)
+    sent = clouds if name == "cloud.db3" else [*made.lasers(2), *made.lasers(2, "/left", "left", 2), *made.strings(2)]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        if name.endswith(".mcap"):
+            return made.write_mcap(path, sent, name.partition(".")[0].replace("plain", "none"), 3000).read_bytes()
+        if name.endswith(".db3"):
+            return made.write_db3(path, sent, packed=name.startswith("zstd")).read_bytes()
+        sent = [*made.lasers(1), *made.lasers(1, "/left", "left", 2), *made.strings(1)]
+        packing = name.partition(".")[0].replace("plain", "")
+        return made.write_bag(path, sent, packing, 3000).read_bytes()
+
+
+def _captured(name: str) -> bytes:
+    """A capture of a Velodyne, some of it in fragments, or of an Ouster."""
+    import tempfile
+
+    from tests.formats.packets import captures as made
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        if name.startswith("ouster"):
+            return made.write_pcap(path, made.framed(made.ouster()[1], 7502)).read_bytes()
+        frames = made.framed(made.vlp16(6))
+        body = made.udp(made.vlp16(7)[6])
+        for offset in (0, 600):
+            part = made.ip4(body[offset : offset + 600 * (1 + offset)], offset=offset, more=not offset, number=9)
+            frames.append((frames[-1][0] + 1e-3, made.ethernet(part)))
+        write = made.write_pcapng if name.endswith("ng") else made.write_pcap
+        return write(path, frames).read_bytes()
+
+
+def _poses(name: str) -> bytes:
+    """The trajectory with orientations."""
+    import tempfile
+
+    from tests.formats.bags import recordings as made
+    from tests.formats.trajectory.test_poses import odometry, poses, tum
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        rows = poses()
+        return (tum(path, rows) if name.endswith("tum") else made.write_mcap(path, odometry(rows))).read_bytes()
+
+
+def _metadata() -> bytes:
+    from tests.formats.packets import captures as made
+
+    return json.dumps(made.ouster()[0]).encode()
+
+
+RECORDINGS = (
+    *("plain.bag", "bz2.bag", "lz4.bag", "plain.mcap", "zstd.mcap", "lz4.mcap", "plain.db3", "zstd.db3", "cloud.db3"),
+    *("velodyne.pcap", "velodyne.pcapng", "ouster.pcap"),
+)
+
+
+def _cloud(*, with_nan: bool = False) -> dict[str, np.ndarray]:
+    points = _flat()
+    columns = {name: points[name].astype("f4") for name in ("range", "x", "y", "z")}
+    columns |= {"theta": np.deg2rad(points["angle"]).astype("f4"), "GPS_time": points["time"]}
+    columns |= {name: np.ones(len(points["range"]), "u1") for name in ("num_echo", "nb_of_echo")}
+    if with_nan:
+        image = ranges()
+        columns = {"x": np.full(image.size, 3.0, "f4"), "y": np.full(image.size, 1.0, "f4"), "z": image.ravel()}
+    return columns
+
+
+def _frame() -> dict[str, np.ndarray]:
+    """A frame in column order, ring after ring in a column."""
+    column, ring = np.divmod(np.arange(360 * 8), 8)
+    azimuth, elevation = np.deg2rad(column), np.deg2rad(ring * 2.0 - 10)
+    return {
+        "x": (9 * np.cos(azimuth) * np.cos(elevation)).astype("f4"),
+        "y": (9 * np.sin(azimuth) * np.cos(elevation)).astype("f4"),
+        "z": (9 * np.sin(elevation)).astype("f4"),
+        "t": (column * 1000).astype("u4"),
+        "ring": ring.astype("u1"),
+        "range": np.full(len(ring), 9000, "u4"),
+    }
+
+
 SEEDS: dict[str, Callable[[], bytes]] = {
     **{
         f"pf{n}.las": lambda n=n: _las("1.2" if n < 4 else "1.3" if n < 6 else "1.4", n, compressed=False)
@@ -267,6 +360,15 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "a.txt": lambda: _csv().replace(b",", b" "),
     "a.3d": _uos,
     "a.bin": _raw,
+    "a.ply": lambda: cloud_files.ply(_cloud(), comments=("offset Pos 1.0 2.0 0.0",)),
+    "big.ply": lambda: cloud_files.ply(_cloud(), "binary_big_endian"),
+    "text.ply": lambda: cloud_files.ply(_cloud(), "ascii"),
+    "rings.ply": lambda: cloud_files.ply(_frame()),
+    "a.pcd": lambda: cloud_files.pcd(_cloud(with_nan=True), height=N_LINES),
+    "text.pcd": lambda: cloud_files.pcd(_cloud(), "ascii"),
+    "lzf.pcd": lambda: cloud_files.pcd(_cloud(with_nan=True), "binary_compressed", height=N_LINES),
+    "a.xyz": lambda: _uos().replace(b".", b","),
+    "a.pts": lambda: b"%d\n" % len(_flat()["x"]) + _uos(),
     "f4.bin": lambda: ranges().tobytes(),
     "a.npy": lambda: _npy(ranges()),
     "fortran.npy": lambda: _npy(np.asfortranarray(ranges())),
@@ -280,10 +382,14 @@ SEEDS: dict[str, Callable[[], bytes]] = {
     "labels.csv": _labels_csv,
     "track.csv": _trajectory_csv,
     "track.sbet": _sbet,
+    "track.tum": lambda: _poses("track.tum"),
+    "poses.mcap": lambda: _poses("poses.mcap"),
     "layout.toml": lambda: LAYOUT.encode(),
     "text_layout.toml": lambda: TEXT_LAYOUT.encode(),
     "config.toml": lambda: CONFIG.encode(),
     "mapping.toml": lambda: MAPPING.encode(),
+    **{name: lambda name=name: _captured(name) if "pcap" in name else _recorded(name) for name in RECORDINGS},
+    "ouster.json": _metadata,
     "simulate.toml": lambda: b"seed = 3\nlength_m = 5.0\n[scanner]\npoints_per_line = 24\n",
 }
 """Content of a valid file by its name."""

@@ -14,6 +14,9 @@ INPUTS = {
     "zst": ("a.csv.zst",),
     "txt": ("a.txt",),
     "uos": ("a.3d",),
+    "ply": ("a.ply", "big.ply", "text.ply", "rings.ply"),
+    "pcd": ("a.pcd", "text.pcd", "lzf.pcd"),
+    "clouds": ("a.xyz", "a.pts"),
     "raw": ("a.bin",),
     "ptx": ("a.ptx",),
     "e57": ("a.e57",),
@@ -83,6 +86,20 @@ LAYOUT = (
 )
 
 
+RECORDED = (
+    ("info", "{case}"),
+    ("info", "--json", "{case}", "--method", "fused", "--trust-order"),
+    ("classify", "{case}", "{out}/o.npy", *_P),
+    ("classify", "-v", "{case}", "{out}/o.laz", *_P, "--return", "last"),
+    ("classify", "{case}", "{out}/o.csv", "--method", "sequential-angle", "--trust-order"),
+    ("convert", "{case}", "{out}/o.npz", "--trust-order"),
+    ("convert", "{case}", "{out}/o.las", "--trust-order"),
+    ("render", "{case}", "{out}/o.png", *_P, *_SMALL),
+)
+"""Commands for bags and captures, which hold their lines and columns."""
+_META = ("--metadata", "{seeds}/ouster.json")
+
+
 @dataclass(frozen=True)
 class Target:
     """Files to damage and what to do with them."""
@@ -97,9 +114,25 @@ TARGETS: dict[str, Target] = {
         ("a.bin", "f4.bin"),
         tuple((*command, "--layout", "{seeds}/layout.toml") for command in READ if command[0] != "evaluate"),
     ),
+    "bag": Target(("plain.bag", "bz2.bag", "lz4.bag"), (*RECORDED, ("info", "{case}", "--topic", "/scan"))),
+    "mcap": Target(("plain.mcap", "zstd.mcap", "lz4.mcap"), RECORDED),
+    "db3": Target(("plain.db3", "zstd.db3", "cloud.db3"), RECORDED),
+    "pcap": Target(("velodyne.pcap", "velodyne.pcapng"), RECORDED),
+    "ouster": Target(("ouster.pcap",), tuple((*command, *_META) for command in RECORDED)),
+    "metadata": Target(
+        ("ouster.json",),
+        tuple(
+            (one[0], "{seeds}/ouster.pcap", *one[2:], "--metadata", "{case}")
+            for one in (
+                ("info", ""),
+                ("classify", "", "{out}/o.npy", *_P),
+                ("convert", "", "{out}/o.npz", "--trust-order"),
+            )
+        ),
+    ),
     "labels": Target(("labels.npy", "a.npz", "labels.csv", "a.csv", "a.parquet", "a.label", "pf6.laz"), LABELS),
     "trajectory": Target(
-        ("track.csv", "track.sbet"),
+        ("track.csv", "track.sbet", "track.tum", "poses.mcap"),
         (
             ("info", "{seeds}/pf1.las", "--range", "trajectory:{case}"),
             ("convert", "{seeds}/pf6.laz", "{out}/o.npz", "--range", "trajectory:{case}"),

@@ -15,14 +15,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from prc_cli.core.errors import PrcError
-from prc_cli.formats import check_input, open_source
+from prc_cli.formats import check_input, open_images, open_source
 from prc_cli.formats.arrays.rows import ArrayFile
 from prc_cli.formats.labels.read import OPENERS, open_codes
+from prc_cli.formats.options import InputConfig
 from tests import patience
 from tests.fuzz.campaign import LIMIT_S, WatchedWorker
 from tests.fuzz.guard import unprintable
 from tests.fuzz.mutations import MUTATIONS, mutate
-from tests.fuzz.seeds import SEEDS, seed, write_seeds
+from tests.fuzz.seeds import RECORDINGS, SEEDS, seed, write_seeds
 from tests.fuzz.targets import TARGETS, suffix_of_seed
 
 
@@ -156,6 +157,27 @@ def test_every_cut_is_refused_or_read(tmp_path: Path, name: str) -> None:
         except PrcError as error:
             refused.append(error.where)
     assert all(where.startswith(str(path)) for where in refused), refused
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_every_cut_recording_is_refused_or_read(tmp_path: Path, name: str) -> None:
+    """Up to the cut, and it says so; a database may be beyond reading."""
+    data = seed(name)
+    path, found, told = tmp_path / f"a{suffix_of_seed(name)}", [], []
+    (tmp_path / "a.json").write_bytes(seed("ouster.json"))
+    for edge in (*range(len(data) // 9, len(data), len(data) // 9), len(data) - 1, len(data)):
+        path.write_bytes(data[:edge])
+        try:
+            stream = open_images(path, InputConfig())
+            n_lines = sum(block.n_lines for block in stream.blocks())
+            found.append((n_lines, any("read up to there" in note for note in stream.info.facts.notes)))
+        except PrcError as error:
+            told.append(error.where)
+    whole = found[-1][0]
+    assert all(where.startswith(str(path)) for where in told)
+    assert found == sorted(found, key=lambda one: one[0])
+    assert all(is_told for n_lines, is_told in found if n_lines < whole)
+    assert name.endswith("db3") or len(found) > 3
 
 
 @settings(max_examples=60)

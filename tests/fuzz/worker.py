@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,8 @@ class Worker:
         self._printed.truncate()
         before = _reset_peak()
         start = time.process_time()
-        with self._streams(job), self._guard.armed() as seen:
+        with self._streams(job), self._guard.armed() as seen, warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
             try:
                 code: Any = _run(given, debug=False)
                 if code not in ENDS:
@@ -85,6 +87,11 @@ class Worker:
                     + "".join(traceback.format_exc().splitlines(True)[-14:])
                 )
         seconds = time.process_time() - start
+        faults += [
+            f"warning: {one.message}\nFile {one.filename} line {one.lineno}"
+            for one in warned
+            if "prc_cli" in one.filename or issubclass(one.category, RuntimeWarning)
+        ]
         faults += [f"guard: {event}" for event in seen[:3]]
         grown = _peak() - before
         if grown > max(GROWTH_BYTES, GROWTH_FACTOR * Path(case).stat().st_size):
@@ -118,10 +125,12 @@ class Worker:
             faults.append(f"printed {bad!r}: {text[max(0, at - 60) : at + 40]!r}")
         if "Traceback (most recent" in text or "panicked at" in text:
             faults.append("printed " + text[:500])
-        if code == LOOK and "warning: " not in text:
+        told = '"doubts": [' in text and '"doubts": []' not in text  # by --json
+        if code == LOOK and "warning: " not in text and not told:
             faults.append(f"exit code {code} without a warning: {text[-200:]!r}")
         if code in (1, 2) and "error: " not in text:
             faults.append(f"exit code {code} without a message: {text[-200:]!r}")
+        faults += _judge_las(job, self._out) if code in DONE else []
         left = sorted(path.name for path in self._out.iterdir())
         if any(name.startswith(".") or name.endswith(".part") for name in left) or (code not in DONE and left):
             faults.append(f"exit code {code} left {left}")
@@ -135,6 +144,40 @@ class Worker:
             shutil.rmtree(made, ignore_errors=True)
         with contextlib.suppress(OSError):
             Path(self._printed.name).unlink()
+
+
+def _judge_las(job: dict[str, Any], out: Path) -> list[str]:
+    """Read LAS and LAZ outputs with laspy; of a file that was copied everything but the class is as it was."""
+    import laspy
+    import numpy as np
+
+    faults = []
+    case = Path(job["case"])
+    before, refusal = None, None
+    if case.suffix in (".las", ".laz"):
+        try:
+            before = laspy.read(case)
+        except BaseException as error:  # a panic of lazrs is no Exception
+            refusal = error
+    for path in (*out.glob("*.las"), *out.glob("*.laz")):
+        try:
+            found = laspy.read(path)
+        except BaseException as error:
+            # headers that it refuses and we do not are copied as they are; records must be sound
+            if type(refusal) is not type(error) or "Lazrs" in type(error).__name__ or "Panic" in type(error).__name__:
+                faults.append(f"laspy refuses the output: {type(error).__name__}: {error}"[:300])
+            continue
+        if before is None or job["command"][0] not in ("classify", "convert"):
+            continue
+        if len(before.points) != len(found.points):
+            faults.append(f"{len(found.points)} records of {len(before.points)}")
+        elif before.point_format.id == found.point_format.id:
+            same = set(before.points.array.dtype.names) & set(found.points.array.dtype.names)
+            for name in same - {"classification", "raw_classification"}:
+                old, new = before.points.array[name], found.points.array[name]
+                if old.tobytes() != new.tobytes() and old.dtype == new.dtype:
+                    faults.append(f"{name} differs in {np.count_nonzero(old != new)} records")
+    return faults
 
 
 def _reset_peak() -> int:

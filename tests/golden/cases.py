@@ -14,7 +14,7 @@ PRESETS = ("urban", "forest", "fused", "fused-forest", "street-scan", "street-sc
 CSV, LAS, BARE, STREET = "../made/drive.csv", "../made/f6.las", "../made/bare6.laz", "../sim-street/s.npz"
 M = "-M 90 --set input.angle_start=-180 --set input.angle_step=4 --set input.nadir=0"
 TIMES = "--lines time:50 --columns time:4500 -M 90 --set input.time_origin=1000"
-WRITABLE = ("bin", "csv", "csv.gz", "csv.zst", "parquet", "npz", "npy", "las", "laz", "e57")
+WRITABLE = ("bin", "csv", "csv.gz", "csv.zst", "parquet", "npz", "npy", "las", "laz", "e57", "ply", "pcd")
 COMMANDS = (
     "info", "classify", "batch", "stream", "evaluate", "transfer", "convert", "render", "thin", "simulate", "doctor",
     "config", "calibrate", "completion", "demo", "objects", "batch status", "batch retry", "batch clean",

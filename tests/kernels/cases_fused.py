@@ -11,9 +11,12 @@ from numpy.random import Generator
 
 from prc_cli.core.thresholds.fused import (
     ChordThresholds,
+    CurbThresholds,
     DecisionThresholds,
+    FlankThresholds,
     NearThresholds,
     SmoothThresholds,
+    SpacingThresholds,
     StripThresholds,
     WalkThresholds,
     WallThresholds,
@@ -33,10 +36,11 @@ from prc_cli.kernels.fused import (
 AROUND, INNER = 4, 2
 USUAL = typed(
     DecisionThresholds,
-    least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, walked_m=0.3, level_m=0.12, soil_m=0.06, leaf_share=0.4,
-    leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3, car_top_m=3.75, car_bins=3,
-    car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5, foot_m=0.3, keeps_held=1, ghost_m=1.5,
-    ghost_near=15,
+    least_near=3, spike_share=0.7, below_m=0.3, leaf_slots=5, lone_m=10, walked_m=0.3, level_m=0.12,
+    soil_m=0.06, leaf_share=0.4, leaf_share_before_wall=0.2, before_m=1.6, front_m=0.4, behind_m=2.5, over_m=0.3,
+    car_top_m=3.75, car_bins=3, car_bins_rough=6, pole_m=1.0, jump_m=0.5, far_m=1.0, crown_slots=5, tree_slots=4,
+    keeps_parts=1, takes_long=0, stand_m=0.15, foot_m=0.3, keeps_held=1, ghost_m=1.5, ghost_near=15,
+    car_label=7, pole_label=11,
 )  # fmt: skip
 
 
@@ -124,6 +128,25 @@ def smooth_case(rng: Generator) -> tuple[Any, ...]:
         gap_steps=16.0,
     )
     return *one.seen, chosen
+
+
+def repeats_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    lines = one.window
+    stride = int(rng.integers(1, 20))
+    shape = (int(rng.integers(17, 30)), one.window.shape[1])
+    # the same leaves in several lines, some of them lost
+    leaves = np.float32(5) + rng.integers(0, 20, (shape[0] // stride + 1, shape[1])).astype(np.float32) / np.float32(8)
+    range_m = np.repeat(leaves, stride, axis=0)[: shape[0]] + rng.choice([0, 0, 0.0625], shape).astype(np.float32)
+    range_m[rng.random(shape) < 0.1] = np.nan
+    range_m[: len(lines)] = np.where(rng.random() < 0.5, range_m[: len(lines)], lines[: shape[0]])
+    chosen = typed(
+        SpacingThresholds,
+        tolerance_m=rng.choice([0.03, 0.0625, 0.2]),
+        tolerance_per_m=rng.choice([0.0, 0.01]),
+        near_m=rng.choice([1.5, 0.5]),
+    )
+    return np.ascontiguousarray(range_m, np.float32), int(rng.integers(0, 4)), chosen
 
 
 def random_counts(rng: Generator, one: Street) -> tuple[U8, U8, U8, U8]:
@@ -224,10 +247,34 @@ def walls_case(rng: Generator) -> tuple[Any, ...]:
         middle = (np.arange(shape[1]) - shape[1] // 2 + np.float32(0.5)) * np.float32(0.5)
         top = np.where(wall > 0, rng.random(shape) * 9, fused_strips.NO_TOP).astype(np.float32)
         sums = length, wall, (wall * middle).astype(np.float32), top
+    flanks = (rng.random((len(sums[0]) - 4, fused_strips.STRIPS)) < rng.choice([0.0, 0.3])).astype(np.uint8)
     chosen = typed(
-        WallThresholds, height_m=rng.choice([0.01, 0.5, 1.5]), share=rng.choice([0.0, 0.3, 1.0]), before_m=1.6
+        WallThresholds,
+        height_m=rng.choice([0.01, 0.5, 1.5]),
+        share=rng.choice([0.0, 0.3, 1.0]),
+        before_m=1.6,
     )
-    return sums, chosen
+    return sums, flanks, chosen
+
+
+def flanks_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    above, counts = heights(rng, one), random_counts(rng, one)
+    if rng.random() < 0.5:
+        above[(rng.random(above.shape) < 0.5) & ~np.isnan(above)] = 0
+    shape = len(above), fused_strips.STRIPS
+    wall = np.where(rng.random(shape) < rng.choice([0.01, 0.1]), rng.random(shape), 0).astype(np.float32)
+    middle = (np.arange(shape[1]) - shape[1] // 2 + rng.random(shape)).astype(np.float32) * np.float32(0.5)
+    levels = (rng.random((len(above) - 4, 2 * fused_strips.STRIPS)) < rng.choice([0.0, 0.1])).astype(np.uint8)
+    chosen = typed(
+        FlankThresholds,
+        least_m=rng.choice([0.0, 0.1]),
+        most_m=rng.choice([0.3, 3.0]),
+        behind_m=rng.choice([0.15, 0.0]),
+        soil_m=rng.choice([0.1, 2.0]),
+        shots=rng.choice([0, 1, 3]),
+    )
+    return one.range_m, above, counts[2], one.beams, (wall, wall * middle), levels, chosen
 
 
 def texture_case(rng: Generator) -> tuple[Any, ...]:
@@ -242,7 +289,12 @@ def decision(rng: Generator) -> DecisionThresholds:
     chosen = np.array(USUAL) * rng.choice([1.0, 1.0, 0.3, 2.0], len(USUAL))
     chosen[rng.random(len(USUAL)) < 0.05] = rng.choice([0.0, 1e9])
     thresholds = DecisionThresholds._make(np.float32(value) for value in chosen)
-    return thresholds._replace(car_top_m=min(thresholds.car_top_m, np.float32(15.0)))
+    car, pole = np.float32(rng.choice([1, 7])), np.float32(rng.choice([1, 11]))
+    thresholds = thresholds._replace(
+        keeps_parts=np.float32(rng.choice([0, 1])), takes_long=np.float32(rng.choice([0, 1]))
+    )
+    top_m = min(thresholds.car_top_m, np.float32(15.0))
+    return thresholds._replace(car_top_m=top_m, car_label=car, pole_label=pole)
 
 
 def labels_case(rng: Generator) -> tuple[Any, ...]:
@@ -270,7 +322,9 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
     )
     wide = fused_strips.widen_slots(every), fused_strips.widen_slots(rough)
     walls = fused_strips.find_walls(
-        (length, wall, place, top), typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, before_m=1.6)
+        (length, wall, place, top),
+        np.zeros((n_lines, fused_strips.STRIPS), np.uint8),
+        typed(WallThresholds, height_m=rng.choice([0.1, 1.5]), share=0.3, before_m=1.6),
     )
     texture = rng.choice([0.0, 0.1, 0.3, 0.5, 1.0], (n_lines, m)).astype(np.float32)
     return (
@@ -282,7 +336,7 @@ def labels_case(rng: Generator) -> tuple[Any, ...]:
 def vote_case(rng: Generator) -> tuple[Any, ...]:
     one = street(rng)
     range_m = one.range_m
-    labels = rng.choice([1, 2, 3, 4, 5], range_m.shape, p=[0.2, 0.1, 0.1, 0.3, 0.3]).astype(np.uint8)
+    labels = rng.choice([1, 2, 3, 4, 5, 7, 11], range_m.shape, p=[0.1, 0.1, 0.1, 0.25, 0.25, 0.1, 0.1]).astype(np.uint8)
     if rng.random() < 0.5:
         labels[:, : labels.shape[1] // 2] = 4
     labels[np.isnan(range_m)] = 0
@@ -290,11 +344,32 @@ def vote_case(rng: Generator) -> tuple[Any, ...]:
     return labels, range_m, one.beams, one.step, half, near
 
 
+def curb_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    above = heights(rng, one)
+    labels = rng.choice([1, 2, 3, 4, 5, 7], above.shape, p=[0.05, 0.1, 0.6, 0.1, 0.1, 0.05]).astype(np.uint8)
+    labels[np.isnan(above)] = 0
+    chosen = typed(
+        CurbThresholds,
+        least_m=rng.choice([0.05, 0.01]),
+        most_m=rng.choice([0.25, 2.0, 9.0]),
+        reach_m=rng.choice([0.4, 3.0]),
+        half_m=rng.choice([0.08, 0.5]),
+        share=rng.choice([0.0, 0.6]),
+        margin=rng.choice([0.0, 0.2]),
+        steep=rng.choice([0.0, 1.5]),
+    )
+    return labels, one.range_m, above, one.beams, one.step, chosen
+
+
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "curb_labels": curb_case,
     "directions": directions_case,
     "fill_strips": strips_case,
     "find_walls": walls_case,
+    "find_flanks": flanks_case,
     "fused_labels": labels_case,
+    "leaf_repeats": repeats_case,
     "mean_smoothness": texture_case,
     "near_counts": near_case,
     "plane_points": points_case,

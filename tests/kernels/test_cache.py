@@ -14,6 +14,7 @@ from types import ModuleType
 import numba
 import pytest
 
+from prc_cli.core.errors import PrcError
 from prc_cli.kernels import cache
 from tests import patience
 
@@ -164,10 +165,56 @@ def test_temporary_folder_of_somebody_else_is_not_trusted(tmp_path: Path, monkey
     monkeypatch.setattr(cache, "cache_folder", lambda: blocked(tmp_path))
     folder = cache._temporary_cache()
     folder.mkdir(parents=True)
-    me = os.getuid()
     monkeypatch.setattr(cache, "_temporary_cache", lambda: folder)
-    monkeypatch.setattr(os, "getuid", lambda: me + 1)
+    if os.getuid() == 0:
+        os.chown(folder, 65534, 65534)
+    else:
+        me = os.getuid()
+        monkeypatch.setattr(os, "getuid", lambda: me + 1)
     assert cache.writable_cache() is None
+
+
+@posix_only
+@pytest.mark.parametrize("mode", [0o777, 0o757])
+def test_the_users_choice_that_others_can_write_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int
+) -> None:
+    """Its pickles ran, with whatever somebody had put into them."""
+    folder = tmp_path / "cache"
+    folder.mkdir()
+    folder.chmod(mode)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    with pytest.raises(PrcError, match=f"others can put code there that would be run: its mode is {mode:o}"):
+        cache.writable_cache()
+
+
+@posix_only
+def test_a_folder_above_that_others_can_write_is_no_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "open" / "cache"
+    folder.mkdir(parents=True, mode=0o700)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    (tmp_path / "open").chmod(0o777)
+    with pytest.raises(PrcError, match=r"open: its mode is 777"):
+        cache.writable_cache()
+    (tmp_path / "open").chmod(0o1777)  # as /tmp
+    assert cache.writable_cache() == folder
+
+
+@posix_only
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="gives a file to somebody else")
+def test_what_somebody_else_left_in_it_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "cache"
+    (folder / "prc").mkdir(parents=True)
+    os.chown(folder / "prc", 65534, 65534)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder))
+    with pytest.raises(PrcError, match="prc: it belongs to user 65534"):
+        cache.writable_cache()
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    cache.writable_cache.cache_clear()
+    monkeypatch.setattr(cache, "cache_folder", lambda: folder.parent)
+    (folder.parent / "numba").mkdir()
+    (folder.parent / "numba").chmod(0o777)
+    assert cache.writable_cache() == cache._temporary_cache()
 
 
 def test_nothing_writable_at_all_still_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

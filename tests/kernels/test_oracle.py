@@ -272,7 +272,7 @@ ranges[5:9, 30:60] = 7.0
 for preset in ("urban", "forest", "street-scan"):
     config = load_config(preset=preset, options={"prc": {"lines_per_block": 7}}).config
     beams = np.linspace(0.5, 2.2, 90)
-    print(classify_ranges(ranges, config, beam_rad=beams, threads=2, engine=sys.argv[1]).tobytes().hex())
+    print(classify_ranges(ranges, config, beam_rad=beams, threads=2, engine=sys.argv[1]).labels.tobytes().hex())
 print("numba" in sys.modules, file=sys.stderr)
 """
 

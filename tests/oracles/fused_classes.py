@@ -12,6 +12,7 @@ from prc_cli.core.thresholds.fused import DecisionThresholds
 from prc_cli.core.types import F32, U8, Mask
 
 MISSING, OTHER, NOISE, GROUND, BUILDING, VEGETATION = range(6)
+CAR, POLE = 7, 11
 Slots = NDArray[np.uint64]
 
 WIDTH, SLOT, N = np.float32(0.5), np.float32(0.25), 320
@@ -106,7 +107,9 @@ class _Shot:
         return bool(through <= top + self.thresholds.over_m)
 
     def is_leaf(self) -> bool:
-        if self.near == 0 or self.strip is None or self.above <= self.thresholds.foot_m or self.is_in_wall():
+        if self.near == 0 and self.range_m <= self.thresholds.lone_m:
+            return False
+        if self.strip is None or self.above <= self.thresholds.foot_m or self.is_in_wall():
             return False
         around = self.filled(1)[max(self.slot - 4, 0) : self.slot + 5]
         return bool(sum(around) >= self.thresholds.leaf_slots)
@@ -163,22 +166,35 @@ class _Shot:
         bins = int(self.levels[self.line, max(b - 6, 0) : b + 7].sum())
         return bool(bins >= (self.thresholds.car_bins_rough if rough else self.thresholds.car_bins))
 
+    def is_standing(self, *, is_car: bool) -> bool:
+        if self.strip is None or self.level > 0 or not self.above > self.thresholds.foot_m:
+            return False
+        if self.is_in_wall() or (is_car and (self.thresholds.keeps_parts > 0 or not self._is_free_across())):
+            return False
+        return bool(self.texture >= self.thresholds.leaf_share and self.thresholds.pole_m > 0)
+
     def is_thin(self) -> bool:
-        if self.strip is None or self.is_in_wall() or self.level > 0 or not self.above > self.thresholds.foot_m:
-            return False
-        if not self.texture >= self.thresholds.leaf_share or not self.thresholds.pole_m > 0:
-            return False
         return self._is_short_in_line() or self._is_narrow_across()
+
+    def is_in_tree(self) -> bool:
+        assert self.strip is not None
+        if not 2 <= self.strip < N - 2:
+            return False
+        words = (int(self.slots[1][self.line, self.strip + way]) for way in (-2, 2))
+        return all((word >> self.slot).bit_count() >= self.thresholds.tree_slots for word in words)
 
     def _is_short_in_line(self) -> bool:
         ranges, heights = self.window[self.line + 4], self.points[1][self.line + 2]
         held = self.counts[0][self.line + 2] >= self.thresholds.least_near
+        above, can_stand = self.points[2][self.line + 2], self._is_free_across()
         heights_met, length = [self.height], 1
         for way in (-1, 1):
             last, gap, j = self.i, 0, self.i + way
             while 0 <= j < len(ranges) and gap <= 3 + length:
                 if not held[j]:
                     gap += 1
+                elif can_stand and above[j] < self.thresholds.stand_m:
+                    break
                 elif abs(ranges[j] - ranges[last]) < self.thresholds.jump_m:
                     last, gap, length = j, 0, length + 1
                     heights_met.append(heights[j])
@@ -190,6 +206,11 @@ class _Shot:
                     break
                 j += way
         return True
+
+    def _is_free_across(self) -> bool:
+        column, middle = self.window[:, self.i], self.line + 4
+        free = ~(column <= self.range_m + self.thresholds.far_m)
+        return bool(free[middle - 4 : middle].any() and free[middle + 1 : middle + 5].any())
 
     def _is_narrow_across(self) -> bool:
         column, middle = self.window[:, self.i], self.line + 4
@@ -205,7 +226,7 @@ class _Shot:
         leaf = False
         if self.near < self.thresholds.least_near:
             leaf = self.is_leaf()
-            if self.near == 0 or not (leaf or self.is_held()):
+            if not (leaf or (self.near > 0 and self.is_held())):
                 return NOISE
         if self.is_spike() or self.is_reflection():
             return NOISE
@@ -214,10 +235,16 @@ class _Shot:
         rough = bool(self.texture < self.leaf_share()) and not self.is_in_wall()
         if rough and self.is_ghost():
             return NOISE
-        if self.is_low_with_level(rough=rough):
-            return OTHER
-        if self.is_thin():
-            return VEGETATION if self.has_crown() else OTHER
+        is_car = self.is_low_with_level(rough=rough)
+        if self.is_standing(is_car=is_car) and self.is_thin():
+            if self.has_crown():
+                return VEGETATION
+            if self.thresholds.takes_long > 0 or self._is_free_across():
+                return int(self.thresholds.pole_label)
+        elif self.is_standing(is_car=is_car) and self.is_in_tree():
+            return VEGETATION
+        if is_car:
+            return int(self.thresholds.car_label)
         return VEGETATION if rough or leaf else BUILDING
 
 
@@ -267,7 +294,9 @@ def vote_labels(
         close = np.ones(labels[place].shape, bool)
         for image in _points(range_m, beams):
             close &= np.abs(image[place] - image[line, i]) < near_m
-        votes = {label: int((labels[place][close] == label).sum()) for label in (OTHER, BUILDING, VEGETATION)}
+        votes = {
+            label: int((labels[place][close] == label).sum()) for label in (OTHER, CAR, POLE, BUILDING, VEGETATION)
+        }
         if votes[own] < max(votes.values()):
             voted[row, i] = max(votes, key=lambda label: votes[label])
     return voted

@@ -71,14 +71,15 @@ def widen_levels(levels: U8) -> U8:
     return np.stack([levels[k : k + 5].max(axis=0) for k in range(len(levels) - 4)])
 
 
-def find_walls(sums: tuple[F32, F32, F32, F32], thresholds: WallThresholds) -> tuple[F32, F32, F32]:
+def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
     """Find walls; see :func:`prc_cli.kernels.fused.strips.find_walls`."""
     n_lines = len(sums[0]) - 4
     at, top, ahead = (np.zeros((n_lines, N), np.float32) for _ in range(3))
     for line in range(n_lines):
-        length, wall, place = (_sum(values[line : line + 5]) for values in sums[:3])
+        length, wall, place = (sum_around(values[line : line + 5]) for values in sums[:3])
         highest = np.pad(sums[3][line : line + 5].max(axis=0), 1, constant_values=NOTHING)
         is_wall = (wall >= thresholds.height_m * np.float32(5)) & (wall >= thresholds.share * length) & (wall > 0)
+        is_wall &= flanks[line] == 0
         for side in (np.arange(N // 2, N), np.arange(N // 2 - 1, -1, -1)):
             number = np.arange(N // 2)
             inwards = np.maximum.accumulate(np.where(is_wall[side], number, -1))
@@ -94,7 +95,7 @@ def find_walls(sums: tuple[F32, F32, F32, F32], thresholds: WallThresholds) -> t
     return at, top, ahead
 
 
-def _sum(values: F32) -> F32:
+def sum_around(values: F32) -> F32:
     """Add up five lines, and three strips."""
     lines = values[0].copy()
     for k in range(1, 5):

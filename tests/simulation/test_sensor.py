@@ -146,7 +146,7 @@ def test_a_pulse_gives_two_returns_of_a_wide_step_and_a_mixture_of_a_narrow_one(
     np.testing.assert_allclose(wide.extra_range_m, 30.0, atol=0.2)  # some of these echoes are weak
     np.testing.assert_allclose(wide.range_m[wide.extra_line, wide.extra_column], 20.0, atol=0.2)
     assert (wide.extra_label == Label.BUILDING).all()
-    assert (wide.label[wide.extra_line, wide.extra_column] == Label.UNCLASSIFIED).all()
+    assert (wide.label[wide.extra_line, wide.extra_column] == Label.POLE).all()
     assert not (wide.label == Label.NOISE).any()
     order = wide.extra_line.astype(np.int64) * 100 + wide.extra_column
     assert (np.diff(order) > 0).all()

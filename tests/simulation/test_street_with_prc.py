@@ -29,7 +29,7 @@ class Drive:
     def shares(self, zeta_p: float) -> dict[tuple[str, str], float]:
         """Share of every reference class that PRC calls so, as Table I has it."""
         config = load_config(preset="urban", options={"prc": {"support": {"zeta_p": zeta_p}}})
-        found = classify_ranges(self.range_m, config)
+        found = classify_ranges(self.range_m, config).labels
         mapping, lookup = load_mapping("lehtola_urban"), ClassCodes().lookup()
         matrix = accumulate(ConfusionMatrix.empty(mapping), lookup[found], lookup[self.labels], mapping)
         rows = zip(matrix.reference_names, matrix.row_shares(), strict=True)

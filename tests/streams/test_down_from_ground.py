@@ -207,8 +207,8 @@ def test_labels_do_not_depend_on_where_column_0_lies(first: int) -> None:
     side = np.rad2deg(BEAM) > 10
     ranges, beam = street_lines(40)[0][:, side], BEAM[side]
     loaded = load_config(preset="fused")
-    labels = classify_ranges(ranges, loaded, beam_rad=beam)
-    rolled = classify_ranges(np.roll(ranges, first, axis=1), loaded, beam_rad=np.roll(beam, first))
+    labels = classify_ranges(ranges, loaded, beam_rad=beam).labels
+    rolled = classify_ranges(np.roll(ranges, first, axis=1), loaded, beam_rad=np.roll(beam, first)).labels
     differ = np.roll(rolled, -first, axis=1) != labels
     assert differ.mean() < 0.01
     far = np.abs(np.arange(len(beam)) - (len(beam) - first)) > 60
@@ -219,4 +219,7 @@ def test_beams_that_turn_back_are_refused() -> None:
     ranges, loaded = np.full((4, 6), 5.0), load_config(preset="fused")
     with pytest.raises(InputError, match="angles that turn back"):
         classify_ranges(ranges, loaded, beam_rad=np.deg2rad([0.0, 10.0, 20.0, 15.0, 30.0, 40.0]))
-    assert classify_ranges(ranges, loaded, beam_rad=np.deg2rad([20.0, 30.0, 40.0, -10.0, 0.0, 10.0])).shape == (4, 6)
+    assert classify_ranges(ranges, loaded, beam_rad=np.deg2rad([20.0, 30.0, 40.0, -10.0, 0.0, 10.0])).labels.shape == (
+        4,
+        6,
+    )

@@ -640,7 +640,7 @@ def test_an_earlier_drive_behind_a_later_one_is_refused() -> None:
     time_s = np.concatenate([100 + np.arange(n) / 1000, np.arange(n) / 1000])
     records = {"range": np.ones(2 * n), "time": time_s}
     options: dict[str, Any] = {"lines": "time:50", "columns": "time:1000"}
-    with pytest.raises(OrderError, match="time decreases in 1 of 39 999 steps, largest at record 20000"):
+    with pytest.raises(OrderError, match="time decreases in 1 of 39,999 steps, largest at record 20000"):
         read(open_records(records, 999, **options))
     trusted = read(open_records(records, 999, order="trust", **options))
     assert trusted.tally.n_unplaced == n

@@ -71,7 +71,7 @@ def test_refusal_names_file_evidence_and_remedy() -> None:
     with pytest.raises(OrderError) as caught:
         watch_in_chunks(times, 20_000, "require").finish()
     assert str(caught.value) == (
-        "drive.las: gps_time decreases in 100.0 % of 19 999 steps, first at record 1: 2.50 s after 3.00 s; "
+        "drive.las: gps_time decreases in 100.0 % of 19,999 steps, first at record 1: 2.50 s after 3.00 s; "
         "expected shots in the order they were fired; "
         "sort with --sort-by-time if every record is there, or insist with --trust-order"
     )
@@ -99,7 +99,7 @@ def test_one_seam_in_a_long_drive_is_tolerated_and_reported() -> None:
     watch = watch_in_chunks(times, 30_000, "require")
     watch.finish()
     assert watch.evidence().sentence() == (
-        "gps_time decreases in 1 of 29 999 steps, largest at record 20000: 18.50 s after 20.00 s"
+        "gps_time decreases in 1 of 29,999 steps, largest at record 20000: 18.50 s after 20.00 s"
     )
 
 
@@ -113,7 +113,7 @@ def test_a_long_file_is_refused_on_the_way_and_for_any_chunk_size(monkeypatch: p
             watch_in_chunks(times, chunk, "require")
         messages.add(str(caught.value))
     assert len(messages) == 1
-    assert "1 999 steps" in messages.pop()
+    assert "1,999 steps" in messages.pop()
 
 
 def test_week_turnover_has_its_own_hint() -> None:

@@ -255,8 +255,8 @@ def test_orders_at_their_limits(one: OrderEvidence, is_fine: bool) -> None:
 @pytest.mark.parametrize(
     ("n_steps", "n_back", "said"),
     [
-        (1000, 1, "t decreases in 0.1 % of 1 000 steps, first"), (1001, 1, "t decreases in 1 of 1 001 steps, largest"),
-        (10_000, 1500, "t decreases in 15.0 % of 10 000 steps, first"), (2_000_000, 1999, "t decreases in 1 999 of"),
+        (1000, 1, "t decreases in 0.1 % of 1,000 steps, first"), (1001, 1, "t decreases in 1 of 1,001 steps, largest"),
+        (10_000, 1500, "t decreases in 15.0 % of 10,000 steps, first"), (2_000_000, 1999, "t decreases in 1,999 of"),
     ],
 )  # fmt: skip
 def test_small_shares_are_told_as_counts(n_steps: int, n_back: int, said: str) -> None:

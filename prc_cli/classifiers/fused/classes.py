@@ -10,6 +10,7 @@ from prc_cli.classifiers.fused.ground import Ground, GroundParams
 from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.plane import VOTE_LINES, ScanPlane
 from prc_cli.classifiers.fused.strips import Standing, WallParams
+from prc_cli.core.classes import Label
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.fused import DecisionThresholds, typed
@@ -28,6 +29,8 @@ class NoiseParams(Params):
     leaf_slots: int = Field(
         4, ge=1, le=9, description="least number of cells of 0.25 m around it, of 9, that hold rough shots"
     )
+    lone_leaves: bool = Field(True, description="whether a far shot without any near neighbour may be a leaf ...")
+    lone_m: float = Field(5.0, ge=0, le=1e6, description="... beyond this range [m], as leaves are far apart there")
     held: bool = Field(
         True, description="whether a lonely shot with a smooth pair, in a wall or level with the ground is part of it"
     )
@@ -47,18 +50,20 @@ class LeavesParams(Params):
 
 
 class CarParams(Params):
-    """Cars: low objects with level surfaces; they stay unclassified (``[fused.cars]``)."""
+    """Cars: low objects with level surfaces (``[fused.cars]``)."""
 
     enabled: bool = Field(True, description="whether to separate them from walls and hedges")
+    named: bool = Field(True, description="whether they get their class; otherwise they stay unclassified")
     top_m: float = Field(3.75, ge=0, le=15, description="objects higher than this, in the scan plane, are no cars [m]")
-    level_bins: int = Field(3, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
+    level_bins: int = Field(4, ge=1, le=13, description="least width of level surface within 1.5 m of a smooth shot")
     level_bins_rough: int = Field(6, ge=1, le=13, description="the same for a rough shot, as behind panes")
 
 
 class PoleParams(Params):
-    """Thin upright objects: trunks below crowns, and poles, which stay unclassified (``[fused.poles]``)."""
+    """Thin upright objects: trunks below crowns, and poles (``[fused.poles]``)."""
 
     enabled: bool = Field(True, description="whether to separate them from walls")
+    named: bool = Field(True, description="whether poles get their class; otherwise they stay unclassified")
     height_m: float = Field(1.0, gt=0, le=100, description="their runs of a line are less high than this [m]")
     jump_m: float = Field(0.5, gt=0, le=100, description="difference in range that ends a run [m]")
     far_m: float = Field(
@@ -66,6 +71,14 @@ class PoleParams(Params):
     )
     crown_slots: int = Field(
         5, ge=1, le=64, description="cells of 0.25 m with rough shots above a pole that make it a trunk"
+    )
+    beside_cars: bool = Field(True, description="whether what is narrow in other lines too may stand beside a car")
+    across: bool = Field(True, description="whether lines close by must see past a pole, as they do not past a fence")
+    standing: bool = Field(True, description="whether runs that are narrow in other lines may end at the ground ...")
+    stand_m: float = Field(0.15, ge=0, le=10, description="... which is lower than this [m]")
+    trunks: bool = Field(True, description="whether upright surfaces below a crown are trunks, whatever their height")
+    tree_slots: int = Field(
+        4, ge=1, le=64, description="cells of 0.25 m with rough shots above them, as many before as behind, are a crown"
     )
     foot_m: float = Field(0.3, ge=0, le=10, description="lower shots are neither poles nor isolated leaves [m]")
 
@@ -106,8 +119,8 @@ def decide(
     3. rough and far below the ground: noise;
     4. on the ground: ground;
     5. few near neighbours, rough and far behind a wall: noise;
-    6. part of a low object with level surfaces (a car): unclassified;
-    7. thin and upright: vegetation below a crown (a trunk), otherwise unclassified (a pole);
+    6. part of a low object with level surfaces: car;
+    7. thin and upright: vegetation below a crown (a trunk), otherwise pole;
     8. in rough surroundings, and neither in a wall nor seen through its windows: vegetation;
     9. otherwise: building.
     """
@@ -134,6 +147,7 @@ def decision_thresholds(
         spike_share=noise.spike_share if noise.spikes else NEVER,
         below_m=ground.below_m,
         leaf_slots=noise.leaf_slots if noise.leaves else NEVER,
+        lone_m=noise.lone_m if noise.leaves and noise.lone_leaves else NEVER,
         walked_m=ground.walked_m,
         level_m=ground.level_m,
         soil_m=ground.soil_m,
@@ -150,10 +164,16 @@ def decision_thresholds(
         jump_m=poles.jump_m,
         far_m=poles.far_m,
         crown_slots=poles.crown_slots,
+        keeps_parts=0.0 if poles.beside_cars else 1.0,
+        takes_long=0.0 if poles.across else 1.0,
+        stand_m=poles.stand_m if poles.standing else -NEVER,
+        tree_slots=poles.tree_slots if poles.trunks else NEVER,
         foot_m=poles.foot_m,
         keeps_held=1.0 if noise.held else 0.0,
         ghost_m=noise.ghost_m,
         ghost_near=noise.ghost_near if noise.ghosts else 0,
+        car_label=Label.CAR if cars.named else Label.UNCLASSIFIED,
+        pole_label=Label.POLE if poles.named else Label.UNCLASSIFIED,
     )
 
 

@@ -4,8 +4,8 @@ From Lehtola et al. (2019, II-B): shots without support of their neighbours are 
 the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces are classified by their direction in
 the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
 
-Only the range noise and the ground depend on earlier blocks; both steps are short, and run block after block. All
-others need the block and five lines before and after it.
+Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are short, and run
+block after block. All others need the block and five lines before and after it, 35 for the distance of lines.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from prc_cli.classifiers.fused.classes import (
     texture_of,
     vote,
 )
+from prc_cli.classifiers.fused.curbs import CurbParams, find_curbs
 from prc_cli.classifiers.fused.forest import ForestParams, forest
 from prc_cli.classifiers.fused.ground import Ground, GroundMemory, GroundParams, follow_ground
 from prc_cli.classifiers.fused.heights import Overhearing, true_heights
@@ -41,7 +42,6 @@ from prc_cli.classifiers.fused.neighbours import (
     SmoothnessParams,
     chords,
     near_neighbours,
-    smooth_pairs,
 )
 from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
@@ -53,7 +53,18 @@ from prc_cli.classifiers.fused.plane import (
     SensorParams,
 )
 from prc_cli.classifiers.fused.returns import label_further_returns
-from prc_cli.classifiers.fused.strips import StripsParams, WallParams, stand
+from prc_cli.classifiers.fused.spacing import (
+    BESIDE_LINES,
+    SPACED_LINES,
+    Halt,
+    Spacing,
+    SpacingParams,
+    keep_labels,
+    leaves_again,
+    spaced_pairs,
+    strides_of,
+)
+from prc_cli.classifiers.fused.strips import FlankParams, StripsParams, WallParams, stand
 from prc_cli.classifiers.fused.terrain import heights_over_ground
 from prc_cli.core.classes import Label
 from prc_cli.core.stream import LabelledBlock, ReadTally, ScanBlock
@@ -61,8 +72,15 @@ from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.012
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 10 mm cost .2 of F1."""
+WIDEST_FAN_RAD = math.radians(60)
+"""Angle between the outermost rings of a spinning scanner, at most; 27 to 45 degrees are usual."""
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
-KERNELS = frozenset({"fused.classes", "fused.ground", "fused.neighbours", "fused.strips"})
+KERNELS = frozenset(
+    {
+        "fused.classes", "fused.curbs", "fused.flanks", "fused.ground", "fused.neighbours", "fused.spacing",
+        "fused.strips",
+    }
+)  # fmt: skip
 FOREST_KERNELS = frozenset({"fused.stems"})
 
 
@@ -79,14 +97,17 @@ class FusedParams(MethodParams):
     sensor: SensorParams = SensorParams()
     company: NeighbourhoodParams = NeighbourhoodParams()
     smoothness: SmoothnessParams = SmoothnessParams()
+    spacing: SpacingParams = SpacingParams()
     directions: DirectionParams = DirectionParams()
     ground: GroundParams = GroundParams()
     strips: StripsParams = StripsParams()
     walls: WallParams = WallParams()
+    flanks: FlankParams = FlankParams()
     noise: NoiseParams = NoiseParams()
     leaves: LeavesParams = LeavesParams()
     cars: CarParams = CarParams()
     poles: PoleParams = PoleParams()
+    curbs: CurbParams = CurbParams()
     votes: VoteParams = VoteParams()
     forest: ForestParams = ForestParams()
 
@@ -100,14 +121,22 @@ class FusedState:
     """State handed to the next block; its size depends only on M."""
 
     tail: F32
-    """(5, M) float32, the last lines [m]; NaN = missing, or before the stream."""
+    """(SPACED_LINES, M) float32, the last lines [m]; NaN = missing, or before the stream."""
     noise: Noise
     """Range noise measured so far."""
+    line: int
+    """Number of lines so far."""
+    spacing: Spacing
+    """Distance of the lines so far."""
+    halt: Halt
+    """Labels before the platform came to stand."""
     memory: GroundMemory
     """Ground heights before the last three lines of the tail."""
 
 
 TAIL, NOISE, MEMORY = Part[F32]("tail"), Part[Noise]("noise"), Part[GroundMemory]("memory")
+LINE, SPACING = Part[int]("line"), Part[Spacing]("spacing")
+HALT = Part[Halt]("halt")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +156,8 @@ class FusedScanner:
 
     plane: Plane
     scan_plane: ScanPlane
+    is_fan: bool
+    """Whether lines are fans of rings that turn about the vertical; a profiler sees much more of its plane."""
 
     @classmethod
     def of(cls, beam_rad: F64) -> FusedScanner:
@@ -137,7 +168,7 @@ class FusedScanner:
         beam_rad : (M,) float64
             Angle of every column's beam from straight down, in (-pi, pi], its sign the side of the scan plane [rad].
         """
-        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad))
+        return cls(Plane.of(beam_rad), ScanPlane.of(beam_rad), bool(np.ptp(beam_rad) < WIDEST_FAN_RAD))
 
     @property
     def points_per_line(self) -> int:
@@ -158,7 +189,11 @@ class Fused(Classifier[FusedScanner, FusedState]):
         kernels = FOREST_KERNELS if is_forest else KERNELS
         most_noise_m = FOREST_NOISE_M if is_forest else math.inf
         return Needs(
-            kernels, self.params.lines_per_block, AROUND_LINES, most_noise_m=most_noise_m, nadir_from_ground=True
+            kernels,
+            self.params.lines_per_block,
+            AROUND_LINES if is_forest else SPACED_LINES,
+            most_noise_m=most_noise_m,
+            nadir_from_ground=True,
         )
 
     @property
@@ -210,8 +245,8 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
 def initial_state(scanner: FusedScanner) -> FusedState:
     """Return the state before the first block."""
-    tail = np.full((AROUND_LINES, scanner.points_per_line), np.nan, np.float32)
-    return FusedState(tail, Noise(), GroundMemory.none())
+    tail = np.full((SPACED_LINES, scanner.points_per_line), np.nan, np.float32)
+    return FusedState(tail, Noise(), 0, Spacing.none(), Halt.none(scanner.points_per_line), GroundMemory.none())
 
 
 def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn: Turn, params: FusedParams) -> U8:
@@ -223,7 +258,8 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
         The block, chronological; NaN = missing, all else finite and positive. ``params.lines_per_block`` lines, fewer
         only at the end of the stream.
     next_m : (lines, M) float32, metres
-        The lines that follow: five are enough, more do no harm; fewer or None only at the end of the stream.
+        The lines that follow: :data:`~prc_cli.classifiers.fused.spacing.SPACED_LINES` are enough, more do no harm;
+        fewer or None only at the end of the stream.
     scanner : FusedScanner
     turn : Turn
         Hands on the fields of :class:`FusedState`.
@@ -252,11 +288,19 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
         return forest(range_m, scanner.plane, params.forest)
     plane = scanner.scan_plane
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
-    window = _window(tail, range_m, next_m)
+    wide = _window(tail, range_m, next_m)
+    window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
     noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
-    seen = _see(window, plane, noise_m, params)
+    strides = _strides(wide, scanner, noise_m, turn, params)
+    smooth = spaced_pairs(wide, strides, plane, noise_m, params.smoothness)
+    seen = _see(window, smooth, plane, params)
     ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
-    return _decide(seen, ground, plane, params)
+    labels = _decide(seen, ground, plane, params)
+    if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
+        return labels
+    limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
+    own = strides[BESIDE_LINES:-BESIDE_LINES]
+    return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits))
 
 
 def _measure(window: F32, plane: ScanPlane, known: Noise, params: SensorParams) -> tuple[float, Noise]:
@@ -265,10 +309,24 @@ def _measure(window: F32, plane: ScanPlane, known: Noise, params: SensorParams) 
     return noise.noise_m(params), noise
 
 
-def _see(window: F32, plane: ScanPlane, noise_m: float, params: FusedParams) -> _Seen:
+def _strides(wide: F32, scanner: FusedScanner, noise_m: float, turn: Turn, params: FusedParams) -> I64:
+    """Decide how many lines away the neighbours are, of a block's lines and three before and after it.
+
+    Always one for fans of rings: between rings lies more than between lines, so that a shot unlike those of other rings
+    need be no leaf.
+    """
+    n_lines = len(wide) - 2 * SPACED_LINES
+    if scanner.is_fan or not params.spacing.enabled:
+        return np.ones(n_lines + 2 * BESIDE_LINES, np.int64)
+    line = turn.hand_on(LINE, lambda first: (first, first + n_lines))
+    limits = params.spacing.thresholds(params.smoothness, noise_m, float(scanner.scan_plane.step_rad))
+    counts = leaves_again(wide, line, limits)
+    return turn.hand_on(SPACING, lambda known: strides_of(counts, known, line, n_lines, params.spacing))
+
+
+def _see(window: F32, smooth: U8, plane: ScanPlane, params: FusedParams) -> _Seen:
     """Measure every shot's neighbourhood: near neighbours, smoothness, direction of the surface."""
     near = near_neighbours(window, plane, params.company)
-    smooth = smooth_pairs(window, plane, noise_m, params.smoothness)
     range_m = window[INNER_LINES:-INNER_LINES]
     upright, level = chords(range_m, smooth, plane, params.directions)
     return _Seen(window, range_m, Neighbours(near, smooth, upright, level))
@@ -284,28 +342,29 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     """Find walls and cars above the ground, and label every shot."""
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
-    standing = stand(
-        seen.range_m, ground.above_m, seen.neighbours, plane, least, params.cars.top_m, params.strips, params.walls
-    )
+    strips = params.strips.thresholds(least, params.cars.top_m)
+    standing = stand(seen.range_m, ground.above_m, seen.neighbours, plane, strips, params.walls, params.flanks)
     thresholds = decision_thresholds(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
     labels = decide(seen.window, seen.neighbours, ground, texture, standing, plane, thresholds)
-    return vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
+    voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
+    own = slice(INNER_LINES + 1, -INNER_LINES - 1)
+    return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)
 
 
 def _last_lines(tail: F32, range_m: F32) -> F32:
-    """Return the last five lines of the stream so far, as a copy, so that the block is not kept in memory."""
-    last: F32 = np.concatenate([tail, range_m[-AROUND_LINES:]])[-AROUND_LINES:].copy()
+    """Return the last lines of the stream so far, as a copy, so that the block is not kept in memory."""
+    last: F32 = np.concatenate([tail, range_m[-SPACED_LINES:]])[-SPACED_LINES:].copy()
     return last
 
 
 def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
-    """Return a block with the five lines before and after it, NaN beyond the stream."""
+    """Return a block with the lines before and after it, NaN beyond the stream."""
     width = range_m.shape[1]
-    following = np.full((AROUND_LINES, width), np.nan, np.float32)
+    following = np.full((SPACED_LINES, width), np.nan, np.float32)
     if next_m is not None:
-        given = next_m[:AROUND_LINES]
+        given = next_m[:SPACED_LINES]
         following[: len(given)] = given
     return np.concatenate([tail, range_m, following])
 

@@ -13,7 +13,7 @@ from prc_cli.classifiers.fused.neighbours import Neighbours
 from prc_cli.classifiers.fused.plane import ScanPlane
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
-from prc_cli.core.thresholds.fused import StripThresholds, WallThresholds, typed
+from prc_cli.core.thresholds.fused import FlankThresholds, StripThresholds, WallThresholds, typed
 from prc_cli.core.types import F32, U8
 
 NEVER_M = 1e9
@@ -77,6 +77,30 @@ class WallParams(Params):
         )
 
 
+class FlankParams(Params):
+    """Flanks of vehicles, which are no walls: ground is seen beneath them (``[fused.flanks]``)."""
+
+    enabled: bool = Field(True, description="whether upright surfaces with ground beneath them are cars")
+    least_m: float = Field(
+        0.2, gt=0, le=100, description="least height of their smooth upright surface, mean of five lines [m]"
+    )
+    most_m: float = Field(3.0, gt=0, le=100, description="greatest height of that [m]")
+    behind_m: float = Field(0.15, ge=0, le=10, description="ground beneath is seen at least this far behind [m]")
+    soil_m: float = Field(0.1, gt=0, le=10, description="shots this near to the ground are ground beneath [m]")
+    shots: int = Field(3, ge=1, le=1000, description="least number of such shots in five lines")
+
+    def thresholds(self) -> FlankThresholds:
+        """Return the thresholds of the loop."""
+        return typed(
+            FlankThresholds,
+            least_m=self.least_m,
+            most_m=self.most_m,
+            behind_m=self.behind_m,
+            soil_m=self.soil_m,
+            shots=self.shots,
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Standing:
     """Objects above the ground beside the lines of a block."""
@@ -95,10 +119,9 @@ def stand(
     above_m: F32,
     seen: Neighbours,
     plane: ScanPlane,
-    least_near: int,
-    car_top_m: float,
-    strips: StripsParams,
+    strips: StripThresholds,
     walls: WallParams,
+    flanks: FlankParams,
 ) -> Standing:
     """Sort shots above the ground into strips, and combine five lines.
 
@@ -108,15 +131,18 @@ def stand(
         Range and height above the ground.
     seen : Neighbours
     plane : ScanPlane
-    least_near : int
-        Shots with fewer near neighbours do not count.
-    car_top_m : float
-        Level surfaces above this do not count [m].
-    strips : StripsParams
+    strips : StripThresholds
     walls : WallParams
+    flanks : FlankParams
     """
     every, rough, length, wall, place, top, levels = kernels.fill_strips(
-        range_m, above_m, seen.counts, plane.beams, plane.step_rad, strips.thresholds(least_near, car_top_m)
+        range_m, above_m, seen.counts, plane.beams, plane.step_rad, strips
     )
-    found = kernels.find_walls((length, wall, place, top), walls.thresholds())
-    return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, kernels.widen_levels(levels))
+    wide = kernels.widen_levels(levels)
+    vehicles = np.zeros((len(wide), every.shape[1]), np.uint8)
+    if flanks.enabled:
+        vehicles, wide = kernels.find_flanks(
+            range_m, above_m, seen.upright, plane.beams, (wall, place), wide, flanks.thresholds()
+        )
+    found = kernels.find_walls((length, wall, place, top), vehicles, walls.thresholds())
+    return Standing((kernels.widen_slots(every), kernels.widen_slots(rough)), found, wide)

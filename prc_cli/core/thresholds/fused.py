@@ -61,6 +61,17 @@ class SmoothThresholds(NamedTuple):
     """... or so many distances between adjacent columns, if that is more."""
 
 
+class SpacingThresholds(NamedTuple):
+    """Which shots are on leaves, and when a shot of another line is on the same one."""
+
+    tolerance_m: np.float32
+    """Shots that differ by less in range are on one thing, at range 0 [m]."""
+    tolerance_per_m: np.float32
+    """Added to it per metre of range."""
+    near_m: np.float32
+    """Greatest difference in range to the shots on both sides of a leaf [m]."""
+
+
 class ChordThresholds(NamedTuple):
     """When a chord through a shot is upright or level."""
 
@@ -125,6 +136,21 @@ class WallThresholds(NamedTuple):
     """A wall is reported to strips up to this far in front of it [m]."""
 
 
+class FlankThresholds(NamedTuple):
+    """What the flank of a vehicle is."""
+
+    least_m: np.float32
+    """Least height of its smooth upright surface, mean of five lines [m]."""
+    most_m: np.float32
+    """Greatest height of that [m]."""
+    behind_m: np.float32
+    """Ground beneath it is seen at least this far behind it [m]."""
+    soil_m: np.float32
+    """Shots this near to the ground are ground [m]."""
+    shots: np.float32
+    """Fewest shots of the ground beneath it, in five lines."""
+
+
 class DecisionThresholds(NamedTuple):
     """Limits of the questions that label a shot."""
 
@@ -136,6 +162,8 @@ class DecisionThresholds(NamedTuple):
     """Rough shots farther below the ground are noise [m]."""
     leaf_slots: np.float32
     """Slots with rough shots around a lonely shot that make it a leaf."""
+    lone_m: np.float32
+    """Shots without any near neighbour are noise up to this range [m]; farther ones may be leaves."""
     walked_m: np.float32
     """Shots that the walk went over are ground up to this height difference [m]."""
     level_m: np.float32
@@ -168,6 +196,14 @@ class DecisionThresholds(NamedTuple):
     """What is beside a pole is farther than it by more than this [m]."""
     crown_slots: np.float32
     """Slots with rough shots above a pole that make it a trunk."""
+    keeps_parts: np.float32
+    """1 = what is beside a car is no pole; 0 = it may be, if it is narrow in other lines."""
+    takes_long: np.float32
+    """1 = poles may be long across lines, as fences are; 0 = lines close by see past them."""
+    stand_m: np.float32
+    """Narrow things stand on the ground: lower shots do not belong to their run [m]."""
+    tree_slots: np.float32
+    """Slots with rough shots above, both before and behind, that make an upright surface part of a tree."""
     foot_m: np.float32
     """Lower shots are neither poles nor lonely leaves [m]."""
     keeps_held: np.float32
@@ -176,6 +212,29 @@ class DecisionThresholds(NamedTuple):
     """Shots farther behind a wall than this may be ghosts [m] ..."""
     ghost_near: np.float32
     """... if they have fewer near neighbours than this."""
+    car_label: np.float32
+    """Label of cars."""
+    pole_label: np.float32
+    """Label of poles."""
+
+
+class CurbThresholds(NamedTuple):
+    """What a curb is."""
+
+    least_m: np.float32
+    """Least height of its face [m]."""
+    most_m: np.float32
+    """Greatest height of its face [m]."""
+    reach_m: np.float32
+    """The ground up to this far to either side of the face gives its foot and top [m]."""
+    half_m: np.float32
+    """Half width of the face [m]."""
+    share: np.float32
+    """Share of its height that the ground rises by within the face, at least."""
+    margin: np.float32
+    """Shots nearer to foot or top than this share of its height are ground."""
+    steep: np.float32
+    """Column spacings that the line climbs over four columns on a face, at least."""
 
 
 class TerrainThresholds(NamedTuple):

@@ -24,6 +24,11 @@ CHUNK_SHOTS = 1 << 19
 MAX_POINTS_PER_LINE = 10_000_000
 """Longest line, as for ``input.points_per_line``."""
 
+FEWEST_POINTS_PER_LINE = 8
+"""A longer image of shorter lines is refused: every line takes some time, however few shots it has."""
+MANY_LINES = 100_000
+"""What is long in this sense."""
+
 RANGE, TIME, XYZ, INTENSITY = "range_m", "time_s", "xyz", "intensity"
 CLASS = "class"
 """Name of the array of class codes: not part of the stream, but conversion and evaluation read it."""
@@ -280,6 +285,9 @@ def _find_shape(header: NpyHeader, file: ArrayFile, config: InputConfig) -> tupl
         if shape[1] > MAX_POINTS_PER_LINE:
             problem = f"found {shape[1]} points per line, expected at most {MAX_POINTS_PER_LINE}"
             raise InputError(header.where, problem, "save one row a scan line")
+        if shape[0] > MANY_LINES and shape[1] < FEWEST_POINTS_PER_LINE:
+            problem = f"found {shape[0]} lines of {shape[1]} points, expected at least {FEWEST_POINTS_PER_LINE} points"
+            raise InputError(header.where, problem, "save one row a scan line, or all ranges in a row")
         return shape[0], shape[1], shape[0] * shape[1]
     lists = [name for name in _RECORD_LISTS if name in file.headers and file.headers[name].shape == shape]
     if lists:

@@ -301,12 +301,28 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:160]
 
 
+def _open_cloud(path: Path, dimension: str | None) -> CodeSource:
+    from prc_cli.formats.pcd.read import open_pcd
+    from prc_cli.formats.ply.read import open_ply
+
+    source = open_ply(path) if suffix_of(path) == ".ply" else open_pcd(path)
+    name = _choose(path, list(source.dimensions), dimension)
+
+    def read() -> Iterator[NDArray[Any]]:
+        for chunk in source.chunks((name,)):
+            yield chunk.values[name]
+
+    return CodeSource(path, source.n_records, read, missing=True, name=name)
+
+
 OPENERS: dict[str, Callable[[Path, str | None], CodeSource]] = {
     ".npy": _open_arrays,
     ".npz": _open_arrays,
     **{f"{text}{packed}": _open_text for text in (".csv", ".txt") for packed in ("", ".gz", ".zst")},
     ".parquet": _open_parquet,
     ".label": _open_semantic,
+    ".ply": _open_cloud,
+    ".pcd": _open_cloud,
     ".las": _open_las,
     ".laz": _open_las,
 }

@@ -92,6 +92,8 @@ class LazContexts:
 
     def __init__(self) -> None:
         self.n_seen = 0
+        self.n_checked = 0
+        """Records of which every layer was decoded, from the first one."""
         self._runs: list[_Run] = []
         self._n_bytes = 0
         self._lock = threading.Lock()
@@ -112,6 +114,12 @@ class LazContexts:
                 self._n_bytes += len(packed)
             self._runs.append(_Run(n, value, packed))
             self.n_seen += n
+
+    def check(self, first: int, n: int) -> None:
+        """Note that every layer of ``n`` records could be decoded; only those that follow the last ones count."""
+        with self._lock:
+            if first == self.n_checked:
+                self.n_checked += n
 
     def take(self, n: int) -> Iterator[U8]:
         """Yield the contexts kept, ``n`` at a time, fewer at the end."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from prc_cli.core.errors import InputError
+from prc_cli.core.files import file_state
 
 STANDARD_HEADER = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
 """Header length by minor version; bytes beyond it are user bytes."""
@@ -229,10 +229,9 @@ class Source:
         """Go to a position (also called by lazrs)."""
         return self._handle.seek(position, whence)
 
-    def state(self) -> tuple[int, int, int]:
-        """Return size, time of the last change [ns] and number of the file."""
-        found = os.fstat(self._handle.fileno())
-        return found.st_size, found.st_mtime_ns, found.st_ino
+    def state(self) -> tuple[int, int, int, int]:
+        """Return what changes when the file does (:func:`prc_cli.core.files.file_state`)."""
+        return file_state(self._handle.fileno())
 
     def tell(self) -> int:
         """Return the position."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import Any, Protocol
+from typing import Any
 
 import lazrs
 import numpy as np
@@ -29,12 +29,18 @@ ITEMS_AT = 32
 """Byte where the items of a record begin: their number, then type, size and version of each."""
 LAYERED_FORMATS = 6
 """From this point format on, chunks are compressed in layers, one per field."""
-RUN_BYTES = 512
-"""Block length in the search for long runs of 0xFF: a run of twice the length covers a whole block."""
-_LOOK_BYTES = 4 << 20
 
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Number of compressed layers by item type; extra bytes (14) have one per byte."""
+_POINT10, _TIME, _RGB, _WAVE, _POINT14 = (6, 20), (7, 8), (8, 6), (9, 29), (10, 30)
+_RGB14, _RGBNIR14, _WAVE14 = (11, 6), (12, 8), (13, 29)
+_ITEMS = {
+    0: (_POINT10,), 1: (_POINT10, _TIME), 2: (_POINT10, _RGB), 3: (_POINT10, _TIME, _RGB),
+    4: (_POINT10, _TIME, _WAVE), 5: (_POINT10, _TIME, _RGB, _WAVE),
+    6: (_POINT14,), 7: (_POINT14, _RGB14), 8: (_POINT14, _RGBNIR14), 9: (_POINT14, _WAVE14),
+    10: (_POINT14, _RGBNIR14, _WAVE14),
+}  # fmt: skip
+"""Items of a record, (type, bytes), by point format; extra bytes follow as type 0, in layered chunks as type 14."""
 _TOGETHER_BYTES = 16 << 20
 """Most bytes of records decoded at a time, however many the cores."""
 _ONE_RETURN = 0x1F
@@ -108,6 +114,10 @@ class LazRecords:
         if n_bytes != self.header.record_bytes:
             problem = f"records of {n_bytes} bytes, expected the {self.header.record_bytes} of the header"
             raise InputError(where, problem, DAMAGED)
+        if not _are_items_of(items, self.header.point_format):
+            found, core = ", ".join(map(str, items)), _ITEMS[self.header.point_format]
+            problem = f"items (type, bytes) {found}, expected {', '.join(map(str, core))} and extra bytes at most"
+            raise InputError(where, f"{problem} for point format {self.header.point_format}", DAMAGED)
         if struct.unpack_from("<I", data, CHUNK_SIZE_AT)[0] == 0:
             raise InputError(where, "chunks of 0 records, expected at least 1", DAMAGED)
         return [(int(kind), int(size)) for kind, size in items]
@@ -221,7 +231,6 @@ class LazRecords:
             # a second handle: the decoder needs the position of the first one unchanged
             with open_source(self.header.path) as source:
                 self._check_layers(source, chunk, end)
-                self._check_runs(source, chunk, end)
             stop = int(self.table.first_record[end])
             # decode whole chunks even if longer than a batch: only then is damage noticed
             step = stop - first if whole else n_max
@@ -305,18 +314,14 @@ class LazRecords:
             if claimed > n_bytes:
                 raise damaged(path, begin, f"{what} claims {claimed} bytes, expected {n_bytes}")
 
-    def _check_runs(self, source: Source, first: int, end: int) -> None:
-        """Refuse chunks with a long run of 0xFF, which makes the decoder kill the process."""
-        byte = find_run(source, int(self.table.first_byte[first]), int(self.table.first_byte[end]))
-        if byte is None:
-            return
-        chunk = int(np.searchsorted(self.table.first_byte, byte, side="right")) - 1
-        bounds = self.table.first_record[chunk : chunk + 2]
-        problem = (
-            f"records {bounds[0]} to {bounds[1] - 1} cannot be decompressed: LAZ chunk {chunk} holds "
-            f"{RUN_BYTES} bytes of 0xFF in a row, expected compressed records"
-        )
-        raise damaged(self.header.path, byte, problem)
+
+def _are_items_of(items: Sequence[tuple[int, int]], point_format: int) -> bool:
+    """Whether the items of a record are those of its point format: others make a decoder take a gigabyte."""
+    core = _ITEMS.get(point_format)
+    if core is None or tuple(items[: len(core)]) != core:
+        return False
+    extra = 14 if point_format >= LAYERED_FORMATS else 0
+    return [kind for kind, _ in items[len(core) :]] in ([], [extra])
 
 
 def read_batches(
@@ -457,46 +462,6 @@ def chunk_head(items: Iterable[tuple[int, int]]) -> struct.Struct:
     '<14I'
     """
     return struct.Struct(f"<{1 + sum(_LAYERS.get(kind, n_bytes) for kind, n_bytes in items)}I")
-
-
-class _Readable(Protocol):
-    def seek(self, position: int, /) -> int: ...
-
-    def read(self, n: int, /) -> bytes: ...
-
-
-def find_run(handle: _Readable, start: int, stop: int) -> int | None:
-    r"""Return where a long run of 0xFF lies in a file, as bad blocks of a disk leave them; None without.
-
-    The decoder of times calls itself once for every such code (lazrs 0.8) until its stack is used up, which ends the
-    process. Compressed data look random: a run of this length does not occur in sound files.
-
-    Parameters
-    ----------
-    handle : binary stream
-        File; its position is changed.
-    start, stop : int
-        First byte to look at, and first behind.
-
-    Examples
-    --------
-    >>> import io
-    >>> find_run(io.BytesIO(bytes(600) + b"\xff" * 1400), 0, 2000), find_run(io.BytesIO(bytes(2000)), 0, 2000)
-    (512, None)
-    """
-    handle.seek(start)
-    position = start
-    while position < stop:
-        raw = np.frombuffer(handle.read(min(_LOOK_BYTES, stop - position)), np.uint8)
-        if not len(raw):
-            return None
-        # a run of twice the block covers a whole block wherever it begins; a few other bytes are tolerated
-        blocks = raw[: len(raw) // RUN_BYTES * RUN_BYTES].reshape(-1, RUN_BYTES)
-        full = np.flatnonzero((blocks[:, ::8] == 0xFF).sum(axis=1) > RUN_BYTES // 16)
-        if len(full):
-            return position + int(full[0]) * RUN_BYTES
-        position += len(raw)
-    return None
 
 
 def _has_several(raw: memoryview, record_bytes: int) -> bool:

@@ -165,6 +165,8 @@ def read_layout(header: LasHeader) -> RecordLayout:
         name = extra.name
         while name in fields or name in {"X", "Y", "Z"}:
             name = f"extra_{name}"
+        if name != extra.name and any(extra.name in (one.name, one.name.removeprefix("extra_")) for one in found):
+            notes.append(f"several extra dimensions are named {extra.name!r}: another one is read as {name!r}")
         column = f"{name} {len(columns)}"  # a blank: no clash with a field of the point format
         kind = f"V{extra.n_bytes}" if extra.data_type == 0 else extra.dtype.str
         one = extra.n_values == 1 or extra.data_type == 0

@@ -16,6 +16,7 @@ from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.facts import ClassContexts
 from prc_cli.core.files import output_errors
 from prc_cli.core.types import I64, U8
+from prc_cli.formats.las.copc import Copc, find_copc, move_index, splice_copc
 from prc_cli.formats.las.copy import (
     COPC_USER,
     Plan,
@@ -69,8 +70,8 @@ class LasRewriter(ScatterWriter):
         super().__init__(path, codes, options, asked_columns(options), self._las.n_records)
         self._compress = path.suffix.lower() == ".laz"
 
-    def _source_state(self) -> tuple[int, int, int]:
-        """Size, time of the last change and number of the input file: if one differs, the file has changed."""
+    def _source_state(self) -> tuple[int, int, int, int]:
+        """Size, times of the last change and number of the input file: if one differs, the file has changed."""
         with open_source(self._source_path) as source:
             return source.state()
 
@@ -82,11 +83,19 @@ class LasRewriter(ScatterWriter):
         for columns in self._columns(las.n_records):
             self._count(columns.codes)
         plan = self._plan(las)
-        vlrs = self._vlrs(las, plan)
+        copc = self._copc(las, plan)
+        vlrs = self._vlrs(las, plan, keeps_index=copc is not None)
         record = self._completed(record)
         points = _Points(las, plan)
 
+        moved: dict[int, tuple[int, int]] = {}
+
         def write_points(source: Source, target: Target, open_sink: Callable[[], PointSink]) -> None:
+            if copc is not None:
+                n = batch_records(las, compressed=True)
+                codes = (columns.codes for columns in self._columns(las.n_records, n))
+                moved.update(splice_copc(source, target, copc, codes))
+                return
             chunks = find_chunks(source, las) if plan.only_classes(las) else None
             if chunks is None:
                 n = batch_records(las, compressed=las.compressed or plan.compress)
@@ -95,8 +104,11 @@ class LasRewriter(ScatterWriter):
             codes = (columns.codes for columns in self._columns(las.n_records, splice_records(chunks)))
             splice_classes(source, target, chunks, codes, self._laz_contexts)
 
-        drop = (RECORD_KEY[0], COPC_USER)
+        drop = (RECORD_KEY[0],) if copc is not None else (RECORD_KEY[0], COPC_USER)
         write_again(las, plan, with_record(vlrs, record), self._temporary, write_points, points.finish, drop)
+        if copc is not None:
+            with open_source(self._source_path) as source:
+                move_index(self._temporary, source, copc, moved)
         if plan.is_checked:
             check_compressed(self._temporary, self.path, points.checksum)
         if self._source_state() != self._state:
@@ -136,9 +148,19 @@ class LasRewriter(ScatterWriter):
             )
         return plan
 
-    def _vlrs(self, las: LasHeader, plan: Plan) -> list[Vlr]:
+    def _copc(self, las: LasHeader, plan: Plan) -> Copc | None:
+        """Return the index of a COPC input that the output keeps."""
+        if not plan.only_classes(las) or not any(vlr.user_id == COPC_USER for vlr in las.vlrs):
+            return None
+        with open_source(self._source_path) as source:
+            return find_copc(source, las)
+
+    def _vlrs(self, las: LasHeader, plan: Plan, *, keeps_index: bool) -> list[Vlr]:
         """VLRs of the output, still with the old run record."""
         vlrs = list(las.vlrs)
+        if keeps_index:
+            check_copied(las)
+            return vlrs
         if any(vlr.user_id == COPC_USER for vlr in vlrs):
             self._notice(
                 "the COPC index does not fit the rewritten chunks and was left out: the output is plain LAS/LAZ"

@@ -4,7 +4,7 @@ A layered chunk of LASzip holds its first record uncompressed, the number of rec
 layers, each with its own arithmetic coder (Isenburg 2013; the ASPRS LAZ specification 1.4, sections on POINT14). The
 layer of classes depends only on the classes, the return numbers and the scanner channels, so records that are zero
 elsewhere give the same layer. lazrs compresses such records; their layer replaces the old one, all other bytes are
-copied.
+copied. So that no damage is copied with them, every layer is decoded once before, by the reader or here.
 """
 
 from __future__ import annotations
@@ -93,11 +93,11 @@ def splice_classes(
             records = records_of(context, standard_bytes(6))
             records[:, _CLASS_AT] = new
             first = batch * (n // n_chunk)
-            for chunk, layer in enumerate(_class_layers(target, n_chunk, records), start=first):
+            for chunk, layer in enumerate(class_layers(target, n_chunk, records), start=first):
                 source.seek(first_byte[chunk])
                 old = source.exact(first_byte[chunk + 1] - first_byte[chunk], f"LAZ chunk {chunk}")
                 code = int(new[(chunk - first) * n_chunk])
-                written = sum(target.write(part) for part in _with_layer(chunks, old, layer, code))
+                written = sum(target.write(part) for part in with_layer(chunks, old, layer, code))
                 table.append((n_chunk, written))
     table_at = target.tell()
     with codec_errors(target):
@@ -115,13 +115,18 @@ def splice_records(chunks: LazRecords) -> int:
 
 
 def _contexts(chunks: LazRecords, n: int, kept: ClassContexts | None) -> Generator[U8]:
-    """Yield the contexts of the classes of ``n`` records at a time, kept or decoded."""
+    """Yield the contexts of the classes of ``n`` records at a time, kept or decoded.
+
+    Layers that nobody has decoded yet are decoded with them: a damaged one is refused here.
+    """
     las = chunks.header
-    if kept is not None and kept.n_seen == las.n_records:
+    is_sound = kept is not None and kept.n_checked == las.n_records
+    if kept is not None and is_sound and kept.n_seen == las.n_records:
         yield from kept.take(n)
         return
     with open_source(las.path) as source:
-        decompressor = chunks.open(source, lazrs.ParLasZipDecompressor, lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL)
+        layers = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL if is_sound else lazrs.SELECTIVE_DECOMPRESS_ALL
+        decompressor = chunks.open(source, lazrs.ParLasZipDecompressor, layers)
         whole = np.empty((min(n, las.n_records), las.record_bytes), np.uint8)
         for first in range(0, las.n_records, n):
             records = whole[: las.n_records - first]
@@ -130,7 +135,7 @@ def _contexts(chunks: LazRecords, n: int, kept: ClassContexts | None) -> Generat
             yield contexts_of(records)
 
 
-def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[memoryview]:
+def class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[memoryview]:
     """Compress records of format 6 and yield the layer of classes of every chunk."""
     buffer = io.BytesIO()
     with codec_errors(target):
@@ -152,7 +157,7 @@ def _class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[me
         at += n_bytes
 
 
-def _with_layer(
+def with_layer(
     chunks: LazRecords, old: bytes, layer: memoryview, code: int
 ) -> tuple[bytearray, memoryview, memoryview, memoryview]:
     """Return the parts of a chunk with a new layer of classes and a new class of its first record."""

@@ -74,7 +74,7 @@ class _TableStream(StagedStreamWriter):
     def _tables(self, item: StreamItem) -> Iterator[pa.Table]:
         lines = max(1, ROWS_AT_ONCE // item.block.points_per_line)
         for first in range(0, item.block.n_lines, lines):
-            values = _rows(item, slice(first, min(first + lines, item.block.n_lines)))
+            values = stream_rows(item, slice(first, min(first + lines, item.block.n_lines)))
             yield pa.Table.from_arrays(
                 [_array(values[name], kind) for name, kind in self._columns.items()], schema=self._schema
             )
@@ -127,7 +127,7 @@ def _close(stream: Any) -> None:
         stream.close()
 
 
-def _rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
+def stream_rows(item: StreamItem, rows: slice) -> dict[str, NDArray[Any]]:
     """Return the columns of some lines of a block; the chosen return of a shot comes first."""
     block = item.block
     m, n_lines = block.points_per_line, rows.stop - rows.start

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from prc_cli.core.errors import InputError
+from prc_cli.formats.layout import FACTORS, UNITS
 from prc_cli.formats.options import Layout, LayoutField
 from prc_cli.formats.records import STANDARD_NAMES
 from prc_cli.formats.text.dialect import TextFormat, shorten
 
+_XYZ = ("x", "y", "z")
 ALIASES: dict[str, tuple[str, ...]] = {
     "range": ("range", "range_m", "distance", "r"),
     "scan_line": ("scan_line", "scanline", "line"),
@@ -18,7 +21,10 @@ ALIASES: dict[str, tuple[str, ...]] = {
     "time": ("time", "time_s", "gps_time", "t"),
 }
 """Header names of the standard dimensions, in any case; the first one present is used."""
-_ANGLE_UNITS = {"angle_rad": "rad"}
+CLOUD_SUFFIXES = (".xyz", ".asc", ".pts")
+"""Files whose first columns are x, y, z where they have no names."""
+_UNIT = re.compile(r"(?P<name>.+?)\s*(?:_|\(|\[|\s)\s*(?P<unit>mm|cm|m|ft|s|ms|us|ns|rad|deg|gon)\s*[)\]]?")
+"""A name with a unit behind it: ``range_mm``, ``angle [gon]``, ``x (ft)``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +57,9 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
         found[item.name] = TextColumn(index, _label(text, index), _with_unit(item, name))
     if not fields:
         found.update(_by_alias(path, text))
+    if not fields and not any(text.names) and path.suffix.lower() in CLOUD_SUFFIXES and text.n_columns >= len(_XYZ):
+        known = (*_XYZ, *(("intensity",) if path.suffix.lower() == ".pts" and text.n_columns > len(_XYZ) else ()))
+        found.update({name: TextColumn(at, _label(text, at), LayoutField(name=name)) for at, name in enumerate(known)})
     if not fields and text.header_line is None and text.n_columns == 1:
         found["range"] = TextColumn(0, "range", LayoutField(name="range"))
     taken = {column.index for column in found.values()}
@@ -64,19 +73,40 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
 
 def _with_unit(item: LayoutField, name: str) -> LayoutField:
     """Return a field with the unit from the name of its column, if the layout gives none."""
-    unit = _ANGLE_UNITS.get(name.lower())
-    return item if item.name != "angle" or item.unit or unit is None else item.model_copy(update={"unit": unit})
+    found = _UNIT.fullmatch(name.strip().lower())
+    unit = None if found is None else found["unit"]
+    if item.unit or item.scale != 1.0 or unit is None or unit not in UNITS.get(item.name, ()):
+        return item
+    # the usual units need not be named
+    return (
+        item
+        if (FACTORS[unit] == 1.0 and item.name != "angle") or unit == "deg"
+        else item.model_copy(update={"unit": unit})
+    )
+
+
+def _plain_name(name: str) -> str:
+    """Return a name in lower case without the unit behind it.
+
+    >>> _plain_name("Range [mm]"), _plain_name("angle_gon"), _plain_name("scan_line")
+    ('range', 'angle', 'scan_line')
+    """
+    found = _UNIT.fullmatch(name.strip().lower())
+    return name.strip().lower() if found is None else found["name"]
 
 
 def _by_alias(path: Path, text: TextFormat) -> dict[str, TextColumn]:
     lowered = [name.lower() for name in text.names]
+    plain = [_plain_name(name) for name in text.names]
     found = {}
     for standard in STANDARD_NAMES:
+        known = standard in UNITS
         for alias in ALIASES.get(standard, (standard,)):
-            if alias in lowered:
-                index = lowered.index(alias)
+            names = lowered if alias in lowered or not known else plain
+            if alias in names and not (alias == "r" and {"g", "b"} <= set(lowered)):
+                index = names.index(alias)
                 _check_once(path, text, text.names[index])
-                item = _with_unit(LayoutField(name=standard), alias)
+                item = _with_unit(LayoutField(name=standard), text.names[index])
                 found[standard] = TextColumn(index, _label(text, index), item)
                 break
     return found
@@ -85,7 +115,7 @@ def _by_alias(path: Path, text: TextFormat) -> dict[str, TextColumn]:
 def _find_source(path: Path, text: TextFormat, item: LayoutField, position: int) -> tuple[int, str]:
     """Return number and name of the column that a field is read from."""
     source = item.source
-    if text.header_line is None:
+    if not any(text.names):
         if isinstance(source, str) and not source.isdecimal():
             problem = f"no header row, so no column {source!r} for field {item.name!r}"
             hint = "give the column's number from 0 as source"

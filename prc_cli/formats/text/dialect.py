@@ -21,6 +21,8 @@ SNIFFED_ROWS = 20
 HEAD_BYTES = 1 << 16
 """Bytes read at a time for the first rows."""
 
+_LAST_ROWS = 8
+_SWAPPED = str.maketrans(",.", ".,")
 BLANKS = " "
 """Delimiter that means any number of blanks and tabs."""
 _DELIMITERS = (";", "\t", ",")
@@ -44,6 +46,8 @@ class TextFormat:
     """Names of the columns, empty strings without a header."""
     found_delimiter: bool
     """Whether the delimiter was detected."""
+    decimal: str = "."
+    """Character before the decimals."""
 
     @property
     def n_columns(self) -> int:
@@ -84,18 +88,35 @@ def find_format(path: Path, layout: Layout | None) -> TextFormat:
     rows = _first_rows(path, draft)
     if not rows:
         raise InputError(str(path), *_no_rows(path))
-    delimiter = _find_delimiter([text for _, text in rows]) if layout is None else given.delimiter
+    skipped = None
+    if (
+        path.suffix.lower() == ".pts"
+        and len(rows) > 1
+        and rows[0][1].strip().isdecimal()
+        and len(rows[1][1].split()) > 1
+    ):
+        # Leica's files begin with the number of points
+        skipped, rows = rows[0][0], rows[1:]
+    is_found = layout is None or not {"delimiter", "fields"} & layout.model_fields_set
+    delimiter = _find_delimiter([text for _, text in rows], given.decimal) if is_found else given.delimiter
+    decimal = given.decimal or _find_decimal([text for _, text in rows], delimiter)
+    if decimal == delimiter:
+        problem = "found ',' for both the decimals and the cells"
+        raise ConfigError("layout.decimal", problem, 'give the other one: --set layout.delimiter=";"')
     number, text = rows[0]
     cells = split(path, number, text, delimiter)
     if len(cells) > MAX_COLUMNS:
         problem = f"{len(cells)} cells, expected at most {MAX_COLUMNS}"
         raise InputError(f"{path}: line {number}", problem, "check the delimiter, or that one record stands in one row")
-    has_header = given.header if given.header is not None else any(not is_number(cell) for cell in cells)
+    has_header = given.header if given.header is not None else any(not is_number(cell, decimal) for cell in cells)
     if has_header and len(rows) == 1:
         problem = f"no row follows the header in line {number}, expected a record a row"
         raise InputError(str(path), problem, "copy it from the archive again")
     names = tuple(cell.strip() for cell in cells) if has_header else ("",) * len(cells)
-    return TextFormat(delimiter, draft.comment, number if has_header else None, number, names, layout is None)
+    if has_header and names[0].startswith("//"):
+        # CloudCompare's header
+        names = (names[0].removeprefix("//").strip(), *names[1:])
+    return TextFormat(delimiter, draft.comment, number if has_header else skipped, number, names, is_found, decimal)
 
 
 def _first_rows(path: Path, draft: TextFormat) -> list[tuple[int, str]]:
@@ -140,14 +161,31 @@ def _no_rows(path: Path) -> tuple[str, str]:
     return "only comments and blank lines, expected a record a row", hint
 
 
-def _find_delimiter(rows: list[str]) -> str:
+def _find_decimal(rows: list[str], delimiter: str) -> str:
+    """Return the comma where cells of the last rows are numbers with it and none is one with a point."""
+    cells = [
+        cell.strip() for row in rows[-_LAST_ROWS:] for cell in row.split(None if delimiter == BLANKS else delimiter)
+    ]
+    has_comma = delimiter != "," and any("," in cell and is_number(cell, ",") for cell in cells)
+    return "," if has_comma and not any("." in cell and is_number(cell) for cell in cells) else "."
+
+
+def _has_inner_comma(cell: str) -> bool:
+    """Whether a cell is a whole number or one with decimals behind a comma."""
+    return is_number(cell, ",") and not cell.startswith(",") and not cell.endswith(",")
+
+
+def _find_delimiter(rows: list[str], decimal: str | None) -> str:
     """Return the first of ``;``, tab and comma that occurs equally often in every row, else blanks if there are any."""
-    for delimiter in _DELIMITERS:
+    last = [row.split() for row in rows[-_LAST_ROWS:]]
+    if all(len(cells) > 1 and all(map(_has_inner_comma, cells)) for cells in last) and any("," in row for row in rows):
+        return BLANKS
+    for delimiter in (one for one in _DELIMITERS if one != decimal):
         counts = {row.count(delimiter) for row in rows}
         if counts != {0} and len(counts) == 1:
             return delimiter
     # where rows differ, take the delimiter of the first row, so that the error names the odd row
-    for delimiter in _DELIMITERS:
+    for delimiter in (one for one in _DELIMITERS if one != decimal):
         if delimiter in rows[0]:
             return delimiter
     return BLANKS if all(len(row.split()) > 1 for row in rows) else ","
@@ -193,14 +231,23 @@ def try_split(text: str, delimiter: str) -> list[str] | None:
     return next(csv.reader([text], delimiter=delimiter))
 
 
-def is_number(cell: str) -> bool:
+def is_number(cell: str, decimal: str = ".") -> bool:
     """Whether a cell is empty, a decimal number, ``nan`` or ``inf`` in any case.
 
     >>> [is_number(cell) for cell in ("", " 1.5e3 ", "NaN", "-inf", "1,5", "0x10", "1_000")]
     [True, True, True, True, False, False, False]
     """
-    text = cell.strip(" \t")
+    text = with_point(cell.strip(" \t"), decimal)
     return not text or _NUMBER.fullmatch(text) is not None
+
+
+def with_point(cell: str, decimal: str) -> str:
+    """Return a cell with a point before its decimals; one with a point already is no number then.
+
+    >>> with_point("1,5", ","), with_point("1.5", ",")
+    ('1.5', '1,5')
+    """
+    return cell if decimal == "." else cell.translate(_SWAPPED)
 
 
 def to_number(cell: str) -> float | None:

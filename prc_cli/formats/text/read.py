@@ -22,7 +22,7 @@ from prc_cli.core.types import F64
 from prc_cli.formats.layout import check_fields, decode
 from prc_cli.formats.options import Layout
 from prc_cli.formats.records import RecordChunk
-from prc_cli.formats.text.columns import TextColumn, find_columns
+from prc_cli.formats.text.columns import CLOUD_SUFFIXES, TextColumn, find_columns
 from prc_cli.formats.text.dialect import (
     BLANKS,
     find_format,
@@ -30,6 +30,7 @@ from prc_cli.formats.text.dialect import (
     split,
     to_number,
     try_split,
+    with_point,
 )
 from prc_cli.formats.text.lines import (
     BLOCK_BYTES,
@@ -77,6 +78,8 @@ class TextSource:
             check_fields(layout)
         self._path = path
         self._block_bytes = block_bytes
+        self._is_cloud = path.suffix.lower() in CLOUD_SUFFIXES
+        self._has_units = layout is None or not layout.fields
         self._text = find_format(path, layout)
         self._columns = find_columns(path, self._text, layout)
         comment = re.escape(self._text.comment)
@@ -107,17 +110,32 @@ class TextSource:
         if text.found_delimiter and text.n_columns > 1:
             shown = {BLANKS: "blanks", "\t": "tabs"}.get(text.delimiter, repr(text.delimiter))
             notes.append(f"cells are separated by {shown}, found by looking")
-        if text.header_line is not None:
+        if text.decimal == ",":
+            notes.append("decimals stand behind a comma, found by looking")
+        if text.header_line is not None and any(text.names):
             notes.append(f"line {text.header_line} holds the names of the columns")
         renamed = [
             f"{text.names[column.index]} as {name}"
             for name, column in self._columns.items()
             if text.names[column.index] not in ("", name)
         ]
+        if "x" in self._columns and not any(text.names) and self._is_cloud:
+            shown = "x, y, z and intensity" if "intensity" in self._columns else "x, y, z"
+            notes.append(f"the first columns have no names: taken as {shown}")
+        units = [
+            f"{name} in {one.item.unit}" for name, one in self._columns.items() if one.item.unit not in ("", "rad")
+        ]
+        if units and self._has_units:
+            notes.append(f"units from the names of the columns: {', '.join(units)}")
         if renamed:
             notes.append(f"columns taken under another name: {', '.join(renamed)}")
         angle = self._columns.get("angle")
-        if angle is not None and not angle.item.unit and "deg" not in text.names[angle.index].lower():
+        if (
+            angle is not None
+            and not angle.item.unit
+            and text.names[angle.index]
+            and "deg" not in text.names[angle.index].lower()
+        ):
             notes.append("angles are taken as degrees")
         if text.header_line is None and "range" in self._columns and text.n_columns == 1:
             notes.append("a single column without a name: taken as the range [m]")
@@ -232,7 +250,12 @@ class TextSource:
                 # several blocks are parsed in parallel already
                 csv.ReadOptions(column_names=keys, block_size=MAX_LINE_BYTES, use_threads=False),
                 csv.ParseOptions(delimiter=self._text.delimiter),
-                csv.ConvertOptions(column_types=wanted, include_columns=list(wanted), null_values=[""]),
+                csv.ConvertOptions(
+                    column_types=wanted,
+                    include_columns=list(wanted),
+                    null_values=[""],
+                    decimal_point=self._text.decimal,
+                ),
                 pa.system_memory_pool(),  # freed memory goes back to the system, not to pyarrow's own pool
             )
         except pa.ArrowInvalid:
@@ -264,7 +287,7 @@ class TextSource:
                 problem = f"{len(cells)} cells, expected {text.n_columns} as in line {text.first_row}: {shorten(row)!r}"
                 raise InputError(f"{self._path}: line {number}", problem, "correct the row; an empty cell is missing")
             for column, values in zip(columns, found, strict=True):
-                value = to_number(cells[column.index])
+                value = to_number(with_point(cells[column.index], text.decimal))
                 if value is None:
                     raise self._not_a_number(number, column, cells[column.index])
                 values.append(value)
@@ -276,7 +299,7 @@ class TextSource:
         problem = f"column {column.label}: found {found}, expected a number"
         hint = "leave the cell empty or write nan where there is no value"
         if re.fullmatch(r"\s*[+-]?\d+,\d+\s*", cell):
-            hint = "write decimals with a point"
+            hint = "write decimals with a point, or give --set layout.decimal=,"
         return InputError(f"{self._path}: line {number}", problem, hint)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 from prc_cli.core.bytewise import count_bytes, recode
 from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
-from prc_cli.core.files import commit, output_errors, temporary_name
+from prc_cli.core.files import output_errors, place_all, temporary_name
 from prc_cli.core.stream import LabelledBlock
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.writing.columns import OptionalColumn, Values
@@ -93,7 +93,8 @@ class StagedOutput(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self._notices: list[str] = []
-        self._files: list[tuple[Path, Path]] = []
+        self._files: list[tuple[Path, Path, bool]] = []
+        """Temporary name, name, and whether a file of this name is replaced: one that is there at the beginning."""
         self._temporary = self._output(path)
         self._record_temporary = self._output(record_path(path))
         self._stack = contextlib.ExitStack()
@@ -106,7 +107,7 @@ class StagedOutput(ABC):
     def __enter__(self) -> Self:
         try:
             with output_errors(self.path):
-                for temporary, _ in self._files:
+                for temporary, _, _ in self._files:
                     self._stack.callback(remove_quietly, temporary)
                 self._start()
         except BaseException:
@@ -125,7 +126,7 @@ class StagedOutput(ABC):
 
     def _output(self, path: Path) -> Path:
         """Register a file of the output; return its temporary name."""
-        self._files.append((temporary_name(path), path))
+        self._files.append((temporary_name(path), path, os.path.lexists(path)))
         return self._files[-1][0]
 
     def _notice(self, text: str) -> None:
@@ -133,24 +134,11 @@ class StagedOutput(ABC):
             self._notices.append(text)
 
     def _commit(self) -> None:
-        """Rename the files to their final names; if one fails, remove those renamed before.
+        """Give the files their final names, or none.
 
-        The output is renamed first, because another program may hold it open.
+        The output is first, because another program may hold it open.
         """
-        for temporary, _ in self._files[1:]:
-            with temporary.open("rb+") as handle:
-                os.fsync(handle.fileno())
-        made: list[Path] = []
-        try:
-            for temporary, path in self._files:
-                existed = path.exists()
-                commit(temporary, path)
-                if not existed:
-                    made.append(path)
-        except BaseException:
-            for path in made:
-                remove_quietly(path)
-            raise
+        place_all(self._files)
 
 
 class StagedWriter(StagedOutput):

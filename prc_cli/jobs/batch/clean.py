@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import time
 from collections.abc import Iterator
@@ -16,6 +17,8 @@ from prc_cli.jobs.batch.journal import Journal, journal_paths, read_entries
 from prc_cli.jobs.batch.lock import Lock
 from prc_cli.jobs.batch.types import OWN_FOLDER
 
+_SHARED = re.compile(r"shared-[0-9a-f]{16}")
+"""Empty files by which a run on Dask finds out whether its workers see OUT; no run is at work here now."""
 PARTS_FOLDER = "parts"
 """Folder in which earlier versions kept parts of large files."""
 OTHER_MACHINE_S = 86_400.0
@@ -76,7 +79,7 @@ def clean(out: Path, *, archive: Path | None = None, dry_run: bool = False) -> C
         forgotten = () if archive is None else tuple(_vanished(folder, archive))
         stale, kept = [], []
         for part in _temporary_files(out):
-            left = is_left_behind(part)
+            left = True if _SHARED.fullmatch(part.name) else is_left_behind(part)
             if left or (left is None and _is_old(part)):
                 stale.append(part)
             elif left is None:
@@ -115,7 +118,7 @@ def _temporary_files(out: Path) -> Iterator[Path]:
     for place, _, names in os.walk(out):
         for name in sorted(names):
             path = Path(place, name)
-            if is_left_behind(path) is not False:
+            if is_left_behind(path) is not False or (Path(place).name == OWN_FOLDER and _SHARED.fullmatch(name)):
                 yield path
 
 

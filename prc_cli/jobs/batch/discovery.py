@@ -219,7 +219,8 @@ def _look(entry: os.DirEntry[str], name: str, archive: Path) -> _Item | str | No
         return LeftOut(name, f"cannot be looked at ({error.strerror or error})")
     if not stat.S_ISREG(status.st_mode):
         return LeftOut(name, "not a regular file")
-    if PurePosixPath(entry.name).stem.endswith(LABELS):
+    inside = PurePosixPath(entry.name)
+    if inside.stem.endswith(LABELS) and inside.suffix.lower() not in LAS_SUFFIXES:  # which are never labels alone
         return LeftOut(name, "labels that this program wrote")
     return Found(name, Path(entry.path), status.st_size, status.st_mtime_ns)
 

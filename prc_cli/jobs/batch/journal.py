@@ -17,17 +17,16 @@ import secrets
 import shlex
 import shutil
 import sqlite3
-import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, get_args
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError, InputError, OutputError
-from prc_cli.core.files import make_folder
+from prc_cli.core.files import make_folder, temporary_folder
 from prc_cli.jobs.batch.types import (
     Done,
     Entry,
@@ -265,7 +264,7 @@ class Journal:
 
     def entry(self, name: str) -> Entry | None:
         """Return the newest entry of a file in all journals; None for a new file."""
-        with _errors(self.path):
+        with _errors(self.path), _content(self.path):
             cursor = self._open_database.execute("SELECT * FROM files WHERE name = ?", (os.fsencode(name),))
             own = next(_entries(cursor), None)
         other = self._others.get(name)
@@ -273,7 +272,7 @@ class Journal:
 
     def entries(self) -> list[Entry]:
         """Return all entries sorted by name; those of other journals as read when this one was opened."""
-        with _errors(self.path):
+        with _errors(self.path), _content(self.path):
             own = list(_entries(self._open_database.execute("SELECT * FROM files")))
         found = _newest([*self._others.values(), *own])
         return [found[name] for name in sorted(found)]
@@ -318,7 +317,7 @@ def read_runs(folder: Path) -> list[Run]:
     """
     found: list[Run] = []
     for path in journal_paths(folder):
-        with _copy(path) as database:
+        with _copy(path) as database, _content(path):
             found.extend(_runs(database))
     return sorted(found, key=lambda run: (run.started, run.id))
 
@@ -332,15 +331,15 @@ def _delete(path: Path, keys: list[tuple[bytes]]) -> None:
 
 
 def _copied_entries(path: Path) -> list[Entry]:
-    with _copy(path) as database:
+    with _copy(path) as database, _content(path):
         return list(_entries(database.execute("SELECT * FROM files"))) if _n_tables(database) else []
 
 
 @contextlib.contextmanager
 def _copy(path: Path) -> Iterator[sqlite3.Connection]:
     """Open a copy of a journal with its log, taken while no process wrote."""
-    with tempfile.TemporaryDirectory(prefix="prc-journal-") as folder:
-        database = _stable_copy(path, Path(folder) / "journal.sqlite")
+    with temporary_folder("prc-journal-") as folder:
+        database = _stable_copy(path, folder / "journal.sqlite")
         try:
             with _errors(path):
                 yield database
@@ -388,9 +387,9 @@ def _opened_copy(path: Path, copy: Path) -> sqlite3.Connection:
 
 
 def _check_whole(database: sqlite3.Connection, path: Path) -> None:
-    found = database.execute("PRAGMA quick_check(1)").fetchone()[0]
-    if found != "ok":
-        raise _damaged(path, str(found))
+    found = database.execute("PRAGMA quick_check(1)").fetchone()
+    if found is None or found[0] != "ok":
+        raise _damaged(path, "it cannot be checked" if found is None else str(found[0]))
 
 
 def _versions(path: Path) -> dict[str, tuple[int, int, int]]:
@@ -450,6 +449,17 @@ def _errors(path: Path) -> Iterator[None]:
             problem = f"cannot be read or written ({error})"
             raise OutputError(str(path), problem, "check the disk, the folder and its permissions") from error
         raise _damaged(path, str(error)) from error
+    except UnicodeDecodeError as error:  # what SQLite says of damage may itself be no text
+        raise _damaged(path, f"a text makes no sense: {error.reason}") from error
+
+
+@contextlib.contextmanager
+def _content(path: Path) -> Iterator[None]:
+    """Turn the errors of rows that SQLite can read and that make no sense into ours."""
+    try:
+        yield
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, RecursionError) as error:
+        raise _damaged(path, f"a row makes no sense: {str(error) or type(error).__name__}") from error
 
 
 def _damaged(path: Path, found: str) -> OutputError:
@@ -484,12 +494,48 @@ def _entries(cursor: sqlite3.Cursor) -> Iterator[Entry]:
     keys = [column[0] for column in cursor.description]
     for values in cursor:
         row = dict(zip(keys, values, strict=True))
+        _check_row(row)
         state: State = row["state"]
         name = os.fsdecode(row["name"])
         yield Entry(
             name, state, row["config_sha256"], row["version"], row["run"], row["attempts"], row["started"],
             row["finished"], row["owner"], _outcome(name, row), bool(row["owns_output"]),
         )  # fmt: skip
+
+
+_WORDS = ("config_sha256", "version", "run", "started", "owner")
+_NUMBERS = (
+    "input_size", "input_mtime_ns", "seconds", "output_size", "output_mtime_ns", "cpu_seconds", "n_lines", "n_shots",
+    "n_records",
+)  # fmt: skip
+"""Columns that every file that was read, or is done, has."""
+_STATES = get_args(State)
+
+
+def _check_row(row: Mapping[str, Any]) -> None:
+    """Refuse a row whose values are of other types than were written: SQLite stores any value in any column.
+
+    Raises
+    ------
+    ValueError
+        Naming the column.
+    """
+    wanted: dict[str, tuple[type, ...]] = {"name": (bytes,), "attempts": (int,), "owns_output": (int,)}
+    wanted |= dict.fromkeys(_WORDS, (str,))
+    is_done, is_failed = row["outcome"] == "done", row["outcome"] == "failed"
+    nothing: tuple[type, ...] = () if is_done else (type(None),)
+    wanted |= dict.fromkeys(_NUMBERS, (int, float, *nothing))
+    wanted |= {"peak_mib": (int, float, type(None)), "finished": (str, type(None)), "input_sha256": (str, type(None))}
+    if is_failed:
+        wanted |= dict.fromkeys(("problem_kind", "problem_where", "problem", "problem_hint"), (str,))
+        wanted["seconds"] = (int, float)
+    for column, types in wanted.items():
+        if not isinstance(row[column], types):
+            message = f"{column} is {str(row[column])[:40]!r}"
+            raise ValueError(message)
+    if row["state"] not in _STATES or row["outcome"] not in (None, "done", "failed"):
+        message = f"state {str(row['state'])[:40]!r}, outcome {str(row['outcome'])[:40]!r}"
+        raise ValueError(message)
 
 
 def _outcome(name: str, row: Mapping[str, Any]) -> Outcome | None:
@@ -504,7 +550,8 @@ def _outcome(name: str, row: Mapping[str, Any]) -> Outcome | None:
     return Done(
         name, read, row["output_size"], row["output_mtime_ns"], row["seconds"], row["cpu_seconds"], row["peak_mib"],
         row["n_lines"], row["n_shots"], row["n_records"],
-        tuple((label, count) for label, count in json.loads(row["labels"])), tuple(json.loads(row["notices"])),
+        tuple((str(label), int(count)) for label, count in json.loads(row["labels"])),
+        tuple(str(notice) for notice in json.loads(row["notices"])),
     )  # fmt: skip
 
 
@@ -514,7 +561,12 @@ def _runs(database: sqlite3.Connection) -> Iterator[Run]:
     columns = "id, shard, version, owner, started, finished, exit_code, totals"
     for row in database.execute(f"SELECT {columns} FROM runs ORDER BY started, id"):
         run, shard, version, owner, started, finished, exit_code, totals = row
-        yield Run(run, shard, version, owner, started, finished, exit_code, tuple(json.loads(totals).items()))
+        counts = tuple((str(key), int(count)) for key, count in json.loads(totals).items())
+        texts_are = all(isinstance(text, str) for text in (run, shard, version, owner, started))
+        if not texts_are or not isinstance(finished, str | None) or not isinstance(exit_code, int | None):
+            message = f"run {str(run)[:40]!r}"
+            raise ValueError(message)
+        yield Run(run, shard, version, owner, started, finished, exit_code, counts)
 
 
 def _newest(entries: Iterable[Entry]) -> dict[str, Entry]:

@@ -288,7 +288,7 @@ class _Pool:
         elif not worker.ready:
             self._failed_starts += 1
             if self._failed_starts >= FAILED_STARTS:
-                found = f"ended before it was ready, {FAILED_STARTS} times ({_how(code)}{_printed(printed)})"
+                found = f"ended before it was ready, {FAILED_STARTS} times ({how_ended(code)}{_printed(printed)})"
                 raise PrcError("worker process", found, "prc doctor checks the installation")
 
     def _watch(self) -> Iterator[Event]:
@@ -343,13 +343,13 @@ def _death(name: str, code: int, printed: str) -> Problem:
     hint = "the file is tried again alone"
     if code == -getattr(signal, "SIGKILL", 9):
         hint = "the system kills so when memory is short: fewer --jobs, or --memory-limit"
-    return Problem("killed", name, f"its worker process {_how(code)}{_printed(printed)}", hint)
+    return Problem("killed", name, f"its worker process {how_ended(code)}{_printed(printed)}", hint)
 
 
-def _how(code: int) -> str:
-    """Describe an exit code.
+def how_ended(code: int) -> str:
+    """Describe the exit code of a process.
 
-    >>> _how(3)
+    >>> how_ended(3)
     'ended with exit code 3'
     """
     if code >= 0:

@@ -33,7 +33,7 @@ from filelock import FileLock, Timeout
 
 from prc_cli import __version__
 from prc_cli.core.errors import BusyError
-from prc_cli.core.files import atomic_output, make_folder, output_errors, remove_stale, temporary_name
+from prc_cli.core.files import atomic_output, make_folder, output_errors, read_small, remove_stale, temporary_name
 from prc_cli.jobs.batch.types import Shard
 
 LOOK_S = 0.5
@@ -47,6 +47,8 @@ SILENT_S = 120.0
 _NO_LOCKS = frozenset({errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK, errno.ENOSYS, errno.EINVAL})
 """What systems answer where a file system has no locks, or its lock server does not run."""
 _POLL_S = 0.01
+_MOST_BYTES = 1 << 16
+"""Largest JSON file that is read [bytes]."""
 _file_lock = partial(FileLock, thread_local=False, poll_interval=_POLL_S, fallback_to_soft=False)
 
 
@@ -194,7 +196,7 @@ class Lock:
 
     def _sign(self) -> None:
         """Write the name of this run into the JSON file."""
-        with atomic_output(self.path) as temporary:
+        with atomic_output(self.path, overwrite=True) as temporary:
             temporary.write_text(json.dumps(asdict(self.owner), sort_keys=True, indent=1) + "\n", encoding="ascii")
 
     def _beat(self) -> None:
@@ -287,11 +289,18 @@ def _read(path: Path) -> Owner | None:
     ``beats``.
     """
     try:
-        values = {"beats": True} | json.loads(path.read_bytes())
-        return Owner(**{item.name: values[item.name] for item in fields(Owner)})
+        values = {"beats": True} | json.loads(read_small(path, _MOST_BYTES))
+        owner = Owner(**{item.name: values[item.name] for item in fields(Owner)})
+        if any(type(getattr(owner, item.name)) is not type(getattr(_UNKNOWN, item.name)) for item in fields(Owner)):
+            return _UNKNOWN
+        return owner
     except FileNotFoundError:
         return None
-    except (PermissionError, ValueError, TypeError, KeyError, RecursionError):
+    except OSError as error:
+        if error.errno in (errno.EACCES, errno.EPERM, errno.EINVAL, errno.EFBIG, errno.EISDIR, errno.ENXIO):
+            return _UNKNOWN
+        raise
+    except (ValueError, TypeError, KeyError, RecursionError):
         return _UNKNOWN
 
 

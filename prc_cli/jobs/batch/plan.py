@@ -16,7 +16,8 @@ from prc_cli.config import LoadedConfig, RunConfig, from_folder, from_layers, pr
 from prc_cli.core.config import read_toml
 from prc_cli.core.errors import ConfigError, InputError, OutputExistsError, PrcError
 from prc_cli.core.files import suffix_of
-from prc_cli.formats.writing.record import RunRecord, fingerprint, record_path
+from prc_cli.formats.writing.record import fingerprint, record_path
+from prc_cli.jobs.batch.adopt import outcome_of_record
 from prc_cli.jobs.batch.discovery import (
     Found,
     Patterns,
@@ -33,7 +34,6 @@ from prc_cli.jobs.batch.types import (
     Problem,
     Task,
 )
-from prc_cli.jobs.choice import possible_configs
 
 Reason: TypeAlias = Literal[
     "new", "unfinished", "failed before", "changed input", "changed config", "changed version", "output missing"
@@ -44,8 +44,6 @@ TRAJECTORY = "trajectory:"
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 BEGIN_S = 2.0
 """Time that workers take to start and to load the compiled loops [s]."""
-_MAX_RECORD = 1 << 24
-"""Largest run record that is read [bytes]."""
 
 
 # -- what a plan is ---------------------------------------------------------------------------------------------------
@@ -361,7 +359,8 @@ def _decide(item: Found, task: Task, entry: Entry | None, settings: BatchSetting
     written = _stat(task.output)
     if entry is None or not entry.owns_output:
         if written is not None and not settings.overwrite:
-            found = _adopt(item, task, written) if settings.adopt else None
+            seen = InputPrint(item.size, item.mtime_ns, None)
+            found = outcome_of_record(task, seen, written) if settings.adopt else None
             if found is None:
                 raise _foreign(task.output, adopt=settings.adopt)
             return found
@@ -419,38 +418,6 @@ def _check_untouched(output: Path, written: os.stat_result, before: Done) -> Non
     if (written.st_size, written.st_mtime_ns) != (before.output_size, before.output_mtime_ns):
         problem = "was changed after it was written, and would have to be written again"
         raise OutputExistsError(str(output), problem, "move it away to keep it, or --overwrite")
-
-
-def _adopt(item: Found, task: Task, written: os.stat_result) -> Done | None:
-    """Return the outcome of an existing output if its run record equals the one that would be written."""
-    try:
-        path = record_path(task.output)
-        if path.stat().st_size > _MAX_RECORD:
-            return None
-        record = json.loads(path.read_bytes())
-        trajectory = None if task.config.trajectory is None else fingerprint(task.config.trajectory)
-        print_ = fingerprint(item.path)
-        records = [
-            RunRecord(config.of_run(), print_, "", 1, trajectory=trajectory).as_dict()
-            for config in possible_configs(task.config)
-        ]
-        keys = ("program", "version", "config", "input", "trajectory")
-        wanted = next((one for one in records if all(record[key] == one[key] for key in keys)), None)
-        if wanted is None:
-            return None
-        stream = record["stream"]
-        missing = ("missing", int(stream["n_missing"] or 0))
-        labels = tuple((str(count["name"]), int(count["count"])) for count in record["classes"])
-        return Done(
-            name=item.name, input=InputPrint(item.size, item.mtime_ns, wanted["input"]["sha256"]),
-            output_size=written.st_size, output_mtime_ns=written.st_mtime_ns, seconds=0.0, cpu_seconds=0.0,
-            peak_mib=None, n_lines=int(stream["n_lines"] or 0),
-            n_shots=int(stream["n_lines"] or 0) * int(stream["points_per_line"]),
-            n_records=int(stream["n_records"] or 0), labels=(missing, *labels),
-            notices=tuple(str(text) for text in record["notices"]),
-        )  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
 
 
 # -- estimates --------------------------------------------------------------------------------------------------------

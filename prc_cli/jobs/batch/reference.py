@@ -21,8 +21,8 @@ from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.reports import as_dict as scores_as_dict
 from prc_cli.evaluation.scores import scores
 from prc_cli.formats.labels.read import code_suffix_of
+from prc_cli.jobs.batch.judges import Judges, Pair
 from prc_cli.jobs.batch.types import Problem
-from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.matching.pairs import stem_of
 
@@ -164,14 +164,21 @@ def evaluate_tree(
     tree = _Tree(settings.tree)
     pooled = ConfusionMatrix.empty(mapping)
     files: list[Compared] = []
-    for found in ordered(lambda output: _compare(output, tree, mapping, settings), outputs, threads=threads):
-        if found.matrix is not None:
-            pooled = pooled + found.matrix
-        files.append(found)
+    with Judges() as judges:
+
+        def compare(output: Output) -> Compared:
+            return _compare(output, tree, mapping, settings, judges)
+
+        for found in ordered(compare, outputs, threads=threads):
+            if found.matrix is not None:
+                pooled = pooled + found.matrix
+            files.append(found)
     return BatchEvaluation(settings, tuple(files), pooled, check_gates(scores(pooled), gates))
 
 
-def _compare(output: Output, tree: _Tree, mapping: ClassMapping, settings: ReferenceSettings) -> Compared:
+def _compare(
+    output: Output, tree: _Tree, mapping: ClassMapping, settings: ReferenceSettings, judges: Judges
+) -> Compared:
     try:
         reference = tree.find(output)
     except PrcError as error:
@@ -183,11 +190,10 @@ def _compare(output: Output, tree: _Tree, mapping: ClassMapping, settings: Refer
     options = EvaluateOptions(match=settings.match)
     if settings.match != "order" and output.path.suffix.lower() not in (".las", ".laz"):
         options = replace(options, predicted_points=output.source)  # labels alone have neither time nor place
-    try:
-        found = evaluate_all([output.path], [reference], mapping, options=options)
-    except (PrcError, OSError, MemoryError) as error:
-        return Compared(output.name, shown, None, Problem.of(error))
-    return Compared(output.name, shown, found.matrix)
+    found = judges.compare(Pair(output.path, reference, mapping, options))
+    if isinstance(found, Problem):
+        return Compared(output.name, shown, None, found)
+    return Compared(output.name, shown, found)
 
 
 class _Tree:

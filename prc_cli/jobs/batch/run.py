@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from prc_cli.core.errors import BusyError, PrcError
-from prc_cli.core.files import suffix_of
+from prc_cli.core.files import suffix_of, temporary_folder
 from prc_cli.core.threads import close_items
 from prc_cli.jobs.batch.discovery import check, discover, output_name
 from prc_cli.jobs.batch.drift import drift
@@ -209,6 +208,7 @@ class _Run:
         try:
             self._settle(plan)
             self._classify(plan)
+            self._lock.check()  # somebody may have removed our folder, and with it the journal
             self._compare_classes(plan, earlier)
             evaluation = self._evaluate(plan)
             if self._stopping:
@@ -277,8 +277,8 @@ class _Run:
         for item in todo:
             outcome = self._outcomes.get(item.task.name)
             if isinstance(outcome, Failed) and self._may_go_on(outcome, attempt - 1):
-                # the worker may have renamed its output just before it died
-                found.append((replace(item, task=replace(item.task, overwrite=True)), outcome.problem.kind in ALONE))
+                # the worker may have named its output just before it died: the next one sees that it is ours
+                found.append((item, outcome.problem.kind in ALONE))
         return found
 
     def _may_go_on(self, failed: Failed, attempt: int) -> bool:
@@ -439,8 +439,8 @@ def _sample(
         chosen = {suffix: items.pop(0).task for suffix, items in candidates.items()}
         for task in chosen.values():
             listener(Noted(f"measuring a sample: {task.name}"))
-        with tempfile.TemporaryDirectory(prefix="prc-sample-") as folder:
-            outputs = {name: Path(folder) / name / task.output.name for name, task in chosen.items()}
+        with temporary_folder("prc-sample-") as folder:
+            outputs = {name: folder / name / task.output.name for name, task in chosen.items()}
             tasks = [replace(task, output=outputs[name], overwrite=True) for name, task in chosen.items()]
             # measured the second time, when libraries are loaded and the file is cached, as in a long run
             for done in _run_sample([task for task in tasks for _ in range(2)], engine, threads):

@@ -232,7 +232,7 @@ def write_summary(summary: BatchSummary) -> Path:
     """
     path = summary_path(summary.out, summary.shard)
     remove_stale(path)  # of a run that was killed just here
-    with atomic_output(path) as temporary:
+    with atomic_output(path, overwrite=True) as temporary:
         temporary.write_text(to_json(summary), encoding="ascii", newline="\n")
     return path
 

@@ -9,7 +9,8 @@ import time
 from pathlib import Path
 
 from prc_cli.core.classes import Label
-from prc_cli.core.errors import PrcError
+from prc_cli.core.errors import OutputExistsError, PrcError
+from prc_cli.jobs.batch.adopt import outcome_of_record, remove_unfinished
 from prc_cli.jobs.batch.types import (
     Done,
     Failed,
@@ -59,11 +60,39 @@ def run_task(task: Task, *, threads: int = 1, progress: Progress | None = None) 
         load_classifier(task.config)
         begun, cpu = time.perf_counter(), time.process_time()
         _reset_peak()
-        source, output, config, overwrite = task.source, task.output, task.config, task.overwrite
-        summary = classify(source, output, config, overwrite=overwrite, progress=progress, threads=threads)
+        summary = _classify(task, threads, progress)
         return _done(task, before, summary, time.perf_counter() - begun, time.process_time() - cpu)
     except Exception as error:
+        if before is not None and isinstance(error, OutputExistsError):
+            found = _written_before(task, before)
+            if found is not None:
+                return found
         return Failed(task.name, before, time.perf_counter() - begun, problem_of(error, task, before))
+
+
+def _classify(task: Task, threads: int, progress: Progress | None) -> RunSummary:
+    """Classify; once more if an attempt before this one died just when its output had got its name."""
+    for again in (True, False):
+        try:
+            return classify(
+                task.source, task.output, task.config, overwrite=task.overwrite, progress=progress, threads=threads
+            )
+        except OutputExistsError:
+            if not (again and remove_unfinished(task)):
+                raise
+    raise AssertionError  # the second attempt returns or raises
+
+
+def _written_before(task: Task, before: InputPrint) -> Done | None:
+    """Return the outcome of an output that an attempt before this one finished, but could not report.
+
+    A scheduler repeats an order whose worker was lost. Nobody else writes here: the run has the lock.
+    """
+    try:
+        written = task.output.lstat()
+    except OSError:
+        return None
+    return outcome_of_record(task, before, written)
 
 
 def stat_input(path: Path) -> InputPrint:

@@ -14,6 +14,7 @@ from scipy.optimize import nnls
 
 from prc_cli.core.stream import ScanBlock, StreamInfo
 from prc_cli.core.types import F32, F64, I64
+from prc_cli.streams.evidence.estimates import estimate_line_frequency, first_times
 
 STRETCH = 9
 """Successive shots in a stretch that is tested for flatness."""
@@ -26,6 +27,8 @@ FLAT_M = 0.1
 MAX_GROWTH = 2.0
 """A range bin whose deviation exceeds that of the nearest flat bin, scaled by range, by this factor is not flat."""
 
+TIMED_LINES = 20_000
+"""Lines from the start whose times give the line frequency."""
 ALL_SHOTS = 2_000_000
 """Shots from the start that are all measured; after that ..."""
 EVERY = 8
@@ -145,6 +148,7 @@ class SensorMeter:
     _n_sampled: int = 0
     _n_blocks: int = 0
     _angle_rad: F64 | None = None
+    _line_times: list[F64] = field(default_factory=list)
 
     def add(self, block: ScanBlock) -> None:
         """Measure a block of lines."""
@@ -153,6 +157,8 @@ class SensorMeter:
         self.n_shots += ranges.size
         self.n_missing += int(np.count_nonzero(np.isnan(ranges)))
         self._n_blocks += 1
+        if block.time_s is not None and self.n_lines <= TIMED_LINES:
+            self._line_times.append(first_times(block.time_s))
         if self.n_shots > ALL_SHOTS and self._n_blocks % EVERY:
             return
         if self._angle_rad is None:
@@ -185,10 +191,15 @@ class SensorMeter:
             step_rad=step,
             step_source=source,
             rounding_m=self._rounding(),
-            line_hz=self.info.line_hz,
+            line_hz=self._line_hz(),
             in_line_m=_quantile(self._in_line, _LENGTH_EDGES, 0.5),
             across_lines_m=_quantile(self._across, _LENGTH_EDGES, 0.5),
         )
+
+    def _line_hz(self) -> float | None:
+        if self.info.line_hz is not None or not self._line_times:
+            return self.info.line_hz
+        return estimate_line_frequency(np.concatenate(self._line_times))
 
     def _step(self) -> tuple[float | None, str]:
         angle = self._angle_rad if self._angle_rad is not None else self.info.angle_rad

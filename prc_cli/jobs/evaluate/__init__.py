@@ -159,10 +159,20 @@ def _note_missing(paths: tuple[list[Path], list[Path]], pools: list[tuple[Side, 
             counts.note(f"{len(missing)} {who} {have} no partner, left out: {shown}")
 
 
+def _with_own_lines(left: Side, right: Side, counts: Counts) -> tuple[Side, Side]:
+    """Take the lines of the records where either side has them; M then divides nothing."""
+    bare = replace(left, points_per_line=None), replace(right, points_per_line=None)
+    if left.points_per_line is None or not any(LINE in side.dimensions for side in bare):
+        return left, right
+    counts.note(f"lines: a column of the files; -M {left.points_per_line} is not used")
+    return bare
+
+
 def _compare(
     left: Side, right: Side, first_file: int, counts: Counts, options: EvaluateOptions, *, by_lines: bool
 ) -> None:
     """Match one pool of files and count its pairs."""
+    left, right = _with_own_lines(left, right, counts)
     plan = _plan(left, right, options, by_lines=by_lines)
     mapping = counts.mapping
     for name in plan.reference:
@@ -302,7 +312,8 @@ def _longest_axis(side: Side) -> str:
             if chunk.n:
                 xyz = np.stack([chunk.values[axis] for axis in AXES])
                 low, high = np.minimum(low, xyz.min(axis=1)), np.maximum(high, xyz.max(axis=1))
-    extent = high - low
+    with np.errstate(over="ignore"):  # any number may stand in a file
+        extent = high - low
     return AXES[int(np.argmax(np.where(np.isfinite(extent), extent, -1.0)))]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -11,7 +10,7 @@ from pathlib import Path
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, MethodChoice
 from prc_cli.core.errors import ConfigError
-from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
 from prc_cli.formats import check_input
 from prc_cli.imaging.page import html_page
 from prc_cli.imaging.sheet import Key, Panel, choose_columns, draw_sheet
@@ -78,9 +77,9 @@ def render(
     remove_stale(output)
     check_input(source)
     config = _decided(source, config, chosen)
-    with tempfile.TemporaryDirectory(prefix="prc-render-", ignore_cleanup_errors=True) as name:
+    with temporary_folder("prc-render-") as scratch:
         if chosen.view == "scan":
-            drawing = draw_scan(source, config, chosen, Path(name), progress)
+            drawing = draw_scan(source, config, chosen, scratch, progress)
             head = describe(drawing, config, chosen, source.name)
             result = RenderResult(
                 files=(), size=(0, 0), drawn=head, steps=drawing.steps, lines=(drawing.part.first, drawing.part.stop),
@@ -91,7 +90,7 @@ def render(
         else:
             from prc_cli.jobs.render.cloud import draw_cloud
 
-            panel, key, result = draw_cloud(source, config, chosen, Path(name), progress)
+            panel, key, result = draw_cloud(source, config, chosen, scratch, progress)
             pages = [("", [panel])]
     return _write(output, source.name, result, pages, key, max_height=chosen.height, overwrite=overwrite, inputs=inputs)
 
@@ -135,7 +134,7 @@ def _write(
     """Write all pages or none."""
     if output.suffix.lower() == ".html":
         text = html_page(name, result.drawn, pages, key, f"prc {__version__}")
-        with atomic_output(output) as temporary:
+        with atomic_output(output, overwrite=overwrite) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
         width = max(panel.size[0] for _, panels in pages for panel in panels)
         return replace(result, files=(output,), size=(width, sum(p.size[1] for _, panels in pages for p in panels)))
@@ -149,7 +148,7 @@ def _write(
             head = result.drawn if not heading else f"{result.drawn} · this page: {heading}"
             image = draw_sheet(head, panels, key, columns=choose_columns(panels, max_height) if single else 1)
             size = image.size if path is output else size
-            image.save(stack.enter_context(atomic_output(path)), format="PNG")
+            image.save(stack.enter_context(atomic_output(path, overwrite=overwrite)), format="PNG")
     return replace(result, files=tuple(paths), size=size)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_output, suffix_of, temporary_name
+from prc_cli.core.files import atomic_outputs, file_state, suffix_of, temporary_name
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import I32, Mask
 from prc_cli.formats import LAS_SUFFIXES
@@ -159,11 +159,11 @@ def thin(
     label_file = Path(labels) if labels is not None and labels != CLASSIFY else None
     prepare_output(source, output, loaded, overwrite=overwrite, more=() if label_file is None else (label_file,))
     run = _Run(source, output, rules, loaded, label_file, classify=labels == CLASSIFY)
-    before = source.stat()
+    before = file_state(source)
     if suffix_of(source) in LAS_SUFFIXES and stream_suffix(output) in LAS_SUFFIXES:
-        record = run.copy(progress, before.st_size, before.st_mtime_ns)
+        record = run.copy(progress, before)
     else:
-        record = run.write(progress, before.st_size, before.st_mtime_ns)
+        record = run.write(progress, before)
     return run.summary(record)
 
 
@@ -179,11 +179,13 @@ class _Run:
         self.tally = _Tally()
         self.facts = Facts(Counts.none())
 
-    def copy(self, progress: Progress | None, size: int, mtime_ns: int) -> RunRecord:
+    def copy(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
         """Leave records out of a LAS or LAZ file."""
         las = read_las(self.source)
         check_copied(las)
         with contextlib.ExitStack() as stack:
+            files = atomic_outputs(self.output, record_path(self.output))
+            temporary, beside = stack.enter_context(files)
             path = temporary_name(self.output)
             stack.callback(lambda: path.unlink(missing_ok=True))
             stays = Spool(path, np.uint8, 1, n_records=las.n_records)
@@ -206,17 +208,15 @@ class _Run:
                         "lines of scanners differ in length: the highest column that is left is taken for it",
                     )
                 record = self._record(opened.info, hints)
-            temporary = stack.enter_context(atomic_output(self.output))
             notices = copy_las(
                 las, self.output, temporary, lambda n: (part.view(np.bool_) for part in stays.chunks(n)), record
             )
             record = replace(record, notices=(*record.notices, *notices))
-            check_unchanged(self.source, size, mtime_ns)
-            with atomic_output(record_path(self.output)) as beside:
-                beside.write_bytes(record.to_json())
+            check_unchanged(self.source, before)
+            beside.write_bytes(record.to_json())
         return record
 
-    def write(self, progress: Progress | None, size: int, mtime_ns: int) -> RunRecord:
+    def write(self, progress: Progress | None, before: tuple[int, ...]) -> RunRecord:
         """Write the stream anew without the dropped shots."""
         with self._open(xyz=True) as (opened, items):
             shape = replace(opened.shape, codes=True)
@@ -232,7 +232,7 @@ class _Run:
                 losses = tuple(f"not kept: {loss}" for loss in found)
                 hints = (*losses, *how_to_read(self.output, opened, self.facts))
                 record = self._record(opened.info, hints)
-                check_unchanged(self.source, size, mtime_ns)
+                check_unchanged(self.source, before)
                 return writer.finish(record)
 
     def summary(self, record: RunRecord) -> ThinningSummary:

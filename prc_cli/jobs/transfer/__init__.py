@@ -15,7 +15,7 @@ import numpy as np
 
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import InputError
-from prc_cli.core.files import check_output, remove_stale, suffix_of
+from prc_cli.core.files import check_output, file_state, remove_stale, suffix_of
 from prc_cli.formats import LAS_SUFFIXES
 from prc_cli.formats.las.lookup import names_of_file
 from prc_cli.formats.las.rewrite import LasRecoder
@@ -161,9 +161,8 @@ def _user_names(labels: Path) -> dict[int, str]:
     return {**ClassCodes().user_names(), **own}
 
 
-def _state(path: Path) -> tuple[int, int]:
+def _state(path: Path) -> tuple[int, ...]:
     try:
-        found = path.stat()
+        return file_state(path)
     except OSError as error:
         raise InputError(str(path), f"cannot be read ({error.strerror or error})", "check the name") from error
-    return found.st_size, found.st_mtime_ns

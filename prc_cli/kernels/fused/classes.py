@@ -36,6 +36,10 @@ CAR_REACH = 6
 """Bins on either side in which level surfaces count."""
 BELOW_SMOOTH = 3
 """With this many smooth pairs, a shot below the ground is no reflection."""
+NEVER_M = np.float32(1e9)
+"""Height that nothing reaches [m]."""
+CROWN_STRIPS = 2
+"""Strips before and behind a trunk in which its crown is looked for; widened by one, 0.5 to 1.75 m away on average."""
 ACROSS_LINES = 4
 """Lines before and after by which a thing is found to be thin."""
 VOTERS = 4
@@ -46,8 +50,11 @@ _MISSING, _NOISE, _GROUND = int(Label.MISSING), int(Label.NOISE), int(Label.GROU
 _OPEN, _LEAF, _ODD = 255, 254, 253
 """Marks of undecided shots, of lonely leaves, and of shots that may be noise."""
 _BUILDING, _VEGETATION, _OTHER = int(Label.BUILDING), int(Label.VEGETATION), int(Label.UNCLASSIFIED)
-_BUILDING_BIT, _VEGETATION_BIT = 10, 20
-"""First bit of the votes for building and for vegetation in a word; votes for no class begin at bit 0."""
+_CAR, _POLE = int(Label.CAR), int(Label.POLE)
+_CAR_BIT, _POLE_BIT, _BUILDING_BIT, _VEGETATION_BIT = 6, 12, 18, 24
+"""First bit of the votes for a label in a word; votes for no class begin at bit 0.
+
+A place has at most 15 shots in each of three lines, so that six bits hold their votes."""
 
 
 @helper
@@ -201,8 +208,24 @@ def _slots_around(word: np.uint64, slot: int) -> int:
 
 
 @inlined
-def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionThresholds) -> bool:
-    """Return whether a shot's run along its line is short, with nothing, or only far things, beyond both ends."""
+def _is_in_tree(rough: Slots, b: int, slot: int, least: np.float32) -> bool:
+    """Return whether rough shots are above a slot both before and behind it: a wall has no leaves behind it."""
+    if b < CROWN_STRIPS or b >= STRIPS - CROWN_STRIPS:
+        return False
+    before, behind = rough[b - CROWN_STRIPS] >> np.uint64(slot), rough[b + CROWN_STRIPS] >> np.uint64(slot)
+    return bool(np.float32(_bits(before)) >= least and np.float32(_bits(behind)) >= least)
+
+
+@inlined
+def _is_short(
+    ranges: F32, near: U8, points: tuple[F32, F32], i: int, is_narrow: bool, thresholds: DecisionThresholds
+) -> bool:
+    """Return whether a shot's run along its line is short, with nothing, or only far things, beyond both ends.
+
+    The run of something narrow may stand on the ground.
+    """
+    heights, above = points
+    foot = thresholds.stand_m if is_narrow else -NEVER_M
     m = len(ranges)
     least, jump, far = thresholds.least_near, thresholds.jump_m, thresholds.far_m
     low, high = heights[i], heights[i]
@@ -216,6 +239,8 @@ def _is_short(ranges: F32, near: U8, heights: F32, i: int, thresholds: DecisionT
                 gap += 1
                 j += way
                 continue
+            if above[j] < foot:
+                break
             if abs(ranges[j] - ranges[last]) < jump:
                 last, gap = j, 0
                 length += 1
@@ -283,12 +308,12 @@ def _is_ground(
 def _label_plain(
     ranges: F32, above: F32, counts: tuple[U8, U8, U8, U8], walked: Mask, thresholds: DecisionThresholds, labels: U8
 ) -> None:
-    """Label missing shots, shots without any neighbour and ground; mark the others as undecided.
+    """Label missing shots, near shots without any neighbour, and ground; mark the others as undecided.
 
     Without branches, so that the compiler can use vector instructions.
     """
     near, smooth, upright, level = counts
-    least, below = thresholds.least_near, thresholds.below_m
+    least, below, lone = thresholds.least_near, thresholds.below_m, thresholds.lone_m
     for i in range(len(ranges)):
         h, pairs, up, flat = above[i], smooth[i], upright[i], level[i]
         is_ground = _is_ground(h, walked[i], up, flat, thresholds)
@@ -297,7 +322,7 @@ def _label_plain(
         is_odd = (n_near < least) | (pairs == 0) | (h < -below)
         code = np.uint8(_ODD) if is_odd else np.uint8(_OPEN)
         code = np.uint8(_GROUND) if is_ground & is_held else code
-        code = np.uint8(_NOISE) if (near[i] == 0) & (n_near < least) else code
+        code = np.uint8(_NOISE) if (near[i] == 0) & (n_near < least) & (ranges[i] <= lone) else code
         labels[i] = code if ranges[i] == ranges[i] else np.uint8(_MISSING)
 
 
@@ -389,9 +414,10 @@ def _label_odd(
             is_wall = b >= 0 and _in_wall(y, height[i], at[b], top[b], thresholds)
             # the few shots left of a far surface still agree with it
             is_held = holds and (pairs > 0 or is_wall or abs(h) < thresholds.soil_m)
-            if near[i] > 0 and b >= 0 and h > foot and not is_wall:
+            if b >= 0 and h > foot and not is_wall:
+                # far away, gaps between leaves are wider than what counts as near
                 is_leaf = bool(np.float32(_slots_around(rough[b], _slot(h))) >= leaf_slots)
-            if near[i] == 0 or not (is_leaf or is_held):
+            if not (is_leaf or (is_held and near[i] > 0)):
                 labels[i] = _NOISE
                 continue
         # spikes: the adjacent shots are smooth, in the line and in the lines before and after
@@ -437,6 +463,7 @@ def _label_things(
     soft: F32,
     bins: I32,
     found: tuple[F32, F32, F32, F32, F32],
+    thin: U8,
     thresholds: DecisionThresholds,
     labels: U8,
     poles: U8,
@@ -450,7 +477,8 @@ def _label_things(
     at, top, ahead, car_below, rough_below = found
     leaf_share, share_before = thresholds.leaf_share, thresholds.leaf_share_before_wall
     before_m, foot, poles_wanted = thresholds.before_m, thresholds.foot_m, thresholds.pole_m > 0
-    ghost_m, ghost_near = thresholds.ghost_m, thresholds.ghost_near
+    car = np.uint8(thresholds.car_label)
+    ghost_m, ghost_near, keeps_parts = thresholds.ghost_m, thresholds.ghost_near, thresholds.keeps_parts > 0
     nothing = np.float32(0.0)
     for i in range(len(labels)):
         y, z, h, texture, is_leaf = side[i], height[i], above[i], soft[i], labels[i] == _LEAF
@@ -462,14 +490,15 @@ def _label_things(
         is_rough = is_soft & (not (is_wall & is_here))
         is_car = (h >= nothing) & (h < (rough_below[i] if is_rough else car_below[i])) & is_here
         label = np.uint8(_VEGETATION) if is_rough | is_leaf else np.uint8(_BUILDING)
-        label = np.uint8(_OTHER) if is_car else label
+        label = car if is_car else label
         is_behind = (wall != nothing) & (abs(y) - wall > ghost_m) & (z * wall <= end * abs(y))
         is_ghost = is_behind & (np.float32(near[i]) < ghost_near) & is_rough & is_here
         label = np.uint8(_NOISE) if is_ghost else label
         is_open = labels[i] >= np.uint8(_ODD)
         labels[i] = label if is_open else labels[i]
-        may_be_pole = is_open & is_here & (not is_wall) & (level[i] == 0) & (h > foot) & (texture >= leaf_share)
-        poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_car) & (not is_ghost))
+        may_be_pole = is_open & is_here & (level[i] == 0) & (h > foot) & (texture >= leaf_share) & (not is_ghost)
+        is_part = is_wall | (is_car & ((thin[i] == 0) | keeps_parts))
+        poles[i] = np.uint8(may_be_pole & poles_wanted & (not is_part))
 
 
 @helper
@@ -489,6 +518,7 @@ def _label_poles(
     side, height, above = points
     m = len(ranges)
     least, jump, high_m = thresholds.least_near, thresholds.jump_m, thresholds.pole_m
+    pole, takes_long = np.uint8(thresholds.pole_label), thresholds.takes_long > 0
     end, low, high = 0, np.float32(0.0), np.float32(0.0)
     for k in range(len(shots)):
         i = shots[k]
@@ -507,11 +537,16 @@ def _label_poles(
                 low, high = min(low, height[end]), max(high, height[end])
                 end += 1
         own = height[i]
-        is_high = (high - own >= high_m) | (own - low >= high_m)
-        is_short = not is_high and _is_short(ranges, near, height, i, thresholds)
+        is_high = (thin[i] == 0) & ((high - own >= high_m) | (own - low >= high_m))
+        is_short = not is_high and _is_short(ranges, near, (height, above), i, thin[i] != 0, thresholds)
         if is_short or (thin[i] != 0 and _is_thin(window_m, line, i, thresholds.far_m)):
             crown = np.float32(_bits(rough[_strip(side[i])] >> np.uint64(_slot(above[i]))))
-            labels[i] = _VEGETATION if crown >= thresholds.crown_slots else _OTHER
+            if crown >= thresholds.crown_slots:
+                labels[i] = np.uint8(_VEGETATION)
+            elif thin[i] != 0 or takes_long:
+                labels[i] = pole
+        elif _is_in_tree(rough, _strip(side[i]), _slot(above[i]), thresholds.tree_slots):
+            labels[i] = np.uint8(_VEGETATION)
 
 
 @kernel(
@@ -599,9 +634,9 @@ def fused_labels(
         _find_cars(slots[0][line], levels[line], bin_counts, thresholds, cars)
         _bins(place[0], bins)
         _look_up(shots[:n], bins, rows, cars, found)
-        _label_things(place, own, texture[line], bins, found, thresholds, row, marks)
-        n = _list_marked(marks, 1, 1, shots)
         _mark_thin(window_m, line + MARGIN, thresholds.far_m, thin)
+        _label_things(place, own, texture[line], bins, found, thin, thresholds, row, marks)
+        n = _list_marked(marks, 1, 1, shots)
         _label_poles(shots[:n], window_m, line + MARGIN, near[k], place, thin, rough, thresholds, row)
     return labels
 
@@ -646,26 +681,34 @@ def _mark_unsettled(before: U8, own: U8, after: U8, unsettled: U8) -> None:
 
 @helper
 def _weigh(labels: U8, weights: Pairs) -> None:
-    """Write the vote of every shot: each of the three labels has its own part of the word."""
+    """Write the vote of every shot: each of the five labels has its own part of the word."""
     for i in range(len(labels)):
         label = labels[i]
         building = np.uint32(1 << _BUILDING_BIT) if label == _BUILDING else np.uint32(0)
         vegetation = np.uint32(1 << _VEGETATION_BIT) if label == _VEGETATION else np.uint32(0)
-        weights[i] = building | vegetation | np.uint32(label == _OTHER)
+        car = np.uint32(1 << _CAR_BIT) if label == _CAR else np.uint32(0)
+        pole = np.uint32(1 << _POLE_BIT) if label == _POLE else np.uint32(0)
+        weights[i] = building | vegetation | car | pole | np.uint32(label == _OTHER)
 
 
 @inlined
 def _vote(votes: np.uint32, own: np.uint8) -> np.uint8:
     """Return the label with most votes; of several, the shot's own if it is among them."""
-    part = np.uint32((1 << _BUILDING_BIT) - 1)
-    other = votes & part
-    building, vegetation = (votes >> np.uint32(_BUILDING_BIT)) & part, votes >> np.uint32(_VEGETATION_BIT)
-    most = max(max(other, building), vegetation)
-    mine = other if own == _OTHER else (building if own == _BUILDING else vegetation)
+    part = np.uint32((1 << _CAR_BIT) - 1)
+    other, car = votes & part, (votes >> np.uint32(_CAR_BIT)) & part
+    pole, building = (votes >> np.uint32(_POLE_BIT)) & part, (votes >> np.uint32(_BUILDING_BIT)) & part
+    vegetation = votes >> np.uint32(_VEGETATION_BIT)
+    most = max(max(max(other, car), max(pole, building)), vegetation)
+    mine = building if own == _BUILDING else (vegetation if own == _VEGETATION else other)
+    mine = car if own == _CAR else (pole if own == _POLE else mine)
     if mine == most:
         return own
     if other == most:
         return np.uint8(_OTHER)
+    if car == most:
+        return np.uint8(_CAR)
+    if pole == most:
+        return np.uint8(_POLE)
     return np.uint8(_BUILDING) if building == most else np.uint8(_VEGETATION)
 
 

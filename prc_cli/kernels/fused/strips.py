@@ -324,14 +324,18 @@ def _look_out(is_wall: U8, wall_at: F32, tops: F32, thresholds: WallThresholds, 
                 ahead[b] = wall_at[last]
 
 
-@kernel("UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), WallThresholds)", tuples=[WallThresholds])
-def find_walls(sums: tuple[F32, F32, F32, F32], thresholds: WallThresholds) -> tuple[F32, F32, F32]:
+@kernel(
+    "UniTuple(float32[:, ::1], 3)(UniTuple(float32[:, ::1], 4), uint8[:, ::1], WallThresholds)", tuples=[WallThresholds]
+)
+def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThresholds) -> tuple[F32, F32, F32]:
     """Find the walls beside every line: strips with enough smooth upright surface.
 
     Parameters
     ----------
     sums : tuple of (lines + 4, STRIPS) float32
         Of :func:`fill_strips`.
+    flanks : (lines, STRIPS) uint8
+        1 = no wall.
     thresholds : WallThresholds of float32
 
     Returns
@@ -356,6 +360,7 @@ def find_walls(sums: tuple[F32, F32, F32, F32], thresholds: WallThresholds) -> t
         for b in range(STRIPS):
             at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
             is_wall[b] = (walls[b] >= enough) & (walls[b] >= thresholds.share * lengths[b]) & (walls[b] > 0)
+            is_wall[b] &= flanks[line, b] == 0
             wall_at[b] = places[b] / walls[b] if is_wall[b] else np.float32(0.0)
         _look_out(is_wall, wall_at, highest, thresholds, (at[line], tops[line], ahead[line]))
     return at, tops, ahead

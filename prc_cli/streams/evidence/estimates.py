@@ -157,6 +157,30 @@ def _refine(correlation: F64, period: int) -> int:
     return round(refined)
 
 
+def first_times(time_s: F64) -> F64:
+    """Return the first known time of every line.
+
+    Parameters
+    ----------
+    time_s : (lines, M) float64, seconds
+        NaN = unknown.
+
+    Returns
+    -------
+    (lines,) float64, seconds
+        NaN where a line has none.
+
+    Examples
+    --------
+    >>> first_times(np.array([[np.nan, 1.5, 1.6], [np.nan, np.nan, np.nan]])).tolist()
+    [1.5, nan]
+    """
+    known = np.isfinite(time_s)
+    values = time_s[np.arange(len(time_s)), np.argmax(known, axis=1)]
+    found: F64 = np.where(known.any(axis=1), values, np.nan)
+    return found
+
+
 def estimate_line_frequency(time_s: F64) -> float | None:
     """Estimate the scan lines a second from the times at which lines begin.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from prc_cli.core.findings import Finding, Verdict
 from prc_cli.streams.evidence.estimates import estimate_points_per_line
-from prc_cli.streams.evidence.figures import LEAST_PAIRS, TURNED, Figures, Turned, fold
+from prc_cli.streams.evidence.figures import LEAST_PAIRS, SMOOTH, TURNED, Figures, Turned, fold
 from prc_cli.streams.evidence.seen import Seen
 
 LEAST_LINES = 24
@@ -25,6 +25,9 @@ LINE_DOUBTFUL, LINE_AGAINST = 0.12, 0.4
 SECOND = 0.5
 """A second neighbour this much more like a shot than the first: every other shot or line is of something else. In scans
 the second is less alike than the first."""
+ALIKE = 0.005
+"""Neighbouring lines this much alike are no lines of different scanners: where a turn has a number of shots and a half,
+every second line has the same angles, and differs by less than the others even while standing (0.001)."""
 HALF = 2.0
 """Half a line later as alike as the next line, within this factor: a line is two turns."""
 FOLD_DOUBTFUL, FOLD_AGAINST = 1.05, 1.2
@@ -60,13 +63,19 @@ WEAK_PERIOD = 0.5
 _ORDER_HINT = "check the layout (byte order, types, header bytes), or sort the shots as they were fired"
 
 
+def _share_of_random(difference: float, figures: Figures) -> float:
+    """Return a difference beside that of random shots; NaN where all shots see one surface at one distance."""
+    return difference / figures.random if figures.random >= SMOOTH else math.nan
+
+
 def check_shot_order(figures: Figures) -> Finding | None:
     """Ask whether consecutive shots see the same surfaces."""
-    ratio = figures.shot[0] / figures.random if figures.random else math.nan
+    ratio = _share_of_random(figures.shot[0], figures)
     if not np.isfinite(ratio):
         return None
     name = "shot-order"
-    found = f"ranges of neighbouring shots differ {ratio:.2g} times as much as those of random shots"
+    times = "" if f"{ratio:.2g}" == "1" else f"{ratio:.2g} times "
+    found = f"ranges of neighbouring shots differ {times}as much as those of random shots"
     expected = f"below {ORDER_DOUBTFUL:g}"
     if figures.shot[1] < SECOND * figures.shot[0]:
         found = f"every second shot is more like a shot ({figures.shot[1]:.2g}) than the next ({figures.shot[0]:.2g})"
@@ -85,12 +94,12 @@ def check_line_length(seen: Seen, figures: Figures, turned: Turned | None) -> Fi
     shots were lost there, and M is right.
     """
     m, first = seen.points_per_line, figures.line[0]
-    ratio = first / figures.random if figures.random else math.nan
+    ratio = _share_of_random(first, figures)
     if not np.isfinite(ratio) or seen.n_lines < LEAST_LINES:
         return None
     name, expected = "line-length", f"lines of M = {m} shots that are alike"
     steps = [step for step in range(2, len(figures.line) + 1) if figures.line[step - 1] < SECOND * first]
-    if steps:
+    if steps and ratio >= ALIKE:
         return _alternating(figures, m, steps[0])
     if 0 < figures.half_line <= min(HALF * first, LINE_DOUBTFUL * figures.random):
         found = f"the ranges repeat after {m // 2} shots already"

@@ -99,7 +99,7 @@ INPUT_CHECKS: tuple[Check, ...] = (
     Check(
         "times",
         "Do the times rise from record to record?",
-        "Refused where more than 1 in 10 000 steps go back, or one goes back by more than 5 000 shots or a tenth of "
+        "Refused where more than 1 in 10,000 steps go back, or one goes back by more than 5,000 shots or a tenth of "
         "the whole time",
         "Threads of a writer swap neighbouring records; a block out of place is a long step back, but a rare one",
         "Times that were made up from the order of the records.",

@@ -18,6 +18,7 @@ from prc_cli.core.stream import ReadTally, ScanBlock, ScanStream, StreamInfo
 from prc_cli.core.types import F64
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.evidence.checks import ask_all
+from prc_cli.streams.evidence.misread import with_other_reading
 from prc_cli.streams.evidence.repeats import LineRepeats, check_repeats
 from prc_cli.streams.evidence.sample import LineSample
 from prc_cli.streams.evidence.seen import Seen
@@ -140,7 +141,9 @@ def _ask_of_all(seen: tuple[Seen, ...], others: tuple[Finding, ...], accepted: t
     found: dict[str, Finding] = {}
     for one in seen:
         for finding in ask_all(one):
-            told = finding if len(seen) == 1 else replace(finding, found=f"scanner {one.scanner}: {finding.found}")
+            told = with_other_reading(finding, one.info.path, one.points_per_line)
+            if len(seen) > 1:
+                told = replace(told, found=f"scanner {one.scanner}: {told.found}")
             # of several scanners, the worst answer stands for the check
             if finding.check not in found or finding.verdict > found[finding.check].verdict:
                 found[finding.check] = told

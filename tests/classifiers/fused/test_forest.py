@@ -224,7 +224,7 @@ def test_stems_and_ground_of_a_simulated_walk() -> None:
 def test_the_preset_labels_a_stream_block_by_block(threads: int) -> None:
     ranges, angle, _ = walk()
     config = load_config(preset="fused-forest", options={"fused": {"lines_per_block": 40}})
-    found = classify_ranges(ranges, config, beam_rad=angle, threads=threads)
+    found = classify_ranges(ranges, config, beam_rad=angle, threads=threads).labels
     parts = [np.ascontiguousarray(ranges[i : i + 40]) for i in range(0, len(ranges), 40)]
     plane = Plane.of(np.pi - np.remainder(np.pi - angle, 2 * np.pi))
     np.testing.assert_array_equal(found, np.concatenate([forest(part, plane, ForestParams()) for part in parts]))

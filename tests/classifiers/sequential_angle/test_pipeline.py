@@ -294,14 +294,16 @@ def test_further_returns_are_labelled_from_their_own_line() -> None:
 
 def test_an_image_in_memory_needs_its_beams() -> None:
     block, _ = scan()
-    labels = classify_ranges(block.range_m, config(), beam_rad=block.beam_rad, xyz_m=block.xyz_m)
+    labels = classify_ranges(block.range_m, config(), beam_rad=block.beam_rad, xyz_m=block.xyz_m).labels
     expected, _ = run(iter([block]), PARAMS, block.n_lines)
     np.testing.assert_array_equal(labels, expected[0])
     with pytest.raises(InputError, match="beam_rad: not given, expected the angle of every column's beam"):
         classify_ranges(block.range_m, config())
     assert block.beam_rad is not None
     turned = np.remainder(block.beam_rad, 2 * np.pi)
-    np.testing.assert_array_equal(classify_ranges(block.range_m, config(), beam_rad=turned, xyz_m=block.xyz_m), labels)
+    np.testing.assert_array_equal(
+        classify_ranges(block.range_m, config(), beam_rad=turned, xyz_m=block.xyz_m).labels, labels
+    )
     wrong = [
         (np.zeros(3), r"found an array of shape \(3,\)"),
         (np.full(block.points_per_line, np.nan), "not finite"),

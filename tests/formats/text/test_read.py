@@ -237,7 +237,7 @@ def test_a_layout_that_knows_whether_there_is_a_header(tmp_path: Path) -> None:
             "line 5: column 'range': found 'abc', expected a number; leave the",
         ),
         (
-            "range;x\n1;2\n3,5;3\n",
+            "range;x\n1.5;2\n3,5;3\n",
             "line 3: column 'range': found '3,5', expected a number; write decimals with",
         ),
         ("range,x\n1,2\n0x10,3\n", "line 3: column 'range': found '0x10', expected a number"),

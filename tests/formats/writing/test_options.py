@@ -19,7 +19,9 @@ def test_below_32_names_the_first_key_that_is_too_high() -> None:
 
 
 def test_below_32_accepts_low_codes() -> None:
-    check_codes(ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=31), OutputConfig(codes="below-32"))
+    check_codes(
+        ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=31, pole=25), OutputConfig(codes="below-32")
+    )
 
 
 def test_high_noise_has_a_name_only_where_it_is_asked_for() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import socket
+import ssl
 import subprocess
 import sys
 import threading
@@ -519,3 +521,18 @@ def answers(address: str) -> bool:
     except OSError:
         return False
     return True
+
+
+def test_a_cluster_of_its_own_talks_to_nobody_else(quiet: None) -> None:
+    """Any user of the machine could run code in its workers."""
+    with dask_engine._own_cluster(EngineSettings(jobs=1)) as own:
+        address = own.scheduler_address
+        assert address.startswith("tls://127.0.0.1:")
+        assert own.security.require_encryption
+        # without the key of this run the handshake fails
+        host, _, port = address.removeprefix("tls://").partition(":")
+        strange = ssl._create_unverified_context()
+        with pytest.raises(OSError), socket.create_connection((host, int(port)), HANGS_S) as plain:
+            with strange.wrap_socket(plain) as secured:
+                assert secured.recv(1) == b"", "somebody talks to a stranger"
+            raise ConnectionResetError

@@ -147,6 +147,14 @@ def test_outputs_are_no_inputs(archive: Path) -> None:
     }
 
 
+def test_scans_called_labels_are_inputs(archive: Path) -> None:
+    """They were left out; this program never calls LAS and LAZ so."""
+    put(archive / "c.labels.laz")
+    put(archive / "c.labels.csv")
+    assert "c.labels.laz" in names(archive)
+    assert left_out(archive) == {"c.labels.csv": "labels that this program wrote"}
+
+
 @pytest.mark.parametrize("out", [".", "..", "../.", "../archive"])
 def test_an_archive_in_its_outputs_is_refused(archive: Path, out: str) -> None:
     with pytest.raises(ConfigError, match="never modified"):

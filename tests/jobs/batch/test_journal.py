@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import sqlite3
@@ -15,7 +16,7 @@ import pytest
 
 from prc_cli import __version__
 from prc_cli.config import LoadedConfig, RunConfig
-from prc_cli.core.errors import BusyError, InputError, OutputError
+from prc_cli.core.errors import BusyError, InputError, OutputError, PrcError
 from prc_cli.jobs.batch import journal as subject
 from prc_cli.jobs.batch.journal import (
     Journal,
@@ -383,3 +384,61 @@ def test_the_journal_of_the_whole_archive_comes_first(tmp_path: Path) -> None:
     for name in reversed(names):
         (tmp_path / name).touch()
     assert [path.name for path in subject.journal_paths(tmp_path)] == names
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_damage_is_one_clear_error_or_none(folder: Path, tmp_path: Path, seed: int) -> None:
+    """7 of 100 gave a traceback, by rows that SQLite reads and that make no sense."""
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        for number in range(30):
+            journal.start(task(f"{number}.laz"), "worker")
+            journal.finish(failed(f"{number}.laz") if number % 3 else done(f"{number}.laz"))
+        journal.end_run(0, {"done": 10})
+    sound, rng = journal_path(folder).read_bytes(), random.Random(seed)
+    for _ in range(12):
+        data = bytearray(sound)
+        for _ in range(rng.choice((1, 4, 30))):
+            data[rng.randrange(100, len(data))] = rng.randrange(256)
+        place = tmp_path / f"{rng.random()}"
+        place.mkdir()
+        journal_path(place).write_bytes(data)
+        with contextlib.suppress(PrcError):
+            read_entries(place)
+        with contextlib.suppress(PrcError):
+            read_runs(place)
+        with contextlib.suppress(PrcError), Journal(place) as journal:
+            journal.entries()
+            journal.entry("3.laz")
+            journal.begin_run("me")
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("labels", "[[1]]"), ("labels", "{"), ("labels", 5), ("notices", "7"), ("seconds", "soon"), ("state", "well"),
+        ("input_mtime_ns", None), ("n_lines", b"x"), ("outcome", "maybe"), ("labels", "[" * 100_000),
+    ],
+)  # fmt: skip
+def test_a_row_that_makes_no_sense_is_damage(folder: Path, column: str, value: object) -> None:
+    with Journal(folder) as journal:
+        journal.begin_run("me")
+        journal.start(task("a"), "worker")
+        journal.finish(done("a"))
+        journal._open_database.execute(f"UPDATE files SET {column} = ?", (value,))
+        with pytest.raises(OutputError, match="a row makes no sense"):
+            journal.entries()
+        with pytest.raises(OutputError, match="a row makes no sense"):
+            journal.entry("a")
+    with pytest.raises(OutputError, match=r"a row makes no sense: .*; move it away \(mv .* --adopt"):
+        read_entries(folder)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+def test_a_pipe_in_its_place_stops_nobody(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    os.mkfifo(journal_path(folder))
+    with pytest.raises(PrcError):
+        read_entries(folder)
+    with pytest.raises(PrcError), Journal(folder):
+        pass

@@ -441,3 +441,23 @@ def test_a_shard_is_a_part_of_the_whole_and_the_same_for_ever() -> None:
 def test_odd_shards_are_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="--shard"):
         Shard.parse(text)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes")
+def test_a_pipe_in_the_place_of_the_owner_stops_nobody(tmp_path: Path) -> None:
+    """Reading it waited for a writer, for ever; SIGTERM did not end that."""
+    folder = tmp_path / ".prc"
+    folder.mkdir()
+    os.mkfifo(folder / "lock.json")
+    assert [holder.owner.user for holder in holders(folder)] == ["an unknown user"]
+    with Lock(folder) as lock:
+        lock.check()
+    assert not (folder / "lock.json").exists()
+
+
+def test_an_owner_of_other_types_is_unknown(tmp_path: Path) -> None:
+    folder = tmp_path / ".prc"
+    folder.mkdir()
+    for content in ('{"pid": "many"}', "[" * 100_000, "9" * 9_000, json.dumps(asdict(Owner()) | {"pid": [1]})):
+        (folder / "lock.json").write_text(content)
+        assert [holder.owner.user for holder in holders(folder)] == ["an unknown user"]

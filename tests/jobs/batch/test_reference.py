@@ -17,6 +17,7 @@ from prc_cli.jobs.batch.reference import (
     evaluate_tree,
 )
 from prc_cli.jobs.evaluate import evaluate_all
+from tests.fuzz.crafted import overflowing
 
 PREDICTED = {"a.npz": [2, 2, 6, 0], "night/b.csv.gz": [2, 6, 6, 6, 5], "night/c.bin": [7, 7]}
 REFERENCE = {"a.npz": [2, 6, 6, 0], "night/b.csv.gz": [2, 2, 6, 6, 5], "night/c.bin": [7, 2]}
@@ -138,3 +139,19 @@ def test_labels_alone_are_matched_through_the_points_of_the_input(tmp_path: Path
     assert found.matrix.n_scored == 4
     names = found.matrix.reference_names, found.matrix.predicted_names
     assert found.matrix.counts[names[0].index("ground"), names[1].index("building")] == 1
+
+
+def test_a_file_that_ends_the_process_costs_its_own_comparison(tmp_path: Path) -> None:
+    """It ended the run, every night; the others are compared all the same."""
+    outputs, tree = trees(tmp_path)
+    crafted = overflowing()
+    (tmp_path / "out" / "d.laz").write_bytes(crafted)
+    (tree / "d.laz").write_bytes(crafted)
+    outputs.insert(1, Output("d.laz", "d.laz", tmp_path / "out" / "d.laz", tmp_path / "archive" / "d.laz"))
+    found = evaluate_tree(outputs, ReferenceSettings(tree, match="time"), threads=1)
+    problem = found.files[1].problem
+    assert problem is not None
+    assert problem.kind == "killed"
+    assert problem.problem.startswith("the process that compared it was killed by signal")
+    found = evaluate_tree([*outputs[:1], *outputs[2:]], ReferenceSettings(tree), threads=1)
+    assert [item.matrix is not None for item in found.files] == [True, True, True]

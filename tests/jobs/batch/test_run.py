@@ -173,7 +173,7 @@ def test_a_file_that_killed_its_worker_is_tried_alone_at_the_end(settings: Batch
     def script(task: Task, attempt: int) -> Outcome:
         if task.name in ("a.npz", "c.npz") and attempt == 1:
             return failed(task, "killed")
-        assert attempt == 1 or task.overwrite
+        assert not task.overwrite  # what an attempt before wrote is recognised, what others put there is kept
         return finished(task)
 
     engine = Scripted(script)
@@ -594,3 +594,16 @@ def test_workers_that_cannot_be_started_leave_a_journal_that_says_so(settings: B
     assert states(settings) == {"a.npz": "failed"}
     assert [run.exit_code for run in read_runs(settings.out / OWN_FOLDER)] == [1]
     assert len(run_batch(settings, Scripted()).done) == 4
+
+
+@pytest.mark.parametrize("gone", [".", OWN_FOLDER])
+def test_a_run_whose_folder_was_removed_says_so(settings: BatchSettings, gone: str) -> None:
+    """It ended with exit code 0, and the next one failed every file."""
+
+    def script(task: Task, attempt: int) -> Outcome:
+        if task.name == "d.npz":
+            shutil.rmtree(settings.out / gone)
+        return finished(task)
+
+    with pytest.raises(PrcError, match=r"the lock was lost: its file is gone|cannot be"):
+        run_batch(settings, Scripted(script))

@@ -1,0 +1,149 @@
+"""The fused method on slow and stop-and-go drives, beside the same streets driven normally.
+
+    python -m benchmarks.slow            # seeds 1 to 5, for tuning
+    python -m benchmarks.slow report     # seeds 911 to 915, which decided nothing
+
+Leaves of the simulator have no size: every shot meets others, however slow the drive. Here they have one: a slow drive
+is a normal one with lines in between, in which every shot is that of the line before or of the line after, one after
+the other; surfaces go on evenly between them. Every line has its own range noise and background light.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks import contest_data as data
+from benchmarks.contest_data import Scan, Simulated
+from benchmarks.contest_judge import judge
+from benchmarks.contest_methods import label
+from prc_cli.config import load_config, parse_assignment
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.config import merge
+from prc_cli.core.stream import ExtraReturns
+from prc_cli.core.types import F64
+
+NAMES = ("noise", "ground", "building", "vegetation")
+SCENES = ("residential", "terraces", "suburb", "boulevard", "mixed")
+LENGTH_M = 30.0
+EVEN_M = 0.3
+"""Surfaces are even between lines that differ by less in range [m]."""
+EDGE_COLUMNS = 64
+LEAVES = int(ClassCodes().lookup()[Label.VEGETATION])
+NOISE = int(ClassCodes().lookup()[Label.NOISE])
+NOISE_M = 0.002
+"""Fresh range noise of the lines in between [m]."""
+STRAY_SHARE = 0.03
+"""Share of shots that become background light; every line has its own."""
+
+
+def slowed(scan: Scan, places: F64, seed: int) -> Scan:
+    """Return a scan with lines at other places along the way, in lines of the scan."""
+    rng = np.random.default_rng(seed)
+    before = np.floor(places).astype(np.int64)
+    last = len(scan.range_m) - 1
+    turn = rng.random(scan.range_m.shape, np.float32)
+    # edges of things come together, leaves one by one
+    groups = np.arange(scan.range_m.shape[1]) // EDGE_COLUMNS
+    turn = np.where(scan.codes == LEAVES, turn, rng.random((len(turn), groups[-1] + 1))[:, groups])
+    ranges, codes = [], []
+    for place, line in zip(places, before, strict=True):
+        takes_next = turn[line] < place - line
+        other = min(line + 1, last)
+        one, two = scan.range_m[line], scan.range_m[other]
+        rows = np.where(takes_next, two, one)
+        # surfaces go on evenly
+        is_even = (abs(two - one) < EVEN_M) & (scan.codes[line] == scan.codes[other]) & (scan.codes[line] != LEAVES)
+        rows = np.where(is_even, one + np.float32(place - line) * (two - one), rows)
+        rows = rows + rng.normal(0, NOISE_M, rows.shape).astype(np.float32)
+        own = np.where(takes_next, scan.codes[other], scan.codes[line])
+        is_stray = rng.random(rows.shape) < STRAY_SHARE
+        is_around = rng.random(rows.shape) < data.STRAY_SHARE
+        around = rows + rng.normal(0, data.STRAY_M, rows.shape)
+        strays = np.where(is_around & (around > 0), around, rng.random(rows.shape) * data.FARTHEST_M)
+        ranges.append(np.where(is_stray, strays, rows))
+        codes.append(np.where(is_stray, NOISE, own))
+    return replace(
+        scan, range_m=np.maximum(np.stack(ranges), np.float32(0.1)).astype(np.float32), codes=np.stack(codes),
+        extra=ExtraReturns.none(), extra_codes=np.empty(0, np.int64), time_s=None, intensity=None, world_m=None,
+        scanner_m=None,
+    )  # fmt: skip
+
+
+def every(part: float) -> Callable[[int], F64]:
+    """Return the places of lines that lie closer by a factor."""
+    return lambda n: np.arange(0.0, n - 1.0, part)
+
+
+def stop_and_go(n: int) -> F64:
+    """Return the places of a drive that brakes, stands for 400 lines and speeds up, twice."""
+    steps: list[float] = []
+    for _ in range(2):
+        slower = np.concatenate([np.linspace(1, 0.02, 80), np.zeros(400), np.linspace(0.02, 1, 80)])
+        steps += [*np.ones(max((n - 80) // 2, 0)), *slower]
+    places = np.concatenate([[0.0], np.cumsum(steps)])
+    kept: F64 = places[places < n - 1.0]
+    return kept
+
+
+DRIVES: tuple[tuple[str, Callable[[int], F64]], ...] = (
+    ("normal", every(1.0)),
+    ("1/2 of the speed", every(0.5)),
+    ("1/4", every(0.25)),
+    ("1/8", every(0.125)),
+    ("1/16", every(0.0625)),
+    ("stop and go", stop_and_go),
+)
+SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (("", ()), ("without", ("fused.spacing.enabled=false",)))
+
+
+def streets(seeds: Sequence[int]) -> list[Scan]:
+    """Simulate streets of all scenes."""
+    specs = [Simulated("", seed, LENGTH_M, scene=SCENES[i % 5], noise=0) for i, seed in enumerate(seeds)]
+    return [data.simulated(spec) for spec in specs]
+
+
+def f1_of(scan: Scan, assignments: Sequence[str]) -> list[float]:
+    """Return the F1 of the four classes; NaN = too rare."""
+    options: dict[str, object] = {}
+    for assignment in assignments:
+        options = merge(options, parse_assignment(assignment))
+    found = label(scan, load_config(preset="fused", options=options))
+    scores = judge(scan, found.codes, found.extra_codes).f1()
+    return [scores.get(name, np.nan) for name in NAMES]
+
+
+def carried(scan: Scan, places: F64, seed: int) -> list[float]:
+    """Return the F1 of the labels of the normal drive, every line as often as in the slow one: what can be kept."""
+    normal = slowed(scan, np.arange(len(scan.range_m) - 1.0), seed)
+    labels = label(normal, load_config(preset="fused")).codes
+    lines = np.minimum(np.rint(places).astype(np.int64), len(labels) - 1)
+    repeated = replace(normal, range_m=normal.range_m[lines], codes=normal.codes[lines])
+    scores = judge(repeated, labels[lines], np.empty(0, np.int64)).f1()
+    return [scores.get(name, np.nan) for name in NAMES]
+
+
+def main() -> None:
+    """Print the table."""
+    seeds = range(911, 916) if "report" in sys.argv[1:] else range(1, 6)
+    scans = streets(seeds)
+    print(f"F1 on streets of seeds {seeds[0]} to {seeds[-1]}, lowest street in brackets\n")
+    print(f"| drive | {' | '.join(NAMES)} |\n|---|{'---:|' * 4}")
+    for name, where in DRIVES:
+        drives = [slowed(scan, where(len(scan.range_m)), seed) for scan, seed in zip(scans, seeds, strict=True)]
+        for suffix, assignments in SETTINGS:
+            rows = np.array([f1_of(drive, assignments) for drive in drives])
+            cells = [f"{np.nanmean(one):.3f} ({np.nanmin(one):.2f})" for one in rows.T]
+            print(f"| {name} {suffix} | {' | '.join(cells)} |")
+    rows = np.array([
+        carried(scan, stop_and_go(len(scan.range_m)), seed) for scan, seed in zip(scans, seeds, strict=True)
+    ])  # fmt: skip
+    cells = [f"{np.nanmean(one):.3f} ({np.nanmin(one):.2f})" for one in rows.T]
+    print(f"| stop and go, labels of the normal drive | {' | '.join(cells)} |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,271 @@
+"""Distance of scan lines: neighbours in other lines lie so far away that they see other leaves.
+
+Where a scanner moves slowly, the next line meets the same leaves again, and a crown looks as smooth as a wall across
+the lines. How far apart lines lie is not known from ranges, but this is: how often a line so many lines back is as far
+at shots whose neighbours in the line are near and on no common surface. Leaves apart by more than their size agree by
+chance alone. Where even the farthest line agrees, the platform stands, and only the line itself tells anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from prc_cli import kernels
+from prc_cli.classifiers.fused.neighbours import SmoothnessParams, smooth_pairs
+from prc_cli.classifiers.fused.plane import ScanPlane
+from prc_cli.core.classes import Label
+from prc_cli.core.config import Params
+from prc_cli.core.profile import stage
+from prc_cli.core.thresholds.fused import SpacingThresholds, typed
+from prc_cli.core.types import F32, F64, I64, U8
+
+LAGS = (1, 2, 4, 8, 16)
+"""Distances of neighbouring lines that are tried, in lines."""
+MOST_LAG = LAGS[-1]
+EVERY_LINE = 4
+"""Every fourth line of the stream is compared."""
+AHEAD_LINES = 16
+"""Lines after a line that its distance is decided with."""
+BESIDE_LINES = 3
+"""Lines before and after a block whose distance is asked for as well."""
+COUNTED_LINES = AHEAD_LINES - BESIDE_LINES
+"""Lines of a block that were counted with the blocks before."""
+PAIR_LINES = 2
+"""Pairs reach to the second neighbour among the lines."""
+SPACED_LINES = PAIR_LINES * MOST_LAG + BESIDE_LINES
+"""Lines before and after a block that its labels depend on."""
+STANDS = 0
+"""Instead of a number of lines: other lines tell nothing."""
+IN_LINE_PAIRS = np.array([0, 2, 3, 5, 7, 8, 10], np.uint8)
+"""Of 10 pairs, what the 6 pairs in the line stand for where the platform stands."""
+
+
+class SpacingParams(Params):
+    """How far away neighbours in other lines are (``[fused.spacing]``)."""
+
+    enabled: bool = Field(True, description="whether neighbours are taken farther away where lines lie close together")
+    near_m: float = Field(
+        1.5, gt=0, le=100, description="at a leaf, both neighbours in the line are nearer in range than this [m] ..."
+    )
+    sigmas: float = Field(
+        2.0, gt=0, le=100, description="... and off by more than so many tolerances of smoothness; else it is as far"
+    )
+    share: float = Field(
+        0.4, ge=0, le=1, description="leaves that another line may see again, as a share, beside those by chance"
+    )
+    keep_share: float = Field(
+        0.3, ge=0, le=1, description="the same for a smaller distance than now; smaller, so that it does not flicker"
+    )
+    least: int = Field(30, ge=1, description="fewest leaves to tell from; else the distance stays")
+    keeps: bool = Field(True, description="whether shots keep the labels that they had when the platform came to stand")
+    decay: float = Field(0.9, ge=0, lt=1, description="weight of what was seen four lines ago")
+
+    def thresholds(self, smoothness: SmoothnessParams, noise_m: float, step_rad: float) -> SpacingThresholds:
+        """Return what the loop is given, for a range noise [m] and an angle between columns [rad]."""
+        smooth = smoothness.thresholds(noise_m, step_rad)
+        return typed(
+            SpacingThresholds,
+            tolerance_m=self.sigmas * float(smooth.tolerance_m),
+            tolerance_per_m=self.sigmas * float(smooth.tolerance_per_m),
+            near_m=self.near_m,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spacing:
+    """What was seen of the distance of lines so far."""
+
+    sums: F64
+    """(6, 2) float64, leaves compared and leaves seen again, at each of :data:`LAGS` and beside; earlier ones count
+    less."""
+    stride: int
+    """Lines from neighbour to neighbour, :data:`STANDS` = none."""
+
+    @classmethod
+    def none(cls) -> Spacing:
+        """Return the state before the first line."""
+        return cls(np.zeros((len(LAGS) + 1, 2)), 1)
+
+
+@stage("spacing")
+def leaves_again(window_m: F32, first_line: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
+    """Count leaves that are seen again; see :func:`prc_cli.kernels.fused.spacing.leaf_repeats`.
+
+    Parameters
+    ----------
+    window_m : (lines + 2 SPACED_LINES, M) float32, metres
+        A block with the lines before and after it.
+    first_line : int
+        Number of the first line of the block in the stream.
+    thresholds : SpacingThresholds
+
+    Returns
+    -------
+    (n, 6, 2) int32
+        Of the lines that the block's distances are decided with and the blocks before were not.
+    """
+    begin = _begin(first_line)
+    end = len(window_m) - SPACED_LINES + BESIDE_LINES + AHEAD_LINES
+    lines = window_m[SPACED_LINES + begin - MOST_LAG : end]
+    counts: NDArray[np.int32] = kernels.leaf_repeats(lines, -(first_line + begin) % EVERY_LINE, thresholds)
+    return counts
+
+
+def strides_of(
+    counts: NDArray[np.int32], known: Spacing, first_line: int, n_lines: int, params: SpacingParams
+) -> tuple[I64, Spacing]:
+    """Decide how many lines away the neighbours of every line are.
+
+    Parameters
+    ----------
+    counts : (n, 6, 2) int32
+        Of :func:`leaves_again`.
+    known : Spacing
+        Before the block.
+    first_line : int
+        Number of the first line of the block in the stream.
+    n_lines : int
+        Lines of the block.
+    params : SpacingParams
+
+    Returns
+    -------
+    strides : (lines + 6,) int64
+        Of the lines of the block and three before and after it; :data:`STANDS` = other lines tell nothing.
+    Spacing
+        Before the next block.
+    """
+    sums, stride = known.sums, known.stride
+    strides = np.full(n_lines + 2 * BESIDE_LINES, stride, np.int64)
+    begin, after = _begin(first_line), known
+    for k in range(len(counts)):
+        line = begin + k
+        if line == n_lines + COUNTED_LINES:
+            after = Spacing(sums, stride)
+        if (first_line + line) % EVERY_LINE == 0:
+            sums = sums * params.decay + counts[k]
+            stride = _stride(sums, stride, params)
+        if line >= COUNTED_LINES:
+            strides[line - COUNTED_LINES] = stride
+    return strides, after
+
+
+def _begin(first_line: int) -> int:
+    """Return the first line, counted from a block's first, that was not counted with the blocks before."""
+    return COUNTED_LINES if first_line > 0 else 0
+
+
+def _stride(sums: F64, now: int, params: SpacingParams) -> int:
+    """Return the least distance at which few enough leaves are seen again."""
+    if not sums[0, 0] >= params.least:
+        return now
+    # leaves that are as far by chance: as many as in the line itself
+    chance = float(sums[-1, 1] / max(sums[-1, 0], 1.0))
+    for k, lag in enumerate(LAGS):
+        limit = params.keep_share if now == STANDS or lag < now else params.share
+        if not sums[k, 1] > (chance + limit * (1.0 - chance)) * sums[k, 0]:
+            return lag
+    return STANDS
+
+
+@stage("smoothness")
+def spaced_pairs(window_m: F32, strides: I64, plane: ScanPlane, noise_m: float, params: SmoothnessParams) -> U8:
+    """Count smooth pairs with lines of the right distance.
+
+    Parameters
+    ----------
+    window_m : (lines + 64, M) float32, metres
+        Lines with :data:`PAIR_LINES` times :data:`MOST_LAG` more before and after them.
+    strides : (lines,) int64
+        From :func:`strides_of`.
+    plane : ScanPlane
+    noise_m : float
+        Range noise [m].
+    params : SmoothnessParams
+
+    Returns
+    -------
+    (lines, M) uint8
+        Of 10, as from :func:`prc_cli.classifiers.fused.neighbours.smooth_pairs`.
+    """
+    margin = PAIR_LINES * MOST_LAG
+    n_lines, m = len(strides), window_m.shape[1]
+    chosen = np.unique(strides)
+    if len(chosen) == 1 and chosen[0] == 1:
+        return smooth_pairs(window_m[margin - PAIR_LINES : len(window_m) - margin + PAIR_LINES], plane, noise_m, params)
+    smooth = np.empty((n_lines, m), np.uint8)
+    for stride in chosen.tolist():
+        lines = np.flatnonzero(strides == stride)
+        if stride == STANDS:
+            alone = np.full((3 * len(lines) + 2, m), np.nan, np.float32)
+            alone[2::3] = window_m[lines + margin]
+            smooth[lines] = IN_LINE_PAIRS[smooth_pairs(alone, plane, noise_m, params)[::3]]
+            continue
+        first, last = int(lines[0]), int(lines[-1])
+        # every stride-th line is a stream of its own
+        for phase in range(first, min(first + stride, last + 1)):
+            own = np.arange(phase, last + 1, stride)
+            before = margin + phase - PAIR_LINES * stride
+            rows = np.ascontiguousarray(window_m[before : margin + own[-1] + PAIR_LINES * stride + 1 : stride])
+            counts = smooth_pairs(rows, plane, noise_m, params)
+            is_own = strides[own] == stride
+            smooth[own[is_own]] = counts[is_own]
+    return smooth
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Halt:
+    """The last line before the platform came to stand, or the last line."""
+
+    range_m: F32
+    """(M,) float32 [m]; NaN = missing."""
+    labels: U8
+    """(M,) uint8."""
+
+    @classmethod
+    def none(cls, points_per_line: int) -> Halt:
+        """Return the state before the first line."""
+        return cls(np.full(points_per_line, np.nan, np.float32), np.zeros(points_per_line, np.uint8))
+
+
+@stage("standing")
+def keep_labels(labels: U8, range_m: F32, strides: I64, halt: Halt, thresholds: SpacingThresholds) -> tuple[U8, Halt]:
+    """Let shots keep the labels that they had when the platform came to stand, where they are as far as then.
+
+    A standing scanner sees every tree as a strip of one line; only before did it see how wide things are.
+
+    Parameters
+    ----------
+    labels : (lines, M) uint8
+    range_m : (lines, M) float32, metres
+    strides : (lines,) int64
+        From :func:`strides_of`.
+    halt : Halt
+        Before these lines.
+    thresholds : SpacingThresholds
+
+    Returns
+    -------
+    (lines, M) uint8
+    Halt
+        After them.
+    """
+    stands = strides == STANDS
+    if not stands.any():
+        return labels, Halt(range_m[-1].copy(), labels[-1].copy())
+    kept = labels.copy()
+    edges = np.flatnonzero(np.diff(stands, prepend=False, append=False))
+    for first, end in edges.reshape(-1, 2).tolist():
+        if first > 0:
+            halt = Halt(range_m[first - 1].copy(), kept[first - 1].copy())
+        limit = thresholds.tolerance_m + thresholds.tolerance_per_m * halt.range_m
+        # false where a range is missing
+        is_same = (np.abs(range_m[first:end] - halt.range_m) < limit) & (halt.labels > Label.NOISE)
+        kept[first:end] = np.where(is_same, halt.labels, kept[first:end])
+    if not stands[-1]:
+        halt = Halt(range_m[-1].copy(), kept[-1].copy())
+    return kept, halt

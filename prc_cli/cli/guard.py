@@ -1,0 +1,179 @@
+"""Runs a command in a child process, which a small parent watches.
+
+Libraries that decode files of others may end the process: a stack that overflows, a violated address, an abort. Then
+the parent removes temporary files, prints one line, and ends with exit code 1. It is the process that was started: it
+forks before any thread and any large library is there, passes signals on, and ends with the exit code of the child.
+
+On Linux only. Elsewhere, or with ``PRC_GUARD=0``, the command runs in the process that was started, and a crash ends it
+by a signal; ``prc batch`` has worker processes on every system.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+
+from prc_cli.cli.safe import printable
+
+SWITCH = "PRC_GUARD"
+"""Environment variable; 0 = no child process, for debuggers."""
+UNGUARDED = frozenset({"completion", "config", "demo", "doctor", "simulate"})
+"""Commands that decode no files of others."""
+LAST_PRINTED = 300
+"""How much is shown of what a library printed before it ended the process [bytes]."""
+MOST_NAMED = 2
+"""Most files named in the message."""
+_PASSED = ("SIGINT", "SIGTERM", "SIGHUP")
+_PR_SET_PDEATHSIG = 1
+_CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL", "SIGKILL", "SIGSYS", "SIGTRAP", "SIGXCPU", "SIGXFSZ")
+
+
+def begin(arguments: list[str], commands: frozenset[str]) -> None:
+    """Go on in a child process; the parent waits for its end and never returns.
+
+    Nothing happens where it is not needed or not possible.
+
+    Parameters
+    ----------
+    arguments : list of str
+        Of the command line.
+    commands : frozenset of str
+        Names of all commands.
+    """
+    name = next((word for word in arguments if not word.startswith("-")), "")
+    if name not in commands - UNGUARDED or not {"-h", "--help"}.isdisjoint(arguments):
+        return
+    if sys.platform != "linux" or os.environ.get(SWITCH) == "0" or threading.active_count() > 1:
+        return
+    try:
+        printed, notes = os.memfd_create("prc-printed"), os.memfd_create("prc-notes")
+    except OSError:  # an old kernel
+        return
+    # what is ignored, as by nohup, stays ignored
+    passed = {number for text in _PASSED if signal.getsignal(number := signal.Signals[text]) != signal.SIG_IGN}
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {*passed, signal.SIGCHLD})
+    parent = os.getpid()
+    try:
+        child = os.fork()
+    except OSError:  # no more processes: better without a guard than not at all
+        child = 0
+        parent = os.getppid()
+    if child == 0:
+        _end_with(parent)
+        _keep_for_parent(printed, notes)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return
+    code = _exit_code(_wait(child, passed), arguments, printed, notes)
+    os._exit(code)
+
+
+def _end_with(parent: int) -> None:
+    """Let the system kill this process when its parent dies: nobody may go on with the work of a killed command."""
+    import ctypes
+
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(128 + signal.SIGKILL)
+
+
+def _keep_for_parent(printed: int, notes: int) -> None:
+    """Keep what libraries print from the terminal, and note temporary files; Python's own stderr goes on."""
+    from prc_cli.core import files
+
+    files.note_temporaries(notes)
+    try:
+        terminal = os.dup(2)
+    except OSError:  # closed by whoever started this
+        return
+    os.dup2(printed, 2)
+    # nothing waits in a buffer: Python would fail at its exit when the reader of a pipe is gone
+    raw = io.FileIO(terminal, "w")
+    sys.stderr = io.TextIOWrapper(raw, sys.stderr.encoding, "backslashreplace", write_through=True)
+
+
+def _wait(child: int, passed: set[signal.Signals]) -> int:
+    """Wait for the end of the child and pass signals on; return its status.
+
+    A signal from the terminal reaches the child by itself, one that a process sent to this one alone does not. The
+    child takes two of a kind within a moment for one.
+    """
+    while True:
+        found = signal.sigwaitinfo({*passed, signal.SIGCHLD})
+        if found.si_signo != signal.SIGCHLD:
+            if found.si_code <= 0:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(child, found.si_signo)
+            continue
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return status
+
+
+def _exit_code(status: int, arguments: list[str], printed: int, notes: int) -> int:
+    """Return the exit code for the status of the child; tell of a crash and clean up after it."""
+    said = _read(printed)
+    if "--debug" in arguments and said:
+        _print(said.decode("utf-8", "replace"))
+    if not os.WIFSIGNALED(status):
+        return os.WEXITSTATUS(status)
+    number = os.WTERMSIG(status)
+    _remove_temporaries(_read(notes))
+    name = _name(number)
+    if name not in _CRASHES:  # somebody ended it so: end in the same way
+        signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})
+        os.kill(os.getpid(), number)
+        return 128 + number
+    _print(f"error: {_message(number, name, arguments, said)}\n")
+    return 1
+
+
+def _message(number: int, name: str, arguments: list[str], said: bytes) -> str:
+    named = [word for word in arguments[1:] if Path(word).is_file()]
+    where = ", ".join(named[:MOST_NAMED]) + (f" and {len(named) - MOST_NAMED} more" * (len(named) > MOST_NAMED))
+    last = " ".join(said[-LAST_PRINTED:].decode("utf-8", "replace").split())
+    problem = f"the process that read it was ended by signal {number} ({name})" + f"; it said: {last}" * bool(last)
+    hint = "the file is damaged or made to do this: copy it again, or ask where it comes from"
+    if number == signal.SIGKILL:
+        hint = "the system kills so when memory is short: fewer --threads or --jobs, or more memory"
+    return printable(f"{where or arguments[0]}: {problem}; no output was left behind; {hint}")
+
+
+def _name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # a real-time signal
+        return f"signal {number}"
+
+
+def _read(descriptor: int) -> bytes:
+    with open(descriptor, "rb") as handle:
+        handle.seek(0)
+        return handle.read()
+
+
+def _remove_temporaries(notes: bytes) -> None:
+    """Remove what the child would have removed itself."""
+    import shutil
+
+    from prc_cli.core.files import remove_stale
+
+    for name in dict.fromkeys(notes.split(b"\0")):
+        path = Path(os.fsdecode(name))
+        with contextlib.suppress(OSError):
+            if name.endswith(b"/"):
+                shutil.rmtree(path, ignore_errors=True)
+            elif name:
+                remove_stale(path)
+
+
+def _print(text: str) -> None:
+    with contextlib.suppress(OSError):
+        os.write(2, text.encode("utf-8", "backslashreplace"))

@@ -1,0 +1,76 @@
+"""Reads the fields of a message one after the other, as ROS 1 or as CDR (ROS 2) writes them."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+
+class ShortMessageError(ValueError):
+    """A message ends before its fields do, or its lengths are wrong; the text says how."""
+
+
+class Cursor:
+    """Position in the bytes of a message.
+
+    ROS 1 packs fields without gaps, little-endian. CDR begins with four bytes that name the byte order, and aligns
+    every number to its size, counted from behind them; strings end with a zero.
+    """
+
+    def __init__(self, data: bytes, *, is_cdr: bool) -> None:
+        self.data, self.is_cdr = data, is_cdr
+        self.at = self._start = 4 if is_cdr else 0
+        self.order: Literal["<", ">"] = "<"
+        if is_cdr:
+            if len(data) < 4 or data[0] != 0 or data[1] > 1:
+                message = f"begins with {data[:4].hex() or 'nothing'}, expected the four bytes of CDR"
+                raise ShortMessageError(message)
+            self.order = "<" if data[1] else ">"
+
+    def _align(self, size: int) -> None:
+        if self.is_cdr:
+            self.at += -(self.at - self._start) % size
+
+    def _need(self, n: int) -> int:
+        """Return the position and move ``n`` bytes on."""
+        start = self.at
+        if n > len(self.data) - start:
+            message = f"ends after {len(self.data)} bytes, expected {start + n} or more"
+            raise ShortMessageError(message)
+        self.at += n
+        return start
+
+    def number(self, form: str) -> Any:
+        """Read one number of a :mod:`struct` format letter."""
+        size = struct.calcsize(f"={form}")
+        self._align(size)
+        return struct.unpack_from(self.order + form, self.data, self._need(size))[0]
+
+    def text(self) -> str:
+        """Read a string."""
+        n = self.number("I")
+        start = self._need(n)
+        return self.data[start : start + n].rstrip(b"\0").decode("utf-8", errors="replace")
+
+    def array(self, dtype: DTypeLike, n: int | None = None) -> NDArray[Any]:
+        """Read a sequence of numbers, or ``n`` of them; a view of the message."""
+        count = self.number("I") if n is None else n
+        kind = np.dtype(dtype).newbyteorder(self.order)
+        if count:
+            self._align(kind.itemsize)
+        start = self._need(count * kind.itemsize)
+        return np.frombuffer(self.data, kind, count, start)
+
+    def header(self) -> tuple[float, str]:
+        """Read a ``std_msgs/Header``; return its stamp [s] and frame."""
+        if not self.is_cdr:
+            self.number("I")  # sequence number
+        return self.stamp(), self.text()
+
+    def stamp(self) -> float:
+        """Read a time [s]."""
+        seconds, nanoseconds = self.number("i" if self.is_cdr else "I"), self.number("I")
+        return float(seconds + nanoseconds * 1e-9)

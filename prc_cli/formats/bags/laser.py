@@ -1,0 +1,231 @@
+"""``sensor_msgs/LaserScan`` and ``MultiEchoLaserScan``: a message is a scan line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.stream import ExtraReturns, ReadTally, ScanBlock
+from prc_cli.core.types import F32, F64, I64, Mask
+from prc_cli.formats.bags.cursor import Cursor, ShortMessageError
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.organised import MAX_POINTS_PER_LINE, lines_per_block
+from prc_cli.formats.ranges import clean_ranges
+from prc_cli.formats.returns import choose_returns
+
+LASER, ECHOES = "sensor_msgs/LaserScan", "sensor_msgs/MultiEchoLaserScan"
+MAX_ECHOES = 64
+"""Most echoes of a beam."""
+
+
+@dataclass(frozen=True, slots=True)
+class LaserScan:
+    """A message, decoded."""
+
+    stamp_s: float
+    """Time of the first beam [s]."""
+    frame: str
+    angle_min_rad: float
+    angle_step_rad: float
+    shot_s: float
+    """Time between beams [s]."""
+    range_min_m: float
+    range_max_m: float
+    range_m: F32
+    """(echoes,) float32, echoes of the beams one after the other [m]."""
+    intensity: F32
+    """(echoes,) float32, or empty."""
+    n_echoes: I64 | None
+    """(M,) int64, echoes of every beam; None = one each."""
+
+    @property
+    def points_per_line(self) -> int:
+        """M, beams of the message."""
+        return len(self.range_m) if self.n_echoes is None else len(self.n_echoes)
+
+    @property
+    def n_records(self) -> int:
+        """Records of the message: its echoes, and one for every beam without any."""
+        return len(self.range_m) if self.n_echoes is None else int(np.maximum(self.n_echoes, 1).sum())
+
+
+def parse_laser(data: bytes, *, is_cdr: bool, is_multi: bool) -> LaserScan:
+    """Decode a message.
+
+    Raises
+    ------
+    ShortMessageError
+        When it ends too early, or its numbers make no sense.
+    """
+    cursor = Cursor(data, is_cdr=is_cdr)
+    stamp_s, frame = cursor.header()
+    first, _, step, shot_s, _, low, high = (cursor.number("f") for _ in range(7))
+    if not all(np.isfinite((first, step, shot_s))) or step == 0:
+        message = f"angle_min {first:g}, angle_increment {step:g}, time_increment {shot_s:g}, expected finite numbers"
+        raise ShortMessageError(message)
+    if not is_multi:
+        ranges, n_echoes = cursor.array("f4"), None
+        intensity = cursor.array("f4")
+    else:
+        ranges, n_echoes = _echoes(cursor)
+        intensity, n_of = _echoes(cursor)
+        if not np.array_equal(n_of, n_echoes):
+            intensity = np.empty(0, np.float32)
+    m = len(ranges) if n_echoes is None else len(n_echoes)
+    if not 1 <= m <= MAX_POINTS_PER_LINE:
+        message = f"holds {m} ranges, expected 1 to {MAX_POINTS_PER_LINE}"
+        raise ShortMessageError(message)
+    if len(intensity) != len(ranges):
+        intensity = np.empty(0, np.float32)
+    return LaserScan(stamp_s, frame, first, step, shot_s, low, high, ranges, intensity, n_echoes)
+
+
+def _echoes(cursor: Cursor) -> tuple[F32, I64]:
+    """Read a list of lists; return them in a row, and their lengths."""
+    n = cursor.number("I")
+    if n > len(cursor.data) // 4:
+        message = f"says it holds {n} beams, which it is too short for"
+        raise ShortMessageError(message)
+    parts = [cursor.array("f4") for _ in range(n)]
+    counts = np.array([len(part) for part in parts], np.int64)
+    if n and counts.max() > MAX_ECHOES:
+        message = f"holds {counts.max()} echoes of a beam, expected at most {MAX_ECHOES}"
+        raise ShortMessageError(message)
+    return (np.concatenate(parts) if n else np.empty(0, np.float32)), counts
+
+
+class LaserLines:
+    """Gathers messages of one scanner into blocks.
+
+    Parameters
+    ----------
+    where : str
+        File and topic, for messages.
+    scanner : int
+    first : LaserScan
+        Its first message, which the others must agree with.
+    config : InputConfig
+        Bounds of ranges, and the return that stands for a shot.
+    """
+
+    def __init__(self, where: str, scanner: int, first: LaserScan, config: InputConfig) -> None:
+        self._where, self._scanner, self._config = where, scanner, config
+        self.points_per_line = first.points_per_line
+        self._first = (first.angle_min_rad, first.angle_step_rad)
+        column = np.arange(self.points_per_line, dtype=np.float64)
+        self.angle_rad: F64 = first.angle_min_rad + first.angle_step_rad * column
+        self._waiting: list[tuple[LaserScan, int]] = []
+        self._n_lines = 0
+        self._enough = lines_per_block(self.points_per_line)
+
+    def add(self, scan: LaserScan, first_record: int) -> Iterator[ScanBlock]:
+        """Take a message whose first record is given; yield a block when there is enough for one.
+
+        Raises
+        ------
+        InputError
+            When it has other beams than the first.
+        """
+        number = self._n_lines + len(self._waiting)
+        if scan.points_per_line != self.points_per_line:
+            problem = f"found {scan.points_per_line} ranges, expected {self.points_per_line} as in the first message"
+            raise InputError(f"{self._where}: message {number}", problem, "record every set-up in a bag of its own")
+        found = (scan.angle_min_rad, scan.angle_step_rad)
+        if not np.allclose(found, self._first, rtol=1e-4, atol=abs(self._first[1]) / 4):
+            problem = (
+                f"found angle_min {found[0]:g} and angle_increment {found[1]:g}, expected {self._first[0]:g} and "
+                f"{self._first[1]:g} as in the first message"
+            )
+            raise InputError(f"{self._where}: message {number}", problem, "record every set-up in a bag of its own")
+        self._waiting.append((scan, first_record))
+        if len(self._waiting) == self._enough:
+            yield from self.finish()
+
+    def finish(self) -> Iterator[ScanBlock]:
+        """Yield what waits."""
+        if self._waiting:
+            yield self._block()
+            self._n_lines += len(self._waiting)
+            self._waiting = []
+
+    def _block(self) -> ScanBlock:
+        scans = [scan for scan, _ in self._waiting]
+        m = self.points_per_line
+        first = np.array([record for _, record in self._waiting], np.int64)
+        bounds = np.array([(scan.range_min_m, scan.range_max_m) for scan in scans])
+        ranges, intensity, record, extra, n_extra = self._one_each(scans, first)
+        with np.errstate(invalid="ignore"):
+            beyond: Mask = (ranges < bounds[:, :1]) | (ranges > bounds[:, 1:])
+        finite = np.isfinite(ranges)
+        ranges[beyond & finite] = np.nan
+        # inf is how a scanner says that nothing came back
+        ranges[np.isinf(ranges)] = np.nan
+        cleaned, tally = clean_ranges(ranges, self._config.min_range, self._config.max_range)
+        if intensity is not None:
+            intensity[np.isnan(cleaned)] = np.nan
+        stamps = np.array([scan.stamp_s for scan in scans])
+        steps = np.array([scan.shot_s for scan in scans])
+        return ScanBlock(
+            first_line=self._n_lines,
+            range_m=cleaned,
+            record=record,
+            scanner=self._scanner,
+            time_s=stamps[:, None] + steps[:, None] * np.arange(m),
+            intensity=intensity,
+            angle_rad=self.angle_rad,
+            extra=extra,
+            tally=tally
+            + ReadTally(
+                n_records=sum(scan.n_records for scan in scans),
+                n_beyond=int(np.count_nonzero(beyond & finite)),
+                n_extra_returns=n_extra,
+            ),
+        )
+
+    def _one_each(self, scans: list[LaserScan], first: I64) -> tuple[F32, F32 | None, I64, ExtraReturns, int]:
+        """Return range, intensity and record of every cell, and the further echoes."""
+        n, m = len(scans), self.points_per_line
+        lit = all(len(scan.intensity) for scan in scans)
+        if all(scan.n_echoes is None for scan in scans):
+            ranges = np.stack([scan.range_m for scan in scans]).astype(np.float32)
+            intensity = np.stack([scan.intensity for scan in scans]).astype(np.float32) if lit else None
+            return ranges, intensity, first[:, None] + np.arange(m), ExtraReturns.none(), 0
+        counts = np.concatenate([_counts(scan) for scan in scans])
+        held = np.maximum(counts, 1)
+        starts = np.cumsum(held) - held
+        flat = _spread(np.concatenate([scan.range_m for scan in scans]), counts, held)
+        value = _spread(np.concatenate([scan.intensity for scan in scans]), counts, held) if lit else None
+        record = np.concatenate(
+            [at + np.arange(scan.n_records) for at, scan in zip(first, scans, strict=True)], dtype=np.int64
+        )
+        cell = np.repeat(np.arange(n * m), held)
+        low = np.repeat([scan.range_min_m for scan in scans], [scan.n_records for scan in scans])
+        high = np.repeat([scan.range_max_m for scan in scans], [scan.n_records for scan in scans])
+        with np.errstate(invalid="ignore"):
+            usable = np.isfinite(flat) & (flat >= low) & (flat <= high) & (flat > 0)
+        flat[~usable] = np.nan
+        begins: Mask = np.zeros(len(flat), np.bool_)
+        begins[starts] = True
+        stands = choose_returns(begins, flat, value, None, self._config.return_)
+        own = np.flatnonzero(stands)
+        others = np.flatnonzero(usable & ~stands)
+        extra = ExtraReturns(
+            (cell[others] // m).astype(np.int32), (cell[others] % m).astype(np.int32), flat[others], record[others]
+        )
+        shape = (n, m)
+        intensity = None if value is None else value[own].reshape(shape)
+        return flat[own].reshape(shape), intensity, record[own].reshape(shape), extra, len(others)
+
+
+def _counts(scan: LaserScan) -> I64:
+    return np.ones(len(scan.range_m), np.int64) if scan.n_echoes is None else scan.n_echoes
+
+
+def _spread(values: F32, counts: I64, held: I64) -> F32:
+    """Return values with a NaN for every beam without an echo."""
+    spread: F32 = np.full(int(held.sum()), np.nan, np.float32)
+    spread[np.repeat(counts > 0, held)] = values
+    return spread

@@ -1,0 +1,362 @@
+"""Reader of bags: every scan topic, and every frame of it, is a scanner of the stream."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.facts import SourceFacts
+from prc_cli.core.stream import Assumption, ScanBlock, StreamInfo
+from prc_cli.formats.bags.cloud import CLOUD, CloudLines, parse_cloud
+from prc_cli.formats.bags.containers import BagEnd, Message, Topic, read_messages
+from prc_cli.formats.bags.cursor import ShortMessageError
+from prc_cli.formats.bags.laser import ECHOES, LASER, LaserLines, parse_laser
+from prc_cli.formats.bags.packed import OUSTER, PACKED, parse_packets
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.organised import check_rules, check_width
+from prc_cli.formats.packets.ouster import read_metadata
+from prc_cli.formats.packets.scanners import PacketLines, is_scan
+
+MAX_SCANNERS = 256
+"""Most scanners of a bag."""
+LASERS = (LASER, ECHOES)
+GROUPS = (PACKED, LASERS, (CLOUD,))
+"""Types of messages that hold scans, best first; those of the best group that a bag has are read by default."""
+READABLE = tuple(kind for group in GROUPS for kind in group)
+
+
+@dataclass(slots=True)
+class TopicCount:
+    """What the first pass finds of a topic."""
+
+    topic: Topic
+    n: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+
+    def add(self, message: Message) -> None:
+        """Count a message."""
+        self.first_ns = min(self.first_ns, message.time_ns) if self.n else message.time_ns
+        self.last_ns = max(self.last_ns, message.time_ns) if self.n else message.time_ns
+        self.n += 1
+
+    def told(self) -> str:
+        """Return type, number and times as text."""
+        if not self.n:
+            return f"{self.topic.kind}, no message"
+        span = (self.last_ns - self.first_ns) * 1e-9
+        return f"{self.topic.kind}, {self.n} messages in {span:.3f} s from {self.first_ns * 1e-9:.3f} s"
+
+
+@dataclass(slots=True)
+class _Survey:
+    """What the first pass finds."""
+
+    topics: dict[str, TopicCount] = field(default_factory=dict)
+    firsts: dict[str, Message] = field(default_factory=dict)
+    """First message of every topic that can be read."""
+    end: BagEnd = field(default_factory=BagEnd)
+
+
+class BagStream:
+    """A bag as a :class:`prc_cli.core.stream.ScanStream`.
+
+    Parameters
+    ----------
+    path : Path
+        ``.bag`` (ROS 1), ``.db3`` or ``.mcap`` (ROS 2).
+    config : InputConfig
+        ``topic``, the bounds of ranges, and ``return``.
+
+    Raises
+    ------
+    ConfigError
+        When the configuration asks for what a bag cannot have, or for a topic that it does not have.
+    InputError
+        When the bag is damaged, or has no scans.
+    """
+
+    def __init__(self, path: Path, config: InputConfig) -> None:
+        check_rules(path, config, "a recording of scans")
+        self._path, self._config = path, config
+        self._found = _survey(path)
+        self._chosen = self._choose()
+        self._notes: list[str] = []
+        self._numbers = _Numbers()
+        self._widest = self._look()
+        check_width(path, self._widest, config)
+
+    @property
+    def info(self) -> StreamInfo:
+        """What is known before reading, and afterwards also what was found while reading."""
+        topics = self._found.topics
+        names = ", ".join(topic.name for topic in self._chosen)
+        others = [name for name, count in topics.items() if count.topic not in self._chosen and self._can(count)]
+        why = "the bag has no other scans" if not others else f"other scans: {', '.join(others[:10])} (input.topic)"
+        if self._config.topic is not None:
+            why = "input.topic names it"
+        assumed = [Assumption("input.topic", names, why)]
+        if len(self._numbers.of) > 1:
+            shown = "; ".join(f"{number}: {name}" for name, number in self._numbers.of.items())
+            assumed.append(Assumption("input.scanner", "one a topic and frame", shown[:500]))
+        notes = list(self._notes)
+        if self._found.end.problem:
+            notes.insert(0, f"{self._found.end.problem}: it was read up to there")
+        lasers = all(topic.kind in LASERS for topic in self._chosen)
+        return StreamInfo(
+            path=str(self._path),
+            format="bag",
+            points_per_line=self._widest,
+            n_records=None,
+            n_lines=sum(topics[topic.name].n for topic in self._chosen) if lasers else None,
+            assumptions=tuple(assumed),
+            facts=SourceFacts(
+                has_line_times=not lasers,
+                notes=tuple(notes),
+                describe=lambda: {f"topic {name}": count.told() for name, count in topics.items()},
+            ),
+        )
+
+    def _can(self, count: TopicCount) -> bool:
+        """Whether a topic holds scans: of clouds, only those with ring and time."""
+        if count.topic.kind != CLOUD or not count.n:
+            return count.topic.kind in READABLE and count.n > 0
+        first = self._found.firsts[count.topic.name]
+        try:
+            parse_cloud(first.data, is_cdr=count.topic.is_cdr)
+        except ShortMessageError:
+            return False
+        return True
+
+    def _choose(self) -> tuple[Topic, ...]:
+        """Return the topics to read.
+
+        Raises
+        ------
+        InputError, ConfigError
+        """
+        topics = self._found.topics
+        shown = ", ".join(f"{name} ({count.topic.kind})" for name, count in topics.items())[:600] or "none"
+        if self._config.topic is not None:
+            chosen = []
+            for name in self._config.topic.split(","):
+                count = topics.get(name)
+                if count is None:
+                    raise ConfigError("input.topic", f"found {name!r}, {self._path.name} has: {shown}", "name one")
+                if count.topic.kind not in READABLE:
+                    problem = f"{name} holds {count.topic.kind}, expected {', '.join(READABLE)}"
+                    raise ConfigError("input.topic", problem, f"the bag has: {shown}")
+                chosen.append(count.topic)
+            return tuple(chosen)
+        for group in GROUPS:
+            chosen = [count.topic for count in topics.values() if count.topic.kind in group and self._can(count)]
+            if chosen:
+                return tuple(sorted(chosen, key=lambda topic: topic.name))
+        ended = f" ({self._found.end.problem})" if self._found.end.problem else ""
+        problem = f"no topic with scans{ended}, expected {', '.join(READABLE)}; it has: {shown}"
+        raise InputError(str(self._path), problem, "record the scanner's own topic")
+
+    def _look(self) -> int:
+        """Return the longest line, from the first message of every topic."""
+        widest = 0
+        for topic in self._chosen:
+            message = self._found.firsts.get(topic.name)
+            if message is not None:
+                reader = self._reader(message.topic)
+                for _ in reader.add(message, 0):
+                    pass
+                widest = max(widest, reader.points_per_line)
+        if not widest:
+            names = ", ".join(topic.name for topic in self._chosen)
+            raise InputError(f"{self._path}: {names}", "no message with shots, expected scans", "record it again")
+        return widest
+
+    def _reader(self, topic: Topic) -> _TopicReader:
+        kinds: dict[str, type[_TopicReader]] = {LASER: _LaserReader, ECHOES: _LaserReader, CLOUD: _CloudReader}
+        return kinds.get(topic.kind, _PacketReader)(f"{self._path}: {topic.name}", self._numbers, self._config)
+
+    def blocks(self) -> Iterator[ScanBlock]:
+        """Read from the start.
+
+        Raises
+        ------
+        InputError
+            When a message is damaged, or its set-up is not that of the first.
+        """
+        readers = {topic: self._reader(topic) for topic in self._chosen}
+        record = 0
+        for message in read_messages(self._path, BagEnd(), lambda topic: topic in readers):
+            reader = readers[message.topic]
+            yield from reader.add(message, record)
+            record += reader.n_taken
+        for reader in readers.values():
+            yield from reader.finish()
+        self._notes = [note for reader in readers.values() for note in reader.notes()]
+
+
+def _survey(path: Path) -> _Survey:
+    """Read a bag once: its topics and where it ends."""
+    found = _Survey()
+    for message in read_messages(path, found.end):
+        topic = message.topic
+        count = found.topics.get(topic.name)
+        if count is None:
+            count = found.topics[topic.name] = TopicCount(topic)
+        count.add(message)
+        if topic.name not in found.firsts and topic.kind in READABLE:
+            found.firsts[topic.name] = message
+    for topic in found.end.topics:
+        found.topics.setdefault(topic.name, TopicCount(topic))
+    return found
+
+
+class _Numbers:
+    """Numbers of scanners, in the order they are met."""
+
+    def __init__(self) -> None:
+        self.of: dict[str, int] = {}
+
+    def number(self, name: str) -> int:
+        """Return the number of a scanner; a new one if it is new.
+
+        Raises
+        ------
+        InputError
+            When there are too many.
+        """
+        if name not in self.of and len(self.of) == MAX_SCANNERS:
+            problem = f"more than {MAX_SCANNERS} topics and frames with scans, expected fewer"
+            raise InputError(name, problem, "name the topics: --topic NAME")
+        return self.of.setdefault(name, len(self.of))
+
+
+class _TopicReader(ABC):
+    """Turns the messages of a topic into blocks; every frame of it is a scanner."""
+
+    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
+        self._where, self._numbers, self._config = where, numbers, config
+        self._n = 0
+        self.n_taken = 0
+        """Records of the last message."""
+        self.points_per_line = 0
+
+    def _of(self, frame: str) -> str:
+        """Return the name of a scanner."""
+        topic = self._where.rpartition(": ")[2]
+        return f"{topic} ({frame})" if frame else topic
+
+    def add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
+        """Take a message whose first record is given; yield blocks as there is enough for one.
+
+        Raises
+        ------
+        InputError
+            When it is damaged.
+        """
+        try:
+            yield from self._add(message, first_record)
+        except ShortMessageError as error:
+            problem = f"the message {error}"
+            raise InputError(f"{self._where}: message {self._n}", problem, "copy the bag again") from None
+        self._n += 1
+
+    @abstractmethod
+    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
+        """Take a message."""
+
+    @abstractmethod
+    def finish(self) -> Iterator[ScanBlock]:
+        """Yield what waits."""
+
+    def notes(self) -> list[str]:
+        """Return sentences on what was unusual."""
+        return []
+
+
+class _LaserReader(_TopicReader):
+    """``LaserScan`` and ``MultiEchoLaserScan``."""
+
+    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
+        super().__init__(where, numbers, config)
+        self._frames: dict[str, LaserLines] = {}
+
+    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
+        scan = parse_laser(message.data, is_cdr=message.topic.is_cdr, is_multi=message.topic.kind == ECHOES)
+        lines = self._frames.get(scan.frame)
+        if lines is None:
+            number = self._numbers.number(self._of(scan.frame))
+            lines = self._frames[scan.frame] = LaserLines(self._where, number, scan, self._config)
+            self.points_per_line = max(self.points_per_line, lines.points_per_line)
+        self.n_taken = scan.n_records
+        yield from lines.add(scan, first_record)
+
+    def finish(self) -> Iterator[ScanBlock]:
+        for lines in self._frames.values():
+            yield from lines.finish()
+
+
+class _CloudReader(_TopicReader):
+    """``PointCloud2`` with ring and time."""
+
+    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
+        super().__init__(where, numbers, config)
+        self._frames: dict[str, CloudLines] = {}
+
+    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
+        cloud = parse_cloud(message.data, is_cdr=message.topic.is_cdr)
+        lines = self._frames.get(cloud.frame)
+        if lines is None:
+            number = self._numbers.number(self._of(cloud.frame))
+            lines = self._frames[cloud.frame] = CloudLines(self._where, number, cloud, self._config)
+            self.points_per_line = max(self.points_per_line, lines.points_per_line)
+        self.n_taken = cloud.n_records
+        yield from lines.add(cloud, first_record)
+
+    def finish(self) -> Iterator[ScanBlock]:
+        for lines in self._frames.values():
+            yield from lines.finish()
+
+    def notes(self) -> list[str]:
+        return [f"{self._of(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lines.lost())]
+
+
+class _PacketReader(_TopicReader):
+    """Messages that hold packets."""
+
+    def __init__(self, where: str, numbers: _Numbers, config: InputConfig) -> None:
+        super().__init__(where, numbers, config)
+        self._frames: dict[str, PacketLines] = {}
+        self._metadata = None if config.metadata is None else read_metadata(Path(config.metadata).expanduser())
+        self._n_other = 0
+
+    def _add(self, message: Message, first_record: int) -> Iterator[ScanBlock]:
+        topic = message.topic
+        frame, packets = parse_packets(topic.kind, message.data, message.time_ns * 1e-9, is_cdr=topic.is_cdr)
+        if topic.kind in OUSTER and self._metadata is None:
+            raise InputError(self._where, "packets of an Ouster need its metadata", "give --metadata FILE.json")
+        self.n_taken = 0
+        for time_s, data in packets:
+            if not is_scan(data, self._metadata):
+                self._n_other += 1
+                continue
+            lines = self._frames.get(frame)
+            if lines is None:
+                number = self._numbers.number(self._of(frame))
+                lines = PacketLines(self._where, number, data, self._metadata, self._config)
+                self._frames[frame] = lines
+                self.points_per_line = max(self.points_per_line, lines.points_per_line)
+            yield from lines.add(data, time_s, first_record + self.n_taken)
+            self.n_taken += lines.n_records
+
+    def finish(self) -> Iterator[ScanBlock]:
+        for lines in self._frames.values():
+            yield from lines.finish()
+
+    def notes(self) -> list[str]:
+        found = [f"{self._of(frame)}: {lost}" for frame, lines in self._frames.items() if (lost := lines.lines.lost())]
+        if self._n_other:
+            found.append(f"{self._where.rpartition(': ')[2]}: {self._n_other:,} packets of another kind left out")
+        return found

@@ -1,0 +1,326 @@
+"""Writers of PLY and PCD: whole streams, classified inputs of other formats, and clouds with their classes added.
+
+Files are binary and little-endian. Their header has a fixed size, because counts are known at the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.classes import ClassCodes
+from prc_cli.core.errors import InputError, OutputError
+from prc_cli.core.stream import LabelledBlock
+from prc_cli.formats.clouds import CHUNK_RECORDS, NO_CELL, OWN_COMMENT, CloudSource
+from prc_cli.formats.tables.write import stream_rows
+from prc_cli.formats.writing.base import ScatterWriter, StagedWriter, close_quietly
+from prc_cli.formats.writing.columns import RANGE, ExtraDimension, OptionalColumn, Values, asked_columns
+from prc_cli.formats.writing.options import OutputConfig
+from prc_cli.formats.writing.record import RunRecord
+from prc_cli.formats.writing.stream_writer import NO_CODE, StagedStreamWriter, StreamItem, StreamShape
+
+CLOUD_SUFFIXES = (".ply", ".pcd")
+"""Files of these writers."""
+PLY_TYPES = {
+    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+    "f8": "double", "i8": "int64", "u8": "uint64",
+}  # fmt: skip
+_COUNT_DIGITS = 20
+_CLASS = "class"
+_NO_CLASS = 0
+_CELL_NAMES = ("scan_line", "column")
+
+
+def cloud_header(
+    suffix: str, dtype: np.dtype[np.void], n: int, comments: tuple[str, ...] = (), width: int | None = None
+) -> bytes:
+    """Return a header, as long for any number of points.
+
+    Parameters
+    ----------
+    suffix : str
+        ``.ply`` or ``.pcd``.
+    dtype : dtype
+        Little-endian record.
+    n : int
+        Points.
+    comments : tuple of str
+        Lines of comment.
+    width : int, optional
+        PCD: points of a row where the cloud is organised.
+
+    Examples
+    --------
+    >>> print(cloud_header(".ply", np.dtype([("x", "<f4")]), 7).decode())
+    ply
+    format binary_little_endian 1.0
+    element vertex 7
+    comment ...................
+    property float x
+    end_header
+    <BLANKLINE>
+    """
+    names = dtype.names or ()
+    kinds = [dtype[name] for name in names]
+    if suffix == ".ply":
+        lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+        lines += [f"element vertex {n}", f"comment {'.' * (_COUNT_DIGITS - len(str(n)))}"]
+        lines += [f"property {PLY_TYPES[kind.str[1:]]} {name}" for name, kind in zip(names, kinds, strict=True)]
+        return ("\n".join([*lines, "end_header"]) + "\n").encode()
+    # organised only where every row is whole
+    columns, rows = (width, n // width) if width and n and n % width == 0 and n > width else (n, 1)
+    sizes = " ".join(str(kind.itemsize) for kind in kinds)
+    types = " ".join({"f": "F", "u": "U", "i": "I"}[kind.kind] for kind in kinds)
+    counted = f"WIDTH {columns}\nHEIGHT {rows}\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\n"
+    padding = "." * (4 * _COUNT_DIGITS - len(f"{columns}{rows}{n}"))
+    head = ["# .PCD v0.7", *(f"# {text}" for text in comments)]
+    head += [f"# {padding}", "VERSION 0.7", f"FIELDS {' '.join(names)}", f"SIZE {sizes}"]
+    return (
+        "\n".join([*head, f"TYPE {types}", f"COUNT {' '.join('1' for _ in names)}", counted]) + "DATA binary\n"
+    ).encode()
+
+
+def stream_dtype(shape: StreamShape, *, codes: bool) -> np.dtype[np.void]:
+    """Return the record of a stream."""
+    xyz = "<f8" if shape.registered else "<f4"
+    has_xyz = shape.xyz or shape.registered or shape.angles
+    wanted = [
+        *((axis, xyz, has_xyz) for axis in "xyz"),
+        ("range", "<f4", True),
+        ("scan_line", "<u4", True),
+        ("column", "<u4", True),
+        ("time", "<f8", shape.times),
+        ("angle_deg", "<f8", shape.angles),
+        ("intensity", "<f4", shape.intensity or shape.returns),
+        ("return_number", "<u1", shape.returns),
+        ("number_of_returns", "<u1", shape.returns),
+        ("point_source_id", "<u4", shape.scanners),
+        (_CLASS, "<u1", codes),
+    ]
+    return np.dtype([(name, kind) for name, kind, present in wanted if present])
+
+
+_ROW_NAMES = {"range": "range_m", "scan_line": "line", "time": "time_s"}
+
+
+def stream_records(item: StreamItem, rows: slice, dtype: np.dtype[np.void]) -> NDArray[Any]:
+    """Return the records of some lines of a block, missing shots included; a class of none is 0."""
+    values = stream_rows(item, rows)
+    names = dtype.names or ()
+    if "x" in names and "x" not in values:
+        # scan-plane coordinates, as in LAS
+        angle = np.deg2rad(values["angle_deg"])
+        range_m = values["range_m"]
+        values |= {
+            "x": range_m * np.cos(angle),
+            "y": range_m * np.sin(angle),
+            "z": np.where(np.isnan(range_m), np.nan, 0),
+        }
+    found = np.zeros(len(values["line"]), dtype)
+    for name in names:
+        column = values.get(_ROW_NAMES.get(name, name))
+        if column is None:
+            continue
+        if name == _CLASS:
+            column = np.where((column == NO_CODE) | (column < 0) | (column > 255), _NO_CLASS, column)
+        found[name] = np.minimum(column, 255) if dtype[name].str == "|u1" else column
+    return found
+
+
+def _spans(n_lines: int, points_per_line: int) -> Iterator[slice]:
+    lines = max(1, (CHUNK_RECORDS >> 1) // points_per_line)
+    for first in range(0, n_lines, lines):
+        yield slice(first, min(first + lines, n_lines))
+
+
+class CloudStream(StagedStreamWriter):
+    """Writer of a whole stream: a point per cell, NaN where a shot has no return, and one per further return."""
+
+    def __init__(self, path: Path, shape: StreamShape) -> None:
+        super().__init__(path, shape)
+        self._dtype = stream_dtype(shape, codes=shape.codes)
+        self._n = 0
+        self._n_cells = 0
+        self._n_codes_lost = 0
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """Class codes that do not fit into a byte."""
+        if not self._n_codes_lost:
+            return ()
+        return (f"{self._n_codes_lost} class codes outside 0 to 255: written as {_NO_CLASS}",)
+
+    def _start(self) -> None:
+        self._handle = self._temporary.open("wb")
+        self._stack.callback(close_quietly, self._handle)
+        self._handle.write(self._header())
+
+    def _header(self) -> bytes:
+        # further returns and lines of other lengths leave no rows of a width
+        width = self.shape.points_per_line if self._n == self._n_cells else None
+        comments = (f"{OWN_COMMENT}{self.shape.points_per_line}",)
+        return cloud_header(self.path.suffix.lower(), self._dtype, self._n, comments, width)
+
+    def _add(self, item: StreamItem) -> None:
+        if item.codes is not None:
+            self._n_codes_lost += int(np.count_nonzero((item.codes > 255) | (item.codes < NO_CODE)))
+        for rows in _spans(item.block.n_lines, item.block.points_per_line):
+            found = stream_records(item, rows, self._dtype)
+            self._n += len(found)
+            self._n_cells += (rows.stop - rows.start) * self.shape.points_per_line
+            self._handle.write(found.data)
+
+    def _write(self) -> None:
+        self._handle.seek(0)
+        self._handle.write(self._header())
+        self._handle.close()
+
+
+class CloudBuilder(StagedWriter):
+    """Writer of the returns of a classified input of another format; missing shots have no point."""
+
+    def __init__(self, path: Path, codes: ClassCodes, options: OutputConfig) -> None:
+        super().__init__(path, codes, options, ())
+        for column in asked_columns(options):
+            if column.dimension is not RANGE:
+                self._notice(f"{self.path.suffix} outputs hold no {column.what}s; they need .las, .laz or .csv")
+        self._dtype: np.dtype[np.void] | None = None
+        self._comments: tuple[str, ...] = ()
+        self._n = 0
+
+    def _start(self) -> None:
+        self._handle = self._temporary.open("wb")
+        self._stack.callback(close_quietly, self._handle)
+
+    def _begin(self) -> None:
+        """Wait for the first block."""
+
+    def _add(self, block: LabelledBlock) -> None:
+        scan = block.block
+        if self._dtype is None:
+            shape = StreamShape(
+                scan.points_per_line, scanners=True, returns=True, angles=scan.angle_rad is not None,
+                times=scan.time_s is not None, xyz=scan.xyz_m is not None, registered=False,
+                intensity=scan.intensity is not None, codes=True,
+            )  # fmt: skip
+            self._dtype = stream_dtype(shape, codes=True)
+            if scan.xyz_m is None:
+                self._notice("x, y are scan-plane coordinates r cos(angle), r sin(angle), z = 0: the input has no xyz")
+            self._comments = (f"{OWN_COMMENT}{scan.points_per_line}",)
+            self._handle.write(cloud_header(self.path.suffix.lower(), self._dtype, 0, self._comments))
+        codes = self._encode(block.labels, scan.range_m).astype(np.int32)
+        extra = self._encode(block.extra_labels, scan.extra.range_m).astype(np.int32)
+        item = StreamItem(scan, codes, extra)
+        for rows in _spans(scan.n_lines, scan.points_per_line):
+            found = stream_records(item, rows, self._dtype)
+            found = found[~np.isnan(found["range"])]
+            self._count(np.ascontiguousarray(found[_CLASS]))
+            self._n += len(found)
+            self._handle.write(found.data)
+
+    def _write(self, record: RunRecord) -> RunRecord:
+        dtype = np.dtype([("range", "<f4"), (_CLASS, "<u1")]) if self._dtype is None else self._dtype
+        self._handle.seek(0)
+        self._handle.write(cloud_header(self.path.suffix.lower(), dtype, self._n, self._comments))
+        self._handle.close()
+        return self._completed(record)
+
+
+def _cell(block: LabelledBlock, axis: int) -> Values:
+    scan = block.block
+    line = scan.first_line + np.arange(scan.n_lines, dtype=np.int64)
+    column = np.arange(scan.points_per_line, dtype=np.int64)
+    found = line[:, None] if axis == 0 else column[None, :]
+    return np.broadcast_to(found, scan.range_m.shape)
+
+
+def _extra_cell(block: LabelledBlock, axis: int) -> Values:
+    extra = block.block.extra
+    found: Values = extra.column if axis else block.block.first_line + extra.line.astype(np.int64)
+    return found.astype(np.uint32)
+
+
+_CELLS = tuple(
+    OptionalColumn(
+        ExtraDimension(name, np.dtype("<u4"), ""), name, "range", name.replace("_", " "), NO_CELL,
+        lambda block, axis=axis: _cell(block, axis),  # type: ignore[misc]
+        lambda block, axis=axis: _extra_cell(block, axis),  # type: ignore[misc]
+    )
+    for axis, name in enumerate(_CELL_NAMES)
+)  # fmt: skip
+_RANGE = OptionalColumn(
+    RANGE, "range", "range", "range", np.nan,
+    lambda block: block.block.range_m, lambda block: block.block.extra.range_m,
+)  # fmt: skip
+
+
+class CloudRewriter(ScatterWriter):
+    """Writer of a cloud with all its properties, and class, line, column and range of every point added.
+
+    A point without cell has line and column 4294967295. Properties of these names are replaced.
+    """
+
+    def __init__(
+        self, path: Path, codes: ClassCodes, options: OutputConfig, source: CloudSource, points_per_line: int
+    ) -> None:
+        asked = [column for column in asked_columns(options) if column.dimension is not RANGE]
+        own = {name.lower() for name in source.head.names}
+        added = [_RANGE] if "range" not in source.dimensions else []
+        super().__init__(path, codes, options, [*_CELLS, *added, *asked], source.n_records)
+        self._own_comment = f"{OWN_COMMENT}{points_per_line}"
+        self._source = source
+        self._kept = tuple(
+            name for name in source.head.names
+            if name.lower() not in (_CLASS, *_CELL_NAMES) and name not in {column.name for column in (*added, *asked)}
+        )  # fmt: skip
+        replaced = sorted(own & {_CLASS, *_CELL_NAMES})
+        if replaced:
+            self._notice(f"the input has {', '.join(replaced)} already; the values were replaced")
+
+    def _write(self, record: RunRecord) -> RunRecord:
+        source, total = self._source, self._total(record)
+        fields = [(name, self._type(name)) for name in self._kept]
+        fields += [(column.name, column.dtype) for column in self._optional]
+        dtype = np.dtype([*fields, (_CLASS, np.dtype("u1"))])
+        with self._temporary.open("wb") as handle:
+            comments = (*(text for text in source.head.comments if not text.startswith(OWN_COMMENT)), self._own_comment)
+            handle.write(cloud_header(self.path.suffix.lower(), dtype, total, comments))
+            stored = source.stored(self._kept)
+            for first, columns, n in stored:
+                found = np.empty(n, dtype)
+                for name in self._kept:
+                    found[name] = columns[name]
+                spools = {column.name: self._spools[column.name] for column in self._optional}
+                for name, spool in spools.items():
+                    found[name] = next(spool.chunks(n, first=first, stop=first + n))
+                codes = next(self._code_spool.chunks(n, first=first, stop=first + n))
+                found[_CLASS] = codes
+                self._count(codes)
+                handle.write(found.data)
+                total -= n
+        if total:
+            problem = "found another number of points than at the start of the run"
+            raise InputError(source.path, problem, "run again when nothing else writes the input")
+        return self._completed(record)
+
+    def _type(self, name: str) -> np.dtype[Any]:
+        kind = self._source.head.types.get(name, np.dtype("f8")).newbyteorder("<")
+        if kind.str[1:] not in PLY_TYPES:
+            raise OutputError(str(self.path), f"cannot hold {name} of type {kind.str}", "write .laz instead")
+        return kind
+
+
+def open_rewriter(
+    path: Path, codes: ClassCodes, options: OutputConfig, source: Path, points_per_line: int
+) -> CloudRewriter | None:
+    """Return the writer that keeps the properties of a PLY or PCD input; None for inputs of other formats."""
+    if source.suffix.lower() not in CLOUD_SUFFIXES:
+        return None
+    from prc_cli.formats import open_source
+
+    cloud = open_source(source)
+    return CloudRewriter(path, codes, options, cloud, points_per_line) if isinstance(cloud, CloudSource) else None

@@ -1,0 +1,1 @@
+"""Folders of pulses and echoes, one array a file (Stereopolis, LI3DS)."""

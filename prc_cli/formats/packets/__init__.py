@@ -1,0 +1,1 @@
+"""Packets of spinning scanners, from captures of a network: Velodyne, Ouster, Hesai."""

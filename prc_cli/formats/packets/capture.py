@@ -1,0 +1,310 @@
+"""Datagrams of a capture (pcap, pcapng): UDP over IPv4 or IPv6, fragments put together, in bounded memory."""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.files import open_to_read
+
+MAX_PACKET = 1 << 18
+"""Longest packet of a capture, as libpcap has it [bytes]."""
+MAX_BLOCK = 1 << 24
+"""Longest block of a pcapng file that is not a packet [bytes]."""
+MAX_PENDING = 64
+"""Most datagrams whose fragments wait for the others."""
+MAX_DATAGRAM = 1 << 16
+_UDP, _FRAGMENT = 17, 44
+_PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e-6), b"\xa1\xb2\xc3\xd4": (">", 1e-6),
+         b"\x4d\x3c\xb2\xa1": ("<", 1e-9), b"\xa1\xb2\x3c\x4d": (">", 1e-9)}  # fmt: skip
+"""Byte order and unit of time by the first four bytes."""
+_PCAPNG = b"\x0a\x0d\x0d\x0a"
+_ETHERNET, _RAW, _LINUX, _LINUX2 = 1, 101, 113, 276
+_VLAN = (0x8100, 0x88A8, 0x9100)
+
+
+class Datagram(NamedTuple):
+    """The content of a UDP datagram."""
+
+    time_s: float
+    """When its first packet was captured [s]."""
+    source: str
+    """Address that sent it."""
+    port: int
+    """Port that it was sent to."""
+    payload: bytes
+
+
+@dataclass(slots=True)
+class CaptureCount:
+    """What was seen of a capture."""
+
+    n_packets: int = 0
+    n_other: int = 0
+    """Packets that are not UDP over IP."""
+    n_short: int = 0
+    """Packets that the capture did not keep whole."""
+    n_fragments_lost: int = 0
+    """Datagrams of which a fragment is missing."""
+    end: str = ""
+    """Why the capture ends too early; empty if it does not."""
+    links: set[int] = field(default_factory=set)
+    """Kinds of network."""
+
+
+def read_datagrams(path: Path, count: CaptureCount) -> Iterator[Datagram]:
+    """Yield the UDP datagrams of a capture in its order.
+
+    Parameters
+    ----------
+    path : Path
+        pcap (both byte orders, microseconds or nanoseconds) or pcapng.
+    count : CaptureCount
+        Filled while reading.
+
+    Raises
+    ------
+    InputError
+        When it is neither, or damaged other than by ending early.
+    """
+    waiting = _Fragments(count)
+    for time_s, link, packet, is_whole in _packets(path, count):
+        count.n_packets += 1
+        ip = _strip_link(link, packet)
+        datagram = None if ip is None else _strip_ip(ip, time_s, waiting)
+        if datagram is not None:
+            yield datagram
+        elif not is_whole:
+            count.n_short += 1
+        elif ip is None or not waiting.took:
+            count.n_other += 1
+    waiting.finish()
+
+
+def _packets(path: Path, count: CaptureCount) -> Iterator[tuple[float, int, bytes, bool]]:
+    """Yield time, kind of network, bytes and whether all were kept, of every packet."""
+    with open_to_read(path) as handle:
+        magic = handle.read(4)
+        if magic in _PCAP:
+            yield from _pcap(path, handle, *_PCAP[magic], count)
+        elif magic == _PCAPNG:
+            handle.seek(0)
+            yield from _pcapng(path, handle, count)
+        else:
+            problem = f"begins with {magic.hex()}, expected a capture (pcap or pcapng)"
+            raise InputError(str(path), problem, "capture with tcpdump or Wireshark, and do not compress it")
+
+
+def _damaged(path: Path, at: int, problem: str) -> InputError:
+    return InputError(f"{path}: byte {at}", problem, "copy it from the archive again")
+
+
+def _pcap(
+    path: Path, handle: IO[bytes], order: str, unit: float, count: CaptureCount
+) -> Iterator[tuple[float, int, bytes, bool]]:
+    head = handle.read(20)
+    if len(head) < 20:
+        count.end = "the capture ends within its header"
+        return
+    link = struct.unpack(order + "HHiIII", head)[5] & 0xFFFF
+    parse = struct.Struct(order + "IIII")
+    at = 24
+    while record := handle.read(16):
+        if len(record) < 16:
+            count.end = f"the capture ends in the middle of packet {count.n_packets} at byte {at}"
+            return
+        seconds, part, kept, whole = parse.unpack(record)
+        if kept > MAX_PACKET:
+            raise _damaged(path, at, f"found a packet of {kept} bytes, expected at most {MAX_PACKET}")
+        data = handle.read(kept)
+        if len(data) < kept:
+            count.end = f"the capture ends in the middle of packet {count.n_packets} at byte {at}"
+            return
+        at += 16 + kept
+        yield seconds + part * unit, link, data, kept >= whole
+
+
+@dataclass(slots=True)
+class _Interface:
+    link: int
+    unit: float
+
+
+def _pcapng(path: Path, handle: IO[bytes], count: CaptureCount) -> Iterator[tuple[float, int, bytes, bool]]:
+    order, at = "<", 0
+    interfaces: list[_Interface] = []
+    while head := handle.read(8):
+        if head[:4] == _PCAPNG and len(head) == 8:
+            mark = handle.read(4)
+            order = ">" if mark == b"\x1a\x2b\x3c\x4d" else "<"
+            if len(mark) == 4 and mark not in (b"\x1a\x2b\x3c\x4d", b"\x4d\x3c\x2b\x1a"):
+                raise _damaged(path, at, "found no byte order of pcapng")
+            interfaces = []
+            head += mark
+        n = struct.unpack_from(order + "I", head, 4)[0] if len(head) >= 8 else 0
+        if len(head) >= 8 and (n < 12 or n > MAX_BLOCK or n % 4):
+            raise _damaged(path, at, f"found a block of {n} bytes, expected 12 to {MAX_BLOCK}")
+        body = handle.read(n - len(head)) if len(head) >= 8 else b""
+        if len(head) < 8 or len(head) + len(body) < n:
+            count.end = f"the capture ends in the middle of a block at byte {at}"
+            return
+        kind = struct.unpack_from(order + "I", head)[0]
+        try:
+            if kind == 1:
+                interfaces.append(_interface(order, body))
+            elif kind in (2, 3, 6) and (packet := _packet(kind, order, body, interfaces)) is not None:
+                yield packet
+        except (struct.error, IndexError):
+            raise _damaged(path, at, "found a block that is too short for what it is") from None
+        if len(interfaces) > MAX_PENDING:
+            raise _damaged(path, at, f"found more than {MAX_PENDING} interfaces")
+        at += n
+
+
+def _interface(order: str, body: bytes) -> _Interface:
+    """Return the network and the unit of time of an interface (option 9; 10^-6 s without it)."""
+    found = _Interface(struct.unpack_from(order + "H", body)[0], 1e-6)
+    i = 8
+    while i + 4 <= len(body) - 4:
+        code, n = struct.unpack_from(order + "HH", body, i)
+        if code == 0:
+            break
+        if code == 9 and n == 1:
+            power = body[i + 4]
+            found.unit = 2.0 ** -(power & 0x7F) if power & 0x80 else 10.0 ** -min(power, 300)
+        i += 4 + n + -n % 4
+    return found
+
+
+def _packet(kind: int, order: str, body: bytes, interfaces: list[_Interface]) -> tuple[float, int, bytes, bool] | None:
+    """Return a packet of an enhanced (6), simple (3) or obsolete (2) block; None without its interface."""
+    if kind == 3:
+        (whole,) = struct.unpack_from(order + "I", body)
+        data = body[4:-4][:whole]
+        return 0.0, interfaces[0].link, data, len(data) >= whole
+    if kind == 6:
+        number, high, low, kept, whole = struct.unpack_from(order + "IIIII", body)
+    else:
+        number, _, high, low, kept, whole = struct.unpack_from(order + "HHIIII", body)
+    interface = interfaces[number]
+    data = body[20 : 20 + kept]
+    return ((high << 32) | low) * interface.unit, interface.link, data, len(data) >= whole
+
+
+def _strip_link(link: int, packet: bytes) -> memoryview | None:
+    """Return the IP packet in a packet of a network; None if there is none."""
+    view = memoryview(packet)
+    if link == _RAW or link in (12, 14, 228, 229):
+        return view
+    if link in (0, 108):
+        return view[4:]
+    at = {_ETHERNET: 12, _LINUX: 14, _LINUX2: 0}.get(link)
+    if at is None or len(packet) < 20:
+        return None
+    kind = (packet[at] << 8) | packet[at + 1]
+    at = 20 if link == _LINUX2 else at + 2
+    while kind in _VLAN and len(packet) >= at + 4:
+        kind = (packet[at + 2] << 8) | packet[at + 3]
+        at += 4
+    return view[at:] if kind in (0x0800, 0x86DD) else None
+
+
+def _strip_ip(ip: memoryview, time_s: float, waiting: _Fragments) -> Datagram | None:
+    """Return the UDP datagram in an IP packet, or that which it completes; None if there is none."""
+    waiting.took = False
+    version = ip[0] >> 4 if len(ip) >= 20 else 0
+    if version == 4:
+        head, total = (ip[0] & 15) * 4, (ip[2] << 8) | ip[3]
+        if head < 20 or ip[9] != _UDP:
+            return None
+        # 0 where the network card cuts packets itself
+        total = total or len(ip)
+        flags = (ip[6] << 8) | ip[7]
+        source = ip[12:16]
+        offset, more = (flags & 0x1FFF) * 8, bool(flags & 0x2000)
+        body = ip[head:total]
+        if len(ip) < total:
+            return None
+        if not offset and not more:
+            return _udp(source, body, time_s)
+        return waiting.add((bytes(ip[12:20]), bytes(ip[4:6])), source, offset, more, body, time_s)
+    if version == 6 and len(ip) >= 40:
+        body = ip[40 : 40 + ((ip[4] << 8) | ip[5])]
+        if ip[6] == _UDP:
+            return _udp(ip[8:24], body, time_s)
+        if ip[6] == _FRAGMENT and len(body) >= 8 and body[0] == _UDP:
+            flags = (body[2] << 8) | body[3]
+            key = (bytes(ip[8:40]), bytes(body[4:8]))
+            return waiting.add(key, ip[8:24], flags & 0xFFF8, bool(flags & 1), body[8:], time_s)
+    return None
+
+
+def _udp(source: memoryview, body: memoryview, time_s: float) -> Datagram | None:
+    if len(body) < 8:
+        return None
+    length = (body[4] << 8) | body[5]
+    if not 8 <= length <= len(body):
+        return None
+    return Datagram(time_s, _address(bytes(source)), (body[2] << 8) | body[3], bytes(body[8:length]))
+
+
+def _address(raw: bytes) -> str:
+    """Return an address as text.
+
+    >>> _address(bytes([192, 168, 1, 201]))
+    '192.168.1.201'
+    """
+    if len(raw) == 4:
+        return ".".join(map(str, raw))
+    return ":".join(raw[i : i + 2].hex() for i in range(0, 16, 2))
+
+
+@dataclass(slots=True)
+class _Pending:
+    """Fragments of a datagram."""
+
+    source: memoryview
+    time_s: float
+    parts: dict[int, memoryview] = field(default_factory=dict)
+    total: int | None = None
+    """Bytes of the datagram; None until its last fragment came."""
+
+
+class _Fragments:
+    """Puts fragments together; the oldest are given up where too many wait."""
+
+    def __init__(self, count: CaptureCount) -> None:
+        self._count = count
+        self._pending: OrderedDict[tuple[bytes, bytes], _Pending] = OrderedDict()
+        self.took = False
+        """Whether the last packet was a fragment."""
+
+    def add(
+        self, key: tuple[bytes, bytes], source: memoryview, offset: int, more: bool, body: memoryview, time_s: float
+    ) -> Datagram | None:  # fmt: skip
+        """Take a fragment; return the datagram if it is complete."""
+        self.took = True
+        if offset + len(body) > MAX_DATAGRAM:
+            return None
+        one = self._pending.setdefault(key, _Pending(source, time_s))
+        one.parts[offset] = body
+        if not more:
+            one.total = offset + len(body)
+        if one.total is not None and sum(map(len, one.parts.values())) >= one.total:
+            del self._pending[key]
+            whole = b"".join(bytes(one.parts[at]) for at in sorted(one.parts))
+            return _udp(one.source, memoryview(whole[: one.total]), one.time_s)
+        if len(self._pending) > MAX_PENDING:
+            self._pending.popitem(last=False)
+            self._count.n_fragments_lost += 1
+        return None
+
+    def finish(self) -> None:
+        """Give up what is not complete."""
+        self._count.n_fragments_lost += len(self._pending)
+        self._pending.clear()

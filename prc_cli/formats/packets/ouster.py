@@ -1,0 +1,288 @@
+"""Lidar packets of Ouster scanners, with the metadata (JSON) that the sensor gives.
+
+A packet has columns; a column has a time stamp, a number within the frame, a status and a pixel a ring (Ouster firmware
+user manual, "Lidar data packet format": LEGACY, and the profiles RNG19_RFL8_SIG16_NIR16, its _DUAL form and
+RNG15_RFL8_NIR8). The lasers of a column point to different azimuths, by whole columns of the frame
+(``pixel_shift_by_row``): a line is made of the shots that point along it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from prc_cli.core.errors import InputError
+from prc_cli.core.types import F32, F64, I64, U8
+from prc_cli.formats.packets.columns import Columns, choose_of_two
+
+MAX_METADATA = 1 << 20
+"""Longest metadata file [bytes]."""
+_MAX_COLUMNS, _MAX_PIXELS = 4096, 256
+_FRAME_IDS = 1 << 16
+_PROFILES: dict[str, dict[str, Any]] = {
+    "LEGACY": {"head": 0, "column": 16, "pixel": 12, "foot": 4, "end": 0},
+    "RNG19_RFL8_SIG16_NIR16": {"head": 32, "column": 12, "pixel": 12, "foot": 0, "end": 32},
+    "RNG15_RFL8_NIR8": {"head": 32, "column": 12, "pixel": 4, "foot": 0, "end": 32},
+    "RNG19_RFL8_SIG16_NIR16_DUAL": {"head": 32, "column": 12, "pixel": 16, "foot": 0, "end": 32},
+}
+"""Bytes of the parts of a packet by profile."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """What is needed of a sensor's metadata."""
+
+    path: str
+    name: str
+    """Product line."""
+    profile: str
+    n_pixels: int
+    """Pixels of a column."""
+    n_columns: int
+    """Columns of a packet."""
+    frame_columns: int
+    """Columns of a turn."""
+    window: tuple[int, int]
+    """First and last column that is sent."""
+    altitude_deg: F64
+    azimuth_deg: F64
+    shift: I64
+    """By pixel: columns by which a pixel lies behind its column in the frame."""
+    origin_m: float
+    """From the axis to the origin of the beams [m]."""
+    rotation: F64
+    """(3, 3) float64, from the lidar's to the sensor's axes."""
+
+    @property
+    def packet_size(self) -> int:
+        """Bytes of a packet."""
+        form = _PROFILES[self.profile]
+        column = form["column"] + form["pixel"] * self.n_pixels + form["foot"]
+        return int(form["head"] + column * self.n_columns + form["end"])
+
+
+def read_metadata(path: Path) -> Metadata:
+    """Read the metadata of a sensor, as its HTTP interface or the SDK writes them.
+
+    Raises
+    ------
+    InputError
+        When the file is no such JSON, or says what no sensor says.
+    """
+    try:
+        if path.stat().st_size > MAX_METADATA:
+            raise InputError(str(path), f"larger than {MAX_METADATA} bytes, expected metadata of an Ouster sensor")
+        table = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        text = str(error).split("\n")[0][:80]
+        raise InputError(str(path), f"cannot be read as JSON ({text})", "copy it from the sensor again") from None
+    if not isinstance(table, dict):
+        raise InputError(str(path), "found no JSON object, expected metadata of an Ouster sensor", "copy it again")
+    return _Parser(path, table).metadata()
+
+
+class _Parser:
+    """Finds values by name, in the flat (firmware 2.x client) and the nested form of metadata."""
+
+    def __init__(self, path: Path, table: dict[str, Any]) -> None:
+        self._path = path
+        self._tables = [table, *(inner for inner in table.values() if isinstance(inner, dict))]
+        self._tables += [
+            inner for one in self._tables[1:] for inner in one.values() if isinstance(inner, dict)
+        ]  # fmt: skip
+
+    def _find(self, name: str, default: Any = None) -> Any:
+        for table in self._tables:
+            if name in table:
+                return table[name]
+        if default is None:
+            raise self._wrong(name, "nothing", "a value of the sensor's metadata")
+        return default
+
+    def _wrong(self, name: str, found: Any, expected: str) -> InputError:
+        shown = str(found)[:60]
+        return InputError(f"{self._path}: {name}", f"found {shown}, expected {expected}", "copy it from the sensor")
+
+    def _whole(self, name: str, low: int, high: int, default: Any = None) -> int:
+        value = self._find(name, default)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise self._wrong(name, value, f"a whole number from {low} to {high}")
+        return value
+
+    def _numbers(self, name: str, n: int, default: Any = None) -> F64:
+        value = self._find(name, default)
+        good = isinstance(value, list) and len(value) == n
+        if not good or not all(isinstance(one, int | float) and math.isfinite(one) for one in value):
+            raise self._wrong(name, f"{type(value).__name__} of {len(value) if good else 'another length'}",
+                              f"{n} numbers")  # fmt: skip
+        return np.array(value, np.float64)
+
+    def metadata(self) -> Metadata:
+        """Return what is needed."""
+        profile = self._find("udp_profile_lidar", "LEGACY")
+        if profile not in _PROFILES:
+            raise self._wrong("udp_profile_lidar", profile, f"one of {', '.join(_PROFILES)}")
+        n = self._whole("pixels_per_column", 1, _MAX_PIXELS)
+        frame = self._whole("columns_per_frame", 1, _MAX_COLUMNS)
+        azimuth = self._numbers("beam_azimuth_angles", n)
+        window = self._numbers("column_window", 2, [0, frame - 1]).astype(np.int64)
+        shift = self._numbers("pixel_shift_by_row", n, np.rint(azimuth * frame / 360.0).tolist()).astype(np.int64)
+        if np.abs(shift).max() > frame or window.min() < 0 or window.max() >= frame:
+            raise self._wrong("pixel_shift_by_row", shift.max(), f"shifts within the {frame} columns of a frame")
+        matrix = self._numbers("lidar_to_sensor_transform", 16, np.diag([-1.0, -1.0, 1.0, 1.0]).ravel().tolist())
+        origin = self._find("lidar_origin_to_beam_origin_mm", 0.0)
+        if not isinstance(origin, int | float) or not abs(origin) < 1000:
+            raise self._wrong("lidar_origin_to_beam_origin_mm", origin, "millimetres")
+        return Metadata(
+            path=str(self._path),
+            name=str(self._find("prod_line", "Ouster"))[:40],
+            profile=profile,
+            n_pixels=n,
+            n_columns=self._whole("columns_per_packet", 1, 128, 16),
+            frame_columns=frame,
+            window=(int(window[0]), int(window[1])),
+            altitude_deg=self._numbers("beam_altitude_angles", n),
+            azimuth_deg=azimuth,
+            shift=shift,
+            origin_m=origin * 1e-3,
+            rotation=matrix.reshape(4, 4)[:3, :3],
+        )
+
+
+class OusterDecoder:
+    """Decodes the packets of one scanner.
+
+    Parameters
+    ----------
+    where : str
+        File and scanner, for messages.
+    metadata : Metadata
+    rule : str
+        ``input.return``, for two returns a shot.
+    """
+
+    def __init__(self, where: str, metadata: Metadata, rule: str) -> None:
+        self._where, self._meta, self._rule = where, metadata, rule
+        m = metadata.n_pixels
+        form = _PROFILES[metadata.profile]
+        legacy = metadata.profile == "LEGACY"
+        self.n_returns = 2 if metadata.profile.endswith("_DUAL") else 1
+        self.n_columns = metadata.n_columns
+        self.n_records = self.n_columns * m * self.n_returns
+        self._order = np.argsort(metadata.altitude_deg, kind="stable")
+        self.shift: I64 = metadata.shift[self._order]
+        head = [("time", "<u8"), ("number", "<u2"), ("frame" if legacy else "status", "<u2")]
+        head += [("encoder", "<u4")] if legacy else []
+        column = np.dtype(
+            [*head, ("pixels", "u1", (m, form["pixel"])), *([("status", "<u4")] if legacy else [])]
+        )  # fmt: skip
+        self._packet = np.dtype(
+            [("head", "u1", form["head"]), ("columns", column, self.n_columns), ("end", "u1", form["end"])]
+        )
+        assert self._packet.itemsize == metadata.packet_size
+        first, last = metadata.window
+        self._window_first = first
+        n_window = (last - first) % metadata.frame_columns + 1
+        # a whole turn goes on into the next; parts of a turn do not
+        span = int(self.shift.max() - self.shift.min())
+        self._per_frame = n_window if n_window == metadata.frame_columns else n_window + span
+        self._n_window = n_window
+        self._frame: int | None = None
+        self._turns = 0
+        self._first_line: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Maker and model."""
+        return f"Ouster {self._meta.name}, {self._meta.profile}"
+
+    def decode(self, packets: U8, host_s: F64, first_record: I64) -> Columns:
+        """Decode packets, (n, size) uint8; see :meth:`prc_cli.formats.packets.velodyne.VelodyneDecoder.decode`."""
+        m, r = self._meta.n_pixels, self.n_returns
+        table = np.ascontiguousarray(packets).view(self._packet)[:, 0]
+        columns = table["columns"]
+        if self._meta.profile == "LEGACY":
+            frame, is_good = columns["frame"].ravel(), columns["status"].ravel() == 0xFFFFFFFF
+        else:
+            frame = np.repeat(table["head"][:, 2:4].copy().view("<u2")[:, 0], self.n_columns)
+            is_good = (columns["status"].ravel() & 1).astype(bool)
+        number = columns["number"].ravel().astype(np.int64)
+        within = (number - self._window_first) % self._meta.frame_columns
+        is_good &= (number < self._meta.frame_columns) & (within < self._n_window)
+        record = first_record[:, None, None, None] + np.arange(self.n_records).reshape(self.n_columns, m, r)
+        record = record.reshape(-1, m, r)[is_good]
+        line = self._lines(frame.astype(np.int64)[is_good], within[is_good])
+        pixels = np.ascontiguousarray(columns["pixels"].reshape(-1, m, columns["pixels"].shape[-1])[is_good])
+        ranges, lights = _pixels(pixels[:, self._order], self._meta.profile)
+        time_s = np.repeat(columns["time"].ravel()[is_good, None] * 1e-9, m, axis=1)
+        number = number[is_good]
+        if r == 1:
+            return Columns(line, ranges[0], record[..., 0], time_s, self._place(ranges[0], number), lights[0])
+        swap = choose_of_two(ranges[0], ranges[1], (lights[0], lights[1]), self._rule)
+        own, other = np.where(swap, ranges[1], ranges[0]), np.where(swap, ranges[0], ranges[1])
+        return Columns(
+            line, own, np.where(swap, record[..., 1], record[..., 0]), time_s, self._place(own, number),
+            np.where(swap, lights[1], lights[0]), other, np.where(swap, record[..., 0], record[..., 1]),
+        )  # fmt: skip
+
+    def _lines(self, frame: I64, within: I64) -> I64:
+        """Return the number of every column since the first."""
+        if not len(frame):
+            return np.zeros(0, np.int64)
+        before = int(frame[0]) if self._frame is None else self._frame
+        half = _FRAME_IDS // 2
+        steps = (np.diff(frame, prepend=before) + half) % _FRAME_IDS - half
+        turn = self._turns + np.cumsum(steps)
+        self._frame, self._turns = int(frame[-1]), int(turn[-1])
+        line: I64 = turn * self._per_frame + within
+        if self._first_line is None:
+            self._first_line = int(line[0])
+        return line - self._first_line
+
+    def _place(self, range_m: F32, number: I64) -> F32:
+        """Return coordinates relative to the lidar's axis, on the sensor's axes [m].
+
+        Ouster firmware user manual, "Lidar range to XYZ".
+        """
+        meta = self._meta
+        encoder = 2 * math.pi * (1.0 - number / meta.frame_columns)
+        altitude = np.deg2rad(meta.altitude_deg[self._order])
+        turned = encoder[:, None] - np.deg2rad(meta.azimuth_deg[self._order])
+        beam = range_m - meta.origin_m
+        flat = beam * np.cos(altitude)
+        x = flat * np.cos(turned) + meta.origin_m * np.cos(encoder)[:, None]
+        y = flat * np.sin(turned) + meta.origin_m * np.sin(encoder)[:, None]
+        lidar = np.stack([x, y, beam * np.sin(altitude)], axis=-1)
+        placed: F32 = (lidar @ meta.rotation.T).astype(np.float32)
+        return placed
+
+
+def _pixels(pixels: U8, profile: str) -> tuple[list[F32], list[F32]]:
+    """Return ranges [m] and intensities by return, (n, M) float32 each; NaN = no return.
+
+    The intensity is the signal where the profile has it, else the reflectivity.
+    """
+
+    def field(at: int, dtype: str) -> Any:
+        size = np.dtype(dtype).itemsize
+        return np.ascontiguousarray(pixels[..., at : at + size]).view(dtype)[..., 0]
+
+    if profile == "LEGACY":
+        stored, lit = [field(0, "<u4") & 0xFFFFF], [field(6, "<u2")]
+    elif profile == "RNG15_RFL8_NIR8":
+        stored, lit = [(field(0, "<u2") & 0x7FFF).astype(np.uint32) << 3], [field(2, "u1")]
+    elif profile == "RNG19_RFL8_SIG16_NIR16":
+        stored, lit = [field(0, "<u4") & 0x7FFFF], [field(6, "<u2")]
+    else:
+        stored, lit = [field(0, "<u4") & 0x7FFFF, field(4, "<u4") & 0x7FFFF], [field(8, "<u2"), field(10, "<u2")]
+    ranges: list[F32] = []
+    for millimetres in stored:
+        metres = (millimetres * 1e-3).astype(np.float32)
+        metres[millimetres == 0] = np.nan
+        ranges.append(metres)
+    return ranges, [one.astype(np.float32) for one in lit]

@@ -1,0 +1,1 @@
+"""PCD, the clouds of the Point Cloud Library: text, binary and compressed."""

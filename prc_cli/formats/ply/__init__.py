@@ -1,0 +1,1 @@
+"""PLY: clouds of named properties, binary of both byte orders and text."""

@@ -1,0 +1,99 @@
+"""The fused classifier on cars, curbs and poles: what they are, and what they are without their steps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prc_cli.classifiers.base import LABELS_ALONE, OneByOne
+from prc_cli.classifiers.fused.pipeline import Fused, FusedParams, FusedScanner, initial_state
+from prc_cli.core.classes import Label
+from prc_cli.core.stream import ScanBlock
+from prc_cli.core.types import F32, F64, U8, Mask
+from tests.classifiers.fused.street_lines import BEAM, BUILDING, CAR, GROUND, HEIGHT_M, street_lines
+
+SCANNER = FusedScanner.of(BEAM)
+SIDE, DOWN = np.sin(BEAM), np.cos(BEAM)
+
+
+def classified(ranges: F32, **params: Any) -> U8:
+    turn = OneByOne(initial_state(SCANNER))
+    (found,) = Fused(FusedParams(**params)).label(ScanBlock(0, ranges), SCANNER, turn, LABELS_ALONE)
+    return found.labels
+
+
+def surface(side_m: float, low_m: float, high_m: float) -> F64:
+    """Return the ranges of an upright surface between two heights above the road, infinite beside it."""
+    with np.errstate(divide="ignore"):
+        ranges = np.where(SIDE * side_m > 0, side_m / SIDE, np.inf)
+    height = HEIGHT_M - ranges * DOWN
+    found: F64 = np.where((height > low_m) & (height < high_m), ranges, np.inf)
+    return found
+
+
+@pytest.fixture(scope="module")
+def street() -> tuple[F32, U8]:
+    return street_lines(48)
+
+
+def test_cars_and_curbs_are_named_unless_it_is_switched_off(street: tuple[F32, U8]) -> None:
+    ranges, kind = street
+    every, former = classified(ranges), classified(ranges, cars={"named": False}, curbs={"enabled": False})
+    assert (every[kind == CAR] == Label.CAR).mean() > 0.85
+    assert (former[kind == CAR] == Label.UNCLASSIFIED).mean() > 0.85
+    assert not np.isin(former, (Label.CAR, Label.CURB, Label.POLE)).any()
+    assert (former[every == Label.CAR] == Label.UNCLASSIFIED).all()
+
+
+def test_a_curb_is_the_step_between_road_and_sidewalk(street: tuple[F32, U8]) -> None:
+    ranges, kind = street
+    found = classified(ranges) == Label.CURB
+    height = HEIGHT_M - ranges * DOWN
+    face = (np.abs(np.abs(ranges * SIDE) - 4.0) < 0.015) & (height > 0.03) & (height < 0.09) & (kind == GROUND)
+    assert face.sum() > 200
+    assert found[face].mean() > 0.9
+    near = np.abs(np.abs(ranges[found] * SIDE[np.nonzero(found)[1]]) - 4.0) < 0.1
+    assert near.mean() > 0.95
+
+
+def van(ranges: F32) -> tuple[F32, Mask]:
+    """Put a van of 2.4 m with 20 cm of air beneath beside the road, seen from the side alone."""
+    flank, hit = surface(3.0, 0.2, 2.4), np.zeros(ranges.shape, np.bool_)
+    hit[10:40] = flank < np.where(np.isnan(ranges[10:40]), np.inf, ranges[10:40])
+    noise = np.random.default_rng(3).normal(0, 0.002, ranges.shape)
+    return np.where(hit, flank + noise, ranges).astype(np.float32), hit
+
+
+def test_a_van_is_no_wall(street: tuple[F32, U8]) -> None:
+    ranges, hit = van(street[0])
+    found, missed = classified(ranges), classified(ranges, flanks={"enabled": False})
+    assert (found[hit] == Label.CAR).mean() > 0.9
+    assert (missed[hit] == Label.BUILDING).mean() > 0.4
+    facade = (street[1] == BUILDING) & ~hit
+    assert (found[facade] == Label.BUILDING).mean() > 0.95
+
+
+def test_a_lamp_post_is_a_pole(street: tuple[F32, U8]) -> None:
+    ranges = street[0].copy()
+    post = surface(-3.0, 0.0, 5.0)
+    hit = np.zeros(ranges.shape, np.bool_)
+    hit[20] = np.isfinite(post)
+    ranges[hit] = np.broadcast_to(post, ranges.shape)[hit].astype(np.float32)
+    high = hit & (HEIGHT_M - np.broadcast_to(post * DOWN, ranges.shape) > 0.5)
+    assert (classified(ranges)[high] == Label.POLE).mean() > 0.7
+    assert (classified(ranges, poles={"named": False})[high] == Label.UNCLASSIFIED).mean() > 0.7
+
+
+def test_an_upright_surface_below_a_crown_is_a_trunk(street: tuple[F32, U8]) -> None:
+    ranges, rng = street[0].copy(), np.random.default_rng(4)
+    trunk, hit = surface(-3.0, 0.0, 1.6), np.zeros(ranges.shape, np.bool_)
+    hit[20:27] = np.isfinite(trunk)
+    ranges[hit] = np.broadcast_to(trunk, ranges.shape)[hit].astype(np.float32)
+    crown = (surface(-3.0, 1.6, 6.0) * rng.uniform(0.5, 1.5, ranges.shape)).astype(np.float32)
+    leafy = np.isfinite(crown) & (rng.random(ranges.shape) < 0.8)
+    ranges[leafy] = crown[leafy]
+    high = hit & (HEIGHT_M - np.broadcast_to(trunk * DOWN, ranges.shape) > 0.5)
+    found, missed = classified(ranges), classified(ranges, poles={"trunks": False})
+    assert (found[high] == Label.VEGETATION).mean() > (missed[high] == Label.VEGETATION).mean() + 0.3

@@ -1,0 +1,100 @@
+"""Stumbles of the first hour: what a new user types before the documentation is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import prc_cli
+from tests.cli.test_commands import Prc
+from tests.street import N_LINES, POINTS_PER_LINE, angles, street, write_raw
+
+LAYOUT = "[layout]\n[[layout.fields]]\nname = 'range'\ntype = 'f4'\n"
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+@pytest.mark.parametrize("output", [".", "/", "", "sub"])
+def test_a_folder_is_no_output(prc: Prc, tmp_path: Path, output: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sub").mkdir()
+    drive = write_raw(tmp_path / "drive.bin", street())
+    found = prc("classify", drive, output, "-M", POINTS_PER_LINE)
+    assert (found.code, found.out) == (1, "")
+    assert found.err == f"error: {output or '.'}: is a folder, expected a file name; name the file inside it\n"
+
+
+def test_debug_shows_where_an_error_was_raised(prc: Prc, tmp_path: Path) -> None:
+    found = prc("--debug", "classify", tmp_path / "nothing.bin", tmp_path / "o.npy")
+    assert found.err.startswith("Traceback (most recent call last):\n")
+    assert "InputError" in found.err
+    assert "NoneType" not in found.err
+
+
+def test_a_stream_offers_no_sorting(prc: Prc) -> None:
+    assert "--sort-by-time" not in prc("stream", "--help").out
+    assert "--sort-by-time" in prc("classify", "--help").out
+    assert "--sort-by-time" in prc("convert", "--help").out
+
+
+def test_a_layout_that_a_format_has_no_use_for_is_said(prc: Prc, tmp_path: Path) -> None:
+    layout = tmp_path / "layout.toml"
+    layout.write_text(LAYOUT)
+    image = tmp_path / "drive.npz"
+    np.savez(image, range_m=street())
+    said = "the layout is not used: .npz files describe their records themselves"
+    assert said in prc("classify", image, tmp_path / "o.npy", "--layout", layout).err
+    assert said in " ".join(prc("info", image, "--layout", layout).out.split())
+    dump = write_raw(tmp_path / "drive.bin", street())
+    assert "not used" not in prc("classify", dump, tmp_path / "p.npy", "--layout", layout, "-M", POINTS_PER_LINE).err
+
+
+def test_calibrate_tells_the_line_frequency_from_the_times(prc: Prc, tmp_path: Path) -> None:
+    image = street()
+    time_s = np.arange(image.size).reshape(image.shape) / (48.0 * POINTS_PER_LINE)
+    np.savez(tmp_path / "drive.npz", range_m=image, time_s=time_s)
+    found = prc("calibrate", tmp_path / "drive.npz", "-o", tmp_path / "c.toml")
+    assert "0.0208 m for every m/s of speed (48 lines a second)" in found.out + found.err
+
+
+def test_lines_of_the_files_come_before_a_line_length(prc: Prc, tmp_path: Path) -> None:
+    """M would cut lines that do not exist."""
+    reference = tmp_path / "reference.csv"
+    rows = [f"{line},{column},2" for line in range(6) for column in range(10)]
+    reference.write_text("line,column,label\n" + "\n".join(rows) + "\n")
+    np.save(tmp_path / "labels.npy", np.full(60, 2, np.uint8))
+    found = prc("evaluate", tmp_path / "labels.npy", reference, "--by-lines", 3, "-M", 4, "--format", "json")
+    assert found.code == 0
+    assert "lines 0-2" in found.out
+    assert "lines 3-5" in found.out
+    assert "lines 6-8" not in found.out
+    assert "a column of the files; -M 4 is not used" in found.out + found.err
+
+
+def test_the_python_function_gives_the_codes_of_the_file(prc: Prc, tmp_path: Path) -> None:
+    """Numbers of the program and class codes cannot be mistaken for each other."""
+    image = street()
+    prc("classify", write_raw(tmp_path / "drive.bin", image), tmp_path / "o.npy", "-M", POINTS_PER_LINE)
+    found = prc_cli.classify_ranges(image)
+    np.testing.assert_array_equal(found.codes, np.load(tmp_path / "o.npy").reshape(image.shape))
+    assert found.counts["ground"] == np.count_nonzero(found.codes == 2)
+    assert found.counts["noise"] == np.count_nonzero(found.labels == prc_cli.Label.NOISE)
+    assert repr(found).startswith(f"{N_LINES} lines of {POINTS_PER_LINE} shots: ")
+    assert sum(found.counts.values()) == image.size == len(angles()) * N_LINES
+    assert issubclass(prc_cli.EvidenceError, prc_cli.PrcError)
+
+
+def test_help_stands_in_sections(prc: Prc) -> None:
+    text = prc("classify", "--help").out
+    places = [text.index(f"\n{name}:\n") for name in ("Method", "Input", "Output", "Run")]
+    assert places == sorted(places)
+    for option, section in (("--preset", 0), ("--sort-by-time", 1), ("--overwrite", 2), ("--quiet", 3), ("--help", 3)):
+        after = places[section + 1] if section < 3 else len(text)
+        assert places[section] < text.index(f"{option} ", places[section]) < after
+    assert "\nOptions:\n" not in text
+    assert "\nOptions:\n" in prc("evaluate", "--help").out

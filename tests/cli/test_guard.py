@@ -1,0 +1,159 @@
+"""A library that ends its process costs one line and exit code 1, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.cli import COMMANDS, guard
+from tests import patience
+from tests.fuzz.crafted import overflowing
+from tests.fuzz.seeds import seed
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the guard is for Linux")
+ROOT = Path(__file__).resolve().parents[2]
+URBAN = ("--preset", "urban", "--trust-order")
+
+CRASH = """
+import os, signal, sys
+from pathlib import Path
+from prc_cli import cli
+from prc_cli.core.files import temporary_folder, temporary_name
+
+def crash(arguments, debug):
+    temporary_name(Path(sys.argv[-1])).write_bytes(b"half")
+    with temporary_folder("prc-trial-") as folder:
+        print(folder, flush=True)
+        os.write(2, b"thread overflowed\\x1b[2J its stack\\n")
+        print("from Python", file=sys.stderr)
+        os.kill(os.getpid(), int(sys.argv[1]))
+
+number = sys.argv[1]
+sys.argv = ["prc", *sys.argv[2:]]
+
+cli._run = lambda arguments, debug: (setattr(sys, "argv", [None, number, *sys.argv[1:]]), crash(arguments, debug))
+cli.main()
+"""
+
+
+def prc(*words: str | Path, guarded: bool = True, **options: object) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), guard.SWITCH: "1" if guarded else "0"}
+    command = [sys.executable, "-m", "prc_cli", *map(str, words)]
+    return patience.run(command, capture_output=True, text=True, env=environment, cwd=ROOT, **options)
+
+
+def crashed(number: int, *words: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", CRASH, str(number), *map(str, words)]
+    return patience.run(command, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+
+
+@pytest.mark.parametrize("number", [signal.SIGSEGV, signal.SIGABRT, signal.SIGKILL])
+def test_a_signal_becomes_a_line(tmp_path: Path, number: signal.Signals) -> None:
+    (tmp_path / "a\x1b.laz").touch()
+    ended = crashed(number, "classify", tmp_path / "a\x1b.laz", tmp_path / "o.laz")
+    assert ended.returncode == 1
+    first, line, *rest = ended.stderr.splitlines()
+    assert (first, rest) == ("from Python", [])
+    assert line.startswith(f"error: {tmp_path}/a\\x1b.laz: the process that read it was ended by signal {int(number)}")
+    assert "it said: thread overflowed\\x1b[2J its stack; no output was left behind; " in line
+    assert ("memory is short" in line) == (number == signal.SIGKILL)
+    assert os.listdir(tmp_path) == ["a\x1b.laz"]
+    assert not Path(ended.stdout.strip()).exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1])
+def test_a_signal_of_somebody_ends_it_as_it_would_without(tmp_path: Path, number: signal.Signals) -> None:
+    ended = crashed(number, "classify", tmp_path / "a.laz", tmp_path / "o.laz")
+    assert (ended.returncode, ended.stderr) == (-number, "from Python\n")
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", "{case}"),
+        ("classify", "{case}", "{out}/o.laz", *URBAN),
+        ("convert", "{case}", "{out}/o.las"),
+    ],
+)
+def test_laz_made_to_end_a_process(tmp_path: Path, words: tuple[str, ...]) -> None:
+    case, out = tmp_path / "a.laz", tmp_path / "out"
+    case.write_bytes(overflowing())
+    out.mkdir()
+    ended = prc(*(word.format(case=case, out=out) for word in words))
+    if words[0] == "info":  # what does not decode the times does not fail
+        assert ended.returncode in (0, 1, 4)
+    else:
+        assert ended.returncode == 1
+        assert f"error: {case}: the process that read it was ended by signal" in ended.stderr
+        assert ended.stderr.count("\n") == 1
+    assert os.listdir(out) == []
+    if words[0] == "convert":
+        assert prc(*(word.format(case=case, out=out) for word in words), guarded=False).returncode < 0
+
+
+def test_a_panic_of_a_library_is_not_shown(tmp_path: Path) -> None:
+    """A bad block: lazrs panics or overflows its stack; either way the damage is one line."""
+    sound = seed("pf6.laz")
+    case = tmp_path / "a.laz"
+    case.write_bytes(sound[:1700] + b"\xff" * 1400 + sound[3100:])
+    ended = prc("convert", case, tmp_path / "o.las")
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert ended.stderr.startswith(f"error: {case}: ")
+
+
+def test_exit_codes_and_output_pass(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_bytes(seed("a.npz"))
+    found = [prc("info", tmp_path / "a.npz", "--json", guarded=guarded) for guarded in (True, False)]
+    assert found[0].stdout == found[1].stdout != ""
+    assert prc("info", "--no-such-option").returncode == 2
+
+
+@pytest.mark.parametrize(("number", "to_all"), [(signal.SIGTERM, False), (signal.SIGTERM, True), (signal.SIGINT, True)])
+def test_signals_reach_the_work_once(number: signal.Signals, to_all: bool) -> None:
+    """As ``kill`` and a scheduler send them: to the process that was started, or to all of its group."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
+    with patience.start(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment
+    ) as process:
+        assert process.stdin is not None
+        process.stdin.write(np.ones((400, 40), "<f4").tobytes())
+        process.stdin.flush()
+        assert process.stdout is not None
+        process.stdout.read(1)  # it works
+        (os.killpg if to_all else os.kill)(process.pid, number)
+        _, said = process.communicate()
+        assert process.returncode == {signal.SIGTERM: 143, signal.SIGINT: 130}[number], said
+        assert b"Traceback" not in said
+
+
+def test_the_work_ends_with_its_guard() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-m", "prc_cli", "stream", "-M", "40", "--preset", "urban"]
+    with patience.start(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as process:
+        place = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        patience.wait_until(lambda: place.read_text().split(), "the child")
+        (child,) = place.read_text().split()
+        time.sleep(0.2)  # it asks to be ended with its parent first of all
+        process.kill()
+        patience.wait_until(lambda: not Path(f"/proc/{child}/cmdline").exists() or not _runs(child), "its end")
+
+
+def _runs(process: str) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_every_command_that_reads_files_is_guarded() -> None:
+    assert set(COMMANDS) > guard.UNGUARDED
+    assert not guard.UNGUARDED & {"info", "classify", "batch", "stream", "evaluate", "transfer", "convert", "thin"}

@@ -1,0 +1,159 @@
+"""Bags made by code: with the writers of rosbags and mcap, which the reader does not use."""
+
+from __future__ import annotations
+
+import sqlite3
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.typesys import Stores, get_typestore
+
+N_LINES, M = 12, 40
+PERIOD_NS = 20_000_000
+START_NS = 1_700_000_000 * 10**9
+STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
+
+
+@dataclass
+class Sent:
+    """A message to be recorded."""
+
+    topic: str
+    kind: str
+    time_ns: int
+    message: Any
+
+
+def header(store: Any, time_ns: int, frame: str, sequence: int = 0) -> Any:
+    types = store.types
+    stamp = types["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+    own = types["std_msgs/msg/Header"]
+    return own(seq=sequence, stamp=stamp, frame_id=frame) if "seq" in own.__annotations__ else own(stamp, frame)
+
+
+def ranges(seed: int = 1) -> np.ndarray:
+    """A floor and a wall, noisy, with shots that do not come back: (lines, M) float32."""
+    rng = np.random.default_rng(seed)
+    found = 4 + np.sin(np.linspace(0, 3, M)) + rng.normal(0, 0.01, (N_LINES, M))
+    found[rng.random((N_LINES, M)) < 0.1] = np.inf
+    found[0, 3], found[1, 3], found[2, 3] = np.nan, 200.0, 0.0
+    return found.astype(np.float32)
+
+
+def laser(store: Any, time_ns: int, range_m: np.ndarray, frame: str = "laser", **changes: Any) -> Any:
+    values = {
+        "header": header(store, time_ns, frame),
+        "angle_min": -1.5,
+        "angle_max": 1.5,
+        "angle_increment": 3.0 / (M - 1),
+        "time_increment": 1e-5,
+        "scan_time": 0.02,
+        "range_min": 0.1,
+        "range_max": 100.0,
+        "ranges": range_m,
+        "intensities": np.arange(len(range_m), dtype=np.float32),
+    }
+    return store.types["sensor_msgs/msg/LaserScan"](**{**values, **changes})
+
+
+def echoes(store: Any, time_ns: int, lists: list[list[float]], lit: list[list[float]]) -> Any:
+    echo = store.types["sensor_msgs/msg/LaserEcho"]
+    one = [echo(np.array(each, np.float32)) for each in lists]
+    two = [echo(np.array(each, np.float32)) for each in lit]
+    return store.types["sensor_msgs/msg/MultiEchoLaserScan"](
+        header(store, time_ns, "laser"), -1.5, 1.5, 0.1, 1e-5, 0.02, 0.1, 100.0, one, two
+    )
+
+
+def lasers(version: int, topic: str = "/scan", frame: str = "laser", seed: int = 1) -> list[Sent]:
+    store = STORES[version]
+    return [
+        Sent(topic, "sensor_msgs/msg/LaserScan", START_NS + i * PERIOD_NS,
+             laser(store, START_NS + i * PERIOD_NS, row, frame))
+        for i, row in enumerate(ranges(seed))
+    ]  # fmt: skip
+
+
+def strings(version: int, topic: str = "/talk") -> list[Sent]:
+    kind = "std_msgs/msg/String"
+    return [Sent(topic, kind, START_NS + i, STORES[version].types[kind](data="hello")) for i in range(3)]
+
+
+def write_bag(path: Path, sent: list[Sent], compression: str = "", chunk: int | None = None) -> Path:
+    """Write a ROS 1 bag."""
+    store = STORES[1]
+    writer = Writer1(path)
+    if chunk is not None:
+        writer.chunk_threshold = chunk
+    if compression:
+        writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+    with writer:
+        kinds = {one.topic: one.kind for one in sent}
+        topics = {name: writer.add_connection(name, kind, typestore=store) for name, kind in kinds.items()}
+        for one in sorted(sent, key=lambda each: each.time_ns):
+            writer.write(topics[one.topic], one.time_ns, store.serialize_ros1(one.message, one.kind))
+    return path
+
+
+def write_mcap(path: Path, sent: list[Sent], compression: str = "none", chunk: int = 4096) -> Path:
+    store = STORES[2]
+    with path.open("wb") as handle:
+        writer = McapWriter(handle, chunk_size=chunk, compression=CompressionType[compression.upper()])
+        writer.start(profile="ros2")
+        channels: dict[str, int] = {}
+        for one in sorted(sent, key=lambda each: each.time_ns):
+            if one.topic not in channels:
+                schema = writer.register_schema(one.kind, "ros2msg", b"")
+                channels[one.topic] = writer.register_channel(one.topic, "cdr", schema)
+            data = bytes(store.serialize_cdr(one.message, one.kind))
+            writer.add_message(channels[one.topic], one.time_ns, data, one.time_ns)
+        writer.finish()
+    return path
+
+
+def write_db3(path: Path, sent: list[Sent], *, packed: bool = False, little: bool = True) -> Path:
+    """Write a database as rosbag2 does."""
+    store = STORES[2]
+    base = sqlite3.connect(path)
+    base.execute(
+        "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT NULL,"
+        "serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL)"
+    )
+    base.execute(
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, "
+        "data BLOB NOT NULL)"
+    )
+    names = list(dict.fromkeys((one.topic, one.kind) for one in sent))
+    for number, (topic, kind) in enumerate(names, 1):
+        base.execute("INSERT INTO topics VALUES(?, ?, ?, 'cdr', '')", (number, topic, kind))
+    for one in sorted(sent, key=lambda each: each.time_ns):
+        data = bytes(store.serialize_cdr(one.message, one.kind, little_endian=little))
+        data = zstandard.compress(data) if packed else data
+        number = names.index((one.topic, one.kind)) + 1
+        base.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)", (number, one.time_ns, data))
+    base.commit()
+    base.close()
+    return path
+
+
+def cloud(version: int, time_ns: int, table: np.ndarray, *, height: int = 1, frame: str = "velodyne") -> Any:
+    """A ``PointCloud2`` of a structured array, with its fields and byte order."""
+    types = STORES[version].types
+    codes = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+    assert table.dtype.fields is not None
+    fields = [
+        types["sensor_msgs/msg/PointField"](name, offset, codes[kind.str[1:]], 1)
+        for name, (kind, offset, *_) in table.dtype.fields.items()
+    ]
+    is_big = any(kind.str[0] == ">" for kind, *_ in table.dtype.fields.values())
+    data = np.frombuffer(table.tobytes(), np.uint8)
+    step, width = table.dtype.itemsize, len(table) // height
+    own = types["sensor_msgs/msg/PointCloud2"]
+    head = header(STORES[version], time_ns, frame)
+    return own(head, height, width, fields, is_big, step, step * width, data, True)

@@ -1,0 +1,279 @@
+"""Bags: every message a scan line, whatever the container, and the same values as other readers get."""
+
+from __future__ import annotations
+
+import bz2
+import json
+import sqlite3
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from rosbags.highlevel import AnyReader
+
+from prc_cli.cli import cli
+from prc_cli.core.blocks import join
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.formats.bags.containers import BagEnd, read_messages
+from prc_cli.formats.bags.read import BagStream
+from prc_cli.formats.options import InputConfig
+from tests.formats.bags import recordings as made
+
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    "plain.bag": lambda path: made.write_bag(path, made.lasers(1)),
+    "bz2.bag": lambda path: made.write_bag(path, made.lasers(1), "bz2", 2000),
+    "lz4.bag": lambda path: made.write_bag(path, made.lasers(1), "lz4", 2000),
+    "plain.mcap": lambda path: made.write_mcap(path, made.lasers(2)),
+    "zstd.mcap": lambda path: made.write_mcap(path, made.lasers(2), "zstd", 1000),
+    "lz4.mcap": lambda path: made.write_mcap(path, made.lasers(2), "lz4"),
+    "plain.db3": lambda path: made.write_db3(path, made.lasers(2)),
+    "packed.db3": lambda path: made.write_db3(path, made.lasers(2), packed=True),
+    "big.db3": lambda path: made.write_db3(path, made.lasers(2), little=False),
+}
+
+
+def read(path: Path, **changes: Any) -> tuple[BagStream, list[ScanBlock]]:
+    stream = BagStream(path, InputConfig(**changes))
+    return stream, list(stream.blocks())
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_every_container_gives_the_same_lines(tmp_path: Path, name: str) -> None:
+    stream, blocks = read(WRITERS[name](tmp_path / name))
+    block, sent = join(blocks), made.ranges()
+    wanted = np.where((sent >= 0.1) & (sent <= 100.0), sent, np.nan)
+    np.testing.assert_array_equal(block.range_m, wanted)
+    np.testing.assert_array_equal(block.records(), np.arange(sent.size).reshape(sent.shape))
+    assert block.time_s is not None
+    assert block.intensity is not None
+    start = made.START_NS * 1e-9 + np.arange(made.N_LINES) * 0.02
+    np.testing.assert_allclose(block.time_s, start[:, None] + np.arange(made.M) * 1e-5, atol=1e-6)
+    lit = np.broadcast_to(np.arange(made.M), sent.shape)
+    np.testing.assert_array_equal(block.intensity, np.where(np.isnan(wanted), np.nan, lit))
+    assert block.angle_rad is not None
+    np.testing.assert_allclose(block.angle_rad, np.linspace(-1.5, 1.5, made.M), atol=1e-6)
+    assert block.tally.n_beyond == 2
+    assert block.tally.n_records == sent.size
+    assert stream.info.facts.notes == ()
+    assert (stream.info.n_lines, stream.info.points_per_line) == (made.N_LINES, made.M)
+
+
+def test_topics_and_frames_are_scanners_of_their_own(tmp_path: Path) -> None:
+    sent = [*made.lasers(2, "/b", "left", 1), *made.lasers(2, "/a", "one", 2), *made.lasers(2, "/b", "right", 3)]
+    path = made.write_mcap(tmp_path / "three.mcap", [*sent, *made.strings(2)])
+    stream, blocks = read(path)
+    found = {block.scanner: block.range_m for block in blocks}
+    assert sorted(found) == [0, 1, 2]
+    told = {one.key: one.value + one.why for one in stream.info.assumptions}
+    assert "0: /a (one); 1: /b (left); 2: /b (right)" in told["input.scanner"]
+    np.testing.assert_array_equal(found[2] > 0, (made.ranges(3) > 0.1) & (made.ranges(3) < 100))
+    records = np.concatenate([block.records().ravel() for block in blocks])
+    assert np.array_equal(np.sort(records), np.arange(3 * made.N_LINES * made.M))
+    _, only = read(path, topic="/a")
+    assert {block.scanner for block in only} == {0}
+
+
+def test_echoes_are_returns(tmp_path: Path) -> None:
+    store = made.STORES[1]
+    lists = [[3.0, 5.0], [], [7.0], [0.01, 9.0], [200.0]]
+    lit = [[1.0, 8.0], [], [2.0], [9.0, 1.0], [1.0]]
+    kind = "sensor_msgs/msg/MultiEchoLaserScan"
+    times = [made.START_NS + i * made.PERIOD_NS for i in range(2)]
+    sent = [made.Sent("/scan", kind, at, made.echoes(store, at, lists, lit)) for at in times]
+    path = made.write_bag(tmp_path / "echoes.bag", sent)
+    (block,) = read(path)[1]
+    np.testing.assert_array_equal(block.range_m[0], np.array([5, np.nan, 7, 9, np.nan], np.float32))
+    np.testing.assert_array_equal(block.records(), [[1, 2, 3, 5, 6], [8, 9, 10, 12, 13]])
+    np.testing.assert_array_equal(block.extra.range_m, np.array([3, 3], np.float32))
+    np.testing.assert_array_equal(block.extra.record, [0, 7])
+    np.testing.assert_array_equal(block.extra.line, [0, 1])
+    (first,) = read(path, **{"return": "first"})[1]
+    assert first.range_m[0, 0] == 3
+    assert block.tally.n_records == 14
+
+
+@pytest.mark.parametrize("name", ["plain.bag", "bz2.bag", "plain.mcap", "zstd.mcap"])
+def test_a_bag_that_ends_in_the_middle_is_read_up_to_there(tmp_path: Path, name: str) -> None:
+    packed = "" if "plain" in name else name.partition(".")[0]
+    whole = tmp_path / name
+    if name.endswith("bag"):
+        made.write_bag(whole, made.lasers(1), packed, 500)
+    else:
+        made.write_mcap(whole, made.lasers(2), packed or "none", 500)
+    data = whole.read_bytes()
+    head = 4117 if name.endswith("bag") else 0
+    cut = tmp_path / f"cut.{name.rpartition('.')[2]}"
+    cut.write_bytes(data[: head + (len(data) - head) // 2])
+    stream, blocks = read(cut)
+    block = join(blocks)
+    assert 1 < block.n_lines < made.N_LINES
+    np.testing.assert_array_equal(block.range_m, join(read(whole)[1]).range_m[: block.n_lines])
+    assert "ends in the middle of a record" in stream.info.facts.notes[0]
+    told = CliRunner().invoke(cli, ["classify", str(cut), str(tmp_path / "o.npy"), "--preset", "urban"])
+    assert "it was read up to there" in " ".join((told.output + told.stderr).split())
+
+
+def test_a_database_that_is_not_whole(tmp_path: Path) -> None:
+    path = made.write_db3(tmp_path / "a.db3", made.lasers(2))
+    data = path.read_bytes()
+    (tmp_path / "a.db3-wal").write_bytes(b"more")
+    assert "a.db3-wal holds more messages, which are not read" in read(path)[0].info.facts.notes[0]
+    path.write_bytes(data[:-4096])
+    with pytest.raises(InputError, match=f"the database is cut: found {len(data) - 4096} bytes"):
+        BagStream(path, InputConfig())
+
+
+def test_a_bag_without_scans_names_its_topics(tmp_path: Path) -> None:
+    path = made.write_mcap(tmp_path / "talk.mcap", made.strings(2))
+    with pytest.raises(InputError, match=r"no topic with scans.*it has: /talk \(std_msgs/String\)"):
+        BagStream(path, InputConfig())
+    result = CliRunner().invoke(cli, ["info", str(path)])
+    assert result.exit_code == 1
+    assert "/talk (std_msgs/String)" in result.output + result.stderr
+
+
+def test_topics_that_are_not_there_are_refused_with_those_that_are(tmp_path: Path) -> None:
+    path = made.write_db3(tmp_path / "a.db3", [*made.lasers(2), *made.strings(2)])
+    with pytest.raises(ConfigError, match=r"found '/scam', a.db3 has: .*/scan \(sensor_msgs/LaserScan\)"):
+        BagStream(path, InputConfig(topic="/scam"))
+    with pytest.raises(ConfigError, match=r"/talk holds std_msgs/String, expected"):
+        BagStream(path, InputConfig(topic="/talk"))
+    with pytest.raises(InputError, match=r"found 40 points per line, expected 41"):
+        BagStream(path, InputConfig(points_per_line=41))
+    with pytest.raises(ConfigError, match="holds a recording of scans"):
+        BagStream(path, InputConfig(lines="fixed"))
+
+
+def test_set_ups_that_change_are_refused(tmp_path: Path) -> None:
+    store, sent = made.STORES[2], made.lasers(2)
+    later = made.START_NS + 40 * made.PERIOD_NS
+    for changes, expected in (
+        ({"angle_increment": 0.2}, "angle_increment 0.2, expected -1.5 and 0.076"),
+        ({"ranges": np.ones(3, np.float32), "intensities": np.ones(3, np.float32)}, "found 3 ranges, expected 40"),
+    ):
+        odd = made.laser(store, later, made.ranges()[0], **changes)
+        path = tmp_path / f"{len(changes)}.db3"
+        made.write_db3(path, [*sent, made.Sent("/scan", sent[0].kind, later, odd)])
+        with pytest.raises(InputError, match=expected):
+            read(path)
+
+
+def test_hostile_containers_end_in_one_line(tmp_path: Path) -> None:
+    view = tmp_path / "view.db3"
+    made.write_db3(view, made.lasers(2))
+    base = sqlite3.connect(view)
+    base.execute("ALTER TABLE messages RENAME TO other")
+    base.execute("CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+                 "SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data FROM n")  # fmt: skip
+    base.commit()
+    base.close()
+    with pytest.raises(InputError, match="no plain table 'messages'"):
+        BagStream(view, InputConfig())
+
+    def record(fields: bytes, data: bytes) -> bytes:
+        return struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(data)) + data
+
+    def named(**fields: bytes) -> bytes:
+        parts = [name.encode() + b"=" + value for name, value in fields.items()]
+        return b"".join(struct.pack("<I", len(part)) + part for part in parts)
+
+    bomb = bz2.compress(bytes(1 << 24))
+    for size, expected in ((10, "grow to more than"), (1 << 31, "expected at most")):
+        chunk = record(named(op=b"\x05", compression=b"bz2", size=struct.pack("<I", size)), bomb)
+        path = tmp_path / "bomb.bag"
+        path.write_bytes(b"#ROSBAG V2.0\n" + chunk)
+        with pytest.raises(InputError, match=expected):
+            BagStream(path, InputConfig())
+    path.write_bytes(b"#ROSBAG V2.0\n" + struct.pack("<I", 0xFFFFFFFF) + bytes(100))
+    with pytest.raises(InputError, match="found a header of 4294967295 bytes"):
+        BagStream(path, InputConfig())
+    for name, magic in (("a.bag", "ROSBAG"), ("a.mcap", "MCAP"), ("a.db3", "SQLite")):
+        (tmp_path / name).write_bytes(b"something else, long enough")
+        with pytest.raises(InputError, match=magic):
+            BagStream(tmp_path / name, InputConfig())
+
+
+@pytest.mark.data
+def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path) -> None:
+    path = real_data / "ros" / "sick_lms1xx_ros1.bag"
+    (block,) = read(path)[1]
+    with AnyReader([path]) as reader:
+        chosen = [one for one in reader.connections if one.topic == "/sick_lms_1xx/scan"]
+        scans = [reader.deserialize(raw, one.msgtype) for one, _, raw in reader.messages(connections=chosen)]
+        counts = {one.topic: one.msgcount for one in reader.connections}
+    ranges = np.stack([scan.ranges for scan in scans])
+    inside = (ranges >= scans[0].range_min) & (ranges <= scans[0].range_max)
+    assert ranges.shape == (89, 541)
+    np.testing.assert_array_equal(block.range_m, np.where(inside, ranges, np.nan))
+    lit = np.stack([scan.intensities for scan in scans])
+    np.testing.assert_array_equal(block.intensity, np.where(inside, lit, np.nan))
+    stamps = np.array([scan.header.stamp.sec + scan.header.stamp.nanosec * 1e-9 for scan in scans])
+    steps = np.array([scan.time_increment for scan in scans])
+    np.testing.assert_allclose(block.time_s, stamps[:, None] + steps[:, None] * np.arange(541), atol=5e-7)
+    assert float(np.mean(~inside)) == pytest.approx(0.129, abs=1e-3)
+    told = CliRunner().invoke(cli, ["info", "--json", str(path), "--method", "fused"])
+    found = json.loads(told.output)
+    assert found["classifiable"] is True
+    assert found["header"]["topic /sick_lms_1xx/scan"].startswith("sensor_msgs/LaserScan, 89 messages in 1.764 s")
+    assert counts["/sick_lms_1xx/scan"] == 89
+    output = tmp_path / "labels.npy"
+    result = CliRunner().invoke(cli, ["classify", str(path), str(output), "--method", "fused"])
+    assert result.exit_code == 0, result.output
+    assert len(np.load(output)) == 89 * 541
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["nebula_vlp16", "nebula_xt16"])
+def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_path: Path, name: str) -> None:
+    """Against a plain decoder of one packet after the other."""
+    (path,) = (real_data / "ros" / name).glob("*.db3")
+    stream, blocks = read(path, **{"return": "last"})
+    block = join(blocks)
+    n_lasers, order, unit, per_packet = 16, list(range(0, 16, 2)) + list(range(1, 16, 2)), 0.002, 12
+    rows = []
+    for message in read_messages(path, BagEnd()):
+        data, at = message.data, 4
+        at += 8 + 4 + struct.unpack_from("<I", data, at + 8)[0]
+        at += -(at - 4) % 4
+        (n,) = struct.unpack_from("<I", data, at)
+        at += 4
+        for _ in range(n):
+            at += -(at - 4) % 4
+            if name == "nebula_vlp16":
+                packet = data[at + 8 : at + 8 + 1206]
+                at += 8 + 1206
+                for pair in range(6):
+                    for firing in range(2):
+                        row = [_two(packet, (100 * (2 * pair + r)) + 4 + 48 * firing, order, 3) for r in range(2)]
+                        rows.append(row)
+            else:
+                packet = data[at + 8 : at + 8 + 568]
+                at += 8 + 1504
+                starts = [[12 + 66 * (2 * pair + r) + 2 for r in range(2)] for pair in range(4)]
+                rows += [[_two(packet, start, range(15, -1, -1), 4) for start in two] for two in starts]
+                unit, per_packet = 0.004, 4
+    distance = np.array(rows, np.float64) * unit
+    assert distance.shape == (block.n_lines, 2, n_lasers)
+    farther = distance.max(axis=1)
+    np.testing.assert_allclose(np.nan_to_num(block.range_m), farther, atol=1e-5)
+    n_both = np.count_nonzero((distance[:, 0] != distance[:, 1]) & (distance > 0).all(axis=1))
+    assert len(block.extra) == n_both > 100
+    assert block.n_lines % per_packet == 0
+    assert block.xyz_m is not None
+    elevation = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
+    level = np.broadcast_to(np.linspace(-15, 15, 16), elevation.shape)
+    has = np.isfinite(elevation)
+    np.testing.assert_allclose(elevation[has], level[has], atol=0.01)
+    assert stream.info.facts.notes == ()
+    output = tmp_path / "labels.npy"
+    result = CliRunner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
+    assert result.exit_code in (0, 4), result.output
+
+
+def _two(packet: bytes, at: int, order: Any, step: int) -> list[int]:
+    return [struct.unpack_from("<H", packet, at + step * laser)[0] for laser in order]

@@ -1,0 +1,347 @@
+"""Packets of spinning scanners: every cell as independent decoders have it, whatever the capture."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import velodyne_decoder
+from click.testing import CliRunner
+
+from prc_cli.cli import cli
+from prc_cli.core.blocks import join
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.stream import ScanBlock
+from prc_cli.formats.options import InputConfig
+from prc_cli.formats.packets import columns as columns_module
+from prc_cli.formats.packets.read import PacketStream
+from tests.formats.packets import captures as made
+
+
+def read(path: Path, **changes: Any) -> tuple[PacketStream, ScanBlock]:
+    stream = PacketStream(path, InputConfig(**changes))
+    return stream, join(list(stream.blocks()))
+
+
+def same(a: ScanBlock, b: ScanBlock, *, times: bool = True) -> None:
+    for name in ("range_m", "xyz_m", "intensity", "record", *(("time_s",) if times else ())):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_firing_columns_are_lines_and_rings_are_shots(tmp_path: Path) -> None:
+    packets = made.vlp16()
+    stream, block = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
+    assert block.range_m.shape == (20 * 24, 16)
+    order = [0, 2, 4, 6, 8, 10, 12, 14, 1, 3, 5, 7, 9, 11, 13, 15]
+    for line, column in ((0, 0), (1, 3), (23, 15), (24, 8), (479, 1)):
+        packet, within = packets[line // 24], line % 24
+        at = 100 * (within // 2) + 4 + 48 * (within % 2) + 3 * order[column]
+        distance, light = struct.unpack_from("<HB", packet, at)
+        found = float(np.nan_to_num(block.range_m[line, column]))
+        assert found == pytest.approx(distance * 0.002)
+        assert block.intensity is not None
+        if distance:
+            assert block.intensity[line, column] == light
+    assert block.xyz_m is not None
+    assert block.time_s is not None
+    elevation = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
+    np.testing.assert_allclose(np.nanmedian(elevation, axis=0), np.linspace(-15, 15, 16), atol=1e-3)
+    np.testing.assert_allclose(block.time_s[0, 0], made.START_S, atol=1e-6)
+    np.testing.assert_allclose(np.diff(block.time_s[:, 0]), 55.296e-6, atol=1.2e-6)
+    np.testing.assert_allclose(block.time_s[0, 8] - block.time_s[0, 0], 2.304e-6, atol=3e-7)
+    assert stream.info.facts.notes == ()
+    np.testing.assert_array_equal(block.records(), np.arange(480 * 16).reshape(480, 16))
+
+
+def test_a_clock_that_is_set_is_believed(tmp_path: Path) -> None:
+    behind_us = round((made.START_S % 3600 - 0.002) * 1e6)
+    packets = made.vlp16(start_us=behind_us)
+    _, block = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
+    assert block.time_s is not None
+    np.testing.assert_allclose(block.time_s[0, 0], made.START_S - 0.002, atol=2e-6)
+
+
+def test_captures_of_every_kind_are_the_same(tmp_path: Path) -> None:
+    packets = made.vlp16()
+    frames = made.framed(packets)
+    _, plain = read(made.write_pcap(tmp_path / "a.pcap", frames))
+    _, other = read(made.write_pcap(tmp_path / "b.pcap", frames, order=">"))
+    same(plain, other)
+    _, other = read(made.write_pcap(tmp_path / "c.pcap", frames, nano=True))
+    same(plain, other, times=False)
+    for order in "<>":
+        _, other = read(made.write_pcapng(tmp_path / "d.pcapng", frames, order=order))
+        same(plain, other, times=False)
+    tagged = [
+        (at, made.ethernet(made.ip4(made.udp(one)), vlan=True)) for (at, _), one in zip(frames, packets, strict=True)
+    ]
+    _, other = read(made.write_pcap(tmp_path / "e.pcap", tagged))
+    same(plain, other)
+    six = [(at, made.ethernet(made.ip6(made.udp(one)))) for (at, _), one in zip(frames, packets, strict=True)]
+    _, other = read(made.write_pcap(tmp_path / "f.pcap", six))
+    same(plain, other)
+
+
+def test_fragments_are_put_together(tmp_path: Path) -> None:
+    packets = made.vlp16()
+    _, plain = read(made.write_pcap(tmp_path / "a.pcap", made.framed(packets)))
+    frames = []
+    for i, (at, _) in enumerate(made.framed(packets)):
+        body = made.udp(packets[i])
+        parts = [(0, body[:480]), (480, body[480:960]), (960, body[960:])]
+        if i % 2:
+            parts.reverse()
+        frames += [
+            (at, made.ethernet(made.ip4(part, offset=offset, more=offset < 960, number=i))) for offset, part in parts
+        ]
+    _, other = read(made.write_pcap(tmp_path / "b.pcap", frames))
+    same(plain, other)
+    stream, short = read(made.write_pcap(tmp_path / "c.pcap", frames[:-1]))
+    assert short.n_lines == 19 * 24
+    assert stream.info.facts.notes == ("1 datagrams lack a fragment: left out",)
+
+
+def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
+    packets = made.vlp16()
+    frames = made.framed(packets)
+    _, whole = read(made.write_pcap(tmp_path / "a.pcap", frames))
+    stream, block = read(made.write_pcap(tmp_path / "b.pcap", frames[:5] + frames[9:]))
+    assert block.n_lines == whole.n_lines
+    assert np.isnan(block.range_m[5 * 24 : 9 * 24]).all()
+    assert (block.records()[5 * 24 : 9 * 24] == -1).all()
+    kept = np.r_[0 : 5 * 24, 9 * 24 : 480]
+    np.testing.assert_array_equal(block.range_m[kept], whole.range_m[kept])
+    lost = "10.0.0.7:2368: 96 columns did not arrive (20.00%): they are lines of missing shots"
+    assert stream.info.facts.notes == (lost,)
+    result = CliRunner().invoke(cli, ["info", str(tmp_path / "b.pcap")])
+    assert "96 columns did not arrive" in " ".join(result.output.split())
+    late = [*frames[:5], frames[6], frames[5], *frames[7:]]
+    _, swapped = read(made.write_pcap(tmp_path / "c.pcap", late))
+    assert swapped.tally.n_unplaced == 24 * 16
+    with pytest.raises(
+        InputError, match="96 columns did not arrive before the one of record 1920, expected at most 50"
+    ):
+        read(tmp_path / "b.pcap", max_gap_lines=50)
+
+
+def test_blocks_do_not_depend_on_their_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table, packets = made.ouster()
+    frames = made.framed(packets[:4] + packets[6:], 7502)
+    path = made.write_pcap(tmp_path / "a.pcap", frames)
+    path.with_suffix(".json").write_text(json.dumps(table))
+    _, whole = read(path)
+    monkeypatch.setattr("prc_cli.formats.packets.scanners.BATCH_SHOTS", 128)
+    monkeypatch.setattr(columns_module, "CHUNK_SHOTS", 40)
+    stream, parts = read(path)
+    same(whole, parts)
+    assert whole.n_lines == 242
+    assert "32 columns did not arrive" in stream.info.facts.notes[0]
+
+
+def test_two_returns(tmp_path: Path) -> None:
+    packets = [packet[:-2] + b"\x39\x22" for packet in made.vlp16()]
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, step_s=0.00066))
+    _, strongest = read(path, max_gap_lines=10**6)
+    _, last = read(path, max_gap_lines=10**6, **{"return": "last"})
+    has = np.isfinite(last.range_m)
+    pair = np.array([struct.unpack_from("<H", packets[0], 4 + 100 * r)[0] * 0.002 for r in range(2)])
+    assert last.range_m[0, 0] == pytest.approx(pair.max(), abs=1e-6)
+    assert len(strongest.extra) == len(last.extra) > 1000
+    own = last.range_m[last.extra.line, last.extra.column]
+    assert (own > last.extra.range_m).all()
+    assert last.tally.n_records == 20 * 384
+    assert has.any()
+
+
+@pytest.mark.parametrize(
+    "profile", ["LEGACY", "RNG19_RFL8_SIG16_NIR16", "RNG15_RFL8_NIR8", "RNG19_RFL8_SIG16_NIR16_DUAL"]
+)
+def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, profile: str) -> None:
+    table, packets = made.ouster(profile)
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
+    path.with_suffix(".json").write_text(json.dumps(table))
+    stream, block = read(path, **{"return": "first"})
+    assert block.range_m.shape == (242, 4)
+    assert block.tally.n_records == 16 * 16 * 4 * (2 if profile.endswith("DUAL") else 1)
+    assert block.time_s is not None
+    assert block.xyz_m is not None
+    # rings from low to high: rows 3, 2, 1, 0, of which 0 and 2 belong two columns behind
+    for ring, (row, shift) in enumerate(((3, 0), (2, 2), (1, 0), (0, 2))):
+        column = np.arange(240)
+        wanted = 1000 * (column // 120 + 1) + column % 120 + 200 * row
+        wanted = wanted // 8 * 8 if profile == "RNG15_RFL8_NIR8" else wanted
+        found = block.range_m[shift : shift + 240, ring]
+        np.testing.assert_allclose(found, wanted * 1e-3, rtol=1e-6)
+        np.testing.assert_allclose(block.time_s[shift : shift + 240, ring], column * 1e-3, atol=1e-9)
+    azimuth = np.rad2deg(np.unwrap(np.arctan2(block.xyz_m[4:238, :, 1], block.xyz_m[4:238, :, 0]), axis=1))
+    assert np.ptp(azimuth, axis=1).max() < 0.2
+    assert len(block.extra) == (480 if profile.endswith("DUAL") else 0)
+    result = CliRunner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"])
+    assert result.exit_code in (0, 4), result.output
+    assert stream.info.facts.has_line_times
+
+
+def test_parts_of_a_turn_do_not_run_into_the_next(tmp_path: Path) -> None:
+    table, packets = made.ouster()
+    table["data_format"]["column_window"] = [10, 39]
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
+    path.with_suffix(".json").write_text(json.dumps(table))
+    _, block = read(path)
+    assert block.n_lines == 64
+    held = np.isfinite(block.range_m)
+    assert held[:30, 0].all()
+    assert not held[30:32, 0].any()
+    assert not held[:2, 1].any()
+    assert held[2:32, 1].all()
+
+
+def test_scanners_are_apart(tmp_path: Path) -> None:
+    frames = made.framed(made.vlp16(seed=1)) + made.framed(made.vlp16(seed=2), source=bytes([10, 0, 0, 6]))
+    path = made.write_pcap(tmp_path / "a.pcap", sorted(frames, key=lambda one: one[0]))
+    stream = PacketStream(path, InputConfig())
+    blocks = list(stream.blocks())
+    assert {block.scanner for block in blocks} == {0, 1}
+    records = np.concatenate([block.records().ravel() for block in blocks])
+    assert np.array_equal(np.sort(records), np.arange(2 * 480 * 16))
+    _, one = read(path, topic="10.0.0.6:2368")
+    np.testing.assert_array_equal(one.range_m, join([block for block in blocks if block.scanner == 0]).range_m)
+    with pytest.raises(ConfigError, match=r"found 'x', a.pcap has 10.0.0.6:2368, 10.0.0.7:2368"):
+        PacketStream(path, InputConfig(topic="x"))
+
+
+def test_a_cut_capture_is_read_up_to_there(tmp_path: Path) -> None:
+    frames = made.framed(made.vlp16())
+    for path in (made.write_pcap(tmp_path / "a.pcap", frames), made.write_pcapng(tmp_path / "a.pcapng", frames)):
+        path.write_bytes(path.read_bytes()[:-700])
+        stream, block = read(path)
+        assert block.n_lines == 19 * 24
+        assert "in the middle of" in stream.info.facts.notes[0]
+        assert stream.info.facts.notes[0].endswith("it was read up to there")
+
+
+def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
+    table, packets = made.ouster()
+    path = made.write_pcap(tmp_path / "a.pcap", made.framed(packets, 7502))
+    for words, expected in (
+        ((), "needs its metadata|need its metadata: give --metadata FILE.json"),
+        (("--metadata", str(tmp_path / "no.json")), "cannot be read as JSON"),
+    ):
+        result = CliRunner().invoke(cli, ["info", str(path), *words])
+        assert result.exit_code == 1
+        assert any(one in result.stderr for one in expected.split("|"))
+    for changes, expected in (
+        ({"pixels_per_column": 5}, "beam_azimuth_angles: found list of another length, expected 5 numbers"),
+        ({"udp_profile_lidar": "NEW"}, "udp_profile_lidar: found NEW, expected one of LEGACY"),
+        ({"columns_per_packet": 8}, "no packets of a known scanner: 16 of 1024 bytes to port 7502"),
+        ({"columns_per_frame": "x"}, "columns_per_frame: found x, expected a whole number from 1 to 4096"),
+    ):
+        wrong = {**table, "data_format": {**table["data_format"], **changes}}
+        path.with_suffix(".json").write_text(json.dumps(wrong))
+        with pytest.raises(InputError, match=expected):
+            PacketStream(path, InputConfig())
+    other = made.write_pcap(tmp_path / "b.pcap", made.framed(made.vlp16(model=0x28)))
+    with pytest.raises(InputError, match=r"model 0x28 \(VLP-32C\), expected Velodyne HDL-32E, Velodyne VLP-16"):
+        PacketStream(other, InputConfig())
+    mixed = made.write_pcap(tmp_path / "c.pcap", made.framed(made.vlp16(5) + made.vlp16(5, mode=0x38)))
+    with pytest.raises(InputError, match="return mode 0x38 after 0x22 and 0x37"):
+        read(mixed)
+    (tmp_path / "d.pcap").write_bytes(b"no capture")
+    with pytest.raises(InputError, match="begins with 6e6f2063, expected a capture"):
+        PacketStream(tmp_path / "d.pcap", InputConfig())
+    (tmp_path / "e.pcap").write_bytes(other.read_bytes()[:24] + b"\xff" * 100)
+    with pytest.raises(InputError, match="found a packet of 4294967295 bytes, expected at most 262144"):
+        PacketStream(tmp_path / "e.pcap", InputConfig())
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("name", "n_lines", "m", "missing"), [("vlp16", 293 * 24, 16, 0.347), ("hdl32", 6000, 32, 0.236)]
+)
+def test_velodyne_samples_are_what_velodyne_decoder_reads(
+    real_data: Path, tmp_path: Path, name: str, n_lines: int, m: int, missing: float
+) -> None:
+    path = real_data / "pcap" / f"velodyne_{name}.pcap"
+    _, block = read(path)
+    assert block.range_m.shape == (n_lines, m)
+    assert float(np.isnan(block.range_m).mean()) == pytest.approx(missing, abs=1e-3)
+    scans = list(velodyne_decoder.read_pcap(str(path), velodyne_decoder.Config(min_range=0, max_range=1000)))
+    points = np.concatenate([points for _, points in scans])
+    device = np.concatenate([stamp.device + points[:, 4].astype(np.float64) for stamp, points in scans])
+    assert block.xyz_m is not None
+    assert block.intensity is not None
+    assert block.time_s is not None
+    has = np.isfinite(block.range_m)
+    assert has.sum() == len(points)
+    for ring in range(m):
+        mine, of = has[:, ring], points[:, 6] == ring
+        if not of.any():
+            assert not mine.any()
+            continue
+        xyz = block.xyz_m[mine, ring]
+        # azimuths are given to 0.01 deg; the decoders spread a block's step over its lasers in their own ways
+        off = np.arctan2(-xyz[:, 0], xyz[:, 1]) - np.arctan2(points[of, 1], points[of, 0])
+        assert np.rad2deg(np.abs(np.angle(np.exp(1j * off)))).max() < 0.05
+        np.testing.assert_allclose(np.hypot(*xyz[:, :2].T), np.hypot(*points[of, :2].T), atol=0.002)
+        # beams do not begin on the axis: up to 12 mm (VLP-16) and 18 mm (HDL-32E) in height
+        np.testing.assert_allclose(xyz[:, 2], points[of, 2], atol=0.018)
+        np.testing.assert_array_equal(block.intensity[mine, ring], points[of, 3])
+        assert np.ptp(block.time_s[mine, ring] - device[of]) < 2e-6
+    output = tmp_path / "labels.npy"
+    result = CliRunner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
+    assert result.exit_code in (0, 4), result.output
+    assert len(np.load(output)) == n_lines * m
+
+
+@pytest.mark.data
+def test_the_ouster_sample_is_decoded_cell_by_cell(real_data: Path, tmp_path: Path) -> None:
+    """Against a plain loop over the bytes of every packet, and the sensor's own destaggering."""
+    path = real_data / "pcap" / "OS-1-128_v2.3.0_1024x10_lb_n3.pcap"
+    table = json.loads(path.with_suffix(".json").read_text())
+    data, at = path.read_bytes(), 24
+    image = np.zeros((3, 128, 1024), np.int64)
+    stamp = np.zeros((3, 1024), np.int64)
+    first = None
+    while at < len(data):
+        kept = struct.unpack_from("<I", data, at + 8)[0]
+        payload = data[at + 16 + 42 : at + 16 + kept]
+        at += 16 + kept
+        if len(payload) != 8448:
+            continue
+        frame = struct.unpack_from("<H", payload, 2)[0]
+        first = frame if first is None else first
+        for column in range(16):
+            begin = 32 + column * (12 + 128 * 4)
+            time_ns, number, status = struct.unpack_from("<QHH", payload, begin)
+            assert status & 1
+            words = np.frombuffer(payload, "<u2", 256, begin + 12)[::2]
+            image[frame - first, :, number] = (words & 0x7FFF).astype(np.int64) * 8
+            stamp[frame - first, number] = time_ns
+    stream, block = read(path)
+    assert block.range_m.shape == (3 * 1024 + 24, 128)
+    shift = table["data_format"]["pixel_shift_by_row"]
+    flat = image.transpose(1, 0, 2).reshape(128, -1)
+    assert block.time_s is not None
+    assert block.xyz_m is not None
+    for row in range(128):
+        mine = block.range_m[shift[row] : shift[row] + 3072, 127 - row]
+        np.testing.assert_allclose(np.nan_to_num(mine), flat[row] * 1e-3, rtol=1e-6)
+        times = block.time_s[shift[row] : shift[row] + 3072, 127 - row]
+        np.testing.assert_allclose(times, stamp.ravel() * 1e-9, atol=1e-9)
+    # a frame's own destaggering differs only where it wraps
+    whole = np.stack([np.roll(image[1, row], shift[row]) for row in range(128)])
+    np.testing.assert_allclose(np.nan_to_num(block.range_m[1024 + 24 : 2048, ::-1].T), whole[:, 24:] * 1e-3, rtol=1e-6)
+    assert float((image == 0).mean()) == pytest.approx(0.180, abs=1e-3)
+    elevation = np.rad2deg(np.arcsin(block.xyz_m[..., 2] / block.range_m))
+    np.testing.assert_allclose(np.nanmedian(elevation, axis=0), table["beam_altitude_angles"][::-1], atol=0.1)
+    azimuth = np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0])
+    spread = np.abs(np.angle(np.exp(1j * (azimuth - azimuth[:, 64:65]))))
+    assert np.nanpercentile(np.rad2deg(spread), 99) < 0.6
+    result = CliRunner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--method", "fused", "-q"])
+    assert result.exit_code in (0, 4), result.output
+    told = CliRunner().invoke(cli, ["info", str(path), "--json", "--method", "fused"])
+    assert json.loads(told.output)["classifiable"] is True
+    assert stream.info.points_per_line == 128

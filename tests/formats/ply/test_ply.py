@@ -1,0 +1,187 @@
+"""PLY: both byte orders, text, names, returns that are listed again, headers that lie."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prc_cli.core.blocks import join
+from prc_cli.core.errors import InputError
+from prc_cli.formats import open_source
+from prc_cli.formats.options import InputConfig, Layout, LayoutField
+from prc_cli.formats.records import RecordSource
+from prc_cli.streams.open import open_input
+from tests.formats.cloud_files import Array, ply
+
+FORMS = ("ascii", "binary_little_endian", "binary_big_endian")
+N = 700
+
+
+def columns() -> dict[str, Array]:
+    rng = np.random.default_rng(4)
+    return {
+        "GPS_time": np.arange(N) * 1e-5 + 54160.0,
+        "theta": (np.arange(N) % 70 * 0.05 - 1.5).astype(np.float32),
+        "range": rng.uniform(2, 60, N).astype(np.float32),
+        "ring": (np.arange(N) % 9).astype(np.uint16),
+    }
+
+
+def opened(path: Path, layout: Layout | None = None) -> RecordSource:
+    source = open_source(path, layout)
+    assert source is not None
+    return source
+
+
+def read(source: RecordSource, names: tuple[str, ...]) -> dict[str, Array]:
+    chunks = list(source.chunks(names))
+    return {name: np.concatenate([chunk.values[name] for chunk in chunks]) for name in names}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_gives_the_same_values(tmp_path: Path, form: str) -> None:
+    path, made = tmp_path / "a.ply", columns()
+    path.write_bytes(ply(made, form))
+    source = opened(path)
+    assert source.n_records == N
+    found = read(source, ("time", "angle", "range", "ring"))
+    for name, own in (("time", "GPS_time"), ("angle", "theta"), ("range", "range"), ("ring", "ring")):
+        np.testing.assert_array_equal(found[name], made[own])
+
+
+def test_plyfile_reads_the_same(tmp_path: Path) -> None:
+    plyfile = pytest.importorskip("plyfile")
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply(columns(), "binary_big_endian"))
+    vertex = plyfile.PlyData.read(str(path))["vertex"]
+    found = read(opened(path), ("time", "angle", "range"))
+    for name, own in (("time", "GPS_time"), ("angle", "theta"), ("range", "range")):
+        np.testing.assert_array_equal(found[name], np.asarray(vertex[own]))
+
+
+def test_a_layout_names_any_property(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    path.write_bytes(ply({"dist_cm": np.array([150, 65535], "u2"), "az": np.array([100.0, 200.0])}))
+    fields = (
+        LayoutField(name="range", source="dist_cm", unit="cm", missing=65535),
+        LayoutField(name="angle", source="az", unit="gon"),
+    )
+    found = read(opened(path, Layout(fields=fields)), ("range", "angle"))
+    np.testing.assert_allclose(found["range"], [1.5, np.nan])
+    np.testing.assert_allclose(found["angle"], [np.pi / 2, np.pi])
+
+
+def test_other_elements_and_lists_behind_the_points_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    head = (
+        "ply\nformat binary_little_endian 1.0\nelement camera 2\nproperty double f\nelement vertex 2\n"
+        "property float range\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    path.write_bytes(head.encode() + bytes(16) + np.array([1.5, 2.5], "<f4").tobytes() + b"\x01\0\0\0\0")
+    assert read(opened(path), ("range",))["range"].tolist() == [1.5, 2.5]
+
+
+def test_returns_that_are_listed_again_are_not_shots(tmp_path: Path) -> None:
+    """The list of a shot is written anew with every return that is added."""
+    path = tmp_path / "a.ply"
+    lists = {1: [(1, 1)], 2: [(1, 1), (1, 2), (2, 2)], 3: [(1, 1), (1, 2), (2, 2), (1, 3), (2, 3), (3, 3)]}
+    n_echo = np.random.default_rng(1).integers(1, 4, 400)
+    rows = [
+        (shot * 1e-5, shot % 40 * 0.1 - 2, 5.0 + echo, echo, count)
+        for shot, n in enumerate(n_echo.tolist())
+        for echo, count in lists[n]
+    ]
+    time, theta, range_m, echo, count = (np.array(column) for column in zip(*rows, strict=True))
+    made = {
+        "GPS_time": time, "theta": theta.astype("f4"), "range": range_m.astype("f4"), "num_echo": echo.astype("u1"),
+        "nb_of_echo": count.astype("u1"), "amplitude": -range_m.astype("f4"),
+    }  # fmt: skip
+    path.write_bytes(ply(made, "binary_big_endian"))
+    source = opened(path)
+    n_copies = int(np.sum(n_echo == 2) + 3 * np.sum(n_echo == 3))
+    assert any(
+        note.startswith(f"{n_copies} of the first {len(time)} rows repeat a return") for note in source.facts.notes
+    )
+    block = join(list(open_input(path, InputConfig()).blocks()))
+    assert np.isfinite(block.range_m).sum() == 400
+    assert len(block.extra) == len(time) - 400
+    assert block.tally.n_collisions == 0
+    np.testing.assert_array_equal(block.range_m[np.isfinite(block.range_m)], 6.0)
+
+
+@pytest.mark.parametrize(
+    ("head", "told"),
+    [
+        (
+            "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float range\nend_header\n",
+            "in point 1",
+        ),
+        (
+            "ply\nformat ascii 1.0\nelement vertex 99999\nproperty float range\nproperty int a\nend_header\n1 2\n",
+            "after 1",
+        ),
+        ("ply\nformat binary 1.0\nelement vertex 1\nproperty float range\nend_header\n", "found format"),
+        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty real range\nend_header\n1\n", "found the type 'real'"),
+        ("ply\nformat ascii 1.0\nelement vertex -1\nproperty float range\nend_header\n1\n", "a name and a count"),
+        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar int a\nend_header\n1 1\n", "is a list"),
+        ("ply\nformat ascii 1.0\nelement face 1\nproperty float a\nend_header\n1\n", "no element vertex, it has face"),
+        ("ply\nformat ascii 1.0\nelement vertex 0\nproperty float a\nend_header\n", "no points"),
+        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty int a\nproperty int a\nend_header\n1 1\n", "second time"),
+        ("ply\nformat ascii 1.0\nelement vertex 1\n", "no line end_header"),
+        ("plx\n", "expected ply"),
+    ],
+)
+def test_headers_that_lie(tmp_path: Path, head: str, told: str) -> None:
+    path = tmp_path / "a.ply"
+    path.write_bytes(head.encode() + b"\0\0\0\0\0" * ("binary_l" in head))
+    with pytest.raises(InputError, match=told):
+        for _ in opened(path).chunks(()):
+            pass
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("number", [1, 4])
+def test_the_profiler_of_ign(real_data: Path, number: int) -> None:
+    """The cells of the stream hold what plyfile reads, at the angle that the row says."""
+    plyfile = pytest.importorskip("plyfile")
+    path = real_data / "riegl" / f"sample_riegl_18_0{number}.ply"
+    row = plyfile.PlyData.read(str(path))["vertex"].data
+    stream = open_input(path, InputConfig())
+    block = join(list(stream.blocks()))
+    assert stream.info.points_per_line == 2917
+    record = np.asarray(block.record)
+    there = record >= 0
+    np.testing.assert_array_equal(block.range_m[there], row["range"][record[there]])
+    angle = np.broadcast_to(np.asarray(stream.info.angle_rad), there.shape)[there]
+    away = angle - row["theta"][record[there]]
+    away -= 2 * np.pi * np.rint(away / (2 * np.pi))
+    assert np.abs(away).max() < 2.1 * 2 * np.pi / 2917
+    seen = np.sort(np.concatenate([record[there], block.extra.record]))
+    np.testing.assert_array_equal(seen, np.arange(len(row)))
+    n_shots = len(np.unique(row["GPS_time"]))
+    assert there.sum() + block.tally.n_collisions == n_shots
+    assert block.tally.n_collisions < 0.003 * n_shots
+
+
+@pytest.mark.data
+def test_a_frame_in_raw_column_order(real_data: Path) -> None:
+    """64 shots a column, beams turned against each other: lines of one azimuth, all returns in a cell of their own."""
+    plyfile = pytest.importorskip("plyfile")
+    path = real_data / "ouster" / "rellis_frame000104.ply"
+    row = plyfile.PlyData.read(str(path))["vertex"].data
+    block = join(list(open_input(path, InputConfig()).blocks()))
+    assert block.range_m.shape == (2048, 64)
+    record = np.asarray(block.record)
+    there = record >= 0
+    assert block.tally.n_collisions == block.tally.n_unplaced == 0
+    assert there.sum() == np.count_nonzero(row["range"]) == 77_708
+    np.testing.assert_allclose(block.range_m[there], row["range"][record[there]] / 1000, atol=2e-3)
+    # every column is one ring, from the lowest
+    for column in range(0, 64, 9):
+        rings = row["ring"][record[:, column][there[:, column]]]
+        assert len(np.unique(rings)) <= 1
+    azimuth = np.arctan2(row["y"], row["x"])[record]
+    width = np.array([np.ptp(np.unwrap(np.sort(azimuth[k][there[k]]))) for k in range(2, 2046) if there[k].sum() > 4])
+    assert np.median(width) < np.deg2rad(0.5)

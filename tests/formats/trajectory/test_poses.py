@@ -1,0 +1,158 @@
+"""Trajectories with orientations: TUM files and the poses of bags give the ranges that CSV positions give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.spatial.transform import Rotation
+
+from prc_cli.cli import cli
+from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.formats.trajectory.poses import is_tum, read_poses, read_tum, turned
+from prc_cli.streams.trajectory import load_trajectory
+from tests.formats.bags import recordings as made
+from tests.fuzz.seeds import seed
+
+HEAD = {"crs": None, "source_crs_wkt": None, "time_offset": 0.0}
+
+
+def poses(n: int = 40) -> np.ndarray:
+    """Time, position and quaternion of a car on a bend: (n, 8)."""
+    time_s = np.linspace(-0.1, 0.5, n)
+    turn = Rotation.from_euler("zyx", np.stack([time_s, 0.02 * time_s, 0.1 * time_s], axis=1))
+    xyz = np.stack([5 * time_s, np.zeros(n), np.full(n, 2.0)], axis=1)
+    return np.column_stack([time_s, xyz, turn.as_quat()])
+
+
+def tum(path: Path, rows: np.ndarray) -> Path:
+    text = "".join(" ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
+    path.write_text("# time x y z qx qy qz qw\n" + text)
+    return path
+
+
+def odometry(rows: np.ndarray, *, version: int = 2, kind: str = "nav_msgs/msg/Odometry", topic: str = "/odom") -> Any:
+    """Messages with poses; times after a second, since stamps are not negative."""
+    store = made.STORES[version]
+    types = store.types
+    sent = []
+    for row in rows:
+        time_ns = round((row[0] + 1) * 1e9)
+        pose = types["geometry_msgs/msg/Pose"](
+            types["geometry_msgs/msg/Point"](*row[1:4]), types["geometry_msgs/msg/Quaternion"](*row[4:])
+        )
+        head = made.header(store, time_ns, "odom")
+        if kind.endswith("PoseStamped"):
+            message = types[kind](head, pose)
+        else:
+            zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+            twist = types["geometry_msgs/msg/TwistWithCovariance"](
+                types["geometry_msgs/msg/Twist"](zero, zero), np.zeros(36)
+            )
+            with_covariance = types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36))
+            message = types[kind](head, "base_link", with_covariance, twist)
+        sent.append(made.Sent(topic, kind, time_ns, message))
+    return sent
+
+
+def test_tum_and_bags_hold_the_same_poses(tmp_path: Path) -> None:
+    rows = poses()
+    time_s, xyz_m, quaternion = read_tum(tum(tmp_path / "a.txt", rows))
+    np.testing.assert_allclose(np.column_stack([time_s, xyz_m, quaternion]), rows, atol=1e-8)
+    bags = [
+        made.write_bag(tmp_path / "a.bag", [*odometry(rows, version=1), *made.lasers(1)]),
+        made.write_db3(tmp_path / "a.db3", [*odometry(rows), *made.lasers(2)]),
+        made.write_mcap(tmp_path / "a.mcap", odometry(rows, kind="geometry_msgs/msg/PoseStamped")),
+    ]
+    for path in bags:
+        time_s, xyz_m, quaternion = read_poses(path, None)
+        np.testing.assert_allclose(time_s, rows[:, 0] + 1, atol=1e-8)
+        np.testing.assert_allclose(np.column_stack([xyz_m, quaternion]), rows[:, 1:], atol=1e-12)
+
+
+def test_lever_arms_turn_with_the_vehicle(tmp_path: Path) -> None:
+    rows, arm = poses(), (0.5, -0.2, 1.5)
+    moved = rows[:, 1:4] + Rotation.from_quat(rows[:, 4:]).apply(arm)
+    np.testing.assert_allclose(rows[:, 1:4] + turned(rows[:, 4:], np.array(arm)), moved, atol=1e-12)
+    path = tum(tmp_path / "a.tum", rows)
+    found = load_trajectory(path, **HEAD, lever_arm_m=arm)  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.xyz_m, moved, atol=1e-7)
+    csv = tmp_path / "a.csv"
+    csv.write_bytes(seed("track.csv"))
+    with pytest.raises(ConfigError, match="needs the orientation of the vehicle"):
+        load_trajectory(csv, **HEAD, lever_arm_m=arm)  # type: ignore[arg-type]
+
+
+def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> None:
+    points, track = tmp_path / "a.csv", tmp_path / "track.csv"
+    points.write_bytes(seed("a.csv"))
+    rows, arm = poses(), (0.5, -0.2, 1.5)
+    moved = rows[:, 1:4] + Rotation.from_quat(rows[:, 4:]).apply(arm)
+    lines = [f"{t:.9f},{x:.9f},{y:.9f},{z:.9f}\n" for t, (x, y, z) in zip(rows[:, 0], moved, strict=True)]
+    track.write_text("time,x,y,z\n" + "".join(lines))
+    bag = made.write_bag(tmp_path / "poses.bag", [*odometry(rows, version=1), *odometry(rows, version=1, topic="/x")])
+    lever = ("--set", "input.trajectory_lever_arm=[0.5, -0.2, 1.5]")
+    found = []
+    for name, more in (
+        (track, ()),
+        (tum(tmp_path / "a.tum", rows), lever),
+        (bag, (*lever, "--set", "input.trajectory_topic=/odom", "--set", "input.trajectory_time_offset=-1")),
+    ):
+        output = tmp_path / f"{name.name}.npz"
+        words = ["convert", str(points), str(output), "--range", f"trajectory:{name}", "--trust-order", *more]
+        result = CliRunner().invoke(cli, [*words, "--lines", "time:50", "--columns", "time:1200", "-M", "24"])
+        assert result.exit_code in (0, 4), result.output + result.stderr
+        with np.load(output) as arrays:
+            found.append(arrays["range_m"])
+    assert np.isfinite(found[0]).sum() > 100
+    for other in found[1:]:
+        np.testing.assert_allclose(other, found[0], atol=2e-5)
+
+
+def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
+    rows = poses()
+    path = tum(tmp_path / "a.tum", rows)
+    for text, expected in (
+        ("1 2 3\n", "line 42: found '1 2 3', expected 8 numbers"),
+        ("1 2 3 4 0 0 0 x\n", "line 42: found '1 2 3 4 0 0 0 x', expected 8 numbers"),
+        ("1 2 3 4 0 0 0 2\n", "line 42: the quaternion has length 2, expected 1"),
+    ):
+        path.write_text(tum(path, rows).read_text() + text)
+        with pytest.raises(InputError, match=expected):
+            load_trajectory(path, **HEAD)  # type: ignore[arg-type]
+    assert not is_tum(_written(tmp_path / "b.csv", "time x y z a b c d\n1 2 3 4 5 6 7 8\n"))
+    assert not is_tum(_written(tmp_path / "c.csv", "\n# nothing\n"))
+    two = made.write_db3(tmp_path / "two.db3", [*odometry(rows), *odometry(rows, topic="/x")])
+    with pytest.raises(ConfigError, match=r"several topics with poses in two.db3, it has: /odom, /x"):
+        read_poses(two, None)
+    with pytest.raises(ConfigError, match=r"no poses on '/y' in two.db3, it has: /odom, /x"):
+        read_poses(two, "/y")
+    none = made.write_db3(tmp_path / "none.db3", made.lasers(2))
+    with pytest.raises(InputError, match="no poses, expected messages of nav_msgs/Odometry"):
+        read_poses(none, None)
+
+
+@pytest.mark.parametrize(
+    ("ahead", "offset", "name"),
+    [
+        (18.0, 18, r"\+18 s, as UTC and GPS do"),
+        (-18.0, -18, "-18 s, as UTC and GPS do"),
+        (-315_964_782.0, -315964782, "UNIX and GPS time"),
+        (-1_315_964_782.0, -1315964782, "UNIX and adjusted GPS time"),
+        (315_964_782.0, 315964782, "UNIX and GPS time"),
+    ],
+)
+def test_clocks_that_differ_are_named(tmp_path: Path, ahead: float, offset: int, name: str) -> None:
+    rows = poses()
+    rows[:, 0] = np.linspace(1_700_000_000, 1_700_000_010, len(rows))
+    track = load_trajectory(tum(tmp_path / "a.tum", rows), **HEAD)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=rf"differ by {name}: try trajectory_time_offset = {offset}$"):
+        track.positions(np.linspace(1_700_000_001, 1_700_000_009, 5) + ahead)
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path

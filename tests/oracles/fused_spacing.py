@@ -1,0 +1,42 @@
+"""Slow and obvious twin of :mod:`prc_cli.kernels.fused.spacing`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prc_cli.core.thresholds.fused import SpacingThresholds
+from prc_cli.core.types import F32
+
+LAGS = (1, 2, 4, 8, 16)
+
+
+def _sticks_out(ranges: F32, column: int, thresholds: SpacingThresholds) -> bool:
+    """Return whether a shot is near to both neighbours in range, and on no surface with them."""
+    if not 1 <= column < len(ranges) - 1:
+        return False
+    one, own, two = ranges[column - 1 : column + 2]
+    limit = thresholds.tolerance_m + thresholds.tolerance_per_m * own
+    before, after = own - one, two - own
+    if not (abs(before) < thresholds.near_m and abs(after) < thresholds.near_m):
+        return False
+    return bool(abs(before) > limit and abs(after) > limit and abs(after - before) > limit)
+
+
+def leaf_repeats(range_m: F32, first: int, thresholds: SpacingThresholds) -> NDArray[np.int32]:
+    """Count repeated leaves; see :func:`prc_cli.kernels.fused.spacing.leaf_repeats`."""
+    n_lines, m = range_m.shape[0] - 16, range_m.shape[1]
+    counts = np.zeros((n_lines, len(LAGS) + 1, 2), np.int32)
+    for line in range(first, n_lines, 4):
+        ranges = range_m[line + 16]
+        for column in range(m):
+            if not all(_sticks_out(ranges, near, thresholds) for near in range(column - 1, column + 2)):
+                continue
+            own = ranges[column]
+            limit = thresholds.tolerance_m + thresholds.tolerance_per_m * own
+            others = [range_m[line + 16 - lag, column] for lag in LAGS]
+            others.append(ranges[column + 2] if column + 2 < m else np.float32(np.nan))
+            for k, other in enumerate(others):
+                if not np.isnan(other):
+                    counts[line, k] += 1, abs(own - other) < limit
+    return counts
