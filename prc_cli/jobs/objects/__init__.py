@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 from prc_cli.config import LoadedConfig, RunConfig
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.core.files import atomic_output, check_output, remove_stale
+from prc_cli.core.files import atomic_output, check_output, file_state, remove_stale
 from prc_cli.core.findings import Finding, Verdict, accept, doubts, refuse
 from prc_cli.core.stream import LabelledBlock, ScanBlock, ScanStream
 from prc_cli.formats import check_input
@@ -126,7 +126,7 @@ def find_objects(
             check_output(path, overwrite=overwrite, inputs=inputs)
             remove_stale(path)
     loaded = decide(source, loaded)
-    before = source.stat()
+    before = file_state(source)
     with ExitStack() as stack:
         put = None if out is None else stack.enter_context(open_things(out))
         run = _Run(source, loaded, rules_for(loaded.config, kinds))
@@ -136,7 +136,7 @@ def find_objects(
             for call in (put, each):
                 if call is not None:
                     call(thing)
-        check_unchanged(source, before.st_size, before.st_mtime_ns)
+        check_unchanged(source, before)
         summary = run.summary()
         if out is not None:
             beside = stack.enter_context(atomic_output(record_path(out)))
