@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.objects [--seed N] [--streets] [--preset NAME]``
 
-The list holds the trees of the forest, and the parked cars and the posts of the street, as the scene is built of them.
+The list holds the trees of the forest, and the posts and signs of the street, as the scene is built of them.
 One counts as seen where enough of its shots are in the scan, by the simulator's classes. A told object is right where
 one of the list is near to the middle of its registered coordinates; the distance of a stem is to its axis at that
 height, so half its width is part of it.
@@ -33,13 +33,11 @@ from prc_cli.simulation.settings import Kind, load_settings
 from prc_cli.simulation.simulation import open_simulation
 from prc_cli.simulation.world import Material
 
-NEAR_M = {"stem": 0.5, "pole": 0.6, "car": 2.5}
+NEAR_M = {"stem": 0.5, "pole": 0.6}
 """Greatest distance in plan of an object and what it is."""
-LINKED_M = {"pole": 0.5, "car": 0.8}
+LINKED_M = {"pole": 0.5}
 """Bodies this near are of one thing."""
-BODIES = {
-    "pole": (Material.POLE, Material.SIGN), "car": (Material.CAR_BODY, Material.CAR_GLASS, Material.TYRE),
-}  # fmt: skip
+BODIES = {"pole": (Material.POLE, Material.SIGN)}
 SCENES = {"forest": ("mixed", "pine-heath", "dense-spruce"), "street": ("residential", "terraces", "boulevard")}
 LENGTH_M = {"forest": 5.0, "street": 60.0}
 RINGS_M = (5.0, 10.0, 20.0)
@@ -127,7 +125,7 @@ def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.objects", description=__doc__)
     parser.add_argument("--seed", type=int, default=921, help="of the first scene")
-    parser.add_argument("--streets", action="store_true", help="parked cars and posts of streets too")
+    parser.add_argument("--streets", action="store_true", help="posts of streets too")
     parser.add_argument("--preset", help="default: the method is chosen")
     options = parser.parse_args()
     kinds: tuple[Kind, ...] = ("forest", "street") if options.streets else ("forest",)
@@ -152,9 +150,9 @@ def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
     xyz, codes = np.asarray(las.xyz), np.asarray(las.classification)
     with (folder / "way.csv").open(encoding="utf-8") as handle:
         way = np.array([[float(row["x"]), float(row["y"])] for row in csv.DictReader(handle)])
-    lists = [trees(stems)] if kind == "forest" else [built(one, settings) for one in ("car", "pole")]
+    lists = [trees(stems)] if kind == "forest" else [built("pole", settings)]
     for listed in lists:
-        label = {"stem": Label.STEM, "car": Label.CAR, "pole": getattr(Label, "POLE", Label.UNCLASSIFIED)}[listed.kind]
+        label = {"stem": Label.STEM, "pole": Label.POLE}[listed.kind]
         compare(listed, xyz[codes == ClassCodes().code(label)], things, way)
 
 
