@@ -5,8 +5,8 @@ The commands call the functions below. All are loaded on first use, so that ``im
 >>> import prc_cli
 >>> sorted(prc_cli.__all__)
 ['ClassCodes', 'ClassifiedRanges', 'DoubtWarning', 'EvidenceError', 'Label', 'PrcError', 'calibrate', 'classify', \
-'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'load_config', 'open_stream', 'render', 'simulate', \
-'stream', 'thin', 'transfer']
+'classify_ranges', 'convert', 'evaluate', 'evaluate_all', 'find_objects', 'load_config', 'open_stream', 'render', \
+'simulate', 'stream', 'thin', 'transfer']
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from prc_cli.jobs.classify import ClassifiedRanges, classify, classify_ranges, open_stream
     from prc_cli.jobs.convert import convert
     from prc_cli.jobs.evaluate import evaluate, evaluate_all
+    from prc_cli.jobs.objects import find_objects
     from prc_cli.jobs.render import render
     from prc_cli.jobs.simulate import simulate
     from prc_cli.jobs.stream import stream
@@ -42,6 +43,7 @@ __all__ = [
     "convert",
     "evaluate",
     "evaluate_all",
+    "find_objects",
     "load_config",
     "open_stream",
     "render",
@@ -61,6 +63,7 @@ _HOME = {
     "convert": "prc_cli.jobs.convert",
     "evaluate": "prc_cli.jobs.evaluate",
     "evaluate_all": "prc_cli.jobs.evaluate",
+    "find_objects": "prc_cli.jobs.objects",
     "load_config": "prc_cli.config",
     "render": "prc_cli.jobs.render",
     "simulate": "prc_cli.jobs.simulate",

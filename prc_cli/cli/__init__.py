@@ -34,6 +34,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),
     "calibrate": ("prc_cli.cli.calibrate:calibrate", "Measure the sensor and derive the parameters."),
+    "objects": ("prc_cli.cli.objects:objects", "List stems, poles, cars and curbs as they pass."),
     "convert": ("prc_cli.cli.convert:convert", "Write a file in another format, and say what it cannot hold."),
     "transfer": ("prc_cli.cli.transfer:transfer", "Carry classes onto the registered points of the same drive."),
     "thin": ("prc_cli.cli.thin:thin", "Drop noise and thin out chosen classes of a stream."),

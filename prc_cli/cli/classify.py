@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from contextlib import nullcontext
-from functools import partial
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -72,19 +72,29 @@ def classify(
     """
     if segment_ids:
         options["assignments"] = (*options["assignments"], "output.segment_ids=true")
+    loading_s = 0.0
+
+    @contextmanager
+    def loading() -> Iterator[None]:
+        nonlocal loading_s
+        start = time.perf_counter()
+        with compiling_note(quiet=quiet), timed("loading compiled loops"):
+            yield
+        loading_s += time.perf_counter() - start
+
     threads, wants_profile = threads_of(engine, options.pop("threads")), options.pop("profile")
     loaded = config_from(options)
     with profiling() if wants_profile else nullcontext() as profile:
         if source.is_file() and loaded.config.is_decided:  # otherwise refuse it without waiting for the compiler
-            with compiling_note(quiet=quiet), timed("loading compiled loops"):
+            with loading():
                 load_classifier(loaded, engine)
-        start = time.perf_counter()
+        start, loading_s = time.perf_counter(), 0.0
         with line_progress(source.name, quiet=quiet) as progress:
             summary = classify_file(
                 source, output, loaded, overwrite=overwrite, progress=progress, threads=threads, engine=engine,
-                loading=partial(compiling_note, quiet=quiet),
+                loading=loading,
             )  # fmt: skip
-        seconds = time.perf_counter() - start
+        seconds = time.perf_counter() - start - loading_s
     if as_json:
         result = summary.record.as_dict()
         if profile is not None:

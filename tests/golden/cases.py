@@ -17,9 +17,9 @@ TIMES = "--lines time:50 --columns time:4500 -M 90 --set input.time_origin=1000"
 WRITABLE = ("bin", "csv", "csv.gz", "csv.zst", "parquet", "npz", "npy", "las", "laz", "e57", "ply", "pcd")
 COMMANDS = (
     "info", "classify", "batch", "stream", "evaluate", "transfer", "convert", "render", "thin", "simulate", "doctor",
-    "config", "calibrate", "completion", "demo", "batch status", "batch retry", "batch clean", "simulate street",
-    "simulate forest", "simulate street-scan", "simulate scanners", "simulate parameters", "config show",
-    "config check", "config schema",
+    "config", "calibrate", "completion", "demo", "objects", "batch status", "batch retry", "batch clean",
+    "simulate street", "simulate forest", "simulate street-scan", "simulate scanners", "simulate parameters",
+    "config show", "config check", "config schema",
 )  # fmt: skip
 
 

@@ -1,0 +1,160 @@
+"""Objects of ``prc objects`` against the simulator's own list: recall, precision and distance.
+
+``python -m benchmarks.objects [--seed N] [--streets] [--preset NAME]``
+
+The list holds the trees of the forest, and the posts and signs of the street, as the scene is built of them.
+One counts as seen where enough of its shots are in the scan, by the simulator's classes. A told object is right where
+one of the list is near to the middle of its registered coordinates; the distance of a stem is to its axis at that
+height, so half its width is part of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from prc_cli.config import load_config
+from prc_cli.core.classes import ClassCodes, Label
+from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.core.types import F64, Mask
+from prc_cli.jobs.objects import Thing, find_objects
+from prc_cli.jobs.objects.grow import RULES
+from prc_cli.jobs.simulate import Beside, simulate
+from prc_cli.simulation.settings import Kind, load_settings
+from prc_cli.simulation.simulation import open_simulation
+from prc_cli.simulation.world import Material
+
+NEAR_M = {"stem": 0.5, "pole": 0.6}
+"""Greatest distance in plan of an object and what it is."""
+LINKED_M = {"pole": 0.5}
+"""Bodies this near are of one thing."""
+BODIES = {"pole": (Material.POLE, Material.SIGN)}
+SCENES = {"forest": ("mixed", "pine-heath", "dense-spruce"), "street": ("residential", "terraces", "boulevard")}
+LENGTH_M = {"forest": 5.0, "street": 60.0}
+RINGS_M = (5.0, 10.0, 20.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """Things of one kind, as the simulator has them."""
+
+    kind: str
+    base: F64
+    """(n, 3) float64, world coordinates of their foot, or middle [m]."""
+    slope: F64
+    """(n, 2) float64, metres along x and y per metre of height."""
+
+    def offset(self, xyz: F64, index: F64) -> F64:
+        """Return the distance in plan of points from things, each at the height of its point [m]."""
+        at = self.base[index, :2] + self.slope[index] * (xyz[:, 2] - self.base[index, 2])[:, None]
+        found: F64 = np.linalg.norm(xyz[:, :2] - at, axis=1)
+        return found
+
+    def nearest(self, xyz: F64) -> tuple[Any, F64]:
+        """Return the nearest thing of every point, among the four whose feet are nearest, and its distance [m]."""
+        k = min(4, len(self.base))
+        _, near = cKDTree(self.base[:, :2]).query(xyz[:, :2], k=k)
+        near = np.asarray(near).reshape(len(xyz), k)
+        every = np.stack([self.offset(xyz, near[:, i]) for i in range(k)], axis=1)
+        best = np.argmin(every, axis=1)
+        rows = np.arange(len(xyz))
+        return near[rows, best], every[rows, best]
+
+
+def trees(path: Path) -> Listed:
+    """Read the simulator's list of trees."""
+    with path.open(encoding="utf-8") as handle:
+        rows = list(csv.DictReader(handle))
+    base = np.array([[float(row[name]) for name in ("x_m", "y_m", "z_m")] for row in rows])
+    lean, azimuth = (np.deg2rad([float(row[name]) for row in rows]) for name in ("lean_deg", "lean_azimuth_deg"))
+    slope = np.tan(lean)[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
+    return Listed("stem", base, slope)
+
+
+def built(kind: str, settings: Any) -> Listed:
+    """Return the standing things of a street, put together from the bodies of its scene."""
+    scene = open_simulation("street", settings).scene
+    parts = []
+    for s in np.arange(0.0, LENGTH_M["street"], 20.0):
+        place, _ = scene.path_point(np.array([s]))
+        bodies = scene.bodies_near(float(place[0, 0]), float(place[0, 1]), 30.0)
+        chosen = np.isin(bodies.material, BODIES[kind]) & (np.abs(bodies.velocity).sum(axis=1) == 0)
+        parts.append(bodies.numbers[chosen, :3])
+    points = np.unique(np.concatenate(parts), axis=0)
+    pairs = cKDTree(points[:, :2]).sparse_distance_matrix(cKDTree(points[:, :2]), LINKED_M[kind])
+    n, member = connected_components(pairs.tocsr(), directed=False)
+    base = np.array([points[member == i].mean(axis=0) for i in range(n)])
+    return Listed(kind, base, np.zeros((n, 2)))
+
+
+def compare(listed: Listed, shots: F64, things: list[Thing], way: F64) -> None:
+    """Print a row for every ring around the way."""
+    which, off = listed.nearest(shots)
+    n_shots = np.bincount(which[off < NEAR_M[listed.kind]], minlength=len(listed.base))
+    seen = n_shots >= RULES[listed.kind].least_shots
+    told = np.array([[one.x, one.y, one.z] for one in things if one.kind == listed.kind]).reshape(-1, 3)
+    of, distance = listed.nearest(told) if len(told) else (np.empty(0, np.int64), np.empty(0))
+    right = distance < NEAR_M[listed.kind]
+    tree = cKDTree(way)
+    for ring in RINGS_M:
+        inside = tree.query(listed.base[:, :2])[0] < ring
+        near: Mask = (tree.query(told[:, :2])[0] < ring) if len(told) else np.empty(0, np.bool_)
+        found = np.isin(np.arange(len(listed.base)), of[right])
+        n_seen, n_near = int(np.count_nonzero(seen & inside)), int(np.count_nonzero(near))
+        recall = np.count_nonzero(found & seen & inside) / n_seen if n_seen else float("nan")
+        precision = np.count_nonzero(right & near) / n_near if n_near else float("nan")
+        n_found = len(np.unique(of[right & near]))
+        each = np.count_nonzero(right & near) / n_found if n_found else float("nan")
+        middle = float(np.median(distance[right & near])) if n_found else float("nan")
+        print(
+            f"| {listed.kind}, {ring:g} m | {n_seen} | {n_near} | {recall:.2f} | {precision:.2f} | {each:.2f} | "
+            f"{middle:.2f} |",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.objects", description=__doc__)
+    parser.add_argument("--seed", type=int, default=921, help="of the first scene")
+    parser.add_argument("--streets", action="store_true", help="posts of streets too")
+    parser.add_argument("--preset", help="default: the method is chosen")
+    options = parser.parse_args()
+    kinds: tuple[Kind, ...] = ("forest", "street") if options.streets else ("forest",)
+    for kind in kinds:
+        for i, scene in enumerate(SCENES[kind]):
+            given = {"seed": options.seed + i, "scene": {"name": scene}, "length_m": LENGTH_M[kind]}
+            settings = load_settings(kind, options=given)
+            print(f"\n{kind}, {scene}, seed {options.seed + i}\n")
+            print("| within | seen | told | recall | precision | told per thing | distance, median [m] |")
+            print("|---|---:|---:|---:|---:|---:|---:|", flush=True)
+            with tempfile.TemporaryDirectory() as name:
+                _one(kind, settings, Path(name), options.preset)
+
+
+def _one(kind: Kind, settings: Any, folder: Path, preset: str | None) -> None:
+    scan, stems = folder / "scan.laz", folder / "stems.csv"
+    simulate(kind, scan, settings, beside=Beside(folder / "way.csv", stems=stems if kind == "forest" else None))
+    things: list[Thing] = []
+    config = load_config(preset=preset, options={"input": {"accept_doubts": list(CHECK_NAMES)}})
+    find_objects(scan, None, config, each=things.append)
+    las = laspy.read(scan)
+    xyz, codes = np.asarray(las.xyz), np.asarray(las.classification)
+    with (folder / "way.csv").open(encoding="utf-8") as handle:
+        way = np.array([[float(row["x"]), float(row["y"])] for row in csv.DictReader(handle)])
+    lists = [trees(stems)] if kind == "forest" else [built("pole", settings)]
+    for listed in lists:
+        label = {"stem": Label.STEM, "pole": Label.POLE}[listed.kind]
+        compare(listed, xyz[codes == ClassCodes().code(label)], things, way)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""``prc objects`` on the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from prc_cli.jobs.objects.write import COLUMNS
+from tests.classifiers.fused.street_lines import BEAM, street_lines
+from tests.cli.test_commands import Prc
+
+
+@pytest.fixture
+def prc(capsys: pytest.CaptureFixture[str]) -> Prc:
+    return Prc(capsys)
+
+
+@pytest.fixture(scope="module")
+def forest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short walk with its registered coordinates, and the list of its stems."""
+    folder = tmp_path_factory.mktemp("forest")
+    from prc_cli.jobs.simulate import Beside, simulate
+    from prc_cli.simulation.settings import load_settings
+
+    options = {"lines": 200, "sight_m": 25.0, "seed": 930, "scanner": {"points_per_line": 1424}}
+    simulate(
+        "forest", folder / "walk.laz", load_settings("forest", options=options), beside=Beside(stems=folder / "s.csv")
+    )
+    return folder
+
+
+def rows(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(text.splitlines()))
+
+
+def test_stems_are_where_the_simulator_has_them(prc: Prc, forest: Path) -> None:
+    result = prc("objects", forest / "walk.laz", "--preset", "fused-forest", "-o", forest / "o.csv", "--overwrite")
+    assert result.code == 0, result.err
+    assert "stems in 200 lines" in result.err
+    found = rows((forest / "o.csv").read_text())
+    assert list(found[0]) == list(COLUMNS)
+    assert [int(row["id"]) for row in found] == list(range(len(found)))
+    assert {row["kind"] for row in found} == {"stem"}
+    stems = np.array([[float(row["x_m"]), float(row["y_m"])] for row in rows((forest / "s.csv").read_text())])
+    at = np.array([[float(row["x"]), float(row["y"])] for row in found])
+    off = np.linalg.norm(at[:, None] - stems[None], axis=2).min(axis=1)
+    assert np.median(off) < 0.5
+    record = json.loads((forest / "o.csv.prc.json").read_text())
+    assert record["config"]["fused"]["environment"] == "forest"
+
+
+def test_every_form_holds_the_same(prc: Prc, forest: Path) -> None:
+    given = ("objects", forest / "walk.laz", "--preset", "fused-forest", "-q")
+    printed = rows(prc(*given).out)
+    for suffix in (".csv", ".geojson", ".parquet"):
+        assert prc(*given, "-o", forest / f"e{suffix}").code == 0
+    assert rows((forest / "e.csv").read_text()) == printed
+    features = json.loads((forest / "e.geojson").read_text())["features"]
+    assert [one["properties"]["id"] for one in features] == [int(row["id"]) for row in printed]
+    assert features[0]["geometry"]["coordinates"][0] == float(printed[0]["x"])
+    table = pq.read_table(forest / "e.parquet").to_pylist()
+    assert [row["n_shots"] for row in table] == [int(row["n_shots"]) for row in printed]
+    lines = [json.loads(line) for line in prc(*given, "--json").out.splitlines()]
+    assert [line["n_shots"] for line in lines] == [row["n_shots"] for row in table]
+
+
+def test_inputs_without_coordinates_have_none(prc: Prc, tmp_path: Path) -> None:
+    np.savez(tmp_path / "s.npz", range_m=street_lines(150)[0], angle_deg=np.rad2deg(BEAM))
+    given = ("objects", tmp_path / "s.npz", "--preset", "street-scan", "--set", "input.nadir=0", "-q")
+    result = prc(*given, "--kind", "car")
+    assert result.code == 0, result.err
+    cars = rows(result.out)
+    assert cars
+    assert all(row["kind"] == "car" and not row["x"] for row in cars)
+    big = max(cars, key=lambda row: int(row["n_shots"]))
+    assert 1.5 < float(big["side_m"]) < 3.8
+    assert prc(*given, "-o", tmp_path / "o.geojson").code == 0
+    features = json.loads((tmp_path / "o.geojson").read_text())["features"]
+    assert all(one["geometry"] is None for one in features)
+
+
+def test_refusals_are_one_line(prc: Prc, tmp_path: Path) -> None:
+    street_lines(150)[0].tofile(tmp_path / "s.bin")
+    m = ("-M", len(BEAM))
+    for given, words in (
+        ((*m, "--preset", "urban"), "which tells none of: stem, pole, car, curb"),
+        ((*m, "--preset", "fused"), "no vertical direction known"),
+        ((*m, "--preset", "fused", "-o", tmp_path / "o.txt"), "expected one of .csv, .geojson, .parquet"),
+    ):
+        result = prc("objects", tmp_path / "s.bin", *given)
+        assert result.code in (1, 2)
+        assert words in result.err.splitlines()[-1]
+    assert not list(tmp_path.glob("o.*"))
+    (tmp_path / "o.csv").write_text("mine")
+    result = prc("objects", tmp_path / "s.bin", "-o", tmp_path / "o.csv", "--preset", "fused-forest")
+    assert (result.code, "exists already" in result.err) == (2, True)
+    assert (tmp_path / "o.csv").read_text() == "mine"
+
+
+@pytest.mark.data
+def test_a_real_park_has_stems(prc: Prc, real_data: Path) -> None:
+    source = real_data / "forest" / "tls_park.npz"
+    result = prc("objects", source, "--preset", "fused-forest", "-q", "--kind", "stem")
+    assert result.code in (0, 4), result.err
+    assert rows(result.out)
