@@ -101,7 +101,7 @@ def load_compiler() -> None:
 
 UNNEEDED = ("cffi", "coverage", "scipy.linalg", "yaml")
 """What numba looks for when it is loaded and does without: interfaces to C, counts of tests, linear algebra (found
-later where a kernel uses it), and a file of settings in the current folder. They take a fifth of a short run."""
+later where a kernel uses it), and a file of settings in the current folder. They take a good part of a short run."""
 
 
 @contextmanager

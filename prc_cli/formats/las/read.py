@@ -169,10 +169,7 @@ class LasSource:
         self._spares_intensity = True
 
     def check_layers(self) -> None:
-        """Decode every compressed layer, also those that no dimension asks for.
-
-        The layers of the unused dimensions add about a third to the time for decompression.
-        """
+        """Decode every compressed layer, also those that no dimension asks for, in the same pass."""
         self._checks_layers = self.laz_contexts is not None
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
