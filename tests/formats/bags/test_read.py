@@ -129,6 +129,10 @@ def test_a_database_that_is_not_whole(tmp_path: Path) -> None:
     data = path.read_bytes()
     (tmp_path / "a.db3-wal").write_bytes(b"more")
     assert "a.db3-wal holds more messages, which are not read" in read(path)[0].info.facts.notes[0]
+    # SQLite quotes what it does not understand, and Python cannot decode the quotation
+    path.write_bytes(data.replace(b"PRIMARY KEY,name", b"PRIMARY \xccEY,name"))
+    with pytest.raises(InputError, match="the database is damaged"):
+        BagStream(path, InputConfig())
     path.write_bytes(data[:-4096])
     with pytest.raises(InputError, match=f"the database is cut: found {len(data) - 4096} bytes"):
         BagStream(path, InputConfig())
