@@ -119,12 +119,13 @@ def test_a_batch_chooses_for_every_file_and_resumes(prc: Prc, scans: Path) -> No
 
 def test_python_takes_the_same() -> None:
     ranges = street_lines(140)[0]
-    fused = classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM)
-    np.testing.assert_array_equal(classify_ranges(ranges, beam_rad=BEAM), fused)
-    np.testing.assert_array_equal(classify_ranges(ranges), classify_ranges(ranges, load_config(preset="urban")))
+    fused = classify_ranges(ranges, load_config(preset="fused"), beam_rad=BEAM).labels
+    np.testing.assert_array_equal(classify_ranges(ranges, beam_rad=BEAM).labels, fused)
+    urban = classify_ranges(ranges, load_config(preset="urban")).labels
+    np.testing.assert_array_equal(classify_ranges(ranges).labels, urban)
     forest = forest_lines(140)
-    stems = classify_ranges(forest, load_config(preset="fused-forest"), beam_rad=BEAM)
-    np.testing.assert_array_equal(classify_ranges(forest, beam_rad=BEAM), stems)
+    stems = classify_ranges(forest, load_config(preset="fused-forest"), beam_rad=BEAM).labels
+    np.testing.assert_array_equal(classify_ranges(forest, beam_rad=BEAM).labels, stems)
 
 
 def test_tables_and_presets_decide() -> None:
