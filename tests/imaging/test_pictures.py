@@ -74,7 +74,7 @@ def test_labels_have_the_colours_of_the_table() -> None:
 
 
 def test_class_codes_are_no_labels() -> None:
-    with pytest.raises(InputError, match="labels: found numbers from 2 to 64, expected labels from 0 to 10"):
+    with pytest.raises(InputError, match="labels: found numbers from 2 to 64, expected labels from 0 to 11"):
         label_picture(np.array([[2, 64]], dtype=np.uint8))
 
 

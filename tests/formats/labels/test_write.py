@@ -129,7 +129,7 @@ def test_more_labels_than_records(tmp_path: Path) -> None:
 
 
 def test_a_label_that_does_not_exist(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="found label 99, expected 0 to 10"):
+    with pytest.raises(OutputError, match="found label 99, expected 0 to 11"):
         write(tmp_path / "a.npy", SOURCE, [labelled(np.full((1, 8), 99, np.uint8))])
 
 
