@@ -37,6 +37,7 @@ SETTINGS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("steps of the ground", ("fused.rings.step_m=0.14", "fused.rings.gap_slope=0.08")),
     ("tolerance", ("fused.rings.noise_sigmas=2.25", "fused.rings.per_step=0.1")),
     ("walls", ("fused.rings.wall_m=1.5",)),
+    ("flanks of vehicles", ("fused.rings.flanks=true",)),
     ("leaves", ("fused.rings.leaf_share=0.4", "fused.rings.leaf_share_before_walls=0.2")),
 )
 """Settings that give single parameters the value for profilers."""

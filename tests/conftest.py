@@ -12,6 +12,8 @@ from hypothesis import HealthCheck, settings
 # A kernel may be compiled inside an example, and the machine may be slow or busy: nothing is timed.
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", settings.get_profile("repeatable"), derandomize=False, max_examples=2000)
+# tables are as wide as in a pipe, whatever terminal the tests run in
+os.environ.pop("COLUMNS", None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 

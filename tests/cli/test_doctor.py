@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main
+from prc_cli.core.classes import ClassCodes
 from prc_cli.core.errors import OutputError
 from prc_cli.core.types import F32
 from prc_cli.formats.las.check import classes_by_laspy
 from prc_cli.jobs import doctor
+from prc_cli.jobs.classify import ClassifiedRanges
 from prc_cli.jobs.doctor import Check, examine, file_system
 from tests import patience
 
@@ -273,8 +275,8 @@ def test_another_reader_of_las_has_a_say(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_compiled_loops_that_give_other_labels_are_bad(monkeypatch: pytest.MonkeyPatch) -> None:
-    def wrong(range_m: F32, *_: object, engine: str = "compiled", **__: object) -> F32:
-        return np.full_like(range_m, engine == "compiled")
+    def wrong(range_m: F32, *_: object, engine: str = "compiled", **__: object) -> ClassifiedRanges:
+        return ClassifiedRanges(np.full(range_m.shape, engine == "compiled", np.uint8), ClassCodes())
 
     monkeypatch.setattr("prc_cli.jobs.classify.classify_ranges", wrong)
     monkeypatch.setattr(doctor, "COMPARED", {"forest": doctor.COMPARED["forest"]})

@@ -202,7 +202,7 @@ def test_doubts_are_told_and_end_with_exit_code_4() -> None:
         (("--hop", "17"), "hop: found 17, expected 1 to prc.lines_per_block = 16 lines"),
         (("--hop", "2", "--continuous"), "--continuous and --hop 2 contradict each other"),
         (("--scanner", "user_data"), "labels of one scanner leave in the order of its shots"),
-        (("--sort-by-time",), "a pipe cannot be sorted by time"),
+        (("--set", "input.order=sort-time"), "a pipe cannot be sorted by time"),
     ],
 )
 def test_what_makes_no_sense_is_refused_at_once(options: tuple[str, ...], message: str) -> None:

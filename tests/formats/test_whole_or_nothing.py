@@ -121,7 +121,7 @@ def test_refusals_before_any_work(tmp_path: Path, out: Path) -> None:
 def test_below_32_with_low_codes_keeps_the_format(tmp_path: Path, out: Path) -> None:
     source = tmp_path / "in.las"
     make_las(source, 1)
-    codes = ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=23)
+    codes = ClassCodes(stem=19, car=20, curb=21, vertical=22, horizontal=23, pole=24)
     record = write(
         out / "a.las",
         source,

@@ -19,6 +19,7 @@ from collections.abc import Callable, Collection
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -206,7 +207,7 @@ def run(
     skipped = [name for name in chosen if "$DATA" in cases[name] and not data_folder().is_dir()]
     depth = needed(cases, [name for name in chosen if name not in skipped])
     place = folder or Path(tempfile.mkdtemp(prefix="prc-golden-"))
-    os.environ |= {"COLUMNS": "120", "TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
+    told = {"COLUMNS": "120", "TERM": "dumb", "PYTHONWARNINGS": "ignore", "SOURCE_DATE_EPOCH": "0"}
     found: dict[str, Result] = {}
     slow = []
     # the same short names wherever the checkout lies: tables are as wide as the names in them
@@ -214,7 +215,10 @@ def run(
     for name, target in (("data", data_folder()), ("repo", ROOT)):
         (place / name).symlink_to(target.resolve(), target_is_directory=True)
     try:
-        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
+        with (
+            patch.dict(os.environ, told),
+            ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool,
+        ):
             for level in range(max(depth.values(), default=-1) + 1):
                 names = [name for name in depth if depth[name] == level]
                 futures = [pool.submit(run_case, name, cases[name], str(place)) for name in names]

@@ -314,6 +314,7 @@ def _for_rings(params: FusedParams) -> FusedParams:
         "ground": rings.ground(params.ground),
         "smoothness": rings.smoothness(params.smoothness),
         "walls": rings.walls(params.walls),
+        "flanks": rings.flank(params.flanks),
         "leaves": rings.leaves(params.leaves),
     }
     return params.model_copy(update=own)

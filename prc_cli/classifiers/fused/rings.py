@@ -14,7 +14,7 @@ from pydantic import Field
 from prc_cli.classifiers.fused.classes import LeavesParams
 from prc_cli.classifiers.fused.ground import GroundParams
 from prc_cli.classifiers.fused.neighbours import SmoothnessParams
-from prc_cli.classifiers.fused.strips import WallParams
+from prc_cli.classifiers.fused.strips import FlankParams, WallParams
 from prc_cli.core.config import Params
 from prc_cli.core.types import F64
 
@@ -41,6 +41,9 @@ class RingsParams(Params):
         0.0, ge=0, le=10, description="for fused.smoothness.per_step: walls are straight however far rings are apart"
     )
     wall_m: float = Field(0.5, gt=0, le=1000, description="for fused.walls.height_m: the highest ring hardly rises [m]")
+    flanks: bool = Field(
+        False, description="whether surfaces with a gap beneath are vehicles: between rings there is always one"
+    )
     leaf_share: float = Field(
         0.7, ge=0, le=1, description="for fused.leaves.share: with so few shots hedges look smooth"
     )
@@ -58,6 +61,10 @@ class RingsParams(Params):
     def walls(self, params: WallParams) -> WallParams:
         """Return the parameters of walls for rings."""
         return params.model_copy(update={"height_m": self.wall_m})
+
+    def flank(self, params: FlankParams) -> FlankParams:
+        """Return the parameters of vehicles' flanks for rings."""
+        return params.model_copy(update={"enabled": params.enabled and self.flanks})
 
     def leaves(self, params: LeavesParams) -> LeavesParams:
         """Return the parameters of foliage for rings."""

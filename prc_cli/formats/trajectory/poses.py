@@ -165,8 +165,8 @@ def turned(quaternion: F64, arm_m: F64) -> F64:
     A quarter turn to the left:
 
     >>> half = np.sqrt(0.5)
-    >>> turned(np.array([[0.0, 0.0, half, half]]), np.array([1.0, 0.0, 2.0])).round(9)
-    array([[0., 1., 2.]])
+    >>> turned(np.array([[0.0, 0.0, half, half]]), np.array([1.0, 1.0, 2.0])).round(9)
+    array([[-1.,  1.,  2.]])
     """
     axis, w = quaternion[:, :3], quaternion[:, 3:]
     twice = 2.0 * np.cross(axis, arm_m)

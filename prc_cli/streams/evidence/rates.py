@@ -76,7 +76,7 @@ def measure_rates(time_s: F64, height: F64 | None = None) -> TimedScan | None:
 
     >>> shot = np.arange(100 * 50)
     >>> found = measure_rates(shot[shot % 100 < 60] / 5000.0)
-    >>> round(found.shot_hz, 3), round(found.line_hz, 4), found.points_per_line
+    >>> round(found.shot_hz, 3), round(found.line_hz, 2), found.points_per_line
     (5000.0, 50.0, 100)
     """
     use = np.isfinite(time_s)
