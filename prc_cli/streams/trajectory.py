@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64, I64
-from prc_cli.formats.bags.containers import SUFFIXES as BAGS
+from prc_cli.formats.bags import SUFFIXES as BAGS
 from prc_cli.formats.trajectory.poses import is_tum, read_poses, read_tum, turned
 from prc_cli.formats.trajectory.sbet import project, read_sbet
 from prc_cli.formats.trajectory.text import read_text

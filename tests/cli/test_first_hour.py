@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -98,3 +100,13 @@ def test_help_stands_in_sections(prc: Prc) -> None:
         assert places[section] < text.index(f"{option} ", places[section]) < after
     assert "\nOptions:\n" not in text
     assert "\nOptions:\n" in prc("evaluate", "--help").out
+
+
+def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
+    """Each costs memory and time in every run."""
+    code = (
+        "import sys, prc_cli.cli.classify; "
+        "print({'pyarrow', 'sqlite3', 'laspy', 'pye57', 'skimage', 'dask'} & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert found.stdout == "set()\n"

@@ -25,7 +25,6 @@ MAX_RATIO = 1030
 """Most bytes that a packed byte may become, beyond :data:`SPARE_BYTES`."""
 SPARE_BYTES = 1 << 20
 _PIECE = 1 << 20
-SUFFIXES = (".bag", ".db3", ".mcap")
 _BAG_MAGIC, _MCAP_MAGIC = b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 MAX_TOPICS = 10_000

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.types import F64
-from prc_cli.formats.bags.containers import BagEnd, Message, read_messages
 from prc_cli.formats.bags.cursor import Cursor, ShortMessageError
+
+if TYPE_CHECKING:
+    from prc_cli.formats.bags.containers import Message
 
 ODOMETRY = "nav_msgs/Odometry"
 KINDS = (ODOMETRY, "geometry_msgs/PoseStamped", "geometry_msgs/PoseWithCovarianceStamped")
@@ -111,6 +114,8 @@ def read_poses(path: Path, topic: str | None) -> tuple[F64, F64, F64]:
     ConfigError
         When it has several topics with poses and none is named, or not the one that is.
     """
+    from prc_cli.formats.bags.containers import BagEnd, read_messages
+
     end, names = BagEnd(), set()
     rows: list[list[float]] = []
     for message in read_messages(path, end, lambda one: one.kind in KINDS and topic in (None, one.name)):
