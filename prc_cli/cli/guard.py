@@ -69,8 +69,8 @@ def begin(arguments: list[str], commands: frozenset[str]) -> None:
         _keep_for_parent(printed, notes)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         return
-    code = _exit_code(_wait(child, passed), arguments, printed, notes)
-    os._exit(code)
+    status, sent = _wait(child, passed)
+    os._exit(_exit_code(status, sent, arguments, printed, notes))
 
 
 def _end_with(parent: int) -> None:
@@ -98,25 +98,27 @@ def _keep_for_parent(printed: int, notes: int) -> None:
     sys.stderr = io.TextIOWrapper(raw, sys.stderr.encoding, "backslashreplace", write_through=True)
 
 
-def _wait(child: int, passed: set[signal.Signals]) -> int:
-    """Wait for the end of the child and pass signals on; return its status.
+def _wait(child: int, passed: set[signal.Signals]) -> tuple[int, set[int]]:
+    """Wait for the end of the child and pass signals on; return its status, and the signals that it was sent.
 
     A signal from the terminal reaches the child by itself, one that a process sent to this one alone does not. The
     child takes two of a kind within a moment for one.
     """
+    sent: set[int] = set()
     while True:
         found = signal.sigwaitinfo({*passed, signal.SIGCHLD})
         if found.si_signo != signal.SIGCHLD:
             if found.si_code <= 0:
+                sent.add(found.si_signo)
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(child, found.si_signo)
             continue
         ended, status = os.waitpid(child, os.WNOHANG)
         if ended:
-            return status
+            return status, sent
 
 
-def _exit_code(status: int, arguments: list[str], printed: int, notes: int) -> int:
+def _exit_code(status: int, sent: set[int], arguments: list[str], printed: int, notes: int) -> int:
     """Return the exit code for the status of the child; tell of a crash and clean up after it."""
     said = _read(printed)
     if "--debug" in arguments and said:
@@ -126,6 +128,8 @@ def _exit_code(status: int, arguments: list[str], printed: int, notes: int) -> i
     number = os.WTERMSIG(status)
     _remove_temporaries(_read(notes))
     name = _name(number)
+    if number in sent:  # it met the signal when it had already ended its work for the same one
+        return 128 + number
     if name not in _CRASHES:  # somebody ended it so: end in the same way
         signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {number})

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import struct
+from importlib.metadata import version
 
 import lazrs
+import pytest
 
 from tests.fuzz.seeds import seed
 
@@ -82,7 +84,12 @@ def switches(n: int) -> bytes:
 
 
 def overflowing(n: int = 200_000, name: str = "pf6.laz") -> bytes:
-    """Return a LAZ file whose times overflow the stack of lazrs 0.8 (it dies between 20,000 and 40,000 symbols)."""
+    """Return a LAZ file whose times overflow the stack of lazrs 0.8 (it dies between 20,000 and 40,000 symbols).
+
+    Skips the test where an older lazrs is installed: it counts the bytes first.
+    """
+    if int(version("lazrs").split(".")[1]) < 8:
+        pytest.skip("this version of lazrs refuses the file: it counts the bytes first")
     sound = seed(name)
     start, length = struct.unpack_from("<I", sound, 96)[0], struct.unpack_from("<H", sound, 105)[0]
     (table_at,) = struct.unpack_from("<q", sound, start)

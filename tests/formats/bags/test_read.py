@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from rosbags.highlevel import AnyReader
 
 from prc_cli.cli import cli
@@ -23,6 +22,7 @@ from prc_cli.formats.bags.containers import BagEnd, read_messages
 from prc_cli.formats.bags.read import BagStream
 from prc_cli.formats.options import InputConfig
 from tests.formats.bags import recordings as made
+from tests.runner import runner
 
 WRITERS: dict[str, Callable[[Path], Path]] = {
     "plain.bag": lambda path: made.write_bag(path, made.lasers(1)),
@@ -95,7 +95,7 @@ def test_echoes_are_returns(tmp_path: Path) -> None:
     (first,) = read(path, **{"return": "first"})[1]
     assert first.range_m[0, 0] == 3
     output = tmp_path / "echoes.csv"
-    result = CliRunner().invoke(cli, ["convert", str(path), str(output)])
+    result = runner().invoke(cli, ["convert", str(path), str(output)])
     assert result.exit_code == 0, result.output + result.stderr
     rows = [row.split(",") for row in output.read_text().split("\n")]
     number = rows[0].index("return_number")
@@ -120,7 +120,7 @@ def test_a_bag_that_ends_in_the_middle_is_read_up_to_there(tmp_path: Path, name:
     assert 1 < block.n_lines < made.N_LINES
     np.testing.assert_array_equal(block.range_m, join(read(whole)[1]).range_m[: block.n_lines])
     assert "ends in the middle of a record" in stream.info.facts.notes[0]
-    told = CliRunner().invoke(cli, ["classify", str(cut), str(tmp_path / "o.npy"), "--preset", "urban"])
+    told = runner().invoke(cli, ["classify", str(cut), str(tmp_path / "o.npy"), "--preset", "urban"])
     assert "it was read up to there" in " ".join((told.output + told.stderr).split())
 
 
@@ -142,7 +142,7 @@ def test_a_bag_without_scans_names_its_topics(tmp_path: Path) -> None:
     path = made.write_mcap(tmp_path / "talk.mcap", made.strings(2))
     with pytest.raises(InputError, match=r"no topic with scans.*it has: /talk \(std_msgs/String\)"):
         BagStream(path, InputConfig())
-    result = CliRunner().invoke(cli, ["info", str(path)])
+    result = runner().invoke(cli, ["info", str(path)])
     assert result.exit_code == 1
     assert "/talk (std_msgs/String)" in result.output + result.stderr
 
@@ -226,13 +226,13 @@ def test_the_laser_sample_is_what_rosbags_reads(real_data: Path, tmp_path: Path)
     steps = np.array([scan.time_increment for scan in scans])
     np.testing.assert_allclose(block.time_s, stamps[:, None] + steps[:, None] * np.arange(541), atol=5e-7)
     assert float(np.mean(~inside)) == pytest.approx(0.129, abs=1e-3)
-    told = CliRunner().invoke(cli, ["info", "--json", str(path), "--method", "fused"])
+    told = runner().invoke(cli, ["info", "--json", str(path), "--method", "fused"])
     found = json.loads(told.output)
     assert found["classifiable"] is True
     assert found["header"]["topic /sick_lms_1xx/scan"].startswith("sensor_msgs/LaserScan, 89 messages in 1.764 s")
     assert counts["/sick_lms_1xx/scan"] == 89
     output = tmp_path / "labels.npy"
-    result = CliRunner().invoke(cli, ["classify", str(path), str(output), "--method", "fused"])
+    result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused"])
     assert result.exit_code == 0, result.output
     assert len(np.load(output)) == 89 * 541
 
@@ -281,7 +281,7 @@ def test_packets_of_the_samples_are_decoded_cell_by_cell(real_data: Path, tmp_pa
     np.testing.assert_allclose(elevation[has], level[has], atol=0.01)
     assert stream.info.facts.notes == ()
     output = tmp_path / "labels.npy"
-    result = CliRunner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
+    result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
     assert result.exit_code in (0, 4), result.output
 
 

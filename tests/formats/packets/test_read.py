@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import velodyne_decoder
-from click.testing import CliRunner
 
 from prc_cli.cli import cli
 from prc_cli.core.blocks import join
@@ -20,6 +19,7 @@ from prc_cli.formats.options import InputConfig
 from prc_cli.formats.packets import columns as columns_module
 from prc_cli.formats.packets.read import PacketStream
 from tests.formats.packets import captures as made
+from tests.runner import runner
 
 
 def read(path: Path, **changes: Any) -> tuple[PacketStream, ScanBlock]:
@@ -117,7 +117,7 @@ def test_lost_packets_are_missing_lines_and_said(tmp_path: Path) -> None:
     np.testing.assert_array_equal(block.range_m[kept], whole.range_m[kept])
     lost = "10.0.0.7:2368: 96 columns did not arrive (20.00%): they are lines of missing shots"
     assert stream.info.facts.notes == (lost,)
-    result = CliRunner().invoke(cli, ["info", str(tmp_path / "b.pcap")])
+    result = runner().invoke(cli, ["info", str(tmp_path / "b.pcap")])
     assert "96 columns did not arrive" in " ".join(result.output.split())
     late = [*frames[:5], frames[6], frames[5], *frames[7:]]
     _, swapped = read(made.write_pcap(tmp_path / "c.pcap", late))
@@ -180,7 +180,7 @@ def test_ouster_columns_are_destaggered_in_angle_not_in_time(tmp_path: Path, pro
     azimuth = np.rad2deg(np.unwrap(np.arctan2(block.xyz_m[4:238, :, 1], block.xyz_m[4:238, :, 0]), axis=1))
     assert np.ptp(azimuth, axis=1).max() < 0.2
     assert len(block.extra) == (480 if profile.endswith("DUAL") else 0)
-    result = CliRunner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"])
+    result = runner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--preset", "urban"])
     assert result.exit_code in (0, 4), result.output
     assert stream.info.facts.has_line_times
 
@@ -230,7 +230,7 @@ def test_what_cannot_be_read_is_said_in_one_line(tmp_path: Path) -> None:
         ((), "needs its metadata|need its metadata: give --metadata FILE.json"),
         (("--metadata", str(tmp_path / "no.json")), "cannot be read as JSON"),
     ):
-        result = CliRunner().invoke(cli, ["info", str(path), *words])
+        result = runner().invoke(cli, ["info", str(path), *words])
         assert result.exit_code == 1
         assert any(one in result.stderr for one in expected.split("|"))
     for changes, expected in (
@@ -293,7 +293,7 @@ def test_velodyne_samples_are_what_velodyne_decoder_reads(
         np.testing.assert_array_equal(block.intensity[mine, ring], points[of, 3])
         assert np.ptp(block.time_s[mine, ring] - device[of]) < 2e-6
     output = tmp_path / "labels.npy"
-    result = CliRunner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
+    result = runner().invoke(cli, ["classify", str(path), str(output), "--method", "fused", "-q"])
     assert result.exit_code in (0, 4), result.output
     assert len(np.load(output)) == n_lines * m
 
@@ -342,8 +342,8 @@ def test_the_ouster_sample_is_decoded_cell_by_cell(real_data: Path, tmp_path: Pa
     azimuth = np.arctan2(block.xyz_m[..., 1], block.xyz_m[..., 0])
     spread = np.abs(np.angle(np.exp(1j * (azimuth - azimuth[:, 64:65]))))
     assert np.nanpercentile(np.rad2deg(spread), 99) < 0.6
-    result = CliRunner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--method", "fused", "-q"])
+    result = runner().invoke(cli, ["classify", str(path), str(tmp_path / "o.npy"), "--method", "fused", "-q"])
     assert result.exit_code in (0, 4), result.output
-    told = CliRunner().invoke(cli, ["info", str(path), "--json", "--method", "fused"])
+    told = runner().invoke(cli, ["info", str(path), "--json", "--method", "fused"])
     assert json.loads(told.output)["classifiable"] is True
     assert stream.info.points_per_line == 128

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 from prc_cli.cli import cli
@@ -16,6 +15,7 @@ from prc_cli.formats.trajectory.poses import is_tum, read_poses, read_tum, turne
 from prc_cli.streams.trajectory import load_trajectory
 from tests.formats.bags import recordings as made
 from tests.fuzz.seeds import seed
+from tests.runner import runner
 
 HEAD = {"crs": None, "source_crs_wkt": None, "time_offset": 0.0}
 
@@ -103,7 +103,7 @@ def test_ranges_through_the_command_line_are_those_of_a_csv(tmp_path: Path) -> N
     ):
         output = tmp_path / f"{name.name}.npz"
         words = ["convert", str(points), str(output), "--range", f"trajectory:{name}", "--trust-order", *more]
-        result = CliRunner().invoke(cli, [*words, "--lines", "time:50", "--columns", "time:1200", "-M", "24"])
+        result = runner().invoke(cli, [*words, "--lines", "time:50", "--columns", "time:1200", "-M", "24"])
         assert result.exit_code in (0, 4), result.output + result.stderr
         with np.load(output) as arrays:
             found.append(arrays["range_m"])
