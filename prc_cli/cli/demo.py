@@ -16,8 +16,15 @@ from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.demo import PARTS, run_demo
 from prc_cli.simulation.drive import load_simulator
 
-TITLES = {"drive": "default", "published": "prc", "static": "sequential-angle", "walk": "prc forest"}
+TITLES = {"drive": "default", "published": "prc", "static": "sequential-angle", "walk": "default, forest"}
 """Titles of the parts."""
+
+OPEN = {
+    "open the picture (ranges, classes, the simulator's classes)": "street.png",
+    "the classified cloud": "street.laz",
+    "how well it is classified": "evaluation.md",
+}
+"""What to look at first."""
 
 
 @click.command()
@@ -40,8 +47,8 @@ TITLES = {"drive": "default", "published": "prc", "static": "sequential-angle", 
 def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool, quiet: bool) -> None:
     """Simulate a drive, a static scan and a walk in a forest; classify, evaluate and draw them.
 
-    The drive is classified without a preset, and with the preset urban as well; the presets of the other two are
-    street-scan and forest.
+    The drive and the walk are classified without a preset, the drive with the preset urban as well, and the static
+    scan with the preset street-scan.
 
     \b
     Example: prc demo --output /tmp/prc-demo
@@ -66,3 +73,6 @@ def demo(output: Path, lines: int, seed: int, overwrite: bool, json_wanted: bool
             print_evaluation(part.matrix, scores(part.matrix))
     for path in result.files:
         console().print(f"{path} ({path.stat().st_size:,} bytes)", soft_wrap=True)
+    for what, name in OPEN.items():
+        console().print(f"{what}: {output / name}", markup=False, soft_wrap=True)
+    console().print("your own file: prc info FILE ends with the command to type", markup=False, soft_wrap=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
 from prc_cli.cli.sections import Sectioned
@@ -22,6 +23,7 @@ from prc_cli.evaluation.reports import as_csv, as_json, as_markdown
 from prc_cli.evaluation.result import Evaluation
 from prc_cli.evaluation.scores import scores
 from prc_cli.jobs.evaluate import evaluate_all
+from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.evaluate.pictures import class_pictures
 from prc_cli.matching.pairs import files_of
@@ -36,10 +38,9 @@ Pictures = Sequence[tuple[str, bytes]]
 _OPTIONS = [
     click.option(
         "--mapping",
-        default="prc",
-        show_default=True,
         metavar="NAME|FILE.toml",
-        help="Which codes mean which class: a preset (prc, oakland, ...) or a file.",
+        help="Which codes mean which class: a preset (prc, street, street_scan, oakland, ...) or a file.  "
+        "[default: that of the method in the run record beside PREDICTED, else prc]",
     ),
     click.option("--predicted-dimension", metavar="NAME", help="Column or dimension with the predicted codes."),
     click.option("--reference-dimension", metavar="NAME", help="Column or dimension with the reference codes."),
@@ -176,15 +177,16 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
         message = f"--json and --format {options['form']} contradict each other"
         raise click.UsageError(message)
     form = "json" if options["as_json_flag"] else options["form"] or "table"
-    mapping = load_mapping(options["mapping"])
-    demanded = [parse_gate(text, mapping) for text in options["gates"]]
     how = _how(options)
     left, right = zip((predicted, reference), *options["pairs"], strict=True)
+    name, why = (options["mapping"], "") if options["mapping"] else mapping_of_runs(files_of(left))
+    mapping = load_mapping(name)
+    demanded = [parse_gate(text, mapping) for text in options["gates"]]
     if options["outputs"]:
         _check_outputs(options["outputs"], overwrite=options["overwrite"], inputs=tuple(files_of((*left, *right))))
     page_wanted = form == "html" or any(path.suffix.lower() == ".html" for path in options["outputs"])
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
-    found = evaluate_all(left, right, options["mapping"], options=how)
+    found = evaluate_all(left, right, name, options=how)
     gates = check_gates(scores(found.matrix), demanded)
     if how.match == "order" and page_wanted:
         dimensions = how.predicted_dimension, how.reference_dimension
@@ -204,6 +206,8 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     elif not options["quiet"]:
         print_evaluation(found.matrix, scores(found.matrix), found.intervals)
         print_evaluation_details(found, gates)
+    if why and not options["quiet"]:
+        console().print(f"mapping: {name} ({why}); --mapping names another", markup=False, soft_wrap=True)
     refuse_failed(gates)
 
 

@@ -12,9 +12,7 @@ SECTIONS: dict[str, frozenset[str]] = {
             "max_range", "accept_doubts", "trust_order", "sort_by_time", "deep",
         }
     ),
-    "Output": frozenset(
-        {"output", "outputs", "overwrite", "segment_ids", "confidence", "labels", "min_confidence", "draft"}
-    ),
+    "Output": frozenset({"output", "outputs", "overwrite", "segment_ids", "labels", "draft"}),
     "Run": frozenset({"threads", "profile", "as_json", "quiet", "verbose"}),
 }  # fmt: skip
 """Parameters by section; others stand under "Options", before all sections."""

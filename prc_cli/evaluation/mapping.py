@@ -137,8 +137,27 @@ class ClassMapping(Params):
         shown = ", ".join(str(code) for code in distinct[:8]) + (", ..." if distinct.size > 8 else "")
         problem = f"found {unlisted.size} records with codes that the class mapping does not list: {shown}"
         hint = f'list them under [{side}], under ignore, or set unlisted = "other"'
+        fitting = self._fitting(np.unique(codes), side)
+        if fitting:
+            hint = f"a mapping that lists them: {' or '.join(fitting)} (--mapping NAME); or {hint}"
         where = f"{side} codes"
         raise InputError(where, problem, hint)
+
+    def _fitting(self, codes: NDArray[np.integer], side: Side) -> list[str]:
+        """Names of the presets that list these codes, and on the other side what this one does; likest first."""
+        other: Side = "reference" if side == "predicted" else "predicted"
+        spans = np.array([span[:2] for span in self._spans(other)], dtype=np.int64)
+        # the ends of a range stand for it
+        kept = spans[spans[:, 1] < _TABLE_SIZE].ravel()
+        known = codes[codes.astype(np.int64) != NO_CODE].astype(np.int64)
+        found = []
+        for name in preset_names():
+            preset = load_mapping(name)
+            if (preset._search(known, side) != _UNLISTED).all() and (preset._search(kept, other) != _UNLISTED).all():
+                shared = len({*preset.names(side)} & {*self.names(side)})
+                width = sum(high - low for low, high, _ in (*preset._spans(side), *preset._spans(other)))
+                found.append((-shared, width, name))
+        return [name for *_, name in sorted(found)]
 
     @cached_property
     def _tables(self) -> dict[Side, I64]:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from prc_cli.cli import main, report
+from prc_cli.jobs.demo import DemoResult
 from tests import patience
 from tests.patience import HANGS_S, wait_until
 from tests.street import N_LINES, POINTS_PER_LINE, street, write_csv, write_endless, write_npz, write_raw
@@ -220,14 +221,13 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--output", folder, "--lines", "200", "--json", "--quiet")
     assert result.code == 0, result.err
     found = json.loads(result.out)
-    # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; .29 and .39, for ground is a strip there and stems
-    # far away are lost
-    assert list(found) == ["default", "prc", "sequential-angle", "prc forest"]
+    # found: .89, .996, .88 and .95; .98 and .58; .99, .86 and .38; with seed 1 .88, .90 and .91 in the forest
+    assert list(found) == ["default", "prc", "sequential-angle", "default, forest"]
     floors = {
         "prc": {"ground": 0.9, "building": 0.2},
         "default": {"noise": 0.7, "ground": 0.95, "building": 0.85, "vegetation": 0.6},
         "sequential-angle": {"horizontal": 0.9, "vertical": 0.75, "car": 0.25},
-        "prc forest": {"ground": 0.2, "stem": 0.25},
+        "default, forest": {"ground": 0.8, "vegetation": 0.8, "stem": 0.85},
     }
     for method, least in floors.items():
         for name, recall in least.items():
@@ -243,6 +243,16 @@ def test_demo_makes_every_file(prc: Prc, tmp_path: Path) -> None:
     result = prc("demo", "--output", folder)
     assert result.code == 2
     assert "holds files already" in result.err
+
+
+def test_demo_ends_with_what_to_open(prc: Prc, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prc_cli.cli.demo.run_demo", lambda folder, **_: DemoResult({}, (folder / "street.png",)))
+    folder = tmp_path / "demo"
+    folder.mkdir()
+    (folder / "street.png").touch()
+    lines = prc("demo", "--output", folder).err.splitlines()
+    assert lines[-4].endswith(f": {folder / 'street.png'}")
+    assert lines[-1] == "your own file: prc info FILE ends with the command to type"
 
 
 def test_unknown_commands_and_options_are_usage_errors(prc: Prc) -> None:

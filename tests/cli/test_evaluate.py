@@ -200,3 +200,47 @@ def test_undefined_figures_are_told_in_words(prc: Prc, tmp_path: Path) -> None:
     assert "recall.building: found undefined (no such records), demanded at least 0.5" in err
     assert "(-)" in out
     assert "nan" not in out + err
+
+
+def record(path: Path, method: str, **tables: object) -> None:
+    """Put the run record of a method beside a predicted file."""
+    made = {"program": "prc-cli", "config": {"method": method, **tables}}
+    path.with_name(f"{path.name}.prc.json").write_text(json.dumps(made))
+
+
+@pytest.mark.parametrize(
+    ("method", "tables", "mapping"),
+    [
+        ("fused", {"fused": {"environment": "urban"}}, "street"),
+        ("fused", {"fused": {"environment": "forest"}}, "prc"),
+        ("sequential-angle", {}, "street_scan"),
+        ("prc", {}, "prc"),
+        ("fused", {"fused": 3}, "prc"),
+        (["fused"], {}, "prc"),
+    ],
+)
+def test_the_run_record_beside_the_predicted_file_names_the_mapping(
+    prc: Prc, tmp_path: Path, method: str, tables: dict[str, object], mapping: str
+) -> None:
+    paths = save(tmp_path, "a", [2, 2, 65, 66, 5, 0], [2, 2, 65, 5, 5, 0])
+    record(paths[0], method, **tables)
+    code, out, err = prc(*paths, "--json")
+    assert (code, json.loads(out)["mapping"]) == (0, mapping)
+    said = f"mapping: {mapping} (the run record says {method}); --mapping names another\n"
+    assert err == ("" if mapping == "prc" else said)
+    code, out, err = prc(*paths, "--json", "--mapping", "prc")
+    assert (code, json.loads(out)["mapping"], err) == (0, "prc", "")
+    assert prc(*paths, "-q") == (0, "", "")
+
+
+def test_files_of_different_methods_are_compared_in_the_classes_of_prc(prc: Prc, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        save(tmp_path, name, [2, 2, 65, 66], [2, 2, 65, 5])
+        record(tmp_path / "run" / f"{name}.npy", "fused", fused={"environment": "urban"})
+    found = prc(tmp_path / "run", tmp_path / "reference", "--json")
+    assert json.loads(found[1])["mapping"] == "street"
+    record(tmp_path / "run" / "b.npy", "prc")
+    found = prc(tmp_path / "run", tmp_path / "reference", "--json")
+    assert (json.loads(found[1])["mapping"], found[2]) == ("prc", "")
+    (tmp_path / "run" / "b.npy.prc.json").write_text("[" * 100_000)
+    assert json.loads(prc(tmp_path / "run", tmp_path / "reference", "--json")[1])["mapping"] == "prc"

@@ -9,7 +9,7 @@ import pytest
 from prc_cli.core.classes import ClassCodes, Label
 from prc_cli.core.config import build
 from prc_cli.core.errors import ConfigError, InputError
-from prc_cli.evaluation.mapping import ClassMapping, load_mapping, preset_names
+from prc_cli.evaluation.mapping import ClassMapping, Side, load_mapping, preset_names
 
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_configs" / "classes"
 STREET_SCAN = ("street_scan", "street_scan_kitti", "street_scan_oakland")
@@ -120,6 +120,20 @@ def test_unlisted_codes_are_refused_with_codes_and_count() -> None:
     assert str(caught.value).startswith("reference codes: found 3 records with codes that the class mapping does not")
     assert "5, 9" in str(caught.value)
     assert 'unlisted = "other"' in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("name", "codes", "side", "fits"),
+    [
+        ("prc", [2, 67, 68], "predicted", "sequential_angle or asprs or street_scan"),
+        ("prc", [1001, 1203], "reference", "street_oakland or oakland or street_scan_oakland"),
+        ("street", [1001, 1203], "reference", "street_oakland or street_scan_oakland"),
+    ],
+)
+def test_a_refusal_names_the_presets_that_list_the_codes(name: str, codes: list[int], side: Side, fits: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_mapping(name).class_indices(np.array(codes), side)
+    assert caught.value.hint.startswith(f"a mapping that lists them: {fits} (--mapping NAME); or list them under")
 
 
 def test_unlisted_negative_and_huge_codes_are_refused() -> None:

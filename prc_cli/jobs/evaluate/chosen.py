@@ -1,0 +1,54 @@
+"""The class mapping that fits predicted files, by the run records beside them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from prc_cli.core.files import read_small
+from prc_cli.formats.writing.record import PROGRAM, record_path
+
+DEFAULT_MAPPING = "prc"
+"""Where no run record says otherwise."""
+
+MAPPINGS = {"sequential-angle": "street_scan", "fused": "street"}
+"""Preset by method; forests have the classes of PRC, whatever the method."""
+
+_MAX_RECORD = 1 << 24
+"""Largest run record that is read [bytes]."""
+
+
+def mapping_of_runs(predicted: Sequence[Path]) -> tuple[str, str]:
+    """Choose the preset that has the classes of the method that wrote the predicted files.
+
+    Parameters
+    ----------
+    predicted : sequence of path
+        The files, no folders.
+
+    Returns
+    -------
+    str
+        Name of the preset; :data:`DEFAULT_MAPPING` unless every file has a record, and all ask for one mapping.
+    str
+        Why, a sentence; empty for :data:`DEFAULT_MAPPING`.
+    """
+    asked = {_asked_by(path) for path in predicted}
+    if len(asked) != 1:
+        return DEFAULT_MAPPING, ""
+    name, method = asked.pop()
+    return (name, "") if name == DEFAULT_MAPPING else (name, f"the run record says {method}")
+
+
+def _asked_by(path: Path) -> tuple[str, str]:
+    """Return the preset for one file and its method; a record that is missing or damaged asks for nothing."""
+    try:
+        record = json.loads(read_small(record_path(path), _MAX_RECORD))
+        config = record["config"]
+        method = config["method"]
+        forest = method == "fused" and config["fused"]["environment"] == "forest"
+        name = DEFAULT_MAPPING if forest or record["program"] != PROGRAM else MAPPINGS.get(method, DEFAULT_MAPPING)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return DEFAULT_MAPPING, ""
+    return (DEFAULT_MAPPING, "") if name == DEFAULT_MAPPING else (name, method)
