@@ -54,6 +54,8 @@ def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> Non
     ]  # fmt: skip
     assert found["input"]["points_per_line"] == M
     np.testing.assert_allclose(ranges_read(path), image(), atol=1e-3)
+    assert run("info", path, "--draft", path.with_name("draft.toml"), "-q") == 2
+    assert run("info", path, "--draft", path.with_name("draft.toml"), "-q", "--overwrite") == 0
 
 
 def test_a_dump_of_ranges_alone(tmp_path: Path) -> None:
