@@ -36,9 +36,11 @@ from prc_cli.jobs.info import Inspection, inspect
     metavar="FILE.toml",
     help="Write a layout that reads FILE, from its header, its first records or the period of its bytes.",
 )
+@click.option("--overwrite", is_flag=True, help="Replace an existing draft.")
 @output_options
 def info(
-    files: tuple[Path, ...], deep: bool, draft: Path | None, as_json: bool, quiet: bool, verbose: bool, **options: Any,
+    files: tuple[Path, ...], deep: bool, draft: Path | None, overwrite: bool, as_json: bool, quiet: bool,
+    verbose: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Say what FILE holds, what would be taken for granted, and whether it can be classified.
 
@@ -49,7 +51,7 @@ def info(
     """
     loaded = config_from(options)
     if draft is not None:
-        loaded = _drafted(files, draft, loaded)
+        loaded = _drafted(files, draft, loaded, overwrite=overwrite)
         options = {**options, "config_file": draft}
     found: list[dict[str, Any]] = []
     code = 0
@@ -71,12 +73,12 @@ def info(
         raise SystemExit(code)
 
 
-def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig) -> LoadedConfig:
+def _drafted(files: tuple[Path, ...], output: Path, loaded: LoadedConfig, *, overwrite: bool) -> LoadedConfig:
     """Write the draft of one file; return the configuration with it."""
     if len(files) != 1 or loaded.files:
         message = "--draft takes one file, and no --config or --layout"
         raise click.UsageError(message)
-    write_draft(files[0], output, loaded)
+    write_draft(files[0], output, loaded, overwrite=overwrite)
     return load_config(output)
 
 

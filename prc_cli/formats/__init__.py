@@ -124,6 +124,10 @@ IMAGE_READERS: dict[str, Callable[[Path, InputConfig, int], ScanStream]] = {
 LAS_SUFFIXES = (".las", ".laz")
 
 
+_BAG_PARTS = (".db3", ".mcap")
+"""Files of a ROS 2 bag, which is a folder."""
+
+
 def check_input(path: Path) -> str:
     """Return the suffix of a readable input file.
 
@@ -135,17 +139,13 @@ def check_input(path: Path) -> str:
     known = (*READERS, *IMAGE_READERS)
     suffix = suffix_of(path)
     if path.is_dir():
-        from prc_cli.formats.echopulse.read import count_file
-
-        counts = count_file(path)
-        hint = "name the files in it" if counts is None else f"name the file that counts its returns: {counts}"
-        raise InputError(str(path), "is a folder, expected a file", hint)
+        raise InputError(str(path), "is a folder, expected a file", _file_of_folder(path, known))
     if path.exists() and not path.is_file():
         problem = "not a regular file, expected an archive file (it is read more than once)"
         raise InputError(str(path), problem, "write the stream to a file first")
     if suffix not in known:
         found = f"unknown suffix {suffix!r}" if suffix else "no suffix"
-        raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", "rename the file or convert it")
+        raise InputError(str(path), f"{found}, expected one of: {' '.join(known)}", _not_a_scan(path))
     if not path.exists():
         raise InputError(str(path), "no such file", "check the name and that the disk is mounted")
     try:
@@ -156,6 +156,44 @@ def check_input(path: Path) -> str:
     if empty:
         raise InputError(str(path), "the file is empty (0 bytes), expected scan data", "copy it from the archive again")
     return suffix
+
+
+def _file_of_folder(path: Path, known: tuple[str, ...]) -> str:
+    """Return which file of a folder to name."""
+    from prc_cli.formats.echopulse.read import count_file
+
+    counts = count_file(path)
+    if counts is not None:
+        return f"name the file that counts its returns: {counts}"
+    bags = _files_with(path, _BAG_PARTS)
+    if bags and (path / "metadata.yaml").is_file():
+        more = f", or {bags[1]}" if len(bags) == 2 else f", or another of its {len(bags)} parts"
+        return f"name the file in this bag: {bags[0]}{more if len(bags) > 1 else ''}"
+    scans = _files_with(path, known)
+    if not scans:
+        return "name a file; this folder itself has no scan"
+    return f"name a file in it, for example {scans[0]}"
+
+
+def _files_with(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Return the files of a folder with such suffixes, by name; none where it cannot be read."""
+    try:
+        return [each for each in sorted(folder.iterdir()) if suffix_of(each) in suffixes and each.is_file()]
+    except OSError:
+        return []
+
+
+def _not_a_scan(path: Path) -> str:
+    """Return what to do with a file of an unknown suffix: its scan may lie beside it."""
+    if path.name == "metadata.yaml" and path.is_file():
+        bags = _files_with(path.parent, _BAG_PARTS)
+        if bags:
+            return f"this describes a bag: name the file beside it, {bags[0]}"
+    if path.suffix.lower() == ".json":
+        captures = [path.with_suffix(suffix) for suffix in (".pcap", ".pcapng") if path.with_suffix(suffix).is_file()]
+        if captures:
+            return f"this describes a scanner: name the capture beside it, {captures[0]}"
+    return "rename the file or convert it"
 
 
 def open_source(path: Path, layout: Layout | None = None) -> RecordSource | None:

@@ -12,7 +12,7 @@ from prc_cli.core.errors import InputError
 from prc_cli.core.files import atomic_output, check_output, suffix_of
 from prc_cli.formats import open_source
 from prc_cli.formats.clouds import CloudSource
-from prc_cli.formats.guessing import guess_names, guess_records, range_scale
+from prc_cli.formats.guessing import MOST_HEADER_BYTES, guess_names, guess_records, range_scale
 from prc_cli.formats.options import InputConfig, Layout
 from prc_cli.formats.text.read import TextSource
 from prc_cli.jobs.info import Inspection, inspect
@@ -52,11 +52,29 @@ def draft(path: Path, output: Path, loaded: LoadedConfig, *, overwrite: bool = F
     lines, layout = _layout_lines(path, loaded)
     told = loaded if layout is None else _with_layout(loaded, layout)
     inspection = inspect(path, told)
+    header = None if layout is None else _empty_header(path, layout, inspection)
+    if layout is not None and header is not None:
+        lines = [line.replace(f"header_bytes = {layout.header_bytes}", f"header_bytes = {header}") for line in lines]
+        inspection = inspect(path, _with_layout(loaded, layout.model_copy(update={"header_bytes": header})))
     text = "\n".join([f"# drafted from {path.name} by prc info --draft: look at it before you rely on it", ""])
     text += "\n".join([*_input_lines(inspection), *lines, ""])
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return text
+
+
+def _empty_header(path: Path, layout: Layout, found: Inspection) -> int | None:
+    """Return the bytes of a header of zeros, which look like missing shots: as many as are too many for whole lines."""
+    m = None if found.period is None else found.period.points_per_line
+    each = sum(np.dtype(field.type).itemsize for field in layout.fields)
+    if suffix_of(path) not in _DUMPS or not m or not each:
+        return None
+    surplus = (path.stat().st_size - layout.header_bytes) // each % m
+    header = layout.header_bytes + surplus * each
+    if not surplus or header > MOST_HEADER_BYTES:
+        return None
+    with path.open("rb") as handle:
+        return None if any(handle.read(header)) else header
 
 
 def _with_layout(loaded: LoadedConfig, layout: Layout) -> LoadedConfig:

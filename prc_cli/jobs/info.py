@@ -36,6 +36,7 @@ from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import open_grid
 from prc_cli.streams.open import open_input
 from prc_cli.streams.order import OrderEvidence, OrderWatch, order_hint
+from prc_cli.streams.rules import MEASURED, only_times_tell
 
 RATE_OFF = 1e-3
 """Rates that differ by more are told: a line would be off by some columns."""
@@ -207,15 +208,16 @@ def _inspect_records(
 def _lacks_lines(source: RecordSource, inputs: InputConfig) -> bool:
     """Tell whether only the times can say where lines and columns are."""
     is_asked = inputs.lines == "auto" or (inputs.lines.startswith("time:") and inputs.columns == "auto")
-    known = {"scan_line", "column", "angle"} & set(source.dimensions)
-    return is_asked and "time" in source.dimensions and not known and inputs.points_per_line is None
+    return is_asked and only_times_tell(source) and inputs.points_per_line is None
 
 
 def _with_rates(refused: Inspection, source: RecordSource, inputs: InputConfig) -> Inspection:
     """Measure the rates of a scanner from its times alone; list all that is missing, with one command."""
     rates = _measured_rates(source) if refused.order is None or refused.order.is_chronological else None
     if rates is None:
-        return refused
+        # this is prc info: nobody is to be sent here again
+        _, sent_here, rest = refused.hint.partition(MEASURED)
+        return replace(refused, hint=f"the times show no steady rates; {rest}") if sent_here else refused
     options = [f"--lines time:{rates.line_hz:.9g}", f"--columns time:{rates.shot_hz:.10g}"]
     options.append(f"--set input.time_origin={rates.time_origin_s!r}")
     hint = f"the times show {_shown_rates(rates)}"
@@ -347,7 +349,7 @@ def _describe(
             if order is None or order.is_chronological:
                 raise
     findings = stream.findings() if isinstance(stream, EvidenceStream) and with_ranges else ()
-    problem, hint = _verdict(order, findings, refusal, judged=judged)
+    problem, hint = _verdict(path, order, findings, refusal, judged=judged)
     info = None if stream is None else stream.info
     told = info.facts if info is not None else source.facts if source is not None else SourceFacts()
     n_records = None if source is None else source.n_records
@@ -371,6 +373,7 @@ def _describe(
 
 
 def _verdict(
+    path: Path,
     order: OrderEvidence | None,
     findings: tuple[Finding, ...],
     refusal: InputError | ConfigError | None,
@@ -379,7 +382,7 @@ def _verdict(
 ) -> tuple[str, str]:
     if judged and order is not None and not order.is_chronological:
         problem = f"not in the order the shots were fired: {order.sentence()}"
-        return problem, order_hint(order, can_sort=order.what != "time_s")
+        return problem, order_hint(order, str(path), can_sort=order.what != "time_s")
     if refusal is not None:
         return refusal.problem, refusal.hint
     try:

@@ -280,13 +280,16 @@ class OrderWatch:
         if evidence.is_chronological:
             return
         problem = f"{evidence.sentence()}; expected shots in the order they were fired"
-        raise OrderError(self._path, problem, order_hint(evidence, can_sort=self._can_sort))
+        raise OrderError(self._path, problem, order_hint(evidence, self._path, can_sort=self._can_sort))
 
 
-def order_hint(evidence: OrderEvidence, *, can_sort: bool) -> str:
+def order_hint(evidence: OrderEvidence, path: str = "", *, can_sort: bool) -> str:
     """Return what to do with an input whose times are out of order."""
     if evidence.n_back == 1 and abs(evidence.largest_back - _WEEK_S) < _WEEK_S / 100:
         return "the GPS week turned over in this file: the order may be right, then insist with --trust-order"
+    if path.lower().endswith(".copc.laz"):
+        # every node of the octree begins anew
+        return "COPC files lie in the order of their octree: sort with --sort-by-time"
     if evidence.begins_anew is not None:
         again = f"the times from record {evidence.begins_anew} on were there before"
         return f"{again}: split the file there, or leave out what is repeated, or insist with --trust-order"

@@ -193,6 +193,15 @@ def _or_missing(find: Callable[[], str], missing: list[InputError]) -> str:
         return ""
 
 
+MEASURED = " measures rates from the times and writes the command; or "
+"""Where a hint names ``prc info``; what follows is the rest of the hint."""
+
+
+def only_times_tell(source: RecordSource) -> bool:
+    """Tell whether only the times of the records can say where lines and columns are."""
+    return "time" in source.dimensions and not {"scan_line", "column", "angle"} & set(source.dimensions)
+
+
 def _all_missing(source: RecordSource, missing: list[InputError]) -> InputError:
     """Return one error for all that is missing, so that nobody is asked three times."""
     has_range = not any(error.problem.startswith(_NO_RANGE) for error in missing)
@@ -200,8 +209,8 @@ def _all_missing(source: RecordSource, missing: list[InputError]) -> InputError:
         return missing[0]
     problem = "; ".join(error.problem for error in missing)
     hint = "; ".join(error.hint for error in missing)
-    if "time" in source.dimensions:
-        hint = f"prc info {source.path} measures rates from the times and writes the command; or {hint}"
+    if only_times_tell(source):
+        hint = f"prc info {source.path}{MEASURED}{hint}"
     return InputError(source.path, problem, hint)
 
 

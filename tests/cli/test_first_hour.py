@@ -110,3 +110,20 @@ def test_classify_loads_no_library_that_the_input_does_not_need() -> None:
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert found.stdout == "set()\n"
+
+
+def test_a_folder_and_what_lies_beside_a_scan_name_the_file_to_give(prc: Prc, tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    assert "this folder itself has no scan" in prc("info", bag).err
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
+    (bag / "bag_0.db3").write_bytes(b"SQLite format 3\0")
+    assert prc("info", bag).err.endswith(f"name the file in this bag: {bag / 'bag_0.db3'}\n")
+    assert prc("info", bag / "metadata.yaml").err.endswith(f"name the file beside it, {bag / 'bag_0.db3'}\n")
+    (bag / "bag_1.db3").write_bytes(b"SQLite format 3\0")
+    assert prc("info", bag).err.endswith(f"bag_0.db3, or {bag / 'bag_1.db3'}\n")
+    drive = write_raw(tmp_path / "drive.bin", street())
+    assert prc("info", tmp_path).err.endswith(f"name a file in it, for example {drive}\n")
+    (tmp_path / "os.json").write_text("{}")
+    (tmp_path / "os.pcap").write_bytes(b"x")
+    assert prc("info", tmp_path / "os.json").err.endswith(f"name the capture beside it, {tmp_path / 'os.pcap'}\n")

@@ -36,8 +36,8 @@ def ranges_read(path: Path) -> Any:
 
 
 @pytest.mark.parametrize("endian", ["little", "big"])
-@pytest.mark.parametrize("header", [0, 128])
-def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: int) -> None:
+@pytest.mark.parametrize("header", [b"", bytes(np.random.default_rng(0).integers(32, 127, 128, np.uint8)), bytes(128)])
+def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: bytes) -> None:
     """int32 millimetres, uint16 intensity, float64 seconds."""
     order = "<" if endian == "little" else ">"
     shots = np.zeros(N_LINES * M, np.dtype([("r", f"{order}i4"), ("i", f"{order}u2"), ("t", f"{order}f8")]))
@@ -45,15 +45,17 @@ def test_a_dump_with_a_header(tmp_path: Path, endian: str, header: int) -> None:
     shots["i"] = 300 + 50 * np.sin(np.arange(len(shots)) / 9)
     shots["t"] = 4000 + np.arange(len(shots)) / (50 * M)
     path = tmp_path / "d.bin"
-    path.write_bytes(bytes(np.random.default_rng(0).integers(32, 127, header, np.uint8)) + shots.tobytes())
+    path.write_bytes(header + shots.tobytes())
     found = drafted(path)
     layout = found["layout"]
-    assert (layout["header_bytes"], layout["endian"]) == (header, endian)
+    assert (layout["header_bytes"], layout["endian"]) == (len(header), endian)
     assert [(field["name"], field["type"]) for field in layout["fields"]] == [
         ("range", "i4"), ("field_4", "u2"), ("time", "f8"),
     ]  # fmt: skip
     assert found["input"]["points_per_line"] == M
     np.testing.assert_allclose(ranges_read(path), image(), atol=1e-3)
+    assert run("info", path, "--draft", path.with_name("draft.toml"), "-q") == 2
+    assert run("info", path, "--draft", path.with_name("draft.toml"), "-q", "--overwrite") == 0
 
 
 def test_a_dump_of_ranges_alone(tmp_path: Path) -> None:

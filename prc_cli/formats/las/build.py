@@ -228,11 +228,12 @@ class Returns:
 
 
 def gather_returns(scan: ScanBlock, rows: slice) -> Returns:
-    """Gather the returns of some lines."""
+    """Gather the returns of some lines; a shot without range that lost its cell to another is none."""
     line, column = np.nonzero(~np.isnan(scan.range_m[rows]))
     line += rows.start
     found = Returns(line, column, scan.range_m[line, column], np.full(len(line), -1, np.int64))
-    chosen = np.flatnonzero((scan.extra.line >= rows.start) & (scan.extra.line < rows.stop))
+    of_lines = (scan.extra.line >= rows.start) & (scan.extra.line < rows.stop)
+    chosen = np.flatnonzero(of_lines & ~np.isnan(scan.extra.range_m))
     if not len(chosen):
         return found
     line = np.concatenate([line, scan.extra.line[chosen]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import laspy
 import numpy as np
 import pytest
 
@@ -12,7 +13,10 @@ from prc_cli.core.errors import InputError
 from prc_cli.formats import check_input, open_source
 from prc_cli.formats.options import InputConfig
 from prc_cli.streams.open import open_input
+from tests.cli.test_commands import Prc
 from tests.formats.cloud_files import pulse_folder
+
+ECHOES = "echo-float32-range.bin"
 
 
 def test_every_pulse_is_a_shot(tmp_path: Path) -> None:
@@ -49,6 +53,22 @@ def test_the_folder_names_the_file_to_give(tmp_path: Path) -> None:
     pulse_folder(tmp_path / "p")
     with pytest.raises(InputError, match="name the file that counts its returns: .*pulse-uint8-n_echo.bin"):
         check_input(tmp_path / "p")
+
+
+def test_a_shot_without_return_that_meets_another_is_no_return(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = pulse_folder(tmp_path / "p")
+    theta = np.fromfile(tmp_path / "p" / "pulse-float32-theta.bin", "<f4")
+    count = np.fromfile(path, np.uint8)
+    empty = int(np.flatnonzero(count == 0)[60])
+    theta[empty] = theta[empty - 1]
+    theta.tofile(tmp_path / "p" / "pulse-float32-theta.bin")
+    for command in (["convert"], ["classify", "--preset", "urban"]):
+        output = tmp_path / f"{command[0]}.laz"
+        assert Prc(capsys)(*command, path, output).code in (0, 4)  # 4: such echoes are no street
+        points = laspy.read(output)
+        np.testing.assert_array_equal(np.sort(points["range"]), np.sort(np.fromfile(path.parent / ECHOES, "<f4")))
 
 
 @pytest.mark.data

@@ -102,3 +102,11 @@ def test_the_real_profiler(real_data: Path) -> None:
     assert 1e6 / found.shot_hz == pytest.approx(0.98374, rel=5e-4)
     assert 1e3 / found.line_hz == pytest.approx(5.0161, rel=1e-4)
     assert abs(found.points_per_line - 5099) <= 2
+
+
+def test_info_sends_nobody_to_itself(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    las_of_times(tmp_path / "a.laz", np.sort(rng.uniform(0, 9, 500)), rng.uniform(0, 9, (500, 3)))
+    found = inspect(tmp_path / "a.laz", LoadedConfig(RunConfig()))
+    assert found.rates is None
+    assert found.hint.startswith("the times show no steady rates; give -M NUMBER")
