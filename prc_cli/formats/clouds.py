@@ -17,7 +17,7 @@ from prc_cli.core.files import open_to_read
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.formats.layout import check_fields, decode
 from prc_cli.formats.options import Layout, LayoutField
-from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
+from prc_cli.formats.records import STANDARD_NAMES, RecordChunk, standard_first
 
 CHUNK_RECORDS = 1 << 18
 """Records decoded at a time."""
@@ -195,8 +195,7 @@ class CloudSource:
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver, standard names first."""
-        standard = [name for name in STANDARD_NAMES if name in self._own]
-        return tuple(standard + [name for name in self._own if name not in standard])
+        return standard_first(self._own)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named properties in bounded memory, in the order of the file.

@@ -16,8 +16,10 @@ MAX_RECORD_BYTES = 1 << 20
 """Longest record of a raw dump, as in LAS: chunks of records are held in memory."""
 
 
+DUMP_SUFFIXES = (".bin", ".raw", ".dat")
+"""Raw dumps: nothing describes their bytes but a layout."""
 LAYOUT_SUFFIXES = (
-    ".bin", ".raw", ".dat", ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst", ".xyz", ".asc", ".pts",
+    *DUMP_SUFFIXES, ".csv", ".csv.gz", ".csv.zst", ".txt", ".txt.gz", ".txt.zst", ".xyz", ".asc", ".pts",
     ".ply", ".pcd",
 )  # fmt: skip
 """Files whose records a layout describes."""

@@ -5,7 +5,7 @@ A source only decodes; :mod:`prc_cli.streams.grid` finds line, column and range 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -19,6 +19,16 @@ STANDARD_NAMES = (
     "number_of_returns",
 )  # fmt: skip
 """Names of dimensions common to all sources; other dimensions keep their own name."""
+
+
+def standard_first(names: Collection[str]) -> tuple[str, ...]:
+    """Return the standard names, in their order, and then the others as they come.
+
+    >>> standard_first(["reflectance", "time", "range"])
+    ('range', 'time', 'reflectance')
+    """
+    standard = [name for name in STANDARD_NAMES if name in names]
+    return (*standard, *(name for name in names if name not in standard))
 
 
 @dataclass(frozen=True, slots=True)

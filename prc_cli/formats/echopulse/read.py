@@ -22,7 +22,7 @@ from prc_cli.core.files import open_to_read
 from prc_cli.core.types import I64
 from prc_cli.formats.layout import decode
 from prc_cli.formats.options import LayoutField
-from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
+from prc_cli.formats.records import RecordChunk, standard_first
 from prc_cli.formats.text.dialect import shorten, to_number
 
 COUNT = "n_echo"
@@ -127,8 +127,7 @@ class EchoPulseSource:
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver, standard names first."""
         names = [*self._arrays, *(["time"] if self._time is not None else []), *_MADE]
-        standard = [name for name in STANDARD_NAMES if name in names]
-        return tuple(standard + [name for name in names if name not in standard])
+        return standard_first(names)
 
     def chunks(self, names: tuple[str, ...]) -> Iterator[RecordChunk]:
         """Decode the named arrays in bounded memory, in firing order.

@@ -19,7 +19,7 @@ from prc_cli.formats.las.crs import find_crs
 from prc_cli.formats.las.header import LasHeader, check_decodable, find_points_per_line, open_source, read_header
 from prc_cli.formats.las.laz import LazRecords, read_batches
 from prc_cli.formats.las.points import layers_of, read_layout
-from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
+from prc_cli.formats.records import RecordChunk, standard_first
 
 CHUNK_RECORDS = 1 << 16
 """Records decoded at a time."""
@@ -107,9 +107,7 @@ class LasSource:
         InputError
             When the first records, read for their time and angle, cannot be decoded.
         """
-        names = [name for name in self._layout.fields if name not in self._zero]
-        standard = [name for name in STANDARD_NAMES if name in names]
-        return tuple(standard + [name for name in names if name not in standard])
+        return standard_first([name for name in self._layout.fields if name not in self._zero])
 
     @cached_property
     def _zero(self) -> tuple[str, ...]:

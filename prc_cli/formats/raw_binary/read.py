@@ -14,7 +14,7 @@ from prc_cli.core.facts import SourceFacts
 from prc_cli.core.files import open_to_read
 from prc_cli.formats.layout import decode, record_dtype
 from prc_cli.formats.options import Layout
-from prc_cli.formats.records import STANDARD_NAMES, RecordChunk
+from prc_cli.formats.records import RecordChunk, standard_first
 
 CHUNK_RECORDS = 1 << 18
 """Records decoded at a time."""
@@ -46,8 +46,7 @@ class LayoutRecords:
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that can be decoded, standard names first."""
-        standard = [name for name in STANDARD_NAMES if name in self._fields]
-        return tuple(standard + [name for name in self._fields if name not in standard])
+        return standard_first(self._fields)
 
     @property
     def facts(self) -> SourceFacts:

@@ -9,7 +9,7 @@ from pathlib import Path
 from prc_cli.core.errors import InputError
 from prc_cli.formats.layout import FACTORS, UNITS
 from prc_cli.formats.options import Layout, LayoutField
-from prc_cli.formats.records import STANDARD_NAMES
+from prc_cli.formats.records import STANDARD_NAMES, standard_first
 from prc_cli.formats.text.dialect import TextFormat, shorten
 
 _XYZ = ("x", "y", "z")
@@ -67,8 +67,7 @@ def find_columns(path: Path, text: TextFormat, layout: Layout | None) -> dict[st
         own = name or str(index)
         if index not in taken and own not in found:
             found[own] = TextColumn(index, _label(text, index), LayoutField(name=own))
-    standard = [name for name in STANDARD_NAMES if name in found]
-    return {name: found[name] for name in (*standard, *(name for name in found if name not in standard))}
+    return {name: found[name] for name in standard_first(found)}
 
 
 def _with_unit(item: LayoutField, name: str) -> LayoutField:
