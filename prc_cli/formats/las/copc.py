@@ -21,8 +21,8 @@ from prc_cli.core.types import U8
 from prc_cli.formats.las.contexts import contexts_of, records_of
 from prc_cli.formats.las.header import LasHeader, Source, Vlr, open_source, read_header, standard_bytes
 from prc_cli.formats.las.laz import ITEMS_AT, LazRecords
-from prc_cli.formats.las.sinks import Target, batch_records, codec_errors, has_variable_chunks, new_laszip_payload
-from prc_cli.formats.las.splice import class_layers, with_layer
+from prc_cli.formats.las.sinks import Target, batch_records, has_variable_chunks, new_laszip_payload
+from prc_cli.formats.las.splice import CLASS_AT, chunk_table, class_layers, write_chunk
 
 COPC_KEY, HIERARCHY_KEY = ("copc", 1), ("copc", 1000)
 _INFO_BYTES = 160
@@ -153,29 +153,18 @@ def splice_copc(source: Source, target: Target, copc: Copc, codes: Iterator[U8])
     """
     chunks = copc.chunks
     table = chunks.table
-    start = target.tell()
-    target.write(struct.pack("<q", 0))
     first_byte, n_points = table.first_byte.tolist(), np.diff(table.first_record).tolist()
     moved: dict[int, tuple[int, int]] = {}
-    written: list[tuple[int, int]] = []
     contexts = _by_chunk(_contexts(chunks), n_points)
-    for chunk, (context, new) in enumerate(zip(contexts, _by_chunk(codes, n_points), strict=True)):
-        records = records_of(context, standard_bytes(6))
-        records[:, 16] = new
-        layer = next(class_layers(target, len(new), records))
-        source.seek(first_byte[chunk])
-        old = source.exact(first_byte[chunk + 1] - first_byte[chunk], f"LAZ chunk {chunk}")
-        at = target.tell()
-        length = sum(target.write(part) for part in with_layer(chunks, old, layer, int(new[0])))
-        moved[first_byte[chunk]] = (at, length)
-        written.append((n_points[chunk], length))
-    table_at = target.tell()
-    with codec_errors(target):
-        lazrs.write_chunk_table(target, written, chunks.vlr)
-    end = target.tell()
-    target.seek(start)
-    target.write(struct.pack("<q", table_at))
-    target.seek(end)
+    with chunk_table(target, chunks.vlr) as written:
+        for chunk, (context, new) in enumerate(zip(contexts, _by_chunk(codes, n_points), strict=True)):
+            records = records_of(context, standard_bytes(6))
+            records[:, CLASS_AT] = new
+            layer = next(class_layers(target, len(new), records))
+            at = target.tell()
+            length = write_chunk(source, target, chunks, chunk, layer, int(new[0]))
+            moved[first_byte[chunk]] = (at, length)
+            written.append((n_points[chunk], length))
     return moved
 
 

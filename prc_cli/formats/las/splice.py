@@ -35,7 +35,7 @@ from prc_cli.formats.las.sinks import (
 _POINT_FORMATS = (6, 7, 8)
 _CLASS_LAYER = 2
 """Index of the layer of classes: behind x and y with returns and channel, and z."""
-_CLASS_AT = 16
+CLASS_AT = 16
 
 
 def find_chunks(source: Source, las: LasHeader) -> LazRecords | None:
@@ -83,29 +83,42 @@ def splice_classes(
     OutputError
         When the compression library fails.
     """
-    start = target.tell()
-    target.write(struct.pack("<q", 0))
     n, n_chunk = splice_records(chunks), chunks.vlr.chunk_size()
-    first_byte = chunks.table.first_byte.tolist()
-    table: list[tuple[int, int]] = []
-    with contextlib.closing(_contexts(chunks, n, kept)) as contexts:
+    with chunk_table(target, chunks.vlr) as table, contextlib.closing(_contexts(chunks, n, kept)) as contexts:
         for batch, (context, new) in enumerate(zip(contexts, codes, strict=True)):
             records = records_of(context, standard_bytes(6))
-            records[:, _CLASS_AT] = new
+            records[:, CLASS_AT] = new
             first = batch * (n // n_chunk)
             for chunk, layer in enumerate(class_layers(target, n_chunk, records), start=first):
-                source.seek(first_byte[chunk])
-                old = source.exact(first_byte[chunk + 1] - first_byte[chunk], f"LAZ chunk {chunk}")
                 code = int(new[(chunk - first) * n_chunk])
-                written = sum(target.write(part) for part in with_layer(chunks, old, layer, code))
-                table.append((n_chunk, written))
+                table.append((n_chunk, write_chunk(source, target, chunks, chunk, layer, code)))
+
+
+@contextlib.contextmanager
+def chunk_table(target: Target, vlr: lazrs.LazVlr) -> Iterator[list[tuple[int, int]]]:
+    """Leave room for the position of the chunk table, and write the table behind the chunks.
+
+    Gives the table to fill: records and bytes of every chunk. The target is then positioned behind it.
+    """
+    start = target.tell()
+    target.write(struct.pack("<q", 0))
+    table: list[tuple[int, int]] = []
+    yield table
     table_at = target.tell()
     with codec_errors(target):
-        lazrs.write_chunk_table(target, table, chunks.vlr)
+        lazrs.write_chunk_table(target, table, vlr)
     end = target.tell()
     target.seek(start)
     target.write(struct.pack("<q", table_at))
     target.seek(end)
+
+
+def write_chunk(source: Source, target: Target, chunks: LazRecords, chunk: int, layer: memoryview, code: int) -> int:
+    """Write a chunk with a new layer of classes and a new class of its first record; return its number of bytes."""
+    first, stop = (int(at) for at in chunks.table.first_byte[chunk : chunk + 2])
+    source.seek(first)
+    old = source.exact(stop - first, f"LAZ chunk {chunk}")
+    return sum(target.write(part) for part in _with_layer(chunks, old, layer, code))
 
 
 def splice_records(chunks: LazRecords) -> int:
@@ -157,7 +170,7 @@ def class_layers(target: Target, chunk_points: int, records: U8) -> Iterator[mem
         at += n_bytes
 
 
-def with_layer(
+def _with_layer(
     chunks: LazRecords, old: bytes, layer: memoryview, code: int
 ) -> tuple[bytearray, memoryview, memoryview, memoryview]:
     """Return the parts of a chunk with a new layer of classes and a new class of its first record."""
@@ -168,7 +181,7 @@ def with_layer(
     if head_bytes + sum(sizes) != len(old):
         problem = f"found a chunk of {head_bytes + sum(sizes)} bytes, expected {len(old)} as at the start of the run"
         raise InputError(f"{chunks.header.path}: LAZ chunks", problem, DAMAGED)
-    head[_CLASS_AT] = code
+    head[CLASS_AT] = code
     struct.pack_into("<I", head, sizes_at + 4 * _CLASS_LAYER, len(layer))
     first = head_bytes + sum(sizes[:_CLASS_LAYER])
     view = memoryview(old)
