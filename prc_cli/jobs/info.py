@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, MethodChoice, with_layout_beside
+from prc_cli.config import LoadedConfig, MethodChoice
 from prc_cli.core.errors import ConfigError, EvidenceError, InputError
 from prc_cli.core.facts import SourceFacts
 from prc_cli.core.findings import CHECK_NAMES, LABEL_CHECKS, Finding, Verdict, doubts, refuse
@@ -140,10 +140,9 @@ def inspect(path: Path, loaded: LoadedConfig, *, deep: bool = False) -> Inspecti
     InputError
         When the file is damaged. An intact file that the classifier cannot process is described.
     """
-    loaded = with_layout_beside(path, loaded)
+    loaded = decide(path, loaded, trust_order=True)
     if deep:
         _decode(path, loaded)
-    loaded = decide(path, loaded, trust_order=True)
     found = _inspect(path, loaded)
     choice = loaded.choice
     assumptions = found.assumptions if choice is None else (choice.assumption, *found.assumptions)
