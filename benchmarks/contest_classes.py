@@ -20,9 +20,7 @@ from scipy.spatial import cKDTree
 
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan, Simulated
-from benchmarks.contest_methods import label
-from prc_cli.config import load_config, parse_assignment
-from prc_cli.core.config import merge
+from benchmarks.contest_methods import label, preset_with
 from prc_cli.core.types import F64, I64, Mask
 from prc_cli.evaluation.mapping import load_mapping
 
@@ -114,10 +112,7 @@ def scores(counts: F64) -> F64:
 
 def run(scans: Sequence[Scan], assignments: Sequence[str]) -> list[F64]:
     """Return the scores of every scan, and their mean over the scans that have the class."""
-    options: dict[str, object] = {}
-    for assignment in assignments:
-        options = merge(options, parse_assignment(assignment))
-    config = load_config(preset="fused", options=options)
+    config = preset_with("fused", assignments)
     each = [scores(counts_of(scan, label(scan, config).codes.astype(np.int64))) for scan in scans]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # classes that no scan has

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from benchmarks import contest_files
 from benchmarks.contest_data import ROOT, Scan
 from benchmarks.user import in_process
-from prc_cli.config import LoadedConfig, load_config
+from prc_cli.config import LoadedConfig, load_config, parse_assignment
 from prc_cli.core.classes import ClassCodes
 from prc_cli.core.config import merge
 from prc_cli.core.errors import ConfigError
@@ -167,6 +167,14 @@ class Labelled:
     """What was said of the file: doubts and refusals, one line each."""
     is_down_told: bool = False
     """Whether straight down had to be told."""
+
+
+def preset_with(preset: str, assignments: Iterable[str]) -> LoadedConfig:
+    """Return a preset with assignments such as ``fused.walls.enabled=false``."""
+    options: dict[str, object] = {}
+    for assignment in assignments:
+        options = merge(options, parse_assignment(assignment))
+    return load_config(preset=preset, options=options)
 
 
 def label(scan: Scan, config: LoadedConfig, threads: int | None = None) -> Labelled:

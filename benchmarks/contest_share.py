@@ -16,9 +16,7 @@ import numpy as np
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan, Simulated
 from benchmarks.contest_judge import judge
-from benchmarks.contest_methods import label
-from prc_cli.config import load_config, parse_assignment
-from prc_cli.core.config import merge
+from benchmarks.contest_methods import label, preset_with
 from prc_cli.core.types import F64
 
 SHORTER = {80.0: 60.0, 160.0: 120.0, 30.0: 20.0}
@@ -61,10 +59,7 @@ def simulate(specs: Sequence[Simulated]) -> list[Scan]:
 
 def mean_f1(scans: Sequence[Scan], assignments: Sequence[str]) -> F64:
     """Return the mean F1 of the four classes over the scans that have them."""
-    options: dict[str, object] = {}
-    for assignment in assignments:
-        options = merge(options, parse_assignment(assignment))
-    config = load_config(preset="fused", options=options)
+    config = preset_with("fused", assignments)
     rows = []
     for scan in scans:
         found = label(scan, config)

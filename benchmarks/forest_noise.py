@@ -14,9 +14,7 @@ import numpy as np
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan, Simulated
 from benchmarks.contest_judge import judge
-from benchmarks.contest_methods import label
-from prc_cli.config import load_config, parse_assignment
-from prc_cli.core.config import merge
+from benchmarks.contest_methods import label, preset_with
 
 NAMES = ("noise", "ground", "stem", "vegetation")
 SCENES = ("mixed", "pine-heath", "dense-spruce")
@@ -40,10 +38,7 @@ def walk(seed: int, noise_m: float | None) -> Scan:
 
 def f1_of(scan: Scan, assignments: Sequence[str]) -> list[float]:
     """Return the F1 of the four classes."""
-    options: dict[str, object] = {}
-    for assignment in assignments:
-        options = merge(options, parse_assignment(assignment))
-    found = label(scan, load_config(preset="fused-forest", options=options))
+    found = label(scan, preset_with("fused-forest", assignments))
     scores = judge(scan, found.codes, found.extra_codes).f1()
     return [scores.get(name, np.nan) for name in NAMES]
 

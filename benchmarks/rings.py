@@ -18,10 +18,8 @@ import numpy as np
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan
 from benchmarks.contest_judge import judge
-from benchmarks.contest_methods import label
-from prc_cli.config import load_config, parse_assignment
+from benchmarks.contest_methods import label, preset_with
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.config import merge
 from prc_cli.core.types import U8
 
 CLASSES = {
@@ -80,10 +78,7 @@ def main() -> None:
     print(f"| | {' | '.join(f'{scan} {name}' for scan in ('frame', *CLASSES) for name in NAMES)} |")
     print(f"|---|{'---:|' * 9}")
     for title, assignments in SETTINGS:
-        options: dict[str, object] = {}
-        for assignment in assignments:
-            options = merge(options, parse_assignment(assignment))
-        config = load_config(preset="fused", options=options)
+        config = preset_with("fused", assignments)
         found = label(frame, config)
         scores = judge(frame, found.codes, found.extra_codes).f1()
         cells = [scores[name] for name in NAMES]

@@ -19,10 +19,9 @@ import numpy as np
 from benchmarks import contest_data as data
 from benchmarks.contest_data import Scan, Simulated
 from benchmarks.contest_judge import judge
-from benchmarks.contest_methods import label
-from prc_cli.config import load_config, parse_assignment
+from benchmarks.contest_methods import label, preset_with
+from prc_cli.config import load_config
 from prc_cli.core.classes import ClassCodes, Label
-from prc_cli.core.config import merge
 from prc_cli.core.stream import ExtraReturns
 from prc_cli.core.types import F64
 
@@ -108,10 +107,7 @@ def streets(seeds: Sequence[int]) -> list[Scan]:
 
 def f1_of(scan: Scan, assignments: Sequence[str]) -> list[float]:
     """Return the F1 of the four classes; NaN = too rare."""
-    options: dict[str, object] = {}
-    for assignment in assignments:
-        options = merge(options, parse_assignment(assignment))
-    found = label(scan, load_config(preset="fused", options=options))
+    found = label(scan, preset_with("fused", assignments))
     scores = judge(scan, found.codes, found.extra_codes).f1()
     return [scores.get(name, np.nan) for name in NAMES]
 
