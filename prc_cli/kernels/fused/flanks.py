@@ -7,7 +7,7 @@ import numpy as np
 from prc_cli.core.thresholds.fused import FlankThresholds
 from prc_cli.core.types import F32, I32, U8
 from prc_cli.kernels.cache import helper, kernel
-from prc_cli.kernels.fused.strips import LINES, STRIPS, sum_around
+from prc_cli.kernels.fused.strips import LINES, STRIPS
 
 BIN_M = np.float32(0.25)
 """Width of a bin of ground, half of a strip [m]."""
@@ -33,6 +33,17 @@ def _count_ground(ranges: F32, above: F32, upright: U8, sine: F32, soil_m: np.fl
             q = int(np.floor(min(max(y / BIN_M, -_FAR), _FAR))) + STRIPS
             if 0 <= q < 2 * STRIPS:
                 bins[q] += 1
+
+
+@helper
+def _add_around(values: F32, line: int, lines: F32, sums: F32) -> None:
+    """Add up the values of five lines, and then of three strips."""
+    for b in range(STRIPS):
+        before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
+        lines[b + 1] = (before + values[line + 3, b]) + values[line + 4, b]
+    lines[0] = lines[STRIPS + 1] = np.float32(0.0)
+    for b in range(STRIPS):
+        sums[b] = (lines[b] + lines[b + 1]) + lines[b + 2]
 
 
 @helper
@@ -104,9 +115,9 @@ def find_flanks(
         line = k - 2 * LINES
         for q in range(2 * STRIPS):
             found[line, q] = levels[line, q]
-        sum_around(length, line, lines, lengths)
-        sum_around(wall, line, lines, walls)
-        sum_around(place, line, lines, places)
+        _add_around(length, line, lines, lengths)
+        _add_around(wall, line, lines, walls)
+        _add_around(place, line, lines, places)
         for b in range(STRIPS):
             flanks[line, b] = 0
             if walls[b] <= 0 or walls[b] < least or walls[b] > most or walls[b] < thresholds.share * lengths[b]:

@@ -279,7 +279,7 @@ def widen_levels(levels: U8) -> U8:
 
 
 @helper
-def sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
+def _sum_around(values: F32, line: int, lines: F32, sums: F32) -> None:
     """Add up the values of five lines, and then of three strips."""
     for b in range(STRIPS):
         before = (values[line, b] + values[line + 1, b]) + values[line + 2, b]
@@ -353,9 +353,9 @@ def find_walls(sums: tuple[F32, F32, F32, F32], flanks: U8, thresholds: WallThre
     highest, wall_at, is_wall = np.empty(STRIPS, np.float32), np.empty(STRIPS, np.float32), np.empty(STRIPS, np.uint8)
     enough = thresholds.height_m * np.float32(2 * LINES + 1)
     for line in range(n_lines):
-        sum_around(length, line, lines, lengths)
-        sum_around(wall, line, lines, walls)
-        sum_around(place, line, lines, places)
+        _sum_around(length, line, lines, lengths)
+        _sum_around(wall, line, lines, walls)
+        _sum_around(place, line, lines, places)
         _top_around(top, line, lines, highest)
         for b in range(STRIPS):
             at[line, b] = tops[line, b] = ahead[line, b] = np.float32(0.0)
