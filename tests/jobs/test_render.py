@@ -187,8 +187,8 @@ def test_differences_are_counted_and_shown(drive: Path, urban: LoadedConfig, tmp
     assert drawing.n_differing == wrong.sum() > 0
     assert drawing.n_compared == (labels != Label.MISSING).sum()
     difference = drawing.strips[0][2]
-    blue = (difference.picture == LABEL_COLOURS[Label.GROUND]).all(axis=2)
-    assert np.array_equal(blue, wrong)
+    wrong_ground = (difference.picture == LABEL_COLOURS[Label.GROUND]).all(axis=2)
+    assert np.array_equal(wrong_ground, wrong)
     assert f"of {drawing.n_compared:,} shots differ" in difference.note
 
 
