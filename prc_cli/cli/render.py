@@ -49,10 +49,10 @@ _FILE = click.Path(path_type=Path)
     "--from",
     "eye",
     metavar="AZIMUTH,ELEVATION",
-    default="215,30",
-    show_default=True,
-    help="Where the eye of the perspective stands [deg], azimuth clockwise from north.",
+    help="Where the eye of the perspective stands [deg], azimuth clockwise from north.  [default: the side from which "
+    "the picture is fullest, 30]",
 )
+@click.option("--hide", metavar="CLASS,...", help="Classes that are not drawn, e.g. noise.")
 @click.option("--colour", type=click.Choice(COLOURS), help="What points are coloured by.")
 @click.option(
     "--width", type=click.IntRange(200, 20_000), default=2200, show_default=True, help="Widest picture [pixels]."
@@ -108,10 +108,11 @@ _AS_GIVEN = (
 
 def _render_options(options: dict[str, Any]) -> RenderOptions:
     """Build what is drawn from the options of the command."""
-    azimuth_deg, elevation_deg = _eye(options["eye"])
+    azimuth_deg, elevation_deg = (None, 30.0) if options["eye"] is None else _eye(options["eye"])
     steps, lines = options["steps"], options["only_lines"]
     return RenderOptions(
-        steps=None if steps is None else tuple(part.strip() for part in steps.split(",") if part.strip()),
+        steps=None if steps is None else _names(steps),
+        hide=_names(options["hide"] or ""),
         lines=None if lines is None else _span(lines),
         azimuth_deg=azimuth_deg,
         elevation_deg=elevation_deg,
@@ -121,6 +122,10 @@ def _render_options(options: dict[str, Any]) -> RenderOptions:
 
 def _as_dict(result: RenderResult) -> dict[str, Any]:
     return {**asdict(result), "files": [str(path) for path in result.files]}
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
 
 
 def _span(text: str) -> tuple[int, int]:

@@ -22,7 +22,7 @@ def drive(tmp_path: Path) -> Path:
 def test_it_says_what_it_drew_on_stderr(prc: Prc, drive: Path, tmp_path: Path) -> None:
     result = prc("render", drive, tmp_path / "drive.png", "--preset", "urban")
     assert (result.code, result.out) == (0, "")
-    assert f"drive.npz · prc, urban · all {N_LINES} lines" in result.err
+    assert f"drive.npz · preset urban · all {N_LINES} lines" in result.err
     assert "drive.png (" in result.err
     with Image.open(tmp_path / "drive.png") as image:
         assert image.width > 1000

@@ -94,8 +94,11 @@ class RenderOptions:
     """Which codes mean which class on either side; None = the codes of ``[classes]`` on both."""
     colour: ColourBy | None = None
     """Value that colours a cloud; None = class if available, else height."""
-    azimuth_deg: float = 215.0
-    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]."""
+    hide: tuple[str, ...] = ()
+    """Names of classes that are not drawn."""
+    azimuth_deg: float | None = None
+    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]; None = the side from which the
+    points fill the picture best."""
     elevation_deg: float = 30.0
     """Elevation of the viewpoint, seen from the points [deg]."""
     width: int = 2200
