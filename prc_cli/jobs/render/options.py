@@ -107,6 +107,10 @@ class RenderOptions:
     """Highest page [pixels]."""
     pages: int = 1
     """Most pages; longer scans are thinned."""
+    shots: int = 1_500_000
+    """Most shots that a viewer page holds; of longer scans every n-th line and column is kept."""
+    line_spacing_m: float | None = None
+    """Distance of scan lines in a viewer page, where the input has no coordinates [m]; None = assumed."""
 
 
 @dataclass(frozen=True, slots=True)
