@@ -237,6 +237,18 @@ _PRESET = "preset "
 """Beginning of the source of values that a preset sets."""
 
 
+def preset_of(loaded: LoadedConfig) -> str | None:
+    """Return the preset that named the method, or whose labels the chosen method gives; None = there is none.
+
+    >>> preset_of(load_config(preset="street-scan")), preset_of(load_config())
+    ('street-scan', None)
+    """
+    if loaded.choice is not None:
+        return loaded.choice.preset
+    source = loaded.sources.get("method", "")
+    return source.removeprefix(_PRESET) if source.startswith(_PRESET) else None
+
+
 def from_folder(table: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     """Resolve a relative trajectory path against the folder of the configuration file that names it."""
     inputs = table.get("input")

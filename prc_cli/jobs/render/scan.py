@@ -50,6 +50,7 @@ from prc_cli.jobs.render.frames import (
     turns,
     upright,
 )
+from prc_cli.jobs.render.heading import heading, made_by, made_with
 from prc_cli.jobs.render.options import CAPTIONS, RenderOptions, choose_steps
 from prc_cli.jobs.render.stages import INTERVALS, TESTS
 
@@ -176,7 +177,8 @@ def draw_scan(
         for side in (given, reference):
             if side is not None and stream.info.n_records is None and options.station is None:
                 side.check(max(kept.tally.n_records, kept.n_read))
-    return _draw(kept, part, layout, steps, words, given=given is not None)
+    own = words.table if given is not None else LABEL_TABLE.without(options.hide)
+    return _draw(kept, part, layout, steps, words, own)
 
 
 def _check_part(method: str, options: RenderOptions) -> None:
@@ -300,10 +302,9 @@ def _keep(
 
 
 def _draw(
-    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, *, given: bool
+    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, own: ClassTable
 ) -> Drawing:  # fmt: skip
     planes = {name: np.concatenate(parts) for name, parts in kept.planes.items()}
-    own = words.table if given else LABEL_TABLE
     painter = _Painter(planes, steps, words, own)
     if layout.kind != "strips":
         painter.keys = _keys(kept, words, own)
@@ -351,7 +352,8 @@ _NO_RETURN = "no return"
 def _names(table: ClassTable, counts: I64) -> Key:
     """Return the classes that occur, without shares, which differ between pictures."""
     order = [*range(1, len(table.names)), 0]
-    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in order if counts[i]]
+    shown = [i for i in order if counts[i] and i not in table.hidden]
+    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in shown]
     return tuple((name, (int(colour[0]), int(colour[1]), int(colour[2]))) for name, colour in found)
 
 
@@ -497,14 +499,14 @@ def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
 
 
 def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, name: str) -> str:
-    """Return the headline of a picture."""
+    """Return the headline of a picture: file, what labelled it, lines, day."""
     part, config = drawing.part, loaded.config
     words = [name]
     if options.labels is not None:
-        words.append(f"labels of {options.labels.name}")
+        labelled = made_by(options.labels)
+        words.append(f"labels of {options.labels.name}" + (f", {labelled}" if labelled else ""))
     elif set(drawing.steps) - {"range", "intensity", "reference"}:
-        kind = f"prc, {config.prc.environment}" if config.method == "prc" else config.method
-        words.append(kind)
+        words.append(made_with(loaded))
     if part.is_whole:
         words.append(f"all {part.n_lines:,} lines")
     else:
@@ -520,4 +522,6 @@ def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, nam
         words.append(f"{' and '.join(thinned)} drawn")
     if options.station is not None:
         words.append(f"scanner {options.station}")
-    return " · ".join(words)
+    if options.hide:
+        words.append(f"without {', '.join(options.hide)}")
+    return heading(*words)
