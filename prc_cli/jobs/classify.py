@@ -318,7 +318,7 @@ def _classify(
         needs = loaded.config.classifier.method().needs
         stream = watched(opened, loaded.config.input, most_noise_m=needs.most_noise_m)
     with (
-        FingerprintBeside(source, threads=threads) as beside,
+        FingerprintBeside(source, threads=threads, hashes=loaded.config.input.window is None) as beside,
         open_writer(
             output,
             source=source,
@@ -330,6 +330,7 @@ def _classify(
             overwrite=overwrite,
             laz_contexts=stream.info.facts.laz_contexts,
             user_names=user_names(loaded.config),
+            is_part=loaded.config.input.window is not None,
         ) as writer,
     ):
         result = ResultWatch(usual_labels(loaded.config, stream.info))
@@ -602,14 +603,15 @@ def run_record(
 ) -> RunRecord:
     """Return the provenance of a finished run; reads the input again if its hash is not given."""
     config, trajectory = loaded.config, loaded.trajectory
+    is_whole = config.input.window is None
     return RunRecord(
         config=config.of_run(),
-        input=fingerprint(Path(info.path)) if input_print is None else input_print,
+        input=fingerprint(Path(info.path), hashes=is_whole) if input_print is None else input_print,
         trajectory=None if trajectory is None else fingerprint(trajectory),
         format=info.format,
         points_per_line=info.points_per_line,
         n_lines=counts.n_lines,
-        n_records=counts.tally.n_records if info.n_records is None else info.n_records,
+        n_records=info.n_records if is_whole and info.n_records is not None else counts.tally.n_records,
         n_missing=int(counts.labels[Label.MISSING]),
         assumptions=info.assumptions if loaded.choice is None else (loaded.choice.assumption, *info.assumptions),
         tally=counts.tally,

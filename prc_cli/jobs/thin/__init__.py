@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.config import LoadedConfig, RunConfig, refuse_window
 from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_outputs, file_state, suffix_of, temporary_name
@@ -152,6 +152,7 @@ def thin(
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
+    refuse_window(loaded.config, "prc thin")
     source, output = Path(source), Path(output)
     rules = parse_rules(codes=loaded.config.classes) if rules is None else rules
     if labels == CLASSIFY:
