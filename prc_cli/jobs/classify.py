@@ -43,6 +43,7 @@ from prc_cli.formats.writing.record import (
     record_path,
 )
 from prc_cli.jobs.choice import choice_by_place, choice_by_request, choose, decided_by
+from prc_cli.jobs.progress import advance
 from prc_cli.kernels import Engine, load_kernels, use_engine
 from prc_cli.streams.evidence.place import place_of_blocks
 from prc_cli.streams.evidence.result import ResultWatch
@@ -384,10 +385,10 @@ def _write_labels(
         stack.callback(close_items, labelled)
         if threads > 1:
             put = stack.enter_context(write_behind(write, depth=AHEAD)).put
+        info = stream.info
         for item in labelled:
             put(item)
-            if progress is not None:
-                progress(item.block.n_lines)
+            advance(progress, item.block, info, config.input.window)
     return counts
 
 

@@ -39,6 +39,7 @@ from prc_cli.formats.writing.record_values import RecordValues
 from prc_cli.formats.writing.spool import Spool
 from prc_cli.formats.writing.stream_writer import NO_CODE, StreamItem, StreamShape
 from prc_cli.jobs.classify import Counts, Progress, run_record
+from prc_cli.jobs.progress import advance
 from prc_cli.streams.evidence.watch import EvidenceStream, watched
 from prc_cli.streams.grid import GridStream
 from prc_cli.streams.open import open_input
@@ -164,8 +165,7 @@ def convert(
         for item in opened.items:
             writer.add_item(item)
             facts = facts.add(item.block)
-            if progress is not None:
-                progress(item.block.n_lines)
+            advance(progress, item.block, opened.info, loaded.config.input.window)
         info = opened.info
         losses = find_losses(output, opened, facts, writer.losses)
         record = run_record(info, facts.counts, loaded)
@@ -235,15 +235,14 @@ def _copy_window(source: Path, output: Path, loaded: LoadedConfig, progress: Pro
         stream = watched(
             open_input(source, loaded.config.input, loaded.config.layout), loaded.config.input, refuses=False
         )
-        stop = 0
+        stop, info = 0, stream.info
         for block in stream.blocks():
             facts = facts.add(block)
             record = np.concatenate([block.records().ravel(), block.extra.record])
             record = record[record >= 0]
             stays.put(record, np.ones(len(record), np.uint8))
             stop = max(stop, int(record.max(initial=-1)) + 1)
-            if progress is not None:
-                progress(block.n_lines)
+            advance(progress, block, info, loaded.config.input.window)
 
         def masks(n: int) -> Iterator[Mask]:
             return (part.view(np.bool_) for part in stays.chunks(n, stop=-(-stop // n) * n))

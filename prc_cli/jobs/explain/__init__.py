@@ -7,7 +7,7 @@ block; the images of its stages are then computed again by the stages themselves
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ from prc_cli.core.classes import Label
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.threads import default_threads
+from prc_cli.core.window import Window
 from prc_cli.formats import check_input
 from prc_cli.jobs.choice import decide
 from prc_cli.jobs.classify import Progress, load_classifier, open_stream
@@ -31,6 +32,7 @@ from prc_cli.jobs.explain.answers import Answer
 from prc_cli.jobs.explain.fused import fused_answers
 from prc_cli.jobs.explain.prc import prc_answers
 from prc_cli.jobs.explain.sequential_angle import sequential_angle_answers
+from prc_cli.jobs.progress import advance
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,16 +159,17 @@ def explain(
 def _find(source: Path, loaded: LoadedConfig, listener: _Listener, progress: Progress | None) -> LabelledBlock:
     """Run to the block of the shot."""
     last, found = -1, set[int]()
-    blocks = open_stream(source, loaded).blocks()
+    stream = open_stream(source, loaded)
+    info, to_line = stream.info, Window("--at", True, 0.0, listener.line + 1.0)
     labelled = run_blocks(
-        blocks, listener, threads=default_threads(), wanted=Wanted(stages=loaded.config.method == "sequential-angle"),
+        stream.blocks(), listener, threads=default_threads(),
+        wanted=Wanted(stages=loaded.config.method == "sequential-angle"),
         shots_at_once=SHOTS_AT_ONCE,
     )  # fmt: skip
     with closing(_generator(labelled)) as items:
         for item in items:
             block = item.block
-            if progress is not None:
-                progress(block.n_lines)
+            advance(progress, block, info, to_line)
             found.add(block.scanner)
             if listener.holds(block):
                 return item
@@ -178,7 +181,7 @@ def _find(source: Path, loaded: LoadedConfig, listener: _Listener, progress: Pro
     raise InputError(str(source), problem, "lines and columns are counted from 0: prc info")
 
 
-def _generator(items: Iterator[LabelledBlock]) -> Iterator[Any]:
+def _generator(items: Iterator[LabelledBlock]) -> Generator[LabelledBlock]:
     yield from items
 
 

@@ -104,11 +104,11 @@ def _surfaces(
     label = Label(int(draw(seen, v, ground, params)[at]))
     own = int(h.ids[component])
     said = f"the ground is segment {ground}, with most smooth shots so far"
-    so = {Label.GROUND: "of the ground", Label.BUILDING: "smooth and not of the ground: building"}
+    named = {Label.GROUND: "of the ground", Label.BUILDING: "smooth and not of the ground: building"}
     yield Answer(
         "classes",
         f"{said}; the shot is of segment {own}" if label != Label.VEGETATION else "non-smooth",
-        so.get(label, "vegetation"),
+        named.get(label, "vegetation"),
         (("prc.urban.ground", params.urban.ground),),
     )
 

@@ -45,6 +45,7 @@ from prc_cli.jobs.convert import (
     prepare_output,
     record_of_scanners,
 )
+from prc_cli.jobs.progress import advance
 from prc_cli.jobs.thin.rules import ThinRule, parse_rules
 from prc_cli.jobs.thin.selection import choose, without
 from prc_cli.streams.beams import with_beams
@@ -200,8 +201,7 @@ class _Run:
                         [block.records()[~kept & ~np.isnan(block.range_m)], block.extra.record[~kept_extra]]
                     )
                     stays.put(gone[gone >= 0], np.zeros(int((gone >= 0).sum()), np.uint8))
-                    if progress is not None:
-                        progress(block.n_lines)
+                    advance(progress, block, opened.info)
                 self._check_labels(opened.info)
                 if len(set(self.facts.scanners.values())) > 1:
                     hints = (
@@ -225,8 +225,7 @@ class _Run:
                 for item, codes, extra_codes in items:
                     kept, kept_extra = self._choose(item, codes, extra_codes)
                     writer.add_item(without(replace(item, codes=codes, extra_codes=extra_codes), kept, kept_extra))
-                    if progress is not None:
-                        progress(item.block.n_lines)
+                    advance(progress, item.block, opened.info)
                 self._check_labels(opened.info)
                 opened = replace(opened, shape=shape)
                 found = find_losses(self.output, opened, self.facts, writer.losses)
