@@ -132,6 +132,18 @@ class MethodChoice:
         return Assumption("method", f"{self.method} (--preset {self.preset})", self.why)
 
 
+def refuse_window(config: RunConfig, command: str) -> None:
+    """Refuse a part of a stream where whole ones are needed.
+
+    Raises
+    ------
+    ConfigError
+    """
+    if config.input.window is not None:
+        problem = f"found {config.input.window.option}, but {command} takes files whole"
+        raise ConfigError("[input]", problem, "leave it out; prc classify, convert, calibrate and objects take a part")
+
+
 @dataclass(frozen=True, slots=True)
 class LoadedConfig:
     """A configuration and the source of each of its values."""

@@ -31,6 +31,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "info": ("prc_cli.cli.info:info", "Say what a file holds, whether it can be classified, and how."),
     "classify": ("prc_cli.cli.classify:classify", "Give every shot of a file its class."),
     "render": ("prc_cli.cli.render:render", "Draw a scan, its steps, its classes, differences, or the cloud."),
+    "explain": ("prc_cli.cli.explain:explain", "Say why a shot has its class, stage by stage."),
     "evaluate": ("prc_cli.cli.evaluate:evaluate", "Compare predicted with reference classes."),
     "batch": ("prc_cli.cli.batch:batch", "Classify an archive of files; resumes, journals, many at a time."),
     "stream": ("prc_cli.cli.stream:stream", "Label a live stream: ranges on stdin, one class code a shot on stdout."),

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from prc_cli.cli.options import config_from, output_options, stream_options
+from prc_cli.cli.options import config_from, output_options, stream_options, window_options
 from prc_cli.cli.profile import print_profile, profile_of
 from prc_cli.cli.report import (
     compiling_note,
@@ -34,6 +34,7 @@ from prc_cli.kernels import ENGINES, Engine
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("output", metavar="OUT", type=click.Path(path_type=Path))
 @stream_options
+@window_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--segment-ids", is_flag=True, help="Also write the segment id of every shot.")
 @click.option(

@@ -2,6 +2,7 @@
 
 ``stream_options``  how a stream is read from an input, and with which parameters it is classified
 ``input_options``   only how a stream is read
+``window_options``  which part of it
 ``output_options``  ``--json --quiet --verbose``
 """
 
@@ -52,6 +53,13 @@ _INPUT_OPTIONS = [
 
 _SORT_OPTION = click.option("--sort-by-time", "sort_by_time", is_flag=True, help="Sort the records by time first.")
 
+_WINDOW_OPTIONS = [
+    click.option("--only-lines", "window_lines", metavar="A:B", help="Take lines A to B - 1 alone, from 0."),
+    click.option("--only-time", "window_time", metavar="A:B",
+                 help="Take the lines of these times alone [s]; +A:+B = since the first one."),
+    click.option("--first", "window_first", metavar="LENGTH", help="Take the first 30s, 2min or 500lines alone."),
+]  # fmt: skip
+
 _OUTPUT_OPTIONS = [
     click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on stdout."),
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors and warnings (and --json)."),
@@ -74,6 +82,13 @@ def live_options(command: CommandT) -> CommandT:
 def input_options(command: CommandT) -> CommandT:
     """Add the options for reading a stream, for commands that do not classify."""
     for option in reversed([*_INPUT_OPTIONS, _SORT_OPTION]):
+        command = option(command)
+    return command
+
+
+def window_options(command: CommandT) -> CommandT:
+    """Add the options for reading a part of a stream, to try settings."""
+    for option in reversed(_WINDOW_OPTIONS):
         command = option(command)
     return command
 
@@ -132,6 +147,9 @@ def layers_from(options: dict[str, Any]) -> Layers:
         "max_range": options["max_range"],
         "order": order,
         "accept_doubts": list(options["accept_doubts"]) or None,
+        "only_lines": options.get("window_lines"),
+        "only_time": options.get("window_time"),
+        "first": options.get("window_first"),
     }
     inputs = {key: value for key, value in given.items() if value is not None}
     if inputs:

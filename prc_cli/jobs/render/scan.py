@@ -30,6 +30,7 @@ from prc_cli.imaging.pictures import (
 from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Colour, Key, Panel, zoom_for
 from prc_cli.imaging.stages import critical_bar, critical_limits, critical_picture, trigger_key, trigger_picture
 from prc_cli.jobs.classify import Progress
+from prc_cli.jobs.progress import advance
 from prc_cli.jobs.render.classes import (
     LABEL_TABLE,
     NOT_SCORED,
@@ -166,11 +167,11 @@ def draw_scan(
     labelled = given is None and bool(set(steps) - {"range", "intensity", "reference"})
     kept = _Kept(beam_rad=first.beam_rad, turn_rad=turns(first))
     blocks = of_station(stream.blocks(), options.station, stream.info.path)
+    info = stream.info
     for frame in frames(blocks, loaded, steps, classify=labelled):
         frame = _with_classes(frame, words, given, reference)
         _keep(kept, frame, part, layout, steps, words)
-        if progress is not None:
-            progress(frame.block.n_lines)
+        advance(progress, frame.block, info)
         if frame.block.first_line + frame.block.n_lines >= part.stop:
             break
     if part.stop == part.n_lines and kept.tally.n_records:
