@@ -146,6 +146,10 @@ TARGETS: dict[str, Target] = {
                 "--set",
                 "input.trajectory_crs=EPSG:32635",
             ),
+            (
+                *("convert", "{seeds}/a.csv", "{out}/o.npz", "--range", "trajectory:{case}"),
+                *("--set", "input.trajectory_time_offset=-1"),
+            ),
         ),
     ),
     "layout": Target(("layout.toml", "text_layout.toml"), LAYOUT),

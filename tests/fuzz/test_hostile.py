@@ -55,12 +55,14 @@ def test_damaged_files_are_refused_or_read(worker: tuple[WatchedWorker, Path], n
 @pytest.mark.parametrize("name", TARGETS)
 def test_the_first_command_takes_the_seed(worker: tuple[WatchedWorker, Path], name: str) -> None:
     """Else every case would be refused for a reason that is not its damage."""
+    from tests.fuzz.worker import DONE  # of POSIX alone, as the worker
+
     watched, folder = worker
     chosen = TARGETS[name].seeds[0]
     case = folder / f"sound{suffix_of_seed(chosen)}"
     case.write_bytes(seed(chosen))
-    codes = {watched.run(command, case)["code"] for command in TARGETS[name].commands[:5]}
-    assert 0 in codes
+    command = TARGETS[name].commands[0]
+    assert watched.run(command, case)["code"] in DONE, command
 
 
 ATTACKS = (
