@@ -203,8 +203,8 @@ def test_differences_are_counted_and_shown(drive: Path, urban: LoadedConfig, tmp
     assert drawing.n_differing == wrong.sum() > 0
     assert drawing.n_compared == (labels != Label.MISSING).sum()
     difference = drawing.strips[0][2]
-    blue = (difference.picture == LABEL_COLOURS[Label.GROUND]).all(axis=2)
-    assert np.array_equal(blue, wrong)
+    wrong_ground = (difference.picture == LABEL_COLOURS[Label.GROUND]).all(axis=2)
+    assert np.array_equal(wrong_ground, wrong)
     assert f"of {drawing.n_compared:,} shots differ" in difference.note
 
 
@@ -596,3 +596,52 @@ def test_headings_of_pages_go_on_to_the_last_line(urban: LoadedConfig, tmp_path:
     first, last = ([int(words[k]) for words in headings] for k in (0, 1))
     assert (first[0], last[-1]) == (0, 1639)
     assert first[1:] == [line + 1 for line in last[:-1]]
+
+
+def test_noise_does_not_frame_a_cloud_and_can_be_hidden(urban: LoadedConfig, tmp_path: Path) -> None:
+    las = laspy.read(write_cloud(tmp_path / "cloud.las", np.full(20_000, 2, np.uint8)))
+    codes = np.array(las.classification)
+    codes[::10] = 7
+    las.classification = codes
+    las.x = np.where(codes == 7, 650_000 + np.arange(20_000) % 997, las.x)
+    las.write(tmp_path / "noisy.las")
+    source = tmp_path / "noisy.las"
+    alone = render(source, tmp_path / "a.png", urban, RenderOptions(view="top", width=400, hide=("noise",)))
+    framed = render(source, tmp_path / "b.png", urban, RenderOptions(view="top", width=400))
+    assert alone.size[0] == framed.size[0]
+    assert alone.counts == framed.counts == {"ground": 18_000, "noise": 2_000}
+    assert "18,000 points by class · without noise" in alone.drawn
+    assert has(pixels(tmp_path / "a.png"), Label.GROUND)
+    black = LABEL_COLOURS[Label.NOISE]
+    n_black = [int((pixels(tmp_path / name) == black).all(axis=2).sum()) for name in ("a.png", "b.png")]
+    assert n_black[0] < n_black[1]
+    by_height = RenderOptions(view="top", width=400, hide=("noise",), colour="height")
+    assert "18,000 points by height" in render(source, tmp_path / "c.png", urban, by_height).drawn
+    with pytest.raises(ConfigError, match="--hide: found 'rain', expected classes: unclassified, noise, ground"):
+        render(source, tmp_path / "d.png", urban, RenderOptions(view="top", hide=("rain",)))
+
+
+def test_hidden_classes_are_white_in_scan_pictures(drive: Path, urban: LoadedConfig, tmp_path: Path) -> None:
+    drawing = draw_scan(drive, urban, RenderOptions(steps=("classes",), hide=("ground",)), tmp_path)
+    labels = labels_of(drive, urban)
+    (panel,) = drawing.strips[0]
+    assert (panel.picture[labels == Label.GROUND] == 255).all()
+    assert not any(text.startswith("ground") for text, _ in panel.key)
+    assert drawing.counts["ground"] == (labels == Label.GROUND).sum()
+
+
+def test_a_headline_names_file_preset_lines_and_day(
+    drive: Path, urban: LoadedConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    result = render(drive, tmp_path / "a.png", urban)
+    assert result.drawn == f"drive.npz · preset urban · all {N_LINES} lines · 2023-11-14"
+    classify(drive, tmp_path / "labels.npy", urban)
+    shown = render(drive, tmp_path / "b.png", urban, RenderOptions(labels=tmp_path / "labels.npy", hide=("noise",)))
+    assert shown.drawn == f"drive.npz · labels of labels.npy, prc · all {N_LINES} lines · without noise · 2023-11-14"
+    (tmp_path / "labels.npy.prc.json").write_text("{", encoding="utf-8")
+    again = render(drive, tmp_path / "c.png", urban, RenderOptions(labels=tmp_path / "labels.npy"))
+    assert "labels of labels.npy · all" in again.drawn
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(ConfigError, match="SOURCE_DATE_EPOCH: found 'yesterday', expected whole seconds since 1970"):
+        render(drive, tmp_path / "d.png", urban)

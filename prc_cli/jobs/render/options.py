@@ -126,8 +126,11 @@ class RenderOptions:
     """Which codes mean which class on either side; None = the codes of ``[classes]`` on both."""
     colour: ColourBy | None = None
     """Value that colours a cloud; None = class if available, else height."""
-    azimuth_deg: float = 215.0
-    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]."""
+    hide: tuple[str, ...] = ()
+    """Names of classes that are not drawn."""
+    azimuth_deg: float | None = None
+    """Azimuth of the viewpoint, clockwise from north (+y), seen from the points [deg]; None = the side from which the
+    points fill the picture best."""
     elevation_deg: float = 30.0
     """Elevation of the viewpoint, seen from the points [deg]."""
     width: int = 2200
@@ -136,6 +139,10 @@ class RenderOptions:
     """Highest page [pixels]."""
     pages: int = 1
     """Most pages; longer scans are thinned."""
+    shots: int = 1_500_000
+    """Most shots that a viewer page holds; of longer scans every n-th line and column is kept."""
+    line_spacing_m: float | None = None
+    """Distance of scan lines in a viewer page, where the input has no coordinates [m]; None = assumed."""
 
 
 @dataclass(frozen=True, slots=True)

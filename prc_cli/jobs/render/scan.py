@@ -30,6 +30,7 @@ from prc_cli.imaging.pictures import (
 from prc_cli.imaging.sheet import FRAME_HEIGHT, Axis, Colour, Key, Panel, zoom_for
 from prc_cli.imaging.stages import critical_bar, critical_limits, critical_picture, trigger_key, trigger_picture
 from prc_cli.jobs.classify import Progress
+from prc_cli.jobs.progress import advance
 from prc_cli.jobs.render.classes import (
     LABEL_TABLE,
     NOT_SCORED,
@@ -50,6 +51,7 @@ from prc_cli.jobs.render.frames import (
     turns,
     upright,
 )
+from prc_cli.jobs.render.heading import heading, made_by, made_with
 from prc_cli.jobs.render.options import CAPTIONS, RenderOptions, choose_steps
 from prc_cli.jobs.render.stages import INTERVALS, TESTS
 
@@ -165,18 +167,19 @@ def draw_scan(
     labelled = given is None and bool(set(steps) - {"range", "intensity", "reference"})
     kept = _Kept(beam_rad=first.beam_rad, turn_rad=turns(first))
     blocks = of_station(stream.blocks(), options.station, stream.info.path)
+    info = stream.info
     for frame in frames(blocks, loaded, steps, classify=labelled):
         frame = _with_classes(frame, words, given, reference)
         _keep(kept, frame, part, layout, steps, words)
-        if progress is not None:
-            progress(frame.block.n_lines)
+        advance(progress, frame.block, info)
         if frame.block.first_line + frame.block.n_lines >= part.stop:
             break
     if part.stop == part.n_lines and kept.tally.n_records:
         for side in (given, reference):
             if side is not None and stream.info.n_records is None and options.station is None:
                 side.check(max(kept.tally.n_records, kept.n_read))
-    return _draw(kept, part, layout, steps, words, given=given is not None)
+    own = words.table if given is not None else LABEL_TABLE.without(options.hide)
+    return _draw(kept, part, layout, steps, words, own)
 
 
 def _check_part(method: str, options: RenderOptions) -> None:
@@ -300,10 +303,9 @@ def _keep(
 
 
 def _draw(
-    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, *, given: bool
+    kept: _Kept, part: Part, layout: _Layout, steps: tuple[str, ...], words: Vocabulary, own: ClassTable
 ) -> Drawing:  # fmt: skip
     planes = {name: np.concatenate(parts) for name, parts in kept.planes.items()}
-    own = words.table if given else LABEL_TABLE
     painter = _Painter(planes, steps, words, own)
     if layout.kind != "strips":
         painter.keys = _keys(kept, words, own)
@@ -351,7 +353,8 @@ _NO_RETURN = "no return"
 def _names(table: ClassTable, counts: I64) -> Key:
     """Return the classes that occur, without shares, which differ between pictures."""
     order = [*range(1, len(table.names)), 0]
-    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in order if counts[i]]
+    shown = [i for i in order if counts[i] and i not in table.hidden]
+    found = [(table.names[i] if i else _NO_RETURN, table.colours[i]) for i in shown]
     return tuple((name, (int(colour[0]), int(colour[1]), int(colour[2]))) for name, colour in found)
 
 
@@ -497,14 +500,14 @@ def _elevations(beam_rad: F64, order: np.ndarray, n_columns: int) -> Axis:
 
 
 def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, name: str) -> str:
-    """Return the headline of a picture."""
+    """Return the headline of a picture: file, what labelled it, lines, day."""
     part, config = drawing.part, loaded.config
     words = [name]
     if options.labels is not None:
-        words.append(f"labels of {options.labels.name}")
+        labelled = made_by(options.labels)
+        words.append(f"labels of {options.labels.name}" + (f", {labelled}" if labelled else ""))
     elif set(drawing.steps) - {"range", "intensity", "reference"}:
-        kind = f"prc, {config.prc.environment}" if config.method == "prc" else config.method
-        words.append(kind)
+        words.append(made_with(loaded))
     if part.is_whole:
         words.append(f"all {part.n_lines:,} lines")
     else:
@@ -520,4 +523,6 @@ def describe(drawing: Drawing, loaded: LoadedConfig, options: RenderOptions, nam
         words.append(f"{' and '.join(thinned)} drawn")
     if options.station is not None:
         words.append(f"scanner {options.station}")
-    return " · ".join(words)
+    if options.hide:
+        words.append(f"without {', '.join(options.hide)}")
+    return heading(*words)
