@@ -293,6 +293,9 @@ def _is_running(process: int) -> bool:
         return False
     except OSError:  # it runs, but belongs to somebody else
         return True
+    # a dead one is answered for until its parent asks for its end, which first processes of containers never do
+    with contextlib.suppress(OSError, IndexError):
+        return Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()[0] not in (b"Z", b"X")
     return True
 
 

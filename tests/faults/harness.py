@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import re
 import secrets
 import shutil
 import signal
@@ -16,7 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from prc_cli.config import LoadedConfig, RunConfig
-from prc_cli.jobs.batch.journal import read_entries
+from prc_cli.jobs.batch.clean import clean
+from prc_cli.jobs.batch.journal import journal_paths, read_entries
 from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
 from prc_cli.jobs.classify import load_classifier
 from prc_cli.jobs.simulate import simulate
@@ -231,6 +233,21 @@ def check_nothing_half(archive: Archive, out: Path) -> None:
         if entry.state == "done":
             outputs = [name for name in found if name.startswith(entry.name) and not name.endswith(".prc.json")]
             assert len(outputs) == 1, f"{entry.name!r} is done, its output is {outputs}"
+
+
+def check_known(archive: Archive, out: Path) -> None:
+    """What a run left that was killed is an output, our own state, or removed by ``prc batch clean``."""
+    if not out.exists() or not journal_paths(out / OWN_FOLDER):
+        left = [path for path in out.rglob("*") if path.is_file() and path.parent.name != OWN_FOLDER]
+        assert not left, left
+        return
+    removed = set(clean(out, dry_run=True).files)
+    state = re.compile(r"journal\.sqlite(-wal|-shm|-journal)?|command\.json|lock|lock\.json")
+    for path in out.rglob("*"):
+        name = path.relative_to(out).as_posix()
+        is_ours = path.parent == out / OWN_FOLDER and state.fullmatch(path.name) is not None
+        if path.is_file() and not is_ours and name not in archive.whole and name != "summary.json":
+            assert path in removed, f"prc batch clean does not know {name!r}"
 
 
 def check_whole(archive: Archive, out: Path) -> None:
