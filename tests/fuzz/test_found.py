@@ -252,6 +252,22 @@ def test_damaged_laz_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.Cap
     assert min(codes.values()) > 1, codes
 
 
+def test_damaged_copc_does_not_come_out_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """``transfer`` decoded only the layers of the classes of an octree's chunks, and copied the others."""
+    labels, codes = put(tmp_path / "labels.laz", seed("copc7.laz")), {0: 0, 1: 0}
+    for number in range(16):
+        case = put(tmp_path / f"{number}.laz", zeroed(seed("copc7.laz"), number, 30))
+        output = tmp_path / f"o{number}.laz"
+        code, printed = run(capfd, "transfer", labels, case, output, "--min-match", "0", "-q")
+        codes[min(code, 1)] += 1
+        if code:
+            assert "error: " in printed
+            assert not output.exists()
+        else:
+            assert len(laspy.read(output)) == len(laspy.read(labels))
+    assert min(codes.values()) > 1, codes
+
+
 @pytest.mark.parametrize(("name", "kind"), [("pf6.laz", 12), ("pf7.laz", 12), ("pf3.laz", 9), ("pf6.laz", 14)])
 def test_items_of_another_point_format_are_refused(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, kind: int
