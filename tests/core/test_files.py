@@ -8,6 +8,7 @@ import os
 import pickle
 import stat
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -193,6 +194,17 @@ def test_a_dead_process_that_nobody_waits_for_is_dead(tmp_path: Path) -> None:
         wait_until(lambda: b") Z" in Path(f"/proc/{process.pid}/stat").read_bytes())
         part = temporary_name(tmp_path / "a.npy").name.replace(f"-{os.getpid()}-", f"-{process.pid}-")
         assert is_left_behind(tmp_path / part)
+
+
+@pytest.mark.skipif(not Path("/proc/uptime").exists(), reason="needs /proc")
+def test_a_process_that_was_given_the_number_of_a_dead_one_is_not_the_writer(tmp_path: Path) -> None:
+    """As after a restart of the machine, when the numbers begin anew."""
+    part = temporary_name(tmp_path / "a.npy")
+    part.touch()
+    assert is_left_behind(part) is False
+    long_ago = time.time() - 400 - float(Path("/proc/uptime").read_text().split()[0])
+    os.utime(part, (long_ago, long_ago))
+    assert is_left_behind(part) is True
 
 
 def test_to_begin_a_flush_changes_nothing_and_never_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.files import is_younger
 from prc_cli.jobs.batch.clean import clean
 from prc_cli.jobs.batch.journal import journal_paths, read_entries
 from prc_cli.jobs.batch.types import OWN_FOLDER, Entry
@@ -215,8 +216,8 @@ def tree(out: Path) -> dict[str, bytes]:
 
 
 def parts(out: Path) -> list[Path]:
-    """Return all temporary files."""
-    return sorted(out.rglob("*.part"))
+    """Return all temporary files but those whose number belongs to another process by now: machines are busy."""
+    return sorted(path for path in out.rglob("*.part") if not is_younger(int(path.name.split("-")[-2]), path))
 
 
 def entries(out: Path) -> dict[str, Entry]:
@@ -241,13 +242,28 @@ def check_known(archive: Archive, out: Path) -> None:
         left = [path for path in out.rglob("*") if path.is_file() and path.parent.name != OWN_FOLDER]
         assert not left, left
         return
+    end = time.monotonic() + _DYING_S
+    while (unknown := _unknown(archive, out)) and time.monotonic() < end:
+        time.sleep(0.1)  # killed processes take a moment to die
+    assert not unknown, f"prc batch clean does not know {unknown}"
+
+
+_DYING_S = 10.0
+
+
+def _unknown(archive: Archive, out: Path) -> list[str]:
+    """Return the files that are neither outputs nor our own state, and that ``prc batch clean`` would not remove."""
     removed = set(clean(out, dry_run=True).files)
     state = re.compile(r"journal\.sqlite(-wal|-shm|-journal)?|command\.json|lock|lock\.json")
+    found = []
     for path in out.rglob("*"):
         name = path.relative_to(out).as_posix()
         is_ours = path.parent == out / OWN_FOLDER and state.fullmatch(path.name) is not None
-        if path.is_file() and not is_ours and name not in archive.whole and name != "summary.json":
-            assert path in removed, f"prc batch clean does not know {name!r}"
+        is_ours = is_ours or name in archive.whole or name == "summary.json"
+        is_kept = path.suffix == ".part" and path not in parts(out)
+        if path.is_file() and not (is_ours or is_kept or path in removed):
+            found.append(name)
+    return found
 
 
 def check_whole(archive: Archive, out: Path) -> None:
