@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from prc_cli.config import LoadedConfig, RunConfig
+from prc_cli.core.errors import BusyError
 from prc_cli.core.files import is_younger
 from prc_cli.jobs.batch.clean import clean
 from prc_cli.jobs.batch.journal import journal_paths, read_entries
@@ -253,7 +254,10 @@ _DYING_S = 10.0
 
 def _unknown(archive: Archive, out: Path) -> list[str]:
     """Return the files that are neither outputs nor our own state, and that ``prc batch clean`` would not remove."""
-    removed = set(clean(out, dry_run=True).files)
+    try:
+        removed = set(clean(out, dry_run=True).files)
+    except BusyError as error:
+        return [str(error)]
     state = re.compile(r"journal\.sqlite(-wal|-shm|-journal)?|command\.json|lock|lock\.json")
     found = []
     for path in out.rglob("*"):
