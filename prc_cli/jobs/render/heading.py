@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -35,23 +35,47 @@ def made_with(loaded: LoadedConfig) -> str:
 
 
 def made_by(labels: Path) -> str:
-    """Return what labelled a file according to the run record beside it; empty where there is none.
+    """Return what labelled a file according to the run record beside it; empty where there is none."""
+    return _method_of(_record_of(labels))
 
-    Whatever cannot be read is as good as absent: a headline is no reason to refuse a picture.
+
+def origin(labels: Sequence[Path]) -> tuple[str, str]:
+    """Return what labelled some files and which inputs, according to their run records.
+
+    Returns
+    -------
+    str
+        ``fused (--preset fused)``; several with commas, empty if no file has a record.
+    str
+        Name of the input, or how many there are; empty if no file has a record.
     """
-    path = record_path(labels)
+    found = [_record_of(path) for path in labels]
+    methods = dict.fromkeys(filter(None, (_method_of(record) for record in found)))
+    inputs = dict.fromkeys(filter(None, (_input_of(record) for record in found)))
+    return ", ".join(methods), next(iter(inputs), "") if len(inputs) < 2 else f"{len(inputs):,} inputs"
+
+
+def _record_of(labels: Path) -> Mapping[str, Any]:
+    """Return a run record; empty where it is absent or cannot be read, which is no reason to refuse a picture."""
     with suppress(OSError, ValueError, RecursionError):
+        path = record_path(labels)
         if path.stat().st_size <= LARGEST_RECORD:
-            return _of_record(json.loads(path.read_text(encoding="utf-8")))
-    return ""
+            found = json.loads(path.read_text(encoding="utf-8"))
+            if isinstance(found, Mapping) and found.get("program") == PROGRAM:
+                return found
+    return {}
 
 
-def _of_record(found: Any) -> str:
-    if not isinstance(found, Mapping) or found.get("program") != PROGRAM:
-        return ""
-    for one in found.get("assumptions") or ():
+def _method_of(record: Mapping[str, Any]) -> str:
+    for one in record.get("assumptions") or ():
         if isinstance(one, Mapping) and one.get("key") == "method":
             return str(one.get("value", ""))[:80]
-    config = found.get("config")
+    config = record.get("config")
     method = config.get("method") if isinstance(config, Mapping) else None
     return method[:80] if isinstance(method, str) else ""
+
+
+def _input_of(record: Mapping[str, Any]) -> str:
+    source = record.get("input")
+    name = source.get("name") if isinstance(source, Mapping) else None
+    return name[:200] if isinstance(name, str) else ""
