@@ -9,12 +9,10 @@ from typing import Any
 
 import click
 
-from prc_cli import __version__
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
 from prc_cli.cli.sections import Sectioned
-from prc_cli.core.dates import today
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
 from prc_cli.evaluation.gates import GateResult, check_gates, parse_gate, refuse_failed
@@ -217,17 +215,12 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
 def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:
     """Return the result in one of the report formats."""
     if form == "html":
-        return as_html(found, gates, mapping=mapping, pictures=pictures, origin=_origin(found))
+        return as_html(
+            found, gates, mapping=mapping, pictures=pictures, origin=origin([Path(name) for name in found.predicted])
+        )
     if form in ("csv", "latex"):
         return as_csv(found) if form == "csv" else as_latex(found)
     return as_json(found, gates) + "\n" if form == "json" else as_markdown(found, gates)
-
-
-def _origin(found: Evaluation) -> list[str]:
-    """Return day and version, and the method and input that the run records name."""
-    method, source = origin([Path(name) for name in found.predicted])
-    parts = (today(), f"prc {__version__}", method, f"input {source}" if source else "")
-    return [part for part in parts if part]
 
 
 def _how(options: dict[str, Any]) -> EvaluateOptions:

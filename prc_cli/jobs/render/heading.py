@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from prc_cli import __version__
 from prc_cli.config import LoadedConfig, preset_of
 from prc_cli.core.dates import today
 from prc_cli.formats.writing.record import PROGRAM, record_path
@@ -39,20 +40,13 @@ def made_by(labels: Path) -> str:
     return _method_of(_record_of(labels))
 
 
-def origin(labels: Sequence[Path]) -> tuple[str, str]:
-    """Return what labelled some files and which inputs, according to their run records.
-
-    Returns
-    -------
-    str
-        ``fused (--preset fused)``; several with commas, empty if no file has a record.
-    str
-        Name of the input, or how many there are; empty if no file has a record.
-    """
+def origin(labels: Sequence[Path]) -> tuple[str, ...]:
+    """Return what made a page about label files: day and version, method and input as far as run records name them."""
     found = [_record_of(path) for path in labels]
     methods = dict.fromkeys(filter(None, (_method_of(record) for record in found)))
     inputs = dict.fromkeys(filter(None, (_input_of(record) for record in found)))
-    return ", ".join(methods), next(iter(inputs), "") if len(inputs) < 2 else f"{len(inputs):,} inputs"
+    source = f"{len(inputs):,} inputs" if len(inputs) > 1 else "".join(f"input {name}" for name in inputs)
+    return tuple(filter(None, (today(), f"prc {__version__}", ", ".join(methods), source)))
 
 
 def _record_of(labels: Path) -> Mapping[str, Any]:
