@@ -47,6 +47,35 @@ class Surface(IntEnum):
     """A return on a line where no angle can be measured: fewer than two returns, or all at the same place."""
 
 
+class TriggerSide(IntEnum):
+    """Place of a shot relative to the trigger of its half-line (Stamos et al. 2012, sec. 7.2)."""
+
+    NONE = 0
+    """The half-line has no trigger."""
+    BEFORE = 1
+    AT = 2
+    """The trigger, on the shot that sets it off; that shot may be missing."""
+    AFTER = 3
+
+
+class CarTest(IntEnum):
+    """What the search for cars made of a return between dividers (Stamos et al. 2012, sec. 7.3 to 8)."""
+
+    OUTSIDE = 0
+    """In no interval."""
+    VERTICAL = 1
+    """Cut out of its interval as a tall vertical run (sec. 7.3)."""
+    VEGETATION = 2
+    """Its piece of the interval failed the Fourier test (sec. 7.5)."""
+    BEHIND_WALL = 3
+    """Behind a high vertical (sec. 7.4)."""
+    ON_GROUND = 4
+    """Horizontal and next to the ground."""
+    BEHIND_CURB = 5
+    """On or behind a verified curb (sec. 8)."""
+    CAR = 6
+
+
 LABEL_OF_SURFACE: tuple[Label, ...] = tuple(
     {
         Surface.MISSING: Label.MISSING,
