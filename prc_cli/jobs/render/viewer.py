@@ -32,8 +32,9 @@ from prc_cli.jobs.render.options import RenderOptions, RenderResult
 from prc_cli.jobs.render.scan import Part, choose_part
 from prc_cli.streams.beams import with_beams
 
-SPEED_M_S = 8.0
-"""Speed that is taken where neither a trajectory nor ``--line-spacing`` tells how far apart lines are."""
+SPEED_M_S, WALK_M_S = 8.0, 1.2
+"""Speeds on streets and in forests that are taken where neither a trajectory nor ``--line-spacing`` tells how far apart
+lines are."""
 SPACING_M = 0.1
 """Line spacing where times are not known either [m]."""
 _FLAT = 1e-3
@@ -294,7 +295,10 @@ def _shots(
     sensor_m = values.pop("xyz", None)
     values |= _of_files(source, loaded, options, record)
     file_m = np.stack([values.pop(axis) for axis in AXES], axis=2) if set(AXES) <= set(values) else None
-    spacing_m, assumed = _spacing(options, stream, values.get("time"), step[0])
+    config = loaded.config
+    in_forest = (config.fused if config.method == "fused" else config.prc).environment == "forest"
+    speed_m_s = WALK_M_S if in_forest else SPEED_M_S
+    spacing_m, assumed = _spacing(options, stream, values.get("time"), step[0], speed_m_s)
     beam_rad = None if kept.beam_rad is None else kept.beam_rad[:: step[1]]
     xyz_m, notes = _place(range_m, beam_rad, sensor_m, file_m, spacing_m * step[0], seen, _how(spacing_m, assumed))
     noise = [place for place, name in enumerate(words.table.names) if name == Label.NOISE.name.lower()]
@@ -383,7 +387,9 @@ def _look_up(records: RecordSource, names: tuple[str, ...], record: I64) -> dict
     return {name: values.reshape(record.shape) for name, values in found.items()}
 
 
-def _spacing(options: RenderOptions, stream: ScanStream, time_s: F64 | None, step: int) -> tuple[float, str]:
+def _spacing(
+    options: RenderOptions, stream: ScanStream, time_s: F64 | None, step: int, speed_m_s: float
+) -> tuple[float, str]:
     """Return the distance of lines [m], and how it is known; empty where it was given."""
     if options.line_spacing_m is not None:
         return options.line_spacing_m, ""
@@ -395,7 +401,7 @@ def _spacing(options: RenderOptions, stream: ScanStream, time_s: F64 | None, ste
         hz = 1 / period if period > 0 else None
     if hz is None:
         return SPACING_M, "assumed"
-    return SPEED_M_S / hz, f"assumed: {SPEED_M_S:g} m/s"
+    return speed_m_s / hz, f"assumed: {speed_m_s:g} m/s"
 
 
 def _how(spacing_m: float, assumed: str) -> str:
