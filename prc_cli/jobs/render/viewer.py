@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig
+from prc_cli.config import LoadedConfig, preset_of
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
@@ -135,7 +136,10 @@ def render_viewer(
         shots, notes = _shots(source, config, chosen, stream, part, step, kept, words)
     lines = "all" if part.is_whole else f"lines {part.first:,} to {part.stop - 1:,} of"
     head = heading(origin, f"{lines} {part.n_lines:,} lines", _thinned(step))
-    text = viewer_page(shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.")
+    text = viewer_page(
+        shots, title=source.name, head=head, notes=notes, foot=f"Written by prc render {__version__}.",
+        why="" if given is not None else _explain(source, config, chosen),
+    )  # fmt: skip
     with atomic_output(output, overwrite=overwrite) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
     names = words.table.names
@@ -144,6 +148,13 @@ def render_viewer(
         (output,), (0, 0), f"{source.name} · {head}", lines=(part.first, part.stop), thinned_by=step, counts=counts,
         n_points=0 if shots.xyz_m is None else int(np.isfinite(shots.xyz_m[..., 0]).sum()), notes=notes,
     )  # fmt: skip
+
+
+def _explain(source: Path, loaded: LoadedConfig, options: RenderOptions) -> str:
+    """Return the command that tells why a shot has its class, without the place of the shot."""
+    preset, station = preset_of(loaded), options.station
+    words = ["prc", "explain", source.name, *([] if preset is None else ["--preset", preset])]
+    return shlex.join([*words, *([] if station is None else ["--station", str(station)]), "--at"])
 
 
 def _open(source: Path, loaded: LoadedConfig) -> ScanStream:
@@ -162,7 +173,8 @@ def _check(output: Path, options: RenderOptions) -> None:
         raise ConfigError(str(output), f"found the suffix {output.suffix!r}, expected .html", "rename the output")
     for name, given in (
         ("--steps", options.steps), ("--figure1", options.figure1 or None), ("--reference", options.reference),
-        ("--colour", options.colour), ("--view", None if options.view == "scan" else options.view),
+        ("--colour", options.colour), ("--block", options.block),
+        ("--view", None if options.view == "scan" else options.view),
     ):  # fmt: skip
         if given is not None:
             raise ConfigError(name, "belongs to pictures, found --html", "leave one of them out")
