@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
@@ -41,6 +42,7 @@ _OPTIONS = [
     click.option(
         "--mapping",
         metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
         help="Which codes mean which class: a preset (prc, street, street_scan, oakland, ...) or a file.  "
         "[default: that of the method in the run record beside PREDICTED, else prc]",
     ),

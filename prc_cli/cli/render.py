@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress
 from prc_cli.cli.sections import Sectioned
@@ -26,7 +27,7 @@ _FILE = click.Path(path_type=Path)
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="INPUT", type=_FILE)
+@click.argument("source", metavar="IN", type=_FILE)
 @click.argument("output", metavar="OUT", type=_FILE)
 @click.option("--steps", metavar="A,B,...", help="Pictures, e.g. range,support,classes; default: those that suit.")
 @click.option("--block", type=int, metavar="N", help="One block of prc, from 0.")
@@ -37,7 +38,12 @@ _FILE = click.Path(path_type=Path)
 @click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
 @click.option("--reference", type=_FILE, metavar="FILE", help="Classes to compare with.")
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
-@click.option("--mapping", metavar="NAME|FILE.toml", help="Which codes mean which class, as for prc evaluate.")
+@click.option(
+    "--mapping",
+    metavar="NAME|FILE.toml",
+    shell_complete=complete_mapping,
+    help="Which codes mean which class, as for prc evaluate.",
+)
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
@@ -72,7 +78,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--json", "as_json", is_flag=True, help="Print what was drawn as JSON on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and --json).")
 def render(source: Path, output: Path, *, overwrite: bool, as_json: bool, quiet: bool, **options: Any) -> None:
-    """Draw INPUT into OUT, a .png or a single .html.
+    """Draw IN into OUT, a .png or a single .html.
 
     Ranges, the steps of the classifier, classes, differences to a reference; or the points from above or in
     perspective.
