@@ -24,6 +24,7 @@ from prc_cli.cli.safe import printable, printable_lines
 from prc_cli.core.errors import PrcError
 from prc_cli.core.garbage import no_collecting
 from prc_cli.core.interrupts import raise_or_hold
+from prc_cli.core.process import claim_process
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("prc_cli.cli.demo:demo", "Simulate scans, classify them, evaluate them, draw them: no data needed."),
@@ -110,6 +111,7 @@ def main(args: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if args is None else args
     if args is None:
         begin(arguments, frozenset(COMMANDS))
+        claim_process()
     # the parent process may have closed stdout and stderr, as some daemons do
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115

@@ -20,6 +20,7 @@ from prc_cli.cli.completing import complete_assignment
 from prc_cli.config import PRESETS, LoadedConfig, load_config, parse_assignment
 from prc_cli.core.config import merge, read_toml
 from prc_cli.core.findings import CHECK_NAMES
+from prc_cli.core.samples import or_sample
 
 CommandT = TypeVar("CommandT", bound=Callable[..., Any])
 
@@ -33,7 +34,7 @@ _CLASSIFIER_OPTIONS = [
 
 _INPUT_OPTIONS = [
     click.option("--config", "config_file", type=click.Path(path_type=Path), metavar="FILE.toml",
-                 help="Configuration."),
+                 help="Configuration, or the name of a sample: prc config presets lists them."),
     click.option("--set", "assignments", multiple=True, metavar="KEY=VALUE", shell_complete=complete_assignment,
                  help="Any key, e.g. prc.support.zeta_p=0.1."),
     click.option("--layout", "layout_file", type=click.Path(path_type=Path), metavar="FILE.toml",
@@ -132,6 +133,7 @@ def layers_from(options: dict[str, Any]) -> Layers:
     table: dict[str, Any] = {}
     layout_file: Path | None = options["layout_file"]
     if layout_file is not None:
+        layout_file = or_sample(layout_file)
         content = read_toml(layout_file)
         table["layout"] = content.get("layout", content)
     for assignment in options["assignments"]:
@@ -162,4 +164,7 @@ def layers_from(options: dict[str, Any]) -> Layers:
             message = f"--preset {preset} is for --method {of_preset}, not {method}"
             raise click.UsageError(message)
         table = merge(table, {"method": method})
-    return Layers(options["config_file"], preset, table, () if layout_file is None else (layout_file,))
+    config_file: Path | None = options["config_file"]
+    if config_file is not None:
+        config_file = or_sample(config_file)
+    return Layers(config_file, preset, table, () if layout_file is None else (layout_file,))

@@ -201,6 +201,7 @@ class CloudBuilder(StagedWriter):
 
     def _add(self, block: LabelledBlock) -> None:
         scan = block.block
+        self._see_order(scan)
         if self._dtype is None:
             shape = StreamShape(
                 scan.points_per_line, scanners=True, returns=True, angles=scan.angle_rad is not None,

@@ -8,12 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from prc_cli.core.errors import InputError
-from prc_cli.core.files import suffix_of
-from prc_cli.core.samples import samples_folder
 from prc_cli.core.stream import ScanStream
 from prc_cli.formats import open_images, open_source
-from prc_cli.formats.options import DUMP_SUFFIXES, InputConfig, Layout
+from prc_cli.formats.options import InputConfig, Layout
 
 
 def open_input(
@@ -85,30 +82,12 @@ def _open(
         source.facts.align_chunks(config.points_per_line * lines_at_once)
     line_hz = None if layout is None else layout.line_frequency
     if not config.lines.startswith("elevation:"):
-        try:
-            return open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
-        except InputError as refusal:
-            _tell_frame(path, layout, refusal)
-            raise
+        return open_grid(source, config, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
     from prc_cli.streams.elevation import tell_elevation, with_elevation
 
     risen, rules = with_elevation(source, config)
     stream = open_grid(risen, rules, line_hz=line_hz, geometry=geometry, only_ranges=only_ranges)
     return tell_elevation(stream, config.lines)
-
-
-def _tell_frame(path: Path, layout: Layout | None, refusal: InputError) -> None:
-    """Refuse a frame of points that was taken for ranges alone by naming what reads it."""
-    if suffix_of(path) not in DUMP_SUFFIXES or (layout is not None and layout.fields):
-        return
-    from prc_cli.formats.raw_binary.frame import is_frame
-
-    if is_frame(path):
-        problem = (
-            "found x, y, z and an intensity from 0 to 1, as in a KITTI frame, expected ranges (no layout is given)"
-        )
-        hint = f"read it with --config {samples_folder() / 'kitti_frame.toml'}, or give a --layout"
-        raise InputError(str(path), problem, hint) from refusal
 
 
 def with_layout(config: InputConfig, layout: Layout | None) -> InputConfig:

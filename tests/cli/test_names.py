@@ -1,4 +1,4 @@
-"""One name for one thing: former names work and are not shown; what a shell offers; what is said of a bare frame."""
+"""One name for one thing: former names work and are not shown; what a shell offers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 
 from prc_cli.cli import COMMANDS, cli
 from prc_cli.cli.completing import complete_assignment, complete_mapping
-from prc_cli.formats.raw_binary.frame import is_frame
 from tests.cli.test_commands import Prc
 
 
@@ -67,28 +66,3 @@ def test_completion_of_values() -> None:
     assert complete_assignment(context, parameter, "nonsense=") == []
     assert "street_scan" in complete_mapping(context, parameter, "stre")
     assert complete_mapping(context, parameter, "/no/such/folder/x") == []
-
-
-def test_a_bare_frame_is_told_how_to_be_read(prc: Prc, tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    points = np.column_stack([rng.normal(0, 15, (4800, 3)), rng.random(4800)]).astype("<f4")
-    points[:, :3] += np.sign(points[:, :3])
-    points.tofile(tmp_path / "000000.bin")
-    for more in ((), ("-M", "64")):
-        result = prc("classify", tmp_path / "000000.bin", tmp_path / "o.npy", *more)
-        if more and len(points) * 4 % 64 == 0:
-            continue
-        assert result.code == 1
-        assert "as in a KITTI frame" in result.err
-        assert "kitti_frame.toml" in result.err
-    ranges = np.abs(points)
-    ranges.tofile(tmp_path / "ranges.bin")
-    assert not is_frame(tmp_path / "ranges.bin")
-    points[:10].tofile(tmp_path / "few.bin")
-    assert not is_frame(tmp_path / "few.bin")
-
-
-def test_a_real_frame(prc: Prc, tmp_path: Path, real_data: Path) -> None:
-    result = prc("classify", real_data / "kitti" / "000000.bin", tmp_path / "o.npy")
-    assert result.code == 1
-    assert "kitti_frame.toml" in result.err

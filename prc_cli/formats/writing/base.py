@@ -19,7 +19,7 @@ from prc_cli.core.bytewise import count_bytes, recode
 from prc_cli.core.classes import LABEL_NAMES, MISSING_CODE, ClassCodes, Label
 from prc_cli.core.errors import OutputError
 from prc_cli.core.files import output_errors, place_all, temporary_name
-from prc_cli.core.stream import LabelledBlock
+from prc_cli.core.stream import LabelledBlock, ScanBlock
 from prc_cli.core.types import I64, U8
 from prc_cli.formats.writing.columns import OptionalColumn, Values
 from prc_cli.formats.writing.options import HIGH_NOISE_CODE, OutputConfig, class_names
@@ -95,6 +95,7 @@ class StagedOutput(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self._notices: list[str] = []
+        self._last_record: int | None = -1
         self._files: list[tuple[Path, Path, bool]] = []
         """Temporary name, name, and whether a file of this name is replaced: one that is there at the beginning."""
         self._temporary = self._output(path)
@@ -134,6 +135,19 @@ class StagedOutput(ABC):
     def _notice(self, text: str) -> None:
         if text not in self._notices:
             self._notices.append(text)
+
+    def _see_order(self, scan: ScanBlock) -> None:
+        """Notice once that shots are not in the order of the input's records."""
+        if scan.record is None or self._last_record is None:
+            return
+        known = scan.record[scan.record >= 0]
+        if not len(known):
+            return
+        if known[0] < self._last_record or np.any(known[1:] < known[:-1]):
+            self._notice("points are in the order of the shots, not of the input's records; label files keep that one")
+            self._last_record = None
+            return
+        self._last_record = int(known[-1])
 
     def _commit(self) -> None:
         """Give the files their final names, or none.
