@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig
+from prc_cli.config import LoadedConfig, refuse_window
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
@@ -116,6 +116,7 @@ def render_viewer(
     source, output = Path(source), Path(output)
     chosen = RenderOptions() if options is None else options
     _check(output, chosen)
+    refuse_window(config.config, "prc render")
     inputs = tuple(path for path in (source, chosen.labels, *config.files) if path is not None)
     check_output(output, overwrite=overwrite, inputs=inputs)
     remove_stale(output)
