@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
@@ -42,6 +43,7 @@ _OPTIONS = [
     click.option(
         "--mapping",
         metavar="NAME|FILE.toml",
+        shell_complete=complete_mapping,
         help="Which codes mean which class: a preset (prc, street, street_scan, oakland, ...) or a file.  "
         "[default: that of the method in the run record beside PREDICTED, else prc]",
     ),
@@ -192,7 +194,7 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     pictures = _read_pictures(options["pictures"], wanted=page_wanted)
     found = evaluate_all(left, right, name, options=how)
     gates = check_gates(scores(found.matrix), demanded)
-    if how.match == "order" and page_wanted:
+    if how.match == "order" and page_wanted and how.window is None:  # they show the first lines
         dimensions = how.predicted_dimension, how.reference_dimension
         points = how.predicted_points, how.reference_points
         pictures = (

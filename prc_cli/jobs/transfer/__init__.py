@@ -103,8 +103,9 @@ def transfer(
     Raises
     ------
     InputError
-        When a side is damaged or lacks the key, labels and points differ in number, less than ``options.min_match`` of
-        the smaller side is matched, or more than the rest of the matches are ambiguous (several different labels).
+        When a side is damaged or lacks the key, labels and points differ in number, less than
+        ``options.min_matched`` of the smaller side is matched, or more than the rest of the matches are ambiguous
+        (several different labels).
     OutputError, ConfigError
         See :mod:`prc_cli.core.errors`; nothing is left behind.
     """
