@@ -35,6 +35,7 @@ from prc_cli.cli import cli
 from prc_cli.config import RunConfig, preset_summaries
 from prc_cli.core.classes import LABEL_COLOURS, ClassCodes, Label
 from prc_cli.core.config import Params
+from prc_cli.formats.writing.options import HIGH_NOISE_CODE
 from prc_cli.simulation.scanners import SCANNERS, Scanner
 from prc_cli.simulation.settings import KINDS, load_settings
 from prc_cli.streams.evidence.checks import CHECKS
@@ -364,6 +365,48 @@ def prose() -> dict[Path, str]:
     return found
 
 
+def shown_classes() -> list[tuple[int, str, tuple[int, int, int]]]:
+    """Return code, name and colour of every class that other programs may show."""
+    codes = ClassCodes()
+    found = {codes.code(label): (label.name.lower(), LABEL_COLOURS[label]) for label in Label}
+    found[0] = ("never classified", LABEL_COLOURS[Label.UNCLASSIFIED])
+    found[HIGH_NOISE_CODE] = ("high noise", LABEL_COLOURS[Label.NOISE])
+    return [(code, *found[code]) for code in sorted(found)]
+
+
+def qgis_style() -> str:
+    """Return a style for point cloud layers of QGIS: every class code with its name and colour."""
+    rows = "\n".join(
+        f'      <category render="true" value="{code}" label="{code} {name}" color="{r},{g},{b},255"/>'
+        for code, name, (r, g, b) in shown_classes()
+    )
+    return f"""<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>
+<!-- written by docs/generate.py from the class codes; do not edit -->
+<qgis styleCategories="Symbology" version="3.22">
+  <renderer type="classified" attribute="Classification" pointSymbol="0" pointSize="1" pointSizeUnit="MM" \
+maximumScreenError="0.3" maximumScreenErrorUnit="MM">
+    <categories>
+{rows}
+    </categories>
+  </renderer>
+</qgis>
+"""
+
+
+def potree_classes() -> str:
+    """Return a script that names and colours the class codes in a Potree viewer."""
+    rows = "\n".join(
+        f'    {code}: {{visible: true, name: "{name}", color: [{r / 255:.3f}, {g / 255:.3f}, {b / 255:.3f}, 1]}},'
+        for code, name, (r, g, b) in shown_classes()
+    )
+    return f"""// written by docs/generate.py from the class codes; do not edit
+viewer.setClassifications({{
+{rows}
+    DEFAULT: {{visible: true, name: "other", color: [0.5, 0.5, 0.5, 1]}},
+}});
+"""
+
+
 def accuracy_page() -> str:
     """Return the page of accuracy: a few rows of the figures of the contest, and what they do not say."""
     figures = (ROOT / "docs/contest_figures.md").read_text(encoding="utf-8")
@@ -419,6 +462,8 @@ def pages() -> dict[Path, str]:
         ROOT / "docs/reference/classes.md": classes_page(),
         ROOT / "docs/reference/checks.md": checks_page(),
         ROOT / "docs/reference/simulation.md": simulation_page(),
+        ROOT / "sample_configs/viewers/prc_classes.qml": qgis_style(),
+        ROOT / "sample_configs/viewers/prc_classes_potree.js": potree_classes(),
         ROOT / "docs/accuracy.md": accuracy_page(),
         ROOT / "docs/changelog.md": GENERATED + changelog,
         **prose(),
@@ -433,6 +478,7 @@ def main() -> int:
             continue
         stale.append(str(path.relative_to(ROOT)))
         if "--check" not in sys.argv:
+            path.parent.mkdir(exist_ok=True)
             path.write_text(text, encoding="utf-8")
     if stale:
         verb = (
