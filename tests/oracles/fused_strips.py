@@ -48,7 +48,7 @@ def fill_strips(
             place[k, strip] += stands_for * y
             top[k, strip] = max(top[k, strip], height[k, i])
         is_level = smooth[k, i] >= thresholds.level_smooth and level[k, i] > upright[k, i]
-        if is_level and above[k, i] < thresholds.level_top_m:
+        if is_level and above[k, i] < thresholds.level_top_m and height[k, i] < 0:
             adjacent = [side[k, j] for j in (i - 1, i + 1) if 0 <= j < side.shape[1]]
             beside = [other for other in adjacent if abs(other - y) < thresholds.jump_m]
             low, high = (floor(end / HALF_WIDTH) + N for end in (min([y, *beside]), max([y, *beside])))

@@ -86,9 +86,19 @@ def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
 
 @helper
 def _mark_kinds(
-    above: F32, counts: tuple[U8, U8, U8, U8], thresholds: StripThresholds, slots: U8, rough: U8, upright: U8, level: U8
+    points: tuple[F32, F32],
+    counts: tuple[U8, U8, U8, U8],
+    thresholds: StripThresholds,
+    slots: U8,
+    rough: U8,
+    upright: U8,
+    level: U8,
 ) -> None:
-    """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces."""
+    """Write the slots of the shots of a line, and mark rough ones, those on walls and those on low level surfaces.
+
+    What is level and higher than the scanner is seen from below: a ceiling.
+    """
+    height, above = points
     _, pairs, up, flat = counts
     foot, most_rough, least_smooth = thresholds.foot_m, thresholds.rough, thresholds.smooth
     least_level, level_top = thresholds.level_smooth, thresholds.level_top_m
@@ -100,7 +110,11 @@ def _mark_kinds(
         upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & (up[i] >= UPRIGHT_CHORDS))
     for i in range(len(above)):
         level[i] = np.uint8(
-            (np.float32(pairs[i]) >= least_level) & (flat[i] > up[i]) & (above[i] < level_top) & (above[i] >= foot)
+            (np.float32(pairs[i]) >= least_level)
+            & (flat[i] > up[i])
+            & (above[i] < level_top)
+            & (above[i] >= foot)
+            & (height[i] < np.float32(0.0))
         )
 
 
@@ -232,7 +246,7 @@ def fill_strips(
             height[i] = -(own[i] * beams[1][i])
         n = _list_counted(own, side, above, counts[0][k], step, thresholds, strips, heights[0], shots)
         seen = counts[0][k], counts[1][k], counts[2][k], counts[3][k]
-        _mark_kinds(above, seen, thresholds, slot, marks[0], marks[1], marks[2])
+        _mark_kinds((height, above), seen, thresholds, slot, marks[0], marks[1], marks[2])
         _keep_walls(marks[1], heights[0], side, height, heights[1], heights[2], heights[3])
         sums = length[k], wall[k], place[k], top[k]
         _fill_line(shots[:n], strips, slot, marks[0], heights, (every[k], rough[k]), sums)
