@@ -247,3 +247,8 @@ class LabelledBlock:
     above_m: F32 | None = None
     """(lines, M) float32, height above the ground [m]; NaN = missing, or no ground is known. None = the method has no
     ground, or it was not asked for."""
+    confidence: U8 | None = None
+    """(lines, M) uint8, per cent of such shots whose label is right; 0 = no return, or not known. None = the method has
+    none, or it was not asked for."""
+    extra_confidence: U8 | None = None
+    """(n,) uint8, the same of ``block.extra``."""

@@ -84,6 +84,10 @@ def _ground_height(stages: StageLabels) -> F32:
     return stages.ground_height_m
 
 
+def _extra_confidence(block: LabelledBlock) -> U8:
+    return np.zeros(len(block.extra_labels), np.uint8) if block.extra_confidence is None else block.extra_confidence
+
+
 _WITH_GROUND = "fused or sequential-angle method"
 
 OPTIONAL_COLUMNS = (
@@ -140,6 +144,16 @@ OPTIONAL_COLUMNS = (
         np.nan,
         lambda block: block.above_m,
         needs=_WITH_GROUND,
+    ),
+    OptionalColumn(
+        ExtraDimension("confidence", np.dtype("u1"), "label is right [%], 0 unknown"),
+        "confidence",
+        "confidence",
+        "confidence",
+        0,
+        lambda block: block.confidence,
+        _extra_confidence,
+        needs="fused method",
     ),
 )
 """All optional columns, in the order of outputs."""

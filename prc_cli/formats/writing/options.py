@@ -32,6 +32,11 @@ class OutputConfig(Params):
         "(coarse class: 1 vegetation, 2 horizontal, 3 vertical, 4 undecided), uint8 `dense_vegetation` (T') and "
         "float32 `ground_height` [m, relative to the scanner; NaN unknown]",
     )
+    confidence: bool = Field(
+        False,
+        description="add how sure every label is: extra bytes uint8 `confidence`, or a column, 0 to 100 = per cent of "
+        "such shots whose label is right on simulated scans; 0 = not known (fused)",
+    )
     codes: Literal["upgrade", "below-32"] = Field(
         "upgrade",
         description="codes above 31 in LAS point formats 0-5: upgrade = write the matching format 6-10 when such a "

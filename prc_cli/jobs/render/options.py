@@ -10,8 +10,10 @@ from prc_cli.core.errors import ConfigError
 
 View: TypeAlias = Literal["scan", "top", "perspective"]
 VIEWS: tuple[View, ...] = ("scan", "top", "perspective")
-ColourBy: TypeAlias = Literal["class", "range", "height", "intensity"]
-COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity")
+ColourBy: TypeAlias = Literal["class", "range", "height", "intensity", "confidence"]
+COLOURS: tuple[ColourBy, ...] = ("class", "range", "height", "intensity", "confidence")
+CONFIDENCE_LIMITS = (50.0, 100.0)
+"""Ends of the colour scale of confidence [per cent]; less is drawn as the lower one."""
 SUFFIXES = (".png", ".html")
 
 PRC_STEPS = ("support", "background", "segments", "surfaces")
@@ -54,6 +56,10 @@ CAPTIONS: dict[str, tuple[str, str]] = {
         "white: unknown, or no return.",
     ),
     "classes": ("classes", "The class of every shot."),
+    "confidence": (
+        "confidence",
+        "How sure the class is: per cent of such shots that are right on simulated scans; white: no return.",
+    ),
     "reference": ("reference", "Classes of the reference."),
     "difference": (
         "differences, in the colour of the predicted class",
@@ -138,7 +144,7 @@ def possible_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     elif method == "sequential-angle":
         steps = ("range", "intensity", *SEQUENTIAL_STEPS, "classes")
     elif method == "fused":
-        steps = ("range", "intensity", "classes")
+        steps = ("range", "intensity", "classes", "confidence")
     else:
         steps = ("range", "intensity", *PRC_STEPS, "classes")
     return (*steps, *REFERENCE_STEPS) if options.reference is not None else steps
@@ -161,7 +167,11 @@ def choose_steps(method: str, options: RenderOptions) -> tuple[str, ...]:
     chosen = FIGURE_1 if options.figure1 else options.steps
     if chosen is None:
         whole = options.block is None and options.lines is None and method != "sequential-angle"
-        chosen = ("range", "classes") if whole else tuple(s for s in possible if s not in ("intensity", "dense"))
+        chosen = (
+            ("range", "classes")
+            if whole
+            else tuple(s for s in possible if s not in ("intensity", "dense", "confidence"))
+        )
         if whole and options.reference is not None:
             chosen = (*chosen, *REFERENCE_STEPS)
     elif options.figure1 and options.reference is not None:
