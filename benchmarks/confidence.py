@@ -2,8 +2,9 @@
 
     python -m benchmarks.confidence calibrate           # makes prc_cli/classifiers/fused/confidence.json
     python -m benchmarks.confidence check               # reliability on other streets and forests, for choosing
-    python -m benchmarks.confidence ablation            # the same without single measures
     python -m benchmarks.confidence report              # docs/confidence_figures.md, seeds that decided nothing
+    python -m benchmarks.confidence ablation            # the same page: streets for choosing without single measures
+    python -m benchmarks.confidence speed               # processor time, and how much the size of blocks matters
 
 Calibrated on seeds 2601 to 2699, chosen on 2701 to 2799, reported on 2801 to 2899 and on the labelled real scans of
 ../shared/data or $PRC_DATA. A label is right if it is the class of the reference, as for ``prc evaluate --mapping
@@ -13,20 +14,26 @@ street``: people and wires, which have no class, are never right.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
 from unittest import mock
 
 import numpy as np
 
 from benchmarks import contest_data as data
 from benchmarks.contest_data import ROOT, Scan, Simulated
+from benchmarks.user import in_process
 from prc_cli.classifiers.fused import confidence, pipeline
 from prc_cli.classifiers.fused.confidence import N_CELLS, QUESTIONS, Environment, confidence_of, load_table
 from prc_cli.config import load_config
 from prc_cli.core.classes import Label
-from prc_cli.core.types import F64, I32, U8, Mask
+from prc_cli.core.types import F64, I32, I64, U8, Mask
 from prc_cli.evaluation.mapping import load_mapping
+from prc_cli.formats.labels.read import open_codes
 from prc_cli.jobs.classify import label_blocks
 
 ENVIRONMENTS: tuple[Environment, ...] = ("urban", "forest")
@@ -47,7 +54,6 @@ TOP = 0.9
 """The share of the shots that is looked at: those with the most confidence."""
 BINS = (0, 50, 70, 80, 90, 95, 98, 99, 100, 101)
 """Edges of the reliability curve [per cent]."""
-DOCS = ROOT / "docs" / "confidence_figures.md"
 CURVE = ROOT / "docs" / "images" / "confidence.svg"
 
 
@@ -115,8 +121,8 @@ def _right(scan: Scan, labels: U8) -> tuple[Mask, Mask]:
     return right, there & (rows[reference] != "")
 
 
-def table_of(judged: Sequence[Judged], environment: Environment, dropped: str = "") -> U8:
-    """Return the share of right labels in every cell [per cent], without the answers to one question."""
+def table_of(judged: Sequence[Judged], environment: Environment, dropped: tuple[str, ...] = ()) -> U8:
+    """Return the share of right labels in every cell [per cent], without the answers to some questions."""
     table = np.zeros((len(Label), N_CELLS), np.uint8)
     for label, questions in QUESTIONS[environment].items():
         own = [(one.cells[one.labels == label], one.right[one.labels == label], one.weight) for one in judged]
@@ -128,8 +134,8 @@ def table_of(judged: Sequence[Judged], environment: Environment, dropped: str = 
             right += weight * np.bincount(cells, is_right, minlength=N_CELLS)
         shape = (4,) * len(questions)
         n, right = n.reshape(shape), right.reshape(shape)
-        if dropped in questions:
-            axis = questions.index(dropped)
+        for name in set(dropped) & set(questions):
+            axis = questions.index(name)
             n, right = (np.broadcast_to(x.sum(axis, keepdims=True), shape) for x in (n, right))
         share = right.sum() / n.sum()
         for k in range(1, len(questions) + 1):
@@ -218,14 +224,210 @@ def check(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
         print(row(f"**{environment}**", judged), flush=True)
 
 
+def ablation(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Print what every measure is worth: calibrated anew without its answers, on the streets for choosing."""
+    for environment in environments:
+        judged, others = judged_of(environment, CALIBRATION), judged_of(environment, CHECK)
+        asked = dict.fromkeys(name for names in QUESTIONS[environment].values() for name in names)
+        print(f"\n## What every measure is worth: {NAMES[environment]}\n\n{ABLATION}\n\n{HEAD}")
+        print(row("all", with_table(others, table_of(judged, environment, ()))))
+        for name in asked:
+            print(row(f"without `{name}`", with_table(others, table_of(judged, environment, (name,)))), flush=True)
+        print(row("the label alone", with_table(others, table_of(judged, environment, tuple(asked)))))
+
+
+NAMES: dict[Environment, str] = {"urban": "streets", "forest": "forests"}
+ABLATION = """\
+The table is made anew without the answers to one question. Calibrated on seeds 2601 to 2699, other scans of seeds 2701
+to 2799, on which the questions were chosen."""
+ABOUT = """\
+Every simulated scan counts as much as any other. *Nine tenths*: the share of right labels among the nine tenths of the
+shots with the most confidence; of shots with one confidence, each counts in part. *Calibration error*: mean difference
+of confidence and share of right labels, over the values of the byte."""
+
+
+def reliability(judged: Sequence[Judged]) -> list[tuple[str, float, float, float]]:
+    """Return spans of confidence: name, mean confidence, share of right ones [per cent], share of all shots."""
+    shots, right, weight = pooled(judged)
+    rows = []
+    for low, end in pairwise(BINS):
+        inside = (shots >= low) & (shots < end)
+        if inside.any():
+            w = weight[inside]
+            name = f"{low}" if end == low + 1 else f"{low}-{end - 1}"
+            mean, share = np.average(shots[inside], weights=w), 100 * np.average(right[inside], weights=w)
+            rows.append((name, float(mean), float(share), float(w.sum() / weight.sum())))
+    return rows
+
+
+def print_reliability(judged: Sequence[Judged]) -> None:
+    """Print how often labels of every span of confidence are right, and of every label."""
+    print("\n| confidence | mean | right, % | share of the shots |\n|---|---:|---:|---:|")
+    for name, mean, share, of_all in reliability(judged):
+        print(f"| {name} | {mean:.1f} | {share:.1f} | {of_all:.1%} |")
+    shots, right, weight = pooled(judged)
+    labels = np.concatenate([one.labels for one in judged])
+    print("\n| label | right, % | mean confidence | share with ≥ 95 | of these right, % |\n|---|---:|---:|---:|---:|")
+    for label in np.unique(labels).tolist():
+        own = labels == label
+        w, sure = weight[own], shots[own] >= 95
+        of_these = f"{100 * np.average(right[own][sure], weights=w[sure]):.1f}" if sure.any() else ""
+        mean, share = np.average(shots[own], weights=w), 100 * np.average(right[own], weights=w)
+        name = Label(label).name.lower()
+        cells = (name, f"{share:.1f}", f"{mean:.1f}", f"{np.average(sure, weights=w):.1%}", of_these)
+        print(f"| {' | '.join(cells)} |")
+
+
+def curve(lines: dict[str, list[tuple[str, float, float, float]]]) -> str:
+    """Return the reliability curves as a picture, .svg: confidence across, share of right labels up."""
+    side, edge, colours = 360, 50, ("#0072b2", "#d55e00", "#009e73")
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{side + 2 * edge}" height="{side + 2 * edge}" '
+        'font-family="sans-serif" font-size="12">',
+        f'<rect width="{side + 2 * edge}" height="{side + 2 * edge}" fill="white"/>',
+        f'<path d="M{edge},{edge + side} L{edge + side},{edge}" stroke="#999" stroke-dasharray="4"/>',
+    ]
+    for tick in range(0, 101, 20):
+        at = side * tick / 100
+        parts.append(f'<text x="{edge + at}" y="{edge + side + 18}" text-anchor="middle">{tick}</text>')
+        parts.append(f'<text x="{edge - 8}" y="{edge + side - at + 4}" text-anchor="end">{tick}</text>')
+        parts.append(f'<path d="M{edge},{edge + side - at} h{side}" stroke="#ddd"/>')
+    for k, (name, rows) in enumerate(lines.items()):
+        places = [(edge + side * mean / 100, edge + side * (1 - share / 100)) for _, mean, share, _ in rows]
+        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+        parts.append(f'<polyline points="{path}" fill="none" stroke="{colours[k]}" stroke-width="2"/>')
+        parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colours[k]}"/>' for x, y in places]
+        parts.append(f'<text x="{edge + 12}" y="{edge + 20 + 16 * k}" fill="{colours[k]}">{name}</text>')
+    parts.append(f'<text x="{edge + side / 2}" y="{edge + side + 38}" text-anchor="middle">confidence [%]</text>')
+    parts.append(f'<text x="14" y="{edge - 14}">labels that are right [%]</text></svg>')
+    return "\n".join(parts) + "\n"
+
+
+REAL: dict[str, tuple[str, str, tuple[str, ...], str]] = {
+    **{
+        f"Oakland {k}": (f"oakland/oakland_{k}.csv.gz", f"oakland/oakland_{k}.csv.gz", (), "street_oakland")
+        for k in (1, 2, 3)
+    },
+    "KITTI frame": (
+        "kitti/000000.bin", "kitti/000000.label", ("--config", "sample_configs/kitti_frame.toml"), "kitti"
+    ),
+}  # fmt: skip
+"""Scan, reference, options of ``prc classify`` and mapping."""
+
+
+def print_real(lines: dict[str, list[tuple[str, float, float, float]]]) -> None:
+    """Classify and compare the real scans by the command line."""
+    print(f"\n## Real scans\n\n{REAL_TEXT}\n\n{HEAD}")
+    oakland: list[Judged] = []
+    with tempfile.TemporaryDirectory() as name:
+        for scan, (source, reference, options, mapping) in REAL.items():
+            output = Path(name) / "labels.csv"
+            on = ("--preset", "fused", "--set", "output.confidence=true", "--overwrite", "-q")
+            code, said = in_process(["classify", str(data.DATA / source), str(output), *options, *on])
+            if code not in (0, 4):
+                raise SystemExit(said)
+            table: F64 = np.genfromtxt(output, delimiter=",", skip_header=1, usecols=(1, 3))
+            codes, shots = table.T.astype(np.int64)
+            side = CodesOf(mapping, data.DATA / reference)
+            right, there = side.right(codes)
+            labels = np.zeros(len(codes), np.uint8)
+            one = Judged(scan, labels[there], np.zeros(int(there.sum()), np.int32), right[there],
+                         shots[there].astype(np.uint8))  # fmt: skip
+            print(row(scan, [one]), flush=True)
+            oakland += [one] if scan.startswith("Oakland") else []
+    lines["Oakland 1 to 3"] = reliability(oakland)
+
+
+REAL_TEXT = """\
+By `prc classify --preset fused --set output.confidence=true` and the mapping `street_oakland`; the first strip is one
+that `fused` was tuned on, nothing about confidence was chosen on any. Of the KITTI frame ground, building, vegetation
+and cars are compared; no ring scanner is simulated, so its confidence is that of profilers."""
+
+
+@dataclass(frozen=True, slots=True)
+class CodesOf:
+    """The reference of a real scan."""
+
+    mapping: str
+    path: Path
+
+    def right(self, codes: I64) -> tuple[Mask, Mask]:
+        """Return which codes agree, and which records are compared."""
+        reference = np.concatenate(list(open_codes(self.path).chunks())).astype(np.int64)
+        if self.mapping == "kitti":
+            kinds = {2: (40, 44, 48, 49, 60, 72), 6: (50, 51, 52), 5: (70, 71), 65: (10, 252)}
+            expected = np.zeros(len(codes), np.int64)
+            for code, own in kinds.items():
+                expected[np.isin(reference, own)] = code
+            return np.where(codes == 66, 2, codes) == expected, expected > 0
+        mapping = load_mapping(self.mapping)
+        rows, columns = mapping.class_indices(reference, "reference"), mapping.class_indices(codes, "predicted")
+        names, others = np.array([*mapping.names("reference"), ""]), np.array([*mapping.names("predicted"), "-"])
+        return names[rows] == others[columns], (rows >= 0) & (columns >= 0)
+
+
+def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Print the page of figures, and draw the curve."""
+    print("<!-- written by python -m benchmarks.confidence; do not edit -->\n\n# Confidence: figures\n")
+    print(f"What the byte means is [described here](confidence.md).\n\n```console\n{COMMANDS}\n```\n\n{ABOUT}")
+    lines: dict[str, list[tuple[str, float, float, float]]] = {}
+    for environment in environments:
+        judged = judged_of(environment, HELD_OUT)
+        print(f"\n## {NAMES[environment].capitalize()} that decided nothing\n\n{HEAD}")
+        for name in dict.fromkeys(one.name for one in judged):
+            print(row(name, [one for one in judged if one.name == name]))
+        print(row(f"**all {len(judged)}**", judged), flush=True)
+        print_reliability(judged)
+        lines[NAMES[environment]] = reliability(judged)
+    print_real(lines)
+    CURVE.write_text(curve(lines), encoding="utf-8")
+
+
+COMMANDS = """$ python -m benchmarks.confidence calibrate     # the table of the package, after any change of fused
+$ python -m benchmarks.confidence report > docs/confidence_figures.md
+$ python -m benchmarks.confidence ablation >> docs/confidence_figures.md"""
+
+
+def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
+    """Print the processor time with and without confidence, and how much block sizes change."""
+    for environment in environments:
+        spec = next(specs(environment, CHECK))
+        scan = data.simulated(spec)
+        params = load_config(preset="fused" if environment == "urban" else "fused-forest").config.fused
+        times: dict[bool, list[float]] = {False: [], True: []}
+        for wanted in (False, True) * 4:
+            start = time.process_time()
+            for _ in range(3):
+                list(label_blocks(scan.blocks(), params, confidence=wanted))
+            times[wanted].append((time.process_time() - start) / 3 / scan.n_shots)
+        off, on = (1e10 * min(times[wanted]) for wanted in (False, True))
+        print(f"{environment}: {off:.0f} ms of processor time for 10 M shots, {on - off:.0f} ms more with confidence")
+        found = {}
+        for n_lines in (128, 64, 16):
+            chosen = params.model_copy(update={"lines_per_block": n_lines})
+            items = label_blocks(scan.blocks(), chosen, confidence=True)
+            found[n_lines] = np.concatenate([item.confidence for item in items if item.confidence is not None])
+        for n_lines in (64, 16):
+            off_by = np.abs(found[128].astype(int) - found[n_lines])[~np.isnan(scan.range_m)]
+            print(
+                f"  blocks of {n_lines} lines: {np.mean(off_by > 0):.2%} differ, "
+                f"{np.mean(off_by > 5):.2%} by more than 5"
+            )
+
+
+COMMAND: dict[str, Callable[[Sequence[Environment]], None]] = {
+    "calibrate": calibrate, "check": check, "ablation": ablation, "report": report, "speed": speed,
+}  # fmt: skip
+
+
 def main() -> None:
     """Run what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("which", choices=("calibrate", "check", "ablation", "report"))
+    parser.add_argument("which", choices=tuple(COMMAND))
     parser.add_argument("environments", nargs="*", metavar="urban|forest", help="default: both")
     arguments = parser.parse_args()
     wanted = [name for name in ENVIRONMENTS if name in (arguments.environments or ENVIRONMENTS)]
-    {"calibrate": calibrate, "check": check}[arguments.which](wanted)
+    COMMAND[arguments.which](wanted)
 
 
 if __name__ == "__main__":
