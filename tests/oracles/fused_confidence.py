@@ -22,7 +22,6 @@ def confidence_cells(
     walls: tuple[F32, F32],
     beams: tuple[F32, F32],
     step: np.float32,
-    half_m: np.float32,
     groups: I64,
     questions: I64,
     limits: F32,
@@ -34,7 +33,7 @@ def confidence_cells(
         r, y = range_m[line, i], range_m[line, i] * beams[0][i]
         rough, top, filled, behind, ahead = _place(y, line, slots, walls)
         values = [
-            _agreement(labels, range_m, line, i, step, half_m, groups), smooth[line, i], texture[line, i],
+            _agreement(labels, range_m, line, i, step, groups), smooth[line, i], texture[line, i],
             near[line, i], upright[line, i], level[line, i], abs(above_m[line, i]), beams[1][i], r, rough, top, filled,
             ahead, behind, _jump(range_m[line], i),
         ]  # fmt: skip
@@ -43,13 +42,11 @@ def confidence_cells(
     return cells
 
 
-def _agreement(
-    labels: U8, range_m: F32, line: int, i: int, step: np.float32, half_m: np.float32, groups: I64
-) -> np.float32:
+def _agreement(labels: U8, range_m: F32, line: int, i: int, step: np.float32, groups: I64) -> np.float32:
     own = groups[labels[line, i]]
     if own < 0 or np.isnan(range_m[line, i]):
         return np.float32(0)
-    half = int(min(max(half_m / (range_m[line, i] * step), np.float32(2)), np.float32(60)))
+    half = int(min(max(np.float32(0.25) / (range_m[line, i] * step), np.float32(2)), np.float32(60)))
     around = groups[labels[max(line - 2, 0) : line + 3, max(i - half, 0) : i + half + 1]]
     total = (around >= 0).sum() if own == NOISE else ((around >= 0) & (around != NOISE)).sum()
     return np.float32((around == own).sum()) / np.float32(total)

@@ -29,8 +29,6 @@ from prc_cli.core.types import F32, I32, I64, U8
 
 Environment = Literal["urban", "forest"]
 
-PLACE_M = np.float32(0.25)
-"""Half width of the place, in five lines, in which labels are compared [m]."""
 MEASURES: dict[str, tuple[float, float, float]] = {
     "agree": (0.5, 0.8, 0.95),
     "smooth": (1, 4, 8),
@@ -121,7 +119,7 @@ def cells_of(
         labels, np.ascontiguousarray(range_m), evidence.above_m[own], evidence.texture[beside],
         (near[own], smooth[own], upright[own], level[own]),
         (standing.slots[0][beside], standing.slots[1][beside]),
-        (standing.walls[0][beside], standing.walls[2][beside]), plane.beams, plane.step_rad, PLACE_M,
+        (standing.walls[0][beside], standing.walls[2][beside]), plane.beams, plane.step_rad,
         _groups(), _rows(tuple(questions.items())), _steps(),
     )  # fmt: skip
     return cells

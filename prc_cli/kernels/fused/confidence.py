@@ -17,6 +17,8 @@ Words = NDArray[np.uint64]
 ) = range(15)  # fmt: skip
 """Rows of the measures."""
 N_MEASURES = 15
+PLACE_M = np.float32(0.25)
+"""Half width of the place, in five lines, in which labels are compared [m]; 2 columns at least, 60 at most."""
 LEAST_COLUMNS, MOST_COLUMNS = np.float32(2), np.float32(60)
 """Limits of the half width of a place, in columns: five lines of 121 shots fit in ten bits."""
 GROUP_BITS = 10
@@ -56,9 +58,7 @@ def _sum_up(lines: Words, first: int, last: int, so_far: Words) -> None:
 
 
 @helper
-def _agree(
-    ranges: F32, labels: U8, groups: I64, so_far: Words, step: np.float32, half_m: np.float32, agrees: F32
-) -> None:
+def _agree(ranges: F32, labels: U8, groups: I64, so_far: Words, step: np.float32, agrees: F32) -> None:
     """Write the share of the shots around that are of a shot's group; noise counts for noise alone."""
     m = len(ranges)
     ones = np.uint64((1 << GROUP_BITS) - 1)
@@ -67,7 +67,7 @@ def _agree(
         if (group < 0) | (ranges[i] != ranges[i]):
             agrees[i] = np.float32(0.0)
             continue
-        half = int(min(max(half_m / (ranges[i] * step), LEAST_COLUMNS), MOST_COLUMNS))
+        half = int(min(max(PLACE_M / (ranges[i] * step), LEAST_COLUMNS), MOST_COLUMNS))
         word = so_far[min(i + half + 1, m)] - so_far[max(i - half, 0)]
         total, own = np.uint64(0), np.uint64(0)
         for k in range(N_GROUPS):
@@ -163,7 +163,7 @@ def _answer(labels: U8, measures: F32, limits: F32, questions: I64, cells: I32) 
 
 @kernel(
     "int32[:, ::1](uint8[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], UniTuple(uint8[:, ::1], 4), "
-    "UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 2), UniTuple(float32[::1], 2), float32, float32, "
+    "UniTuple(uint64[:, ::1], 2), UniTuple(float32[:, ::1], 2), UniTuple(float32[::1], 2), float32, "
     "int64[::1], int64[:, ::1], float32[:, ::1])"
 )
 def confidence_cells(
@@ -176,7 +176,6 @@ def confidence_cells(
     walls: tuple[F32, F32],
     beams: tuple[F32, F32],
     step: np.float32,
-    half_m: np.float32,
     groups: I64,
     questions: I64,
     limits: F32,
@@ -201,8 +200,6 @@ def confidence_cells(
         Sine and cosine of every column's beam from straight down.
     step : float32, radians
         Angle from column to column.
-    half_m : float32
-        Half width of the place in which labels are compared [m]; 2 columns at least, 60 at most.
     groups : (number of labels,) int64
         Labels of one number agree: 0 to 5, 5 = noise, -1 = no return.
     questions : (number of labels, n) int64
@@ -234,7 +231,7 @@ def confidence_cells(
         if line + LINES < n_lines:
             _count_groups(labels[line + LINES], groups, words[(line + LINES) % room])
         _sum_up(words, max(line - LINES, 0), min(line + LINES + 1, n_lines), so_far)
-        _agree(range_m[line], labels[line], groups, so_far, step, half_m, measures[AGREE])
+        _agree(range_m[line], labels[line], groups, so_far, step, measures[AGREE])
         own = near[line], smooth[line], upright[line], level[line]
         _measure_shots(range_m[line], above_m[line], texture[line], own, cosine, measures)
         _measure_strips(slots[0][line], slots[1][line], strips)
