@@ -29,6 +29,7 @@ from prc_cli.jobs.evaluate import evaluate_all
 from prc_cli.jobs.evaluate.chosen import mapping_of_runs
 from prc_cli.jobs.evaluate.options import EvaluateOptions
 from prc_cli.jobs.evaluate.pictures import class_pictures
+from prc_cli.jobs.render.heading import origin
 from prc_cli.matching.pairs import files_of
 
 FORMS = {".json": "json", ".csv": "csv", ".md": "markdown", ".tex": "latex", ".html": "html"}
@@ -219,7 +220,9 @@ def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
 def _text(form: str, found: Evaluation, gates: Sequence[GateResult], mapping: ClassMapping, pictures: Pictures) -> str:
     """Return the result in one of the report formats."""
     if form == "html":
-        return as_html(found, gates, mapping=mapping, pictures=pictures)
+        return as_html(
+            found, gates, mapping=mapping, pictures=pictures, origin=origin([Path(name) for name in found.predicted])
+        )
     if form in ("csv", "latex"):
         return as_csv(found) if form == "csv" else as_latex(found)
     return as_json(found, gates) + "\n" if form == "json" else as_markdown(found, gates)

@@ -20,7 +20,6 @@ from prc_cli.jobs.render import (
     VIEWS,
     RenderOptions,
     RenderResult,
-    render_viewer,
 )
 from prc_cli.jobs.render import render as render_file
 
@@ -119,10 +118,14 @@ def render(
         problem = "expected one output, found none" if html is None else "given together with OUT, expected one of them"
         raise ConfigError("OUT" if html is None else "--html", problem, "give OUT.png, OUT.html or --html PAGE.html")
     loaded = config_from(options)
-    draw, target = (render_file, output) if html is None else (render_viewer, html)
-    assert target is not None
     with line_progress(source.name, quiet=quiet) as progress:
-        result = draw(source, target, loaded, chosen, overwrite=overwrite, progress=progress)
+        if output is not None:
+            result = render_file(source, output, loaded, chosen, overwrite=overwrite, progress=progress)
+        elif html is not None:
+            # loaded where it is needed, which keeps the start of pictures short
+            from prc_cli.jobs.render.viewer import render_viewer
+
+            result = render_viewer(source, html, loaded, chosen, overwrite=overwrite, progress=progress)
     if as_json:
         click.echo(json.dumps(_as_dict(result), indent=2))
     if not quiet:

@@ -536,6 +536,8 @@ def _input_findings(block: ScanBlock, config: InputConfig) -> tuple[Finding, ...
 def usual_labels(config: RunConfig, info: StreamInfo) -> UsualLabels:
     """Return what labels of the method usually look like in an input of this kind."""
     usual = config.classifier.method().usual
+    if config.input.max_range is not None and config.input.max_range <= usual.reach_m:
+        usual = replace(usual, reach_m=0.0)
     # what a scanner on a tripod sees changes all the way round
     return replace(usual, vanished_share=0.0) if info.facts.has_scans else usual
 

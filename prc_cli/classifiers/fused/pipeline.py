@@ -5,7 +5,7 @@ the scan plane instead of in range. From Stamos et al. (2012, sec. 4): surfaces 
 the scan plane; here over a chord instead of from shot to shot. docs/fused.md gives the equations and the reasons.
 
 Only the range noise, the distance of lines and the ground depend on earlier blocks; these steps are short, and run
-block after block. All others need the block and five lines before and after it, 35 for the distance of lines.
+block after block. All others need the block and 13 lines before and after it, 35 for the distance of lines.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from pydantic import Field
 from prc_cli.classifiers.base import Classifier, MethodParams, Needs, Part, Turn, UsualLabels, Wanted, beams_of
 from prc_cli.classifiers.blocks import check_block
 from prc_cli.classifiers.fused.classes import (
+    BESIDE_THIN_LINES,
     CarParams,
     LeavesParams,
     NoiseParams,
@@ -47,6 +48,7 @@ from prc_cli.classifiers.fused.neighbours import (
 from prc_cli.classifiers.fused.plane import (
     AROUND_LINES,
     INNER_LINES,
+    VOTE_LINES,
     WIDE_LINES,
     Noise,
     Plane,
@@ -74,6 +76,8 @@ from prc_cli.core.types import F32, F64, I64, U8
 
 FOREST_NOISE_M = 0.035
 """Range noise that the search for stems stands [m]: scanners in forests have 2 to 3 mm; 30 mm cost .03 of F1."""
+OUTSIDE_LINES = SPACED_LINES - BESIDE_THIN_LINES - VOTE_LINES
+"""Outermost lines of the window that no label looks at."""
 FOREST_LABELS = frozenset({Label.MISSING, Label.UNCLASSIFIED, Label.NOISE, Label.GROUND, Label.VEGETATION, Label.STEM})
 KERNELS = frozenset(
     {
@@ -199,11 +203,11 @@ class Fused(Classifier[FusedScanner, FusedState]):
 
     @property
     def usual(self) -> UsualLabels:
-        """Little noise, and level ground below the scanner; in forests plants cover and hills tilt it."""
+        """Little noise, and level ground below the scanner; plants and hills tilt it in forests, streets are wide."""
         common = UsualLabels(0.2, 0.4, ground_share=0.1, below_share=0.2, vanished_share=0.3)
         if self.params.environment == "forest":
             return replace(common, level_share=0.35, lean_deg=12.0)
-        return replace(common, level_share=0.6, lean_deg=5.0)
+        return replace(common, level_share=0.6, lean_deg=5.0, reach_m=6.0)
 
     @property
     def gives(self) -> frozenset[Label]:
@@ -298,7 +302,7 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     smooth = spaced_pairs(wide, strides, plane, noise_m, params.smoothness)
     seen = _see(window, smooth, plane, params)
     ground = turn.hand_on(MEMORY, lambda memory: _follow(seen, plane, memory, params))
-    labels = _decide(seen, ground, plane, params)
+    labels = _decide(seen, wide[OUTSIDE_LINES:-OUTSIDE_LINES], ground, plane, params)
     if scanner.is_fan or not (params.spacing.enabled and params.spacing.keeps):
         return labels
     limits = params.spacing.thresholds(params.smoothness, noise_m, float(plane.step_rad))
@@ -368,8 +372,8 @@ def _follow(seen: _Seen, plane: ScanPlane, memory: GroundMemory, params: FusedPa
     return follow_ground(seen.range_m, seen.neighbours, plane, memory, params.company.least, n_lines, params.ground)
 
 
-def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) -> U8:
-    """Find walls and cars above the ground, and label every shot."""
+def _decide(seen: _Seen, wide_m: F32, ground: Ground, plane: ScanPlane, params: FusedParams) -> U8:
+    """Find walls and cars above the ground, and label every shot; ``wide_m`` are the ranges of more lines around."""
     least = params.company.least
     texture = texture_of(seen.range_m, seen.neighbours, plane, least, params.leaves)
     strips = params.strips.thresholds(least, params.cars.top_m)
@@ -377,7 +381,7 @@ def _decide(seen: _Seen, ground: Ground, plane: ScanPlane, params: FusedParams) 
     thresholds = decision_thresholds(
         least, params.ground, params.walls, params.noise, params.leaves, params.cars, params.poles
     )
-    labels = decide(seen.window, seen.neighbours, ground, texture, standing, plane, thresholds)
+    labels = decide(wide_m, seen.neighbours, ground, texture, standing, plane, thresholds)
     voted = vote(labels, seen.range_m[WIDE_LINES:-WIDE_LINES], plane, params.votes)
     own = slice(INNER_LINES + 1, -INNER_LINES - 1)
     return find_curbs(voted, seen.range_m[own], ground.above_m[own], plane, params.curbs)

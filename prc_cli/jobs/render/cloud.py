@@ -195,6 +195,8 @@ def draw_cloud(
     )
     n_out = sample.n_seen - n_hidden - buffer.n_inside
     notes = [f"{n_out:,} points lie outside the picture"] if n_out else []
+    if not np.ptp(kept[:, 2]):
+        notes.append("all points have one height, as in the scan plane: --html draws lines one behind the other")
     if n_without:
         notes.append(f"{n_without:,} further returns or records that share a cell with another are not drawn")
     key = words.table.key(counts) if colour == "class" else ()
