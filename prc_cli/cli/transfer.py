@@ -74,6 +74,12 @@ from prc_cli.jobs.transfer.options import TransferOptions
     "--carry", multiple=True, metavar="NAME", help="Extra dimension of LABELS that goes along: segment_id, surface, ..."
 )
 @click.option(
+    "--min-confidence",
+    type=click.IntRange(0, 100),
+    metavar="PERCENT",
+    help="Transfer no label with less confidence; such points keep their class.",
+)
+@click.option(
     "--min-matched",
     cls=Renamed,
     former=("--min-match",),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from prc_cli.classifiers.fused.confidence import MEASURES
 from prc_cli.core.thresholds.fused import (
     ChordThresholds,
     CurbThresholds,
@@ -367,7 +368,29 @@ def curb_case(rng: Generator) -> tuple[Any, ...]:
     return labels, one.range_m, above, one.beams, one.step, chosen
 
 
+def confidence_case(rng: Generator) -> tuple[Any, ...]:
+    one = street(rng)
+    above, range_m = heights(rng, one), one.range_m
+    labels = rng.choice([1, 2, 3, 4, 5, 7, 8, 11], range_m.shape).astype(np.uint8)
+    if rng.random() < 0.5:
+        labels[:, : labels.shape[1] // 2] = rng.choice([2, 3, 4])
+    labels[np.isnan(range_m)] = 0
+    counts = tuple(rng.integers(0, most, range_m.shape).astype(np.uint8) for most in (29, 11, 4, 4))
+    texture = rng.choice([0.0, 0.2, 0.25, 0.6, 1.0], range_m.shape).astype(np.float32)
+    strips = (len(range_m), fused_strips.STRIPS)
+    words = rng.integers(0, 2**63, strips).astype(np.uint64) << rng.integers(0, 64, strips).astype(np.uint64)
+    walls = tuple(rng.choice([0.0, -9.0, -2.25, 2.0, 5.0], strips).astype(np.float32) for _ in range(2))
+    limits = np.array(list(MEASURES.values()), np.float32)
+    questions = rng.integers(0, len(limits), (12, 5))
+    groups = np.array([-1, *rng.integers(0, 6, 11)], np.int64)
+    return (
+        labels, range_m, above, texture, counts, (words, words & rng.integers(0, 2**63, strips).astype(np.uint64)),
+        walls, one.beams, one.step, groups, questions, limits,
+    )  # fmt: skip
+
+
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "confidence_cells": confidence_case,
     "curb_labels": curb_case,
     "directions": directions_case,
     "fill_strips": strips_case,

@@ -31,7 +31,9 @@ class TransferOptions:
     """Column or dimension with the class codes; default as :func:`~prc_cli.formats.labels.read.open_codes`."""
     carry: tuple[str, ...] = ()
     """Dimensions of classified LAS labels to copy as well: ``segment_id``, ``range``, ``surface``,
-    ``dense_vegetation``, ``ground_height``."""
+    ``dense_vegetation``, ``ground_height``, ``height_above_ground``, ``confidence``."""
+    min_confidence: int | None = None
+    """Labels with less confidence are not transferred [per cent]; the labels are classified LAS with ``confidence``."""
     min_matched: float = 0.5
     """Least share of the smaller side that must be matched, and of matched points whose match must be unambiguous."""
 
@@ -51,6 +53,8 @@ class TransferOptions:
             raise ConfigError("--match", problem, "leave them out")
         if not 0 <= self.min_matched <= 1:
             raise ConfigError("--min-matched", f"found {self.min_matched}, expected a share from 0 to 1")
+        if self.min_confidence is not None and not 0 <= self.min_confidence <= 100:
+            raise ConfigError("--min-confidence", f"found {self.min_confidence}, expected per cent, 0 to 100")
         if len(self.same) >= MAX_SAME:
             raise ConfigError("--same", f"found {len(self.same)} dimensions, expected at most {MAX_SAME - 1}")
         for name in self.carry:

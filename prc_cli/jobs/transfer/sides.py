@@ -31,6 +31,8 @@ from prc_cli.matching.keyed_source import (
 )
 from prc_cli.streams.gps_weeks import WEEK_S, WeekSource
 
+CONFIDENCE = "confidence"
+"""Dimension of how sure a label is [per cent]."""
 GPS_EPOCH_SHIFT_S = 1e9
 """Adjusted standard GPS time is GPS time less this [s] (LAS 1.4, global encoding bit 0)."""
 _ROUNDING_STEPS = 2.0
@@ -134,7 +136,12 @@ def _keyed_labels(labels: Path, origin: RecordSource, rule: KeyRule, options: Tr
     if suffix_of(labels) in LAS_SUFFIXES:
         name = options.dimension or "classification"
         _demand_dimensions(origin, (name, *options.carry))
+        if options.min_confidence is not None and CONFIDENCE not in origin.dimensions:
+            problem = f"no dimension {CONFIDENCE!r} in {labels}"
+            raise ConfigError("--min-confidence", problem, "classify again with --set output.confidence=true")
         return KeyedSource(source, rule, code_dimension=name)
+    if options.min_confidence is not None:
+        raise ConfigError("--min-confidence", f"{labels} holds classes alone, expected classified LAS or LAZ")
     if options.carry:
         raise ConfigError("--carry", f"{labels} holds classes alone, expected classified LAS or LAZ")
     return KeyedSource(source, rule, open_codes(labels, options.dimension))
