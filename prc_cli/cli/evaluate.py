@@ -266,12 +266,17 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
     )
 
 
+_WINDOWS = ("only_lines", "only_time", "first")
+
+
 def _window(options: dict[str, Any]) -> Window | None:
     """Return the part that is scored."""
+    given = {f"--{name.replace('_', '-')}": options[f"window_{name.rpartition('_')[2]}"] for name in _WINDOWS}
     try:
-        return parse_window(options["window_lines"], options["window_time"], options["window_first"])
+        return parse_window(*given.values())
     except ValueError as error:
-        raise ConfigError("window", f"expected {error}") from None
+        found = ", ".join(f"{name} {text}" for name, text in given.items() if text is not None)
+        raise ConfigError("window", f"found {found}, expected {error}") from None
 
 
 def _edges(text: str | None) -> tuple[float, ...]:
