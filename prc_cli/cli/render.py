@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.completing import complete_mapping
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.report import console, line_progress
 from prc_cli.cli.sections import Sectioned
@@ -26,7 +27,7 @@ _FILE = click.Path(path_type=Path)
 
 
 @click.command(cls=Sectioned)
-@click.argument("source", metavar="INPUT", type=_FILE)
+@click.argument("source", metavar="IN", type=_FILE)
 @click.argument("output", metavar="[OUT]", type=_FILE, required=False)
 @click.option(
     "--html",
@@ -43,7 +44,12 @@ _FILE = click.Path(path_type=Path)
 @click.option("--labels-dimension", metavar="NAME", help="Column or dimension that holds them.")
 @click.option("--reference", type=_FILE, metavar="FILE", help="Classes to compare with.")
 @click.option("--reference-dimension", metavar="NAME", help="Column or dimension that holds them.")
-@click.option("--mapping", metavar="NAME|FILE.toml", help="Which codes mean which class, as for prc evaluate.")
+@click.option(
+    "--mapping",
+    metavar="NAME|FILE.toml",
+    shell_complete=complete_mapping,
+    help="Which codes mean which class, as for prc evaluate.",
+)
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
@@ -93,7 +99,7 @@ _FILE = click.Path(path_type=Path)
 def render(
     source: Path, output: Path | None, *, html: Path | None, overwrite: bool, as_json: bool, quiet: bool, **options: Any
 ) -> None:
-    """Draw INPUT into OUT, a .png or a single .html, or into a page to look around in (--html).
+    """Draw IN into OUT, a .png or a single .html, or into a page to look around in (--html).
 
     Ranges, the steps of the classifier, classes, differences to a reference; or the points from above or in
     perspective.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prc_cli import __version__
-from prc_cli.config import LoadedConfig, preset_of
+from prc_cli.config import LoadedConfig, preset_of, refuse_window
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.errors import ConfigError, InputError, PrcError
 from prc_cli.core.files import atomic_output, check_output, remove_stale, temporary_folder
@@ -118,6 +118,7 @@ def render_viewer(
     source, output = Path(source), Path(output)
     chosen = RenderOptions() if options is None else options
     _check(output, chosen)
+    refuse_window(config.config, "prc render")
     inputs = tuple(path for path in (source, chosen.labels, *config.files) if path is not None)
     check_output(output, overwrite=overwrite, inputs=inputs)
     remove_stale(output)
