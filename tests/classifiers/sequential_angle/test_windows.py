@@ -38,9 +38,9 @@ def test_a_wall_between_leaves_is_vertical() -> None:
     x = np.full(40, 12.0)
     codes = [V] * 20 + [T] * 20
     x[21::2] = np.linspace(8.0, 11.0, 10)
-    found = label(x, z, codes)
+    found = label(x, z, codes, WindowsParams(share=1.0))
     assert found == [V] * 20 + [V, T] * 10
-    assert label(x, z, codes, WindowsParams(wall_extent_m=0)) == codes
+    assert label(x, z, codes, WindowsParams(share=1.0, wall_extent_m=0)) == codes
 
 
 def test_what_is_behind_a_wall_below_it_is_a_room_and_what_is_over_it_may_be_a_tree() -> None:
