@@ -104,7 +104,8 @@ def without_windows(surface: U8, lines: VerticalLines, params: WindowsParams, *,
     ...     x, z = distance, np.linspace(1.0, 2.0, 10)
     ...     xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
     ...     beams = np.arctan2(x, -z)[None]
-    ...     lines = VerticalLines(np.linalg.norm(xyz, axis=-1), xyz, xyz[..., 0].copy(), np.array([10], np.int32), beams)
+    ...     n_beams, ranges = np.array([10], np.int32), np.linalg.norm(xyz, axis=-1)
+    ...     lines = VerticalLines(ranges, xyz, xyz[..., 0].copy(), n_beams, beams)
     ...     leaves = np.ones((1, 10), np.uint8)
     ...     found.append(without_windows(leaves, lines, WindowsParams(), range_noise_m=0.005))
     >>> found

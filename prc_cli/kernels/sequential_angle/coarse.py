@@ -162,10 +162,37 @@ def _in_two_layers(values: F64, n: int, width: float) -> int:
     return most + max(below, above)
 
 
+_BINS = 256
+
+
 @helper
-def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: LayerThresholds) -> None:
+def _may_be_layered(values: F64, m: int, width: float, share: float, bins: I32) -> bool:
+    """Tell quickly whether two layers may hold a share of some values: most foliage need not be sorted.
+
+    A layer lies in two neighbouring bins at most, so two of them hold no more than the four fullest bins.
+    """
+    if width <= 0.0:
+        return True
+    for i in range(_BINS):
+        bins[i] = 0
+    per_m = 1.0 / (1.01 * width)
+    for i in range(m):
+        bins[int(values[i] * per_m) & (_BINS - 1)] += 1
+    inside = 0
+    for _ in range(4):
+        fullest = 0
+        for i in range(1, _BINS):
+            if bins[i] > bins[fullest]:
+                fullest = i
+        inside += bins[fullest]
+        bins[fullest] = 0
+    return np.float64(inside) > share * np.float64(m)
+
+
+@helper
+def _settle(labels: U8, values: F64, beam: I32, m: int, thresholds: LayerThresholds, bins: I32) -> None:
     """Label the points of a run, if they lie in layers."""
-    if m < thresholds.min_points:
+    if m < thresholds.min_points or not _may_be_layered(values, m, thresholds.width_m, thresholds.share, bins):
         return
     inside = _in_two_layers(values, m, thresholds.width_m)
     if np.float64(inside) > thresholds.share * np.float64(m):
@@ -197,6 +224,7 @@ def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: Lay
     image = np.empty((n_rows, n), np.uint8)
     values = np.empty(n, np.float64)
     beam = np.empty(n, np.int32)
+    bins = np.empty(_BINS, np.int32)
     for row in range(n_rows):
         codes = surface[row]
         m = int(np.int64(0))
@@ -208,10 +236,10 @@ def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: Lay
                 beam[m] = k
                 m += 1
             elif m > 0 and (k >= width or codes[k] != _MISSING):
-                _settle(image[row], values, beam, m, thresholds)
+                _settle(image[row], values, beam, m, thresholds, bins)
                 m = int(np.int64(0))
         if m > 0:
-            _settle(image[row], values, beam, m, thresholds)
+            _settle(image[row], values, beam, m, thresholds, bins)
     return image
 
 
