@@ -1,7 +1,7 @@
 """Figures of the sequential-angle classifier: simulated static scans beside the paper's Table 1, real scans, speed.
 
-    python -m benchmarks.sequential_angle > docs/sequential_angle_figures.md     # everything, minutes
-    python -m benchmarks.sequential_angle simulated speed                        # some of the parts
+    python -m benchmarks.sequential_angle > docs/sequential_angle_figures.md     # all but speed and memory, minutes
+    python -m benchmarks.sequential_angle speed memory                           # tables of docs/speed_figures.md
 
 Reads ../shared/data or $PRC_DATA for the real scans. Each table names the commands that give the same figures.
 """
@@ -92,19 +92,20 @@ VARIED: dict[str, Any] = {"scene": {"name": "varied"}}
 SIDEWALK: dict[str, Any] = {"station": {"left_m": -5.2, "clearance_m": 1.0}}
 
 SETTINGS: dict[str, Setting] = {
-    "5 mm": Setting(),
-    "1 mm": Setting(FINE, range_noise_m=0.001),
+    "scanner on the road": Setting(),
+    "scanner on the road, 1 mm": Setting(FINE, range_noise_m=0.001),
     "varied, 5 mm": Setting(VARIED),
     "varied, 1 mm": Setting(merge(VARIED, FINE), range_noise_m=0.001),
+    "scanner on the sidewalk": Setting(SIDEWALK),
     "varied, on the sidewalk, 5 mm": Setting(merge(VARIED, SIDEWALK)),
     "varied, on the sidewalk, 1 mm": Setting(merge(merge(VARIED, SIDEWALK), FINE), range_noise_m=0.001),
-    "steps of 0.06°, 5 mm": Setting({"scanner": {"points_per_line": 2085}}),
-    "steps of 0.23°, 5 mm": Setting({"scanner": {"points_per_line": 544}}),
+    "steps of 0.06°": Setting({"scanner": {"points_per_line": 2085}}),
+    "steps of 0.23°": Setting({"scanner": {"points_per_line": 544}}),
     "10 mm noise, told 5 mm": Setting({"scanner": {"noise_m": 0.01}}),
     "10 mm noise, told so": Setting({"scanner": {"noise_m": 0.01}}, range_noise_m=0.01),
     "published constants, 1 mm": Setting(FINE, preset="street-scan-published"),
     "published constants, varied, 1 mm": Setting(merge(VARIED, FINE), preset="street-scan-published"),
-    "published constants, 5 mm": Setting(preset="street-scan-published"),
+    "published constants": Setting(preset="street-scan-published"),
 }
 ON_ALL_SEEDS = 4
 """So many rows are of :data:`SEEDS` streets."""
@@ -195,16 +196,18 @@ def simulated(folder: Path) -> None:
                 fine = own if fine is None else fine + own
     print("## Simulated static street scans\n")
     print(f"{SEEDS} streets in the first {ON_ALL_SEEDS} rows, {MORE_SEEDS} in the others, none looked at before. The")
-    print("classifier is told the noise; that of the paper's scanner is about 1 mm (footnote 3). Last row:")
+    print(
+        "classifier is told the noise; that of the paper's scanner is about 1 mm (footnote 3); rows that name no noise have 5 mm. Last row:"
+    )
     print("Stamos et al. (2012), Table 1, 11 real scans. Ground counts as horizontal, curbs as vertical.\n")
     print(f"```console\n$ prc simulate street-scan -o scan.npz --seed {FIRST_SEED} --set scanner.azimuth_step_deg=0.46")
     print("$ prc classify scan.npz labels.npy --preset street-scan")
     print("$ prc evaluate labels.npy scan.npz --mapping street_scan --format markdown\n```\n")
     print_scores(sums, names)
     cells = " | ".join(f"{recall:.3f} | {precision:.3f}" for recall, precision in PAPER.values())
-    print(f"| *the paper* | {cells} | 0.876 |\n\n### Street by street, 5 mm\n")
+    print(f"| *the paper* | {cells} | 0.876 |\n\n### Street by street, scanner on the road\n")
     print_scores(each, names)
-    print("\n### Confusion, 5 mm\n")
+    print("\n### Confusion, scanner on the road\n")
     print(as_markdown(next(iter(sums.values()))))
     if fine is not None:
         print("### The same with every class by itself\n\n" + as_markdown(fine))
@@ -222,6 +225,7 @@ PRINTED: dict[str, dict[str, Any]] = {
     "curb.under_sigmas = 0": {"curb": {"under_sigmas": 0}},
     "car.dividers.under_sigmas = 0": {"car": {"dividers": {"under_sigmas": 0}}},
     "car.dividers.vertical_break_m = 10000": {"car": {"dividers": {"vertical_break_m": 10_000}}},
+    "car.fourier.window = 0": {"car": {"fourier": {"window": 0}}},
     "car.fourier.longest = 0, car.most_foliage = 1": {"car": {"fourier": {"longest": 0}, "most_foliage": 1}},
     "the same, car.fourier.window = 0": {"car": {"fourier": {"longest": 0, "window": 0}, "most_foliage": 1}},
     "car.fourier.enabled = false": {"car": {"fourier": {"enabled": False}}},
@@ -507,6 +511,8 @@ def stage_times(block: ScanBlock) -> dict[str, float]:
     return times
 
 
+SPEED = ("speed", "memory")
+"""Parts whose tables are on the page of all speeds, and nowhere else."""
 PARTS: dict[str, Callable[[Path], None]] = {
     "simulated": simulated,
     "readings": readings,
@@ -522,11 +528,13 @@ PARTS: dict[str, Callable[[Path], None]] = {
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all but {', '.join(SPEED)}"
+    )
     arguments = parser.parse_args()
     print("<!-- written by python -m benchmarks.sequential_angle; do not edit -->\n\n# Sequential-angle: figures\n")
     with tempfile.TemporaryDirectory() as name:
-        for part in arguments.parts or PARTS:
+        for part in arguments.parts or [part for part in PARTS if part not in SPEED]:
             if part not in PARTS:
                 parser.error(f"found {part!r}, expected {', '.join(PARTS)}")
             PARTS[part](Path(name))

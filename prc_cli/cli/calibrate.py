@@ -12,7 +12,7 @@ import click
 from click.core import ParameterSource
 from rich.table import Table
 
-from prc_cli.cli.options import config_from, stream_options
+from prc_cli.cli.options import config_from, stream_options, window_options
 from prc_cli.cli.report import console, line_progress, print_doubts, results
 from prc_cli.cli.safe import printable_lines
 from prc_cli.cli.sections import Sectioned
@@ -99,6 +99,7 @@ from prc_cli.jobs.calibrate.search import MEAN_F1, Tried
     help="Shots kept in memory for the search; longer inputs are sampled.",
 )
 @stream_options
+@window_options
 @click.option(
     "--format",
     "form",

@@ -10,7 +10,7 @@ import click
 
 from prc_cli.cli.options import config_from, stream_options
 from prc_cli.cli.safe import printable, printable_lines
-from prc_cli.config import json_schema, load_config, preset_summaries, to_toml
+from prc_cli.config import json_schema, load_config, preset_summaries, sample_summaries, to_toml
 from prc_cli.core.config import read_toml
 
 
@@ -67,7 +67,7 @@ def check(file: Path) -> None:
 def presets(as_json: bool) -> None:
     """List the presets and what each is for.
 
-    Also shown is how many values a preset changes, compared with the defaults.
+    Also shown is how many values a preset changes, compared with the defaults; then the other sample configurations.
 
     \b
     Example: prc config presets
@@ -91,6 +91,10 @@ def presets(as_json: bool) -> None:
     click.echo(f"{'preset':{width}}  changed  what for")
     for each in summaries:
         click.echo(f"{each.name:{width}}  {each.n_changed:7}  {each.purpose}")
+    click.echo("\nsample configurations, for --config:")
+    for file, purpose in sample_summaries():
+        click.echo(f"{file.name:{width}}  {purpose}")
+    click.echo("\nWithout a preset the input decides: prc info FILE says how, and ends with the command to type.")
 
 
 @config.command()

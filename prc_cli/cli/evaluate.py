@@ -9,12 +9,14 @@ from typing import Any
 
 import click
 
+from prc_cli.cli.options import window_options
 from prc_cli.cli.report import console
 from prc_cli.cli.report_evaluation import print_evaluation, print_evaluation_details
 from prc_cli.cli.safe import printable_lines
 from prc_cli.cli.sections import Sectioned
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.files import atomic_output, check_output, open_to_read
+from prc_cli.core.window import Window, parse_window
 from prc_cli.evaluation.gates import GateResult, check_gates, parse_gate, refuse_failed
 from prc_cli.evaluation.html import as_html, check_picture
 from prc_cli.evaluation.latex import as_latex
@@ -160,6 +162,7 @@ def _evaluate_options(command: Callable[..., None]) -> Callable[..., None]:
 @click.argument("predicted", type=click.Path(path_type=Path))
 @click.argument("reference", type=click.Path(path_type=Path))
 @_evaluate_options
+@window_options
 def evaluate(predicted: Path, reference: Path, **options: Any) -> None:
     """Compare PREDICTED with REFERENCE, record by record.
 
@@ -239,7 +242,16 @@ def _how(options: dict[str, Any]) -> EvaluateOptions:
         one_to_one=not options["several"],
         allow_missing=options["allow_missing"],
         pool=options["pool"],
+        window=_window(options),
     )
+
+
+def _window(options: dict[str, Any]) -> Window | None:
+    """Return the part that is scored."""
+    try:
+        return parse_window(options["window_lines"], options["window_time"], options["window_first"])
+    except ValueError as error:
+        raise ConfigError("window", f"expected {error}") from None
 
 
 def _edges(text: str | None) -> tuple[float, ...]:

@@ -9,7 +9,8 @@ SECTIONS: dict[str, frozenset[str]] = {
     "Input": frozenset(
         {
             "layout_file", "lines", "columns", "range_", "scanner", "topic", "metadata", "return_", "points_per_line",
-            "max_range", "accept_doubts", "trust_order", "sort_by_time", "deep",
+            "max_range", "accept_doubts", "trust_order", "sort_by_time", "deep", "window_lines", "window_time",
+            "window_first",
         }
     ),
     "Output": frozenset({"output", "outputs", "overwrite", "segment_ids", "labels", "draft"}),

@@ -14,7 +14,7 @@ import click
 from rich.table import Table
 
 from prc_cli.cli.options import output_options
-from prc_cli.cli.report import console, print_assumptions
+from prc_cli.cli.report import LineBar, console, print_assumptions
 from prc_cli.cli.sections import Sectioned
 from prc_cli.config import load_config
 from prc_cli.core.config import read_toml
@@ -117,7 +117,7 @@ def _progress(name: str, *, quiet: bool) -> Iterator[Callable[[int], object] | N
     from tqdm import tqdm
 
     with tqdm(desc=name, unit=" points", unit_scale=True, leave=False) as bar:
-        yield bar.update
+        yield LineBar(bar)
 
 
 def _layout(path: Path | None) -> Layout | None:

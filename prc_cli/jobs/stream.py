@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from prc_cli.classifiers.run import run_blocks
-from prc_cli.config import LoadedConfig, MethodChoice, RunConfig
+from prc_cli.config import LoadedConfig, MethodChoice, RunConfig, refuse_window
 from prc_cli.core.errors import ConfigError, InputError, OutputError
 from prc_cli.core.findings import Finding, doubts
 from prc_cli.core.stream import ScanBlock, ScanStream, StreamInfo
@@ -143,6 +143,7 @@ def stream(
     """
     loaded = config if isinstance(config, LoadedConfig) else LoadedConfig(config or RunConfig())
     config = loaded.config
+    refuse_window(config, "prc stream")
     if config.input.scanner != "none":
         problem = (
             f"found {config.input.scanner!r}, expected none: labels of one scanner leave in the order of its shots"

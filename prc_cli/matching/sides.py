@@ -23,8 +23,9 @@ from prc_cli.matching.streams import in_step
 
 FILE, ROW = "file", "row"
 """Index of the file, index of the record in it: int64, every side has them and :data:`CODE`."""
-RANGE, LINE, SCANNER = "range", "line", "scanner"
-"""What a side may have: range [m], scan line, scanner id; -1 (NaN for ranges) = not known. :data:`SAME` is the return
+RANGE, LINE, SCANNER, SECONDS = "range", "line", "scanner", "seconds"
+"""What a side may have: range [m], scan line, scanner id, time [s]; -1 (NaN for ranges and times) = not known.
+:data:`SAME` is the return
 number, 0 to 255; 0 = not known."""
 MAX_RETURN = 255
 RECORD = "record"
@@ -32,7 +33,7 @@ RECORD = "record"
 UNKNOWN = -1
 SCANNER_NAMES = ("scanner", "point_source_id", "scanner_channel")
 """Dimensions that identify the scanner; the first one present is taken."""
-_NAMES = {SAME: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES}
+_NAMES = {SAME: ("return_number",), RANGE: ("range",), LINE: ("scan_line",), SCANNER: SCANNER_NAMES, SECONDS: ("time",)}
 _INDEX = ""
 _CODES = "class codes"
 """Column of codes that are read from a file of their own; the blank keeps it apart from dimensions."""
@@ -163,7 +164,11 @@ class Side:
     @property
     def dimensions(self) -> tuple[str, ...]:
         """Names that :meth:`chunks` can deliver."""
-        names = [name for name in (SAME, RANGE, LINE, SCANNER) if all(self._place(file, name) for file in self.files)]
+        names = [
+            name
+            for name in (SAME, RANGE, LINE, SCANNER, SECONDS)
+            if all(self._place(file, name) for file in self.files)
+        ]
         key = [] if self.key is None else [KEY]
         axes = AXES if all(file.find((axis,)) for file in self.files for axis in AXES) else ()
         return (*key, CODE, FILE, ROW, *names, *axes)
@@ -275,7 +280,7 @@ class Side:
     def _typed(self, file: SideFile, name: str, found: NDArray[Any], first: int) -> NDArray[Any]:
         if name == KEY and self.key is not None and self.key.kind == "dimension":
             return self._ids(file, self.key.dimension, found, first)
-        if name in (KEY, RANGE, *AXES):
+        if name in (KEY, RANGE, SECONDS, *AXES):
             return np.asarray(found, np.float64)
         return np.clip(_whole(found), 0, MAX_RETURN) if name == SAME else _whole(found)
 

@@ -18,7 +18,9 @@ from prc_cli.core import blocks as regroup
 from prc_cli.core.config import MAX_TOML_BYTES, read_toml
 from prc_cli.core.errors import ConfigError, InputError
 from prc_cli.core.stream import ScanBlock
+from prc_cli.formats import open_source
 from prc_cli.formats.arrays.rows import ArrayFile
+from prc_cli.formats.clouds import turn_of_times
 from prc_cli.formats.options import InputConfig
 from prc_cli.formats.ptx import PtxStream
 from prc_cli.formats.text import lines as text_lines
@@ -282,3 +284,30 @@ def test_coordinates_without_end_have_no_neighbours(
     assert "Traceback" not in printed
     assert code in (0, 1), printed
     assert not code or printed.count("\n") == 1
+
+
+def test_a_coordinate_that_signals_is_passed_over(tmp_path: Path) -> None:
+    """NumPy warned when the units of a frame of rings were looked for."""
+    whole = seed("rings.ply")
+    at = whole.index(b"end_header\n") + 11
+    signals = whole[:at] + struct.pack("<I", 0x7F800001) + whole[at + 4 :]
+    assert (
+        open_source(put(tmp_path / "a.ply", signals)).n_records == open_source(put(tmp_path / "b.ply", whole)).n_records
+    )  # type: ignore[union-attr]
+
+
+def test_a_name_of_many_blanks_is_judged_in_one_pass(tmp_path: Path) -> None:
+    """The search for a unit behind it took the cube of their number: hours for 100 kB."""
+    start = time.process_time()
+    text = b"range" + b" " * 50_000 + b"(" * 1000 + b" mm x,x\n1,2\n"
+    assert sum(chunk.n for chunk in TextSource(put(tmp_path / "a.csv", text)).chunks(("x",))) == 1
+    assert time.process_time() - start < 20
+
+
+def test_times_and_angles_without_measure_give_no_turn() -> None:
+    """NumPy warned of the overflow, and NaN passed for a whole turn."""
+    shot = np.arange(90)
+    time_s, angle = shot % 10 + shot // 10 * 20.0, shot % 10 * np.pi / 10
+    assert turn_of_times(time_s, angle) is not None
+    for tiny, large in ((5e-324, 1.0), (1e-300, 1e300), (1.0, 1e307)):
+        assert turn_of_times(time_s * tiny, angle * large) is None

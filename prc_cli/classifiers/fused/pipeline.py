@@ -289,10 +289,9 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     if params.environment == "forest":  # but for the range noise, a block is labelled by itself
         noise_m = turn.hand_on(NOISE, lambda known: _measure_forest(range_m, plane, known, params.sensor))
         return forest(range_m, scanner.plane, noise_m, params.forest)
-    if scanner.is_fan and params.rings.enabled:
-        params = _for_rings(params)
+    params = of_scanner(params, scanner)
     tail = turn.hand_on(TAIL, lambda before: (before, _last_lines(before, range_m)))
-    wide = _window(tail, range_m, next_m)
+    wide = window_of(tail, range_m, next_m)
     window = wide[SPACED_LINES - AROUND_LINES : len(wide) - SPACED_LINES + AROUND_LINES]
     noise_m = turn.hand_on(NOISE, lambda known: _measure(window, plane, known, params.sensor))
     strides = _strides(wide, scanner, noise_m, turn, params)
@@ -307,9 +306,11 @@ def classify_block(range_m: F32, next_m: F32 | None, scanner: FusedScanner, turn
     return turn.hand_on(HALT, lambda halt: keep_labels(labels, range_m, own, halt, limits))
 
 
-def _for_rings(params: FusedParams) -> FusedParams:
-    """Return the parameters for a fan of rings."""
+def of_scanner(params: FusedParams, scanner: FusedScanner) -> FusedParams:
+    """Return the parameters for a scanner: others for a fan of rings."""
     rings = params.rings
+    if not (scanner.is_fan and rings.enabled):
+        return params
     own = {
         "ground": rings.ground(params.ground),
         "smoothness": rings.smoothness(params.smoothness),
@@ -388,7 +389,7 @@ def _last_lines(tail: F32, range_m: F32) -> F32:
     return last
 
 
-def _window(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
+def window_of(tail: F32, range_m: F32, next_m: F32 | None) -> F32:
     """Return a block with the lines before and after it, NaN beyond the stream."""
     width = range_m.shape[1]
     following = np.full((SPACED_LINES, width), np.nan, np.float32)

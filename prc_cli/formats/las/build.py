@@ -105,6 +105,7 @@ class LasBuilder(StagedWriter):
 
     def _add(self, block: LabelledBlock) -> None:
         scan = block.block
+        self._see_order(scan)
         codes = self._encode(block.labels, scan.range_m)
         extra_codes = self._encode(block.extra_labels, scan.extra.range_m)
         cells = {column.name: self._cells(column, block) for column in self._optional}

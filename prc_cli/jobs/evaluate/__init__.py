@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from prc_cli.core.errors import ConfigError, InputError
+from prc_cli.core.window import Window
 from prc_cli.evaluation.confusion import ConfusionMatrix, refuse_poor_match
 from prc_cli.evaluation.mapping import ClassMapping, load_mapping
 from prc_cli.evaluation.result import Evaluation, MatchReport
@@ -22,6 +23,7 @@ from prc_cli.formats.las.read import LasSource
 from prc_cli.jobs.evaluate.counts import SPLITS, Counts, asked_parts, count_pairs, intervals_of, scored_parts
 from prc_cli.jobs.evaluate.options import EvaluateOptions, check_options, tolerance_of
 from prc_cli.jobs.evaluate.pools import open_pools
+from prc_cli.jobs.evaluate.window import ScoredWindow
 from prc_cli.matching.join import (
     CODE,
     KEY,
@@ -39,6 +41,7 @@ from prc_cli.matching.sides import (
     FILE,
     LINE,
     ROW,
+    SECONDS,
     Side,
 )
 from prc_cli.matching.streams import columns_of, in_step
@@ -176,7 +179,7 @@ def _compare(
     plan = _plan(left, right, options, by_lines=by_lines)
     mapping = counts.mapping
     for name in plan.reference:
-        counts.note(f"{SPLITS[name]}: taken from the reference")
+        counts.note(f"{SPLITS.get(name, name)}: taken from the reference")
     if options.match == "nearest":
         _check_crs(left, right, counts)
         key = KeyRule("place", _longest_axis(right))
@@ -184,10 +187,12 @@ def _compare(
     on_disk = [options.match == "nearest"] * 2
     while True:
         found = {name: GroupedCounts(mapping, name) for name in counts.parts}
-        tally = JoinTally()
+        tally, window = JoinTally(), None if options.window is None else ScoredWindow(options.window)
         try:
             for one, other in _pairs(left, right, plan, tally, on_disk, options):
                 beside = {name: other[name] for name in plan.reference} | {name: one[name] for name in plan.predicted}
+                if window is not None:
+                    (one, other), beside = window.inside(beside, one, other)
                 if FILE in beside:
                     beside[FILE] = beside[FILE] + first_file
                 count_pairs(found, beside, cells_of(mapping, one[CODE], other[CODE]), options, by_lines=by_lines)
@@ -198,6 +203,8 @@ def _compare(
         break
     for name, part in found.items():
         counts.parts[name].merge(part)
+    if window is not None:
+        window.report(left.path, counts)
     _report(left, right, tally, counts, options)
 
 
@@ -214,6 +221,11 @@ class _Plan:
 def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) -> _Plan:
     has, other_has, asked = left.dimensions, right.dimensions, asked_parts(options)
     wanted = dict.fromkeys(LINE if name == "blocks" else name for name in asked if name != "blocks" or by_lines)
+    if options.window is not None:
+        place = LINE if options.window.in_lines else SECONDS
+        wanted[place] = None
+        if place not in (*has, *other_has):
+            raise _no_place(left, right, options.window)
     for name in wanted:
         if name not in (*has, *other_has) and name in asked:
             problem = f"no {SPLITS[name]} to split by in {left.path} or {right.path}"
@@ -229,6 +241,13 @@ def _plan(left: Side, right: Side, options: EvaluateOptions, *, by_lines: bool) 
     elif options.match == "time" and SAME in has and SAME in other_has:
         keys = (KEY, SAME)
     return _Plan(tuple(predicted), tuple(reference), keys)
+
+
+def _no_place(left: Side, right: Side, window: Window) -> ConfigError:
+    what = "scan lines" if window.in_lines else "times"
+    problem = f"no {what} in {left.path} or {right.path}, expected them for {window.option}"
+    hint = "give --predicted-points with the points of the labels" + (", or -M" if window.in_lines else "")
+    return ConfigError("window", problem, hint)
 
 
 def _pairs(

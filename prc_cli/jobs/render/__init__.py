@@ -26,6 +26,7 @@ from prc_cli.jobs.render.options import (
     RenderResult,
 )
 from prc_cli.jobs.render.scan import Drawing, describe, draw_scan
+from prc_cli.jobs.render.viewer import render_viewer
 
 
 def render(
@@ -152,4 +153,4 @@ def _write(
     return replace(result, files=tuple(paths), size=size)
 
 
-__all__ = ["CAPTIONS", "COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render"]
+__all__ = ["CAPTIONS", "COLOURS", "VIEWS", "RenderOptions", "RenderResult", "render", "render_viewer"]

@@ -71,6 +71,20 @@ def _list_counted(
 
 
 @helper
+def _mark_rough(pairs: U8, most: np.float32, rough: U8) -> None:
+    """Mark the shots of a line that are rough between rough ones.
+
+    In crowns all shots are; at the ends of a pole or an edge of a wall a single one is.
+    """
+    m = len(pairs)
+    for i in range(m):
+        rough[i] = np.uint8(np.float32(pairs[i]) <= most)
+    before, own, after = pairs[: m - 2], rough[1 : m - 1], pairs[2:]
+    for i in range(m - 2):
+        own[i] &= np.uint8((np.float32(before[i]) <= most) & (np.float32(after[i]) <= most))
+
+
+@helper
 def _mark_kinds(
     above: F32, counts: tuple[U8, U8, U8, U8], thresholds: StripThresholds, slots: U8, rough: U8, upright: U8, level: U8
 ) -> None:
@@ -81,8 +95,7 @@ def _mark_kinds(
     for i in range(len(above)):
         h = above[i] if above[i] >= foot else np.float32(0.0)
         slots[i] = np.uint8(min(h / SLOT_M, np.float32(SLOTS - 1)))
-    for i in range(len(above)):
-        rough[i] = np.uint8(np.float32(pairs[i]) <= most_rough)
+    _mark_rough(pairs, most_rough, rough)
     for i in range(len(above)):
         upright[i] = np.uint8((np.float32(pairs[i]) >= least_smooth) & (up[i] >= UPRIGHT_CHORDS))
     for i in range(len(above)):

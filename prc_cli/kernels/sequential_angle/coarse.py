@@ -186,7 +186,7 @@ def _may_be_layered(values: F64, m: int, width: float, share: float, bins: I32) 
                 fullest = i
         inside += bins[fullest]
         bins[fullest] = 0
-    return np.float64(inside) > share * np.float64(m)
+    return bool(np.float64(inside) > share * np.float64(m))
 
 
 @helper
