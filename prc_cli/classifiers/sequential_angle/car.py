@@ -27,7 +27,7 @@ class CarParams(Params):
     )
     fourier: FourierParams = Field(FourierParams(), description="car or vegetation")
     most_foliage: float = Field(
-        0.6,
+        0.8,
         ge=0,
         le=1,
         description="an interval of which the coarse classification calls more than this share vegetation is no car; "
