@@ -42,11 +42,14 @@ from prc_cli.kernels.prc.surfaces import select_components as select_components
 from prc_cli.kernels.sequential_angle.angles import angle_differences as angle_differences
 from prc_cli.kernels.sequential_angle.angles import line_angles as line_angles
 from prc_cli.kernels.sequential_angle.angles import signed_angles as signed_angles
+from prc_cli.kernels.sequential_angle.coarse import behind_walls as behind_walls
 from prc_cli.kernels.sequential_angle.coarse import surface_image as surface_image
+from prc_cli.kernels.sequential_angle.coarse import upright_layers as upright_layers
 from prc_cli.kernels.sequential_angle.curb import connect_verticals as connect_verticals
 from prc_cli.kernels.sequential_angle.curb import possible_curbs as possible_curbs
 from prc_cli.kernels.sequential_angle.dividers import car_intervals as car_intervals
 from prc_cli.kernels.sequential_angle.dividers import cut_verticals as cut_verticals
+from prc_cli.kernels.sequential_angle.dividers import firm_intervals as firm_intervals
 from prc_cli.kernels.sequential_angle.fourier import stable_intervals as stable_intervals
 from prc_cli.kernels.sequential_angle.ground import find_modes as find_modes
 from prc_cli.kernels.sequential_angle.ground import ground_rows as ground_rows

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-from prc_cli.core.thresholds.sequential_angle import DividerThresholds, FourierThresholds
+from prc_cli.core.thresholds.sequential_angle import (
+    DividerThresholds,
+    FourierThresholds,
+    LayerThresholds,
+    WallThresholds,
+)
 from prc_cli.core.types import F32, F64, I32, U8
 
 MISSING, DENSE, H, V, UNDECIDED = range(5)
@@ -87,11 +92,20 @@ def divider_thresholds(rng: Generator) -> DividerThresholds:
         under_points=int(rng.choice([0, 1, 30])),
         under_m=float(rng.choice([0.0, 0.01])),
         separation_m=4.0,
+        return_points=int(rng.choice([0, 1, 5])),
+        from_start=bool(rng.integers(2)),
         flat_length_m=float(rng.choice([0.5, 1.5, 3.0])),
         flat_residual_m=0.0503,
         flat_slope=float(np.tan(np.deg2rad(rng.choice([10.0, 25.0])))),
+        flat_step_m=float(rng.choice([0.25, np.inf])),
         vertical_extent_m=float(rng.choice([0.0, 0.25, 1.25])),
         vertical_break_m=float(rng.choice([0.0, 0.25, 1.0])),
+        vertical_top_m=float(rng.choice([-np.inf, 1.0, 2.0])),
+        vertical_slope=float(np.tan(np.deg2rad(rng.choice([3.0, 30.0])))),
+        straight_points=int(rng.choice([1, 3, 6])),
+        straight_extent_m=float(rng.choice([0.0, 0.25, 1.0, np.inf])),
+        straight_residual_m=float(rng.choice([0.0301, 0.1303])),
+        straight_slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
     )
 
 
@@ -108,7 +122,45 @@ def intervals(rng: Generator, surface: U8) -> I32:
 def cut_case(rng: Generator) -> tuple[Any, ...]:
     surface, n_beams = surfaces(rng, *size(rng))
     _, xyz, horizontal = geometry(rng, surface)
-    return surface, xyz, horizontal, n_beams, intervals(rng, surface), divider_thresholds(rng)
+    cuts = intervals(rng, surface)
+    return surface, xyz, horizontal, n_beams, cuts, heights(rng, len(surface)), divider_thresholds(rng)
+
+
+def firm_case(rng: Generator) -> tuple[Any, ...]:
+    surface, _ = surfaces(rng, *size(rng))
+    return surface, intervals(rng, surface), float(rng.choice([0.0, 0.25, 0.5, 1.0])), int(rng.choice([0, 1, 4]))
+
+
+def layer_case(rng: Generator) -> tuple[Any, ...]:
+    surface, n_beams = surfaces(rng, *size(rng))
+    layered = rng.choice([5.0, 5.25, 5.5, 6.0, 9.0], surface.shape) + rng.choice([0.0, 0.0, 0.25], surface.shape)
+    horizontal = np.where(surface == MISSING, np.nan, layered).astype(np.float32)
+    thresholds = LayerThresholds(
+        width_m=float(rng.choice([0.0, 0.25, 0.5])),
+        share=float(rng.choice([0.25, 0.5, 0.75, 1.0])),
+        min_points=int(rng.choice([1, 4])),
+    )
+    return surface, horizontal, n_beams, thresholds
+
+
+def wall_case(rng: Generator) -> tuple[Any, ...]:
+    surface, n_beams = surfaces(rng, *size(rng))
+    surface[(surface == H) & (rng.random(surface.shape) < 0.5)] = DENSE
+    _, xyz, _ = geometry(rng, surface)
+    horizontal = rng.choice([5.0, 5.0, 5.25, 6.0, 4.75, 4.5], surface.shape)
+    stay = rng.random(surface.shape) < 0.7
+    for k in range(1, surface.shape[1]):
+        horizontal[:, k] = np.where(stay[:, k], horizontal[:, k - 1], horizontal[:, k])
+    thresholds = WallThresholds(
+        extent_m=float(rng.choice([0.0, 0.25, 1.0])),
+        break_m=float(rng.choice([0.0, 0.25, 1.0])),
+        residual_m=float(rng.choice([0.0301, 0.1303])),
+        slope=float(np.tan(np.deg2rad(rng.choice([2.0, 30.0])))),
+        width_m=float(rng.choice([0.0, 0.125, 0.25])),
+        front_m=float(rng.choice([0.0, 0.25])),
+    )
+    horizontal[surface == MISSING] = np.nan
+    return surface, xyz, horizontal.astype(np.float32), n_beams, thresholds
 
 
 def high_case(rng: Generator) -> tuple[Any, ...]:
@@ -132,6 +184,7 @@ def spectrum_case(rng: Generator) -> tuple[Any, ...]:
         ratio=float(rng.choice([0.5, 0.25, 0.9])),
         min_points=int(rng.choice([0, 1, 8])),
         window_points=int(rng.choice([8, 64, 2048])),
+        longest=int(rng.choice([0, 20, 33])),
     )
     return signal.astype(np.float32), found, thresholds
 
@@ -150,9 +203,12 @@ def car_case(rng: Generator) -> tuple[Any, ...]:
 
 def class_case(rng: Generator) -> tuple[Any, ...]:
     surface, _ = surfaces(rng, *size(rng))
-    horizontal = geometry(rng, surface)[2]
+    _, xyz, horizontal = geometry(rng, surface)
     ground, car, curb = (rng.random(surface.shape) < shares(rng) for _ in range(3))
-    return surface, ground, car, horizontal, curb & (surface != MISSING), np.array([0, 5, 7, 8, 1], np.uint8)
+    car &= surface != MISSING
+    below = float(rng.choice([0.0, 0.25, np.inf]))
+    codes = np.array([0, 5, 7, 8, 1], np.uint8)
+    return surface, ground, car, horizontal, xyz, curb & (surface != MISSING), codes, below
 
 
 def beyond_case(rng: Generator) -> tuple[Any, ...]:
@@ -162,14 +218,17 @@ def beyond_case(rng: Generator) -> tuple[Any, ...]:
 
 
 CASES: dict[str, Callable[[Generator], tuple[Any, ...]]] = {
+    "behind_walls": wall_case,
     "car_intervals": interval_case,
     "combine_classes": class_case,
     "cut_verticals": cut_case,
+    "firm_intervals": firm_case,
     "first_high_verticals": high_case,
     "first_triggers": trigger_case,
     "mark_beyond": beyond_case,
     "mark_cars": car_case,
     "stable_intervals": spectrum_case,
+    "upright_layers": layer_case,
 }
 
 TOLERANCES: dict[str, float] = {}

@@ -145,6 +145,7 @@ def connect_case(rng: Generator) -> tuple[Any, ...]:
             min_lines=int(rng.choice([1, 2, 3, 5])),
             grouping_m=float(rng.choice([0.3, 0.25, 0.125])),
             max_height_m=float(rng.choice([0.2, 0.125])),
+            min_height_m=float(rng.choice([0.0, 0.0, 0.125])),
             max_lines=int(rng.choice([1, 2, 4, 200])),
             by_line=bool(rng.random() < 0.5),
         )

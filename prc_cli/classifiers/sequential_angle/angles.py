@@ -31,6 +31,13 @@ class AnglesParams(Params):
         description="shortest chord that an angle is measured on [standard deviations of the range noise]; below "
         "about 3 noise turns chords round and looks like foliage; 0 takes successive shots, as published",
     )
+    least_chord_m: float = Field(
+        0.02,
+        ge=0,
+        le=10,
+        description="shortest chord, however small the noise: shorter ones measure rims and edges, not surfaces; "
+        "published: 0 [m]",
+    )
     chord_depth_sigmas: float = Field(
         3.0,
         ge=0,
@@ -50,7 +57,7 @@ class AnglesParams(Params):
     @property
     def min_chord_m(self) -> float:
         """Shortest chord [m]."""
-        return self.min_chord_sigmas * self.range_noise_m
+        return max(self.min_chord_sigmas * self.range_noise_m, self.least_chord_m)
 
     def thresholds(self) -> ChordThresholds:
         """Return the thresholds of the kernel."""

@@ -26,6 +26,16 @@ class CarParams(Params):
         HighVerticalsParams(), description="high vertical surfaces, behind which no cars are accepted"
     )
     fourier: FourierParams = Field(FourierParams(), description="car or vegetation")
+    most_foliage: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="an interval of which the coarse classification calls more than this share vegetation is no car; "
+        "published: 1, such intervals are cars too",
+    )
+    min_points: int = Field(
+        8, ge=1, le=100_000, description="an interval of fewer returns is no car; published: 1 [returns]"
+    )
     ground_layer_m: float = Field(
         0.3,
         ge=0,
@@ -93,6 +103,8 @@ def cars(
     trigger = suspicious(car_surface, lines.n_beams, params.suspicious)
     intervals = dividers(lines, car_surface, signed_deg, trigger, z_g, params.dividers, range_noise_m=range_noise_m)
     stable = fourier(signed_deg, intervals.pieces, params.fourier)
+    if params.most_foliage < 1.0 or params.min_points > 1:
+        stable &= kernels.firm_intervals(surface, intervals.pieces, params.most_foliage, params.min_points)
     limit = high_verticals(lines, surface, z_g, params.high_verticals)
     low_m = z_g + np.float32(params.ground_layer_m if params.ground_layer_m > 0 else -np.inf)
     accepted = intervals.pieces[stable]

@@ -14,6 +14,7 @@ from pydantic import Field
 from prc_cli import kernels
 from prc_cli.classifiers.sequential_angle.lines import VerticalLines
 from prc_cli.classifiers.sequential_angle.markov import HmmParams, hmm_cusum
+from prc_cli.classifiers.sequential_angle.windows import WindowsParams
 from prc_cli.core.config import Params
 from prc_cli.core.profile import stage
 from prc_cli.core.thresholds.sequential_angle import SurfaceThresholds
@@ -66,6 +67,7 @@ class CoarseParams(Params):
         HmmParams(), description="test for vegetation on signed angles; model 0 nearly forbids the state at -90 deg"
     )
     surfaces: TiltParams = Field(TiltParams(), description="test between horizontal and vertical surfaces")
+    windows: WindowsParams = Field(WindowsParams(), description="facades seen through their windows")
 
 
 @stage("coarse")

@@ -32,6 +32,7 @@ from prc_cli.core.types import F32, I32, U8, Mask
 class CurbParams(Params):
     """How curbs are found and verified (``[sequential_angle.curb]``)."""
 
+    enabled: bool = Field(True, description="look for curbs at all; false = nor is any car behind one")
     under_points: int = Field(
         30, ge=1, le=100_000, description="points before a point that are looked at for something under it (published)"
     )
@@ -55,10 +56,24 @@ class CurbParams(Params):
         0.3, gt=0, le=100, description="neighbouring vertical points closer than this belong to one region [m]"
     )
     max_height_m: float = Field(0.2, gt=0, le=100, description="a higher region is not a curb (published) [m]")
+    min_height_m: float = Field(
+        0.08,
+        ge=0,
+        le=100,
+        description="nor is a lower one, such as a lowered kerb or the edge of a verge: cars stand behind them; "
+        "published: 0 [m]",
+    )
     height: Literal["region", "line"] = Field(
         "region",
         description='the height of a region is that of the whole "region", or the largest within one "line", which '
         "does not grow along a street that is not level",
+    )
+    stands_below_m: float = Field(
+        0.05,
+        ge=0,
+        le=1e6,
+        description="a car whose foot, or the ground before it, is this much lower than the top of a curb stands on a "
+        "road and not behind the curb; published: so large that it is off [m]",
     )
     min_lines: int = Field(
         3, ge=1, le=1000, description="lines that make a curb of a region with a possible curb point (published)"
@@ -78,6 +93,7 @@ class CurbParams(Params):
             search_height_m=self.search_height_m,
             grouping_m=self.grouping_m,
             max_height_m=self.max_height_m,
+            min_height_m=self.min_height_m,
             by_line=self.height == "line",
             min_lines=self.min_lines,
             curvature_deg=self.curvature_deg,
@@ -163,6 +179,8 @@ def possible_curbs(
     (R,) int32
         Beam, -1 = none.
     """
+    if not params.enabled:
+        return np.full(len(surface), -1, np.int32)
     beams: I32
     _, beams = kernels.possible_curbs(
         surface, lines.range_m, lines.xyz_m, ground, z_g, params.thresholds(range_noise_m)

@@ -62,7 +62,19 @@ class DividersParams(Params):
         "interval; published: 0, the distance alone",
     )
     separation_m: float = Field(
-        4.0, gt=0, le=1e4, description="t_sep: successive returns farther apart are two objects [m] (published)"
+        4.0, gt=0, le=1e4, description="t_sep: successive returns farther apart are two objects, ... [m] (published)"
+    )
+    return_points: int = Field(
+        8,
+        ge=0,
+        le=100_000,
+        description="... unless one of so many returns after the jump is back at the object: such jumps go through "
+        "its windows; published: 0 [returns]",
+    )
+    from_start: bool = Field(
+        True,
+        description="a line that begins with V begins with an interval, because a car that stands close hides the "
+        "ground before it; published: false",
     )
     flat_length_m: float = Field(
         3.0, gt=0, le=1e4, description="horizontal length from which a flat stretch is ground [m] (published)"
@@ -71,6 +83,13 @@ class DividersParams(Params):
         0.05, gt=0, le=10, description="largest rms distance of its heights from a straight line [m]"
     )
     flat_slope_deg: float = Field(10.0, gt=0, lt=90, description="largest slope of that line [deg]")
+    flat_step_m: float = Field(
+        0.2,
+        ge=0,
+        le=1e3,
+        description="a change of height from one return to the next that ends such a stretch, as from a bonnet to the "
+        "road behind; published: 0, none does [m]",
+    )
     height_m: float = Field(
         2.0,
         gt=0,
@@ -78,7 +97,36 @@ class DividersParams(Params):
         description="t_height: cars are not sought above the first return this high over the ground [m] (published)",
     )
     vertical_extent_m: float = Field(
-        1.2, gt=0, le=1e3, description="runs of vertical points of this height or more are cut out [m]"
+        1.2, gt=0, le=1e3, description="runs of vertical points of this height or more are cut out, ... [m]"
+    )
+    vertical_top_m: float = Field(
+        2.6,
+        ge=0,
+        le=1e3,
+        description="... if they end higher than this above the ground, as no car does; 0 = wherever they end [m]",
+    )
+    vertical_lean_deg: float = Field(
+        3.0, ge=0, le=45, description="or if they lean less than this from the vertical [deg]"
+    )
+    straight_points: int = Field(
+        16,
+        ge=1,
+        le=100_000,
+        description="fewer points do not show whether a run is straight or upright: their height decides [points]",
+    )
+    straight_extent_m: float = Field(
+        0.25,
+        ge=0,
+        le=1e3,
+        description="so are runs of this height or more that are straight and upright, as walls, fences and posts are "
+        "and the sides of cars are not; 0 = none [m]",
+    )
+    straight_m: float = Field(
+        0.01, ge=0, le=10, description="straight is what lies this near to a straight line, rms [m], ..."
+    )
+    straight_sigmas: float = Field(2.0, ge=0, le=1000, description="... or as many times the range noise")
+    straight_lean_deg: float = Field(
+        2.0, ge=0, le=45, description="upright is what leans less than this from the vertical [deg]"
     )
     vertical_break_m: float = Field(
         0.5,
@@ -98,11 +146,20 @@ class DividersParams(Params):
             under_points=self.under_points,
             under_m=max(self.under_m, self.under_sigmas * range_noise_m),
             separation_m=self.separation_m,
+            return_points=self.return_points,
+            from_start=self.from_start,
             flat_length_m=self.flat_length_m,
             flat_residual_m=self.flat_residual_m,
             flat_slope=math.tan(math.radians(self.flat_slope_deg)),
+            flat_step_m=self.flat_step_m if self.flat_step_m > 0 else math.inf,
             vertical_extent_m=self.vertical_extent_m,
             vertical_break_m=self.vertical_break_m,
+            vertical_top_m=self.vertical_top_m if self.vertical_top_m > 0 else -math.inf,
+            vertical_slope=math.tan(math.radians(self.vertical_lean_deg)),
+            straight_points=self.straight_points,
+            straight_extent_m=self.straight_extent_m if self.straight_extent_m > 0 else math.inf,
+            straight_residual_m=max(self.straight_m, self.straight_sigmas * range_noise_m),
+            straight_slope=math.tan(math.radians(self.straight_lean_deg)),
         )
 
     @model_validator(mode="after")
@@ -183,6 +240,6 @@ def dividers(
         thresholds,
     )  # fmt: skip
     left: I32 = kernels.cut_verticals(
-        car_surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, intervals, thresholds
+        car_surface, lines.xyz_m, lines.horizontal_m, lines.n_beams, intervals, z_g, thresholds
     )
     return Intervals(intervals, left)

@@ -15,6 +15,13 @@ class FourierParams(Params):
     """Which spectra are those of vegetation (``[sequential_angle.car.fourier]``)."""
 
     enabled: bool = Field(True, description="test intervals at all; the authors call this step dispensable")
+    longest: int = Field(
+        32,
+        ge=0,
+        le=1_000_000,
+        description="test intervals of at most this many angles: windows of cars look like foliage to it, and where "
+        "shots are many car.most_foliage tells more; published: 0, all [angles]",
+    )
     band: float = Field(
         0.125,
         gt=0,
@@ -46,6 +53,7 @@ class FourierParams(Params):
             ratio=self.ratio,
             min_points=self.min_points,
             window_points=min(self.window or self.max_points, self.max_points),
+            longest=self.longest,
         )
 
 

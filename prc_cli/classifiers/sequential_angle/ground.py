@@ -53,6 +53,7 @@ from prc_cli.core.types import F32, F64, I32, U8, Mask
 class GroundParams(Params):
     """How ground is found and followed (``[sequential_angle.ground]``)."""
 
+    enabled: bool = Field(True, description="look for the ground at all; false = nor for curbs and cars")
     first_run: int = Field(
         10, ge=3, le=1000, description="horizontal points in succession that potential ground begins with (published)"
     )
@@ -206,6 +207,10 @@ def potential_ground(
     range_noise_m : float
         Standard deviation of a range, for the noise of line angles [m].
     """
+    if not params.enabled:
+        n = len(surface)
+        nowhere = np.full(n, -1, np.int32)
+        return PotentialGround(nowhere, nowhere, np.full(n, np.nan), np.full(n, np.nan))
     found: PotentialGround = kernels.potential_heights(
         surface, lines.xyz_m, lines.horizontal_m, phihat, ahead, lines.n_beams, params.thresholds(range_noise_m)
     )

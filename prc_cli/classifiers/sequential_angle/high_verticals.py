@@ -14,6 +14,7 @@ from prc_cli.core.types import F32, U8
 class HighVerticalsParams(Params):
     """What is too high for a car (``[sequential_angle.car.high_verticals]``)."""
 
+    enabled: bool = Field(True, description="look for them at all; false = cars may lie behind walls")
     height_m: float = Field(
         2.5,
         gt=0,
@@ -42,6 +43,8 @@ def high_verticals(lines: VerticalLines, surface: U8, z_g: F32, params: HighVert
     (R,) float32
         d_h [m]; infinite where there is no such sequence, or no ground.
     """
+    if not params.enabled:
+        return np.full(len(z_g), np.inf, np.float32)
     found, beam = kernels.first_high_verticals(surface, lines.xyz_m, lines.n_beams, z_g, params.height_m)
     distance = np.full(len(beam), np.inf, np.float32)
     distance[found] = lines.horizontal_m[found, beam[found]]

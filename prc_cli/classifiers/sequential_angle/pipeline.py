@@ -40,6 +40,7 @@ from prc_cli.classifiers.sequential_angle.ground import (
 from prc_cli.classifiers.sequential_angle.lines import Sides, VerticalLines, split_sides, to_columns, vertical_lines
 from prc_cli.classifiers.sequential_angle.search import CarSearch, car_search
 from prc_cli.classifiers.sequential_angle.vegetation import DenseVegetationParams, car_surface, dense_vegetation
+from prc_cli.classifiers.sequential_angle.windows import without_windows
 from prc_cli.core.blocks import LineBuffer
 from prc_cli.core.classes import LABEL_OF_SURFACE, CarTest, Label
 from prc_cli.core.errors import InputError
@@ -130,6 +131,8 @@ class Undecided:
     """(R, n) bool, C before cars behind curbs are removed."""
     horizontal_m: F32
     """(R, n) float32, horizontal distance [m]."""
+    xyz_m: F32
+    """(R, n, 3) float32, relative to the scanner [m]."""
     ground_height_m: F32
     """(R,) float32, z_g [m]."""
     trigger: U8
@@ -319,7 +322,7 @@ def classify_block(
     ready = turn.hand_on(GROUND, lambda before: follow_ground(rows, before, params, last=last))
     found = [find_cars(part, params, stages=stages) for part in ready]
     done, curb = turn.hand_on(CURBS, lambda before: decide_curbs(found, before, params, last=last))
-    return Final(in_columns(done, curb, beams), done)
+    return Final(in_columns(done, curb, beams, params.curb), done)
 
 
 def _above(block: ScanBlock, stages: StageLabels, beams: Beams) -> F32:
@@ -358,11 +361,12 @@ def within_lines(range_m: F32, xyz_m: F32 | None, beams: Beams, params: Sequenti
     """Run the stages that need only one half-line: coarse layer, car layer, potential ground."""
     lines = vertical_lines(range_m, xyz_m, beams.beam_rad, beams.sides, params.max_range_m)
     angles = signed_angles(lines, params.angles)
+    noise = params.angles.range_noise_m
     surface = coarse(angles.signed_deg, lines, params.coarse)
+    surface = without_windows(surface, lines, params.coarse.windows, range_noise_m=noise)
     dense = dense_vegetation(angle_differences(angles.signed_deg), params.dense_vegetation)
     car_layer = car_surface(angles.signed_deg, dense, lines, params.coarse.surfaces)
     line_angle_deg = line_angles(lines, angles.ahead, surface)
-    noise = params.angles.range_noise_m
     return Within(
         lines=lines,
         signed_deg=angles.signed_deg,
@@ -415,8 +419,8 @@ def find_cars(part: OnGround, params: SequentialAngleParams, *, stages: bool = F
     found = cars(lines, surface, rows.car_surface, rows.signed_deg, z_g, params.car, range_noise_m=noise)
     seen = car_search(found, lines) if stages else CarSearch.none(len(z_g))
     undecided = Undecided(
-        surface, rows.car_surface, part.ground, found.car, lines.horizontal_m, z_g, seen.trigger, seen.interval,
-        seen.test,
+        surface, rows.car_surface, part.ground, found.car, lines.horizontal_m, lines.xyz_m, z_g, seen.trigger,
+        seen.interval, seen.test,
     )  # fmt: skip
     return WithCars(lines, rows.signed_deg, possible, undecided)
 
@@ -440,7 +444,7 @@ def decide_curbs(
     return (done, masks), state
 
 
-def combine(rows: Undecided, curb: Mask) -> U8:
+def combine(rows: Undecided, curb: Mask, params: CurbParams) -> U8:
     """Give every beam its class; cars behind a curb go back to the coarse classification (sec. 8).
 
     Parameters
@@ -449,6 +453,7 @@ def combine(rows: Undecided, curb: Mask) -> U8:
         R rows whose curbs are decided.
     curb : (R, n) bool
         Points of verified curbs.
+    params : CurbParams
 
     Returns
     -------
@@ -456,13 +461,14 @@ def combine(rows: Undecided, curb: Mask) -> U8:
         :class:`prc_cli.core.classes.Label`.
     """
     labels: U8 = kernels.combine_classes(
-        rows.surface, rows.ground, rows.car, rows.horizontal_m, curb, np.array(LABEL_OF_SURFACE, np.uint8)
-    )
+        rows.surface, rows.ground, rows.car, rows.horizontal_m, rows.xyz_m, curb,
+        np.array(LABEL_OF_SURFACE, np.uint8), params.stands_below_m,
+    )  # fmt: skip
     return labels
 
 
 @stage("classes")
-def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams) -> U8:
+def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams, params: CurbParams) -> U8:
     """Label final rows, and map them back to the columns of their scan lines."""
     sides, m = beams.sides, len(beams.beam_rad)
     if not done:
@@ -470,7 +476,7 @@ def in_columns(done: Sequence[Undecided], curb: Sequence[Mask], beams: Beams) ->
     curbs_of_all = curb[0] if len(curb) == 1 else np.concatenate(curb)
     ends = np.cumsum([len(part.surface) for part in done])
     labels = [
-        to_columns(combine(part, curbs_of_all[end - len(part.surface) : end]), sides, m)
+        to_columns(combine(part, curbs_of_all[end - len(part.surface) : end], params), sides, m)
         for part, end in zip(done, ends, strict=True)
     ]
     return labels[0] if len(labels) == 1 else np.concatenate(labels)

@@ -30,6 +30,7 @@ Matrix = tuple[Row, Row, Row]
 class SuspiciousParams(Params):
     """Markov chains of H, V and M on a regular surface and on a car (``[sequential_angle.car.suspicious]``)."""
 
+    enabled: bool = Field(True, description="test lines at all; false = every line may hold a car")
     h0: Matrix = Field(
         ((0.8, 0.1, 0.1), (0.09, 0.9, 0.01), (0.6, 0.3, 0.1)),
         description="regular surface: probabilities from H, V, M (rows) to H, V, M (published; the third column "
@@ -79,6 +80,8 @@ def suspicious(car_surface: U8, n_beams: I32, params: SuspiciousParams) -> I32:
     >>> suspicious(lines, np.array([5, 5], dtype=np.int32), SuspiciousParams())
     array([-1,  3], dtype=int32)
     """
+    if not params.enabled:
+        return np.where(n_beams > 0, 0, -1).astype(np.int32)
     beam: I32 = kernels.first_triggers(
         car_surface, n_beams, increments(params), params.threshold, params.closed_gaps_only
     )[1]

@@ -73,6 +73,34 @@ class SurfaceThresholds(NamedTuple):
     """Runs begin with H, not with what their first five samples are."""
 
 
+class LayerThresholds(NamedTuple):
+    """When a run of vegetation is a facade seen through its windows."""
+
+    width_m: float
+    """A layer is as many horizontal distances as fit into this."""
+    share: float
+    """The two fullest layers must hold more than this share of the run."""
+    min_points: int
+    """Runs of fewer returns stay as they are."""
+
+
+class WallThresholds(NamedTuple):
+    """When a vertical run is a wall, and what is vegetation no more beside it."""
+
+    extent_m: float
+    """Height of a run of vertical points at least, ..."""
+    break_m: float
+    """... which a larger change of horizontal distance from one return to the next ends, ..."""
+    residual_m: float
+    """... root mean square of the residuals of its horizontal distances from a straight line at most, ..."""
+    slope: float
+    """... and slope of that line from the vertical at most, a tangent: it is a wall."""
+    width_m: float
+    """Vegetation no farther than this from the wall's distance is the wall, ..."""
+    front_m: float
+    """... and below the wall all that is farther away than it, less this."""
+
+
 class GroundThresholds(NamedTuple):
     """How ground is found in a row and followed across rows (sec. 5)."""
 
@@ -160,6 +188,8 @@ class CurbThresholds(NamedTuple):
     """Neighbours closer than this belong to one region."""
     max_height_m: float
     """A region higher than this is not a curb."""
+    min_height_m: float
+    """Nor is one lower than this."""
     by_line: bool
     """That height is the one within a line, not that of the whole region."""
     min_lines: int
@@ -210,16 +240,34 @@ class DividerThresholds(NamedTuple):
     """... this much farther away."""
     separation_m: float
     """Successive returns farther apart, the second one not nearer to the scanner, belong to two intervals."""
+    return_points: int
+    """They do not where one of so many returns after them is nearer again; 0 = none is looked at."""
+    from_start: bool
+    """An interval begins with the first return of a row if it is V."""
     flat_length_m: float
     """Horizontal length of a stretch of ground at least, ..."""
     flat_residual_m: float
     """... root mean square of the residuals of its heights at most ..."""
     flat_slope: float
     """... and slope at most, a tangent."""
+    flat_step_m: float
+    """A larger change of height from one return to the next ends such a stretch; inf = none does."""
     vertical_extent_m: float
     """Vertical runs from this difference between their highest and lowest point up are cut out."""
     vertical_break_m: float
     """A larger change of horizontal distance from one return to the next ends such a run."""
+    vertical_top_m: float
+    """Such a run must end higher than this above the ground; -inf = anywhere."""
+    vertical_slope: float
+    """Or such a run must be no farther from upright than this, a tangent."""
+    straight_points: int
+    """Runs of fewer returns are cut out by their height alone, wherever they end."""
+    straight_extent_m: float
+    """Lower runs from this height up are cut out where they are straight and upright; inf = none is."""
+    straight_residual_m: float
+    """Root mean square of the residuals of their horizontal distances from a straight line at most, ..."""
+    straight_slope: float
+    """... and slope of that line from the vertical at most, a tangent."""
 
 
 class FourierThresholds(NamedTuple):
@@ -233,3 +281,5 @@ class FourierThresholds(NamedTuple):
     """Fewer angles decide against the interval."""
     window_points: int
     """Longer intervals are cut into windows of at most this many."""
+    longest: int
+    """Intervals of more angles pass untested; 0 = none does."""

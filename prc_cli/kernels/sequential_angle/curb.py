@@ -195,7 +195,8 @@ def _decide(
 ) -> None:
     """Decide whether a complete region is a curb."""
     accepted = False
-    if table.possible[region]:
+    high_m = np.float64(table.high[region]) - np.float64(table.low[region])
+    if table.possible[region] and high_m >= thresholds.min_height_m:
         n_lines = table.last[region] - table.first[region] + 1
         accepted = n_lines >= thresholds.min_lines or _is_straight(
             table, signed, above_signed, region, n_sides, thresholds.curvature_deg

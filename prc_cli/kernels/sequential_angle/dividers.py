@@ -11,22 +11,29 @@ from prc_cli.core.thresholds.sequential_angle import DividerThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 from prc_cli.kernels.cache import helper, kernel
 
+_MISSING, _VEGETATION = int(Surface.MISSING), int(Surface.VEGETATION)
 _HORIZONTAL, _VERTICAL = int(Surface.HORIZONTAL), int(Surface.VERTICAL)
 
 
 _Z, _RANGE, _DISTANCE = 2, 3, 4
 """Columns of the points of a row: x, y, z, range, horizontal distance [m]."""
+_BACK_M = 1.0
+"""What is no farther than this behind a point, after a jump, is the same object, seen again ..."""
+_WINDOW_M = 0.8
+"""... if it is no higher above it than the window of a car [m]."""
 
 
 @helper
 def _gather(
-    surface: U8, range_m: F32, xyz_m: F32, row: int, n: int, limit_m: float, beam: I32, code: U8
+    surface: U8, range_m: F32, xyz_m: F32, row: int, n: int, limit_m: float, beam: I32, code: U8, from_start: bool
 ) -> tuple[int, int]:
     """List the returns of a row up to the first one that is neither H nor V, or too high.
 
-    Returns how many there are, and which of them is the first vertical one behind a horizontal one.
+    Returns how many there are, and which of them is the first vertical one behind a horizontal one, or that of the
+    row with ``from_start``.
     """
-    size = first = int(np.int64(0))
+    size = int(np.int64(0))
+    first = int(np.int64(-1))
     before = _VERTICAL
     for k in range(n):
         if range_m[row, k] != range_m[row, k]:
@@ -34,13 +41,14 @@ def _gather(
         here = surface[row, k]
         if (here != _HORIZONTAL and here != _VERTICAL) or xyz_m[row, k, 2] > limit_m:
             break
-        if first == 0 and here == _VERTICAL and before == _HORIZONTAL:
+        starts = from_start and size == 0
+        if first < 0 and here == _VERTICAL and (starts or before == _HORIZONTAL):
             first = size
         before = here
         beam[size] = k
         code[size] = here
         size += 1
-    return size, first if first > 0 else size
+    return size, first if first >= 0 else size
 
 
 @helper
@@ -88,6 +96,20 @@ def _is_under(range_m: F32, row: int, beam: I32, j: int, n_before: int, threshol
     for before in range(max(0, j - n_before), j):
         farthest = max(farthest, np.float64(range_m[row, beam[before]]))
     return bool(farthest - own > threshold_m)
+
+
+@helper
+def _begins(
+    range_m: F32, xyz_m: F32, signed_deg: F32, row: int, beam: I32, size: int, j: int, thresholds: DividerThresholds
+) -> bool:
+    """Tell whether a change from H to V begins an interval: gradual, or sudden with something under it."""
+    angle = math.nan
+    if thresholds.chord_m > 0.0:
+        angle = _change_angle(xyz_m, row, beam, size, j, thresholds.chord_m, thresholds.chord_reach)
+    if angle != angle:
+        angle = signed_deg[row, beam[j]]
+    gradual = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
+    return gradual or _is_under(range_m, row, beam, j, thresholds.under_points, thresholds.under_m)
 
 
 @helper
@@ -157,22 +179,36 @@ def _first_flat(
         first = i
         while i <= end and code[i] == _HORIZONTAL:
             i += 1
+            if i <= end and abs(points[i, _Z] - points[i - 1, _Z]) > thresholds.flat_step_m:
+                break
         if i > first:
             stretch = _flat_stretch(points, first, i - 1, thresholds, sums, farthest)
             if stretch[0] >= 0:
                 return stretch
-        i += 1
+        if i == first or code[i - 1] != _HORIZONTAL or i > end or code[i] != _HORIZONTAL:
+            i += 1
     return -1, -1
 
 
 @helper
-def _next_jump(points: F64, size: int, j: int, separation_m: float) -> int:
+def _comes_back(points: F64, size: int, j: int, reach: int) -> bool:
+    """Tell whether one of the points after a jump is near the point before it, as over the window of a car."""
+    for after in range(j + 2, min(j + 1 + reach, size - 1) + 1):
+        near = points[after, _DISTANCE] - points[j, _DISTANCE] <= _BACK_M
+        if near and points[after, _Z] - points[j, _Z] <= _WINDOW_M:
+            return True
+    return False
+
+
+@helper
+def _next_jump(points: F64, size: int, j: int, separation_m: float, reach: int) -> int:
     """Find the first point from one on that a jump away from the scanner follows, or the last one."""
     while j < size - 1:
         dx, dy = points[j + 1, 0] - points[j, 0], points[j + 1, 1] - points[j, 1]
         dz = points[j + 1, 2] - points[j, 2]
         ahead = dx * points[j, 0] + dy * points[j, 1] > 0.0
-        if ahead and math.sqrt(dx * dx + dy * dy + dz * dz) > separation_m:
+        far = ahead and math.sqrt(dx * dx + dy * dy + dz * dz) > separation_m
+        if far and not _comes_back(points, size, j, reach):
             break
         j += 1
     return j
@@ -241,31 +277,25 @@ def car_intervals(
         if not triggered[row] or ground != ground:
             continue
         limit_m = ground + thresholds.height_m
-        size, j = _gather(surface, range_m, xyz_m, row, int(np.int64(n_beams[row])), limit_m, beam, code)
+        size, j = _gather(
+            surface, range_m, xyz_m, row, int(np.int64(n_beams[row])), limit_m, beam, code, thresholds.from_start
+        )
         if j == size:
             continue
         _place(range_m, xyz_m, horizontal_m, row, beam, j, size, points)
         jump = int(np.int64(-1))
         while j < size:
-            if code[j - 1] != _HORIZONTAL or code[j] != _VERTICAL:
+            if code[j] != _VERTICAL or (j > 0 and code[j - 1] != _HORIZONTAL):
                 j += 1
                 continue
-            angle = math.nan
-            if thresholds.chord_m > 0.0:
-                angle = _change_angle(xyz_m, row, beam, size, j, thresholds.chord_m, thresholds.chord_reach)
-            if angle != angle:
-                angle = signed_deg[row, beam[j]]
-            gradual = angle < thresholds.sudden_from_deg or angle > thresholds.sudden_to_deg
-            if not gradual and not _is_under(
-                range_m, row, beam, j, thresholds.under_points, thresholds.under_m
-            ):  # fmt: skip
+            if j > 0 and not _begins(range_m, xyz_m, signed_deg, row, beam, size, j, thresholds):
                 j += 1
                 continue
             begin = j
             j = size
             while begin < size:  # one interval after the other, as far as jumps alone divide them
                 if jump < begin:
-                    jump = _next_jump(points, size, begin, thresholds.separation_m)
+                    jump = _next_jump(points, size, begin, thresholds.separation_m, thresholds.return_points)
                 last = jump
                 flat_from, flat_to = _first_flat(code, points, begin, last, thresholds, sums, farthest)
                 found = _with_room(found, n_found)
@@ -280,42 +310,86 @@ def car_intervals(
 
 
 @helper
-def _vertical_run(
-    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, k: int, stop: int, n: int, extent_m: float, break_m: float
-) -> tuple[int, int, bool]:
-    """Follow the vertical run that begins at a beam as far as is needed to know whether it is long.
+def _is_straight(
+    xyz_m: F32, horizontal_m: F32, row: int, first: int, after: int, residual_m: float, slope: float
+) -> bool:
+    """Tell whether the straight line through the returns of a run is near them and nearly upright."""
+    n = 0
+    z_0, h_0 = np.float64(xyz_m[row, first, 2]), np.float64(horizontal_m[row, first])
+    sum_z = sum_h = sum_zz = sum_zh = sum_hh = 0.0
+    for j in range(first, after):
+        if horizontal_m[row, j] != horizontal_m[row, j]:
+            continue
+        z = np.float64(xyz_m[row, j, 2]) - z_0
+        h = np.float64(horizontal_m[row, j]) - h_0
+        sum_z += z
+        sum_h += h
+        sum_zz += z * z
+        sum_zh += z * h
+        sum_hh += h * h
+        n += 1
+    mean_z, mean_h = sum_z / n, sum_h / n
+    zz, zh, hh = sum_zz / n - mean_z * mean_z, sum_zh / n - mean_z * mean_h, sum_hh / n - mean_h * mean_h
+    return bool(abs(zh) <= slope * zz and hh - zh * zh / zz <= residual_m * residual_m)
 
-    Returns the beam after it, its last return that lies in the interval, and whether it is long.
+
+@helper
+def _vertical_run(
+    surface: U8, xyz_m: F32, horizontal_m: F32, row: int, k: int, stop: int, n: int, ground_m: float,
+    thresholds: DividerThresholds,
+) -> tuple[int, int, bool]:  # fmt: skip
+    """Follow the vertical run that begins at a beam as far as is needed to know whether it is cut out.
+
+    Returns the beam after it, its last return that lies in the interval, and whether it is.
     """
     before = horizontal_m[row, k]
     last = k
     long = False
+    n_points = int(np.int64(0))
     lowest = np.inf
     highest = -np.inf
+    top_m = ground_m + thresholds.vertical_top_m
     j = k
     while j < n and (j < stop or not long):
         here = horizontal_m[row, j]
         if here == here:
-            if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > break_m:
+            if surface[row, j] != _VERTICAL or abs(np.float64(here) - np.float64(before)) > thresholds.vertical_break_m:
                 break
             height = np.float64(xyz_m[row, j, 2])
+            n_points += 1
             lowest = min(lowest, height)
             highest = max(highest, height)
-            long = highest - lowest >= extent_m
+            long = highest - lowest >= thresholds.vertical_extent_m and not highest <= top_m
             before = here
             last = j if j < stop else last
         j += 1
+    if not long and highest - lowest >= thresholds.straight_extent_m and highest > lowest:
+        # what is higher than the side of a car need not be straight, nor upright where its points are few
+        high = highest - lowest >= thresholds.vertical_extent_m
+        residual_m = np.inf if high else thresholds.straight_residual_m
+        slope = thresholds.vertical_slope if high else thresholds.straight_slope
+        few = n_points < thresholds.straight_points
+        long = (high and few) or _is_straight(xyz_m, horizontal_m, row, k, j, residual_m, slope)
     return j, last, long
 
 
 @kernel(
-    "int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int32[:, ::1], DividerThresholds)",
+    "int32[:, ::1](uint8[:, ::1], float32[:, :, ::1], float32[:, ::1], int32[::1], int32[:, ::1], float32[::1], "
+    "DividerThresholds)",
     tuples=[DividerThresholds],
 )
 def cut_verticals(
-    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, thresholds: DividerThresholds
+    surface: U8,
+    xyz_m: F32,
+    horizontal_m: F32,
+    n_beams: I32,
+    intervals: I32,
+    ground_m: F32,
+    thresholds: DividerThresholds,
 ) -> I32:
-    """Take long vertical runs out of intervals; points behind an interval count in a run that goes on there.
+    """Take vertical runs out of intervals that are too high for a car, or straight and upright as no car is.
+
+    Points behind an interval count in a run that goes on there.
 
     Parameters
     ----------
@@ -327,6 +401,8 @@ def cut_verticals(
     n_beams : (R,) int32
     intervals : (K, 3) int32
         Row, first beam, last beam, both of them returns.
+    ground_m : (R,) float32, metres
+        Height of the ground; NaN = unknown, no run is too low to be cut out then.
     thresholds : DividerThresholds
 
     Returns
@@ -355,9 +431,8 @@ def cut_verticals(
                 k += 1
                 continue
             after, last, long = _vertical_run(
-                surface, xyz_m, horizontal_m, row, k, stop, n,
-                thresholds.vertical_extent_m, thresholds.vertical_break_m,
-            )  # fmt: skip
+                surface, xyz_m, horizontal_m, row, k, stop, n, np.float64(ground_m[row]), thresholds
+            )
             if long:
                 if begin >= 0:
                     left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
@@ -371,3 +446,33 @@ def cut_verticals(
             left[n_left, 0], left[n_left, 1], left[n_left, 2] = row, begin, end
             n_left += 1
     return left[:n_left].copy()
+
+
+@kernel("boolean[::1](uint8[:, ::1], int32[:, ::1], float64, int64)")
+def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:
+    """Mark intervals of so many returns of which no larger share is vegetation.
+
+    Parameters
+    ----------
+    surface : (R, n) uint8
+        :class:`prc_cli.core.classes.Surface`.
+    intervals : (K, 3) int32
+        Row, first beam, last beam.
+    most : float
+        The share.
+    least : int
+        The number of returns.
+
+    Returns
+    -------
+    (K,) bool
+    """
+    firm = np.zeros(len(intervals), np.bool_)
+    for i in range(len(intervals)):
+        codes = surface[intervals[i, 0]]
+        n = n_green = 0
+        for k in range(intervals[i, 1], intervals[i, 2] + 1):
+            n += codes[k] != _MISSING
+            n_green += codes[k] == _VEGETATION
+        firm[i] = n >= least and np.float64(n_green) <= most * np.float64(n)
+    return firm

@@ -110,6 +110,9 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
                 n += 1
         if n < thresholds.min_points or n == 0:
             continue
+        if thresholds.longest > 0 and n > thresholds.longest:
+            stable[i] = True
+            continue
         n_windows = (n + thresholds.window_points - 1) // thresholds.window_points
         n_stable = 0
         for window in range(n_windows):

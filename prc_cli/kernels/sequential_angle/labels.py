@@ -6,9 +6,11 @@ import numpy as np
 
 from prc_cli.core.classes import Label, Surface
 from prc_cli.core.types import F32, I32, U8, Mask
-from prc_cli.kernels.cache import kernel
+from prc_cli.kernels.cache import helper, kernel
 
-_HORIZONTAL = int(Surface.HORIZONTAL)
+_NOTHING, _HORIZONTAL = int(Surface.MISSING), int(Surface.HORIZONTAL)
+_CURB_DEPTH_M = 0.3
+"""Curb points that are farther behind the nearest one of their row belong to another curb [m]."""
 _MISSING, _GROUND, _CAR, _CURB = int(Label.MISSING), int(Label.GROUND), int(Label.CAR), int(Label.CURB)
 _UNCLASSIFIED = int(Label.UNCLASSIFIED)
 
@@ -47,8 +49,42 @@ def mark_cars(intervals: I32, horizontal_m: F32, xyz_m: F32, surface: U8, limit_
     return marked
 
 
-@kernel("uint8[:, ::1](uint8[:, ::1], boolean[:, ::1], boolean[:, ::1], float32[:, ::1], boolean[:, ::1], uint8[::1])")
-def combine_classes(surface: U8, ground: Mask, car: Mask, horizontal_m: F32, curb: Mask, label_of: U8) -> U8:
+@helper
+def _curb_of(curb: Mask, horizontal_m: F32, xyz_m: F32, row: int, n: int) -> tuple[float, float]:
+    """Return the least distance of the curb points of a row, and how high those next to it reach [m]."""
+    nearest = np.float32(np.inf)
+    for k in range(n):
+        if curb[row, k]:
+            nearest = min(nearest, horizontal_m[row, k])
+    top = -np.inf
+    for k in range(n):
+        if curb[row, k] and np.float64(horizontal_m[row, k]) - np.float64(nearest) <= _CURB_DEPTH_M:
+            top = max(top, np.float64(xyz_m[row, k, 2]))
+    return np.float64(nearest), top
+
+
+@helper
+def _foot(surface: U8, car: Mask, xyz_m: F32, row: int, k: int, n: int, base: float) -> tuple[int, float]:
+    """Follow car points to the last one; return the beam after them, and the height of what they stand on.
+
+    That is the lowest of them, or the last horizontal point before them if it is lower.
+    """
+    foot = base
+    end = k
+    while end < n and (car[row, end] or surface[row, end] == _NOTHING):
+        if car[row, end]:
+            foot = min(foot, np.float64(xyz_m[row, end, 2]))
+        end += 1
+    return end, foot
+
+
+@kernel(
+    "uint8[:, ::1](uint8[:, ::1], boolean[:, ::1], boolean[:, ::1], float32[:, ::1], float32[:, :, ::1], "
+    "boolean[:, ::1], uint8[::1], float64)"
+)
+def combine_classes(
+    surface: U8, ground: Mask, car: Mask, horizontal_m: F32, xyz_m: F32, curb: Mask, label_of: U8, below_m: float
+) -> U8:
     """Give every beam its class; cars behind a curb go back to the coarse classification.
 
     Parameters
@@ -59,10 +95,13 @@ def combine_classes(surface: U8, ground: Mask, car: Mask, horizontal_m: F32, cur
         G, and C before the curbs' say; the ground goes before the surface, a car before both.
     horizontal_m : (R, n) float32, metres
         Finite at curb points; NaN is not behind anything.
+    xyz_m : (R, n, 3) float32, metres
     curb : (R, n) bool
         Goes before all others; behind is what is farther away than the nearest curb point of the row.
     label_of : (5,) uint8
         Label of every surface.
+    below_m : float, metres
+        Cars that stand lower than the top of the curb by more than this are not behind it; inf = all are.
 
     Returns
     -------
@@ -82,13 +121,22 @@ def combine_classes(surface: U8, ground: Mask, car: Mask, horizontal_m: F32, cur
             label = np.uint8(_GROUND) if ground[row, k] else label
             labels[row, k] = np.uint8(_CAR) if car[row, k] and n_curb == 0 else label
         if n_curb > 0:
-            nearest = np.float32(np.inf)
+            nearest, top = _curb_of(curb, horizontal_m, xyz_m, row, n)
+            base = np.inf
+            k = int(np.int64(0))
+            while k < n:
+                if not car[row, k]:
+                    if surface[row, k] == _HORIZONTAL:
+                        base = np.float64(xyz_m[row, k, 2])
+                    k += 1
+                    continue
+                end, foot = _foot(surface, car, xyz_m, row, k, n, base)
+                stands_below = foot < top - below_m
+                for j in range(k, end):
+                    if car[row, j] and (stands_below or not np.float64(horizontal_m[row, j]) > nearest):
+                        labels[row, j] = _CAR
+                k = end
             for k in range(n):
-                if curb[row, k]:
-                    nearest = min(nearest, horizontal_m[row, k])
-            for k in range(n):
-                if car[row, k] and not horizontal_m[row, k] > nearest:
-                    labels[row, k] = _CAR
                 if curb[row, k]:
                     labels[row, k] = _CURB
     return labels

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from prc_cli.core.classes import Surface
-from prc_cli.core.thresholds.sequential_angle import SurfaceThresholds
+from prc_cli.core.thresholds.sequential_angle import LayerThresholds, SurfaceThresholds, WallThresholds
 from prc_cli.core.types import F32, F64, I32, U8, Mask
 
 
@@ -57,3 +57,58 @@ def runs(beams: list[int], vegetation: Mask) -> list[list[int]]:
     """Cut beams where vegetation begins or ends."""
     cuts = np.flatnonzero(np.diff(vegetation[beams].astype(int))) + 1
     return [list(run) for run in np.split(np.array(beams, int), cuts) if len(run)]
+
+
+def upright_layers(surface: U8, horizontal_m: F32, n_beams: I32, thresholds: LayerThresholds) -> U8:
+    """Find facades behind glass; see :func:`prc_cli.kernels.sequential_angle.coarse.upright_layers`."""
+    image = surface.copy()
+    for row, codes in enumerate(surface):
+        returns = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]
+        green = codes == Surface.VEGETATION
+        for run in runs(returns, green):
+            if not green[run[0]] or len(run) < thresholds.min_points:
+                continue
+            distances = np.sort(horizontal_m[row, run].astype(np.float64))
+            first, after = fullest(distances, thresholds.width_m)
+            beside = [fullest(part, thresholds.width_m) for part in (distances[:first], distances[after:])]
+            inside = after - first + max(b - a for a, b in beside)
+            if inside > thresholds.share * len(run):
+                image[row, run] = Surface.VERTICAL
+    return image
+
+
+def fullest(distances: F64, width_m: float) -> tuple[int, int]:
+    """Return where the fullest layer of sorted distances begins and ends; the first one of several."""
+    counts = [int(np.count_nonzero((distances >= d) & (distances - d <= width_m))) for d in distances.tolist()]
+    # equal distances begin the same layer, of which the first holds them all
+    counts = [n if i == 0 or distances[i - 1] != distances[i] else 0 for i, n in enumerate(counts)]
+    first = int(np.argmax(counts)) if counts else 0
+    return first, first + (int(counts[first]) if counts else 0)
+
+
+def behind_walls(surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, thresholds: WallThresholds) -> U8:
+    """Find walls among leaves; see :func:`prc_cli.kernels.sequential_angle.coarse.behind_walls`."""
+    image = surface.copy()
+    for row, codes in enumerate(surface):
+        beams = [k for k in range(n_beams[row]) if codes[k] != Surface.MISSING]
+        distance = horizontal_m[row, beams].astype(np.float64)
+        height = xyz_m[row, beams, 2].astype(np.float64)
+        vertical = codes[beams] == Surface.VERTICAL
+        ends = np.flatnonzero(~vertical[1:] | ~vertical[:-1] | (np.abs(np.diff(distance)) > thresholds.break_m)) + 1
+        parts = [part for part in np.split(np.arange(len(beams)), ends) if len(part) and vertical[part[0]]]
+        walls = [part for part in parts if is_wall(distance[part], height[part], thresholds)]
+        for i in np.flatnonzero(codes[beams] == Surface.VEGETATION).tolist():
+            away = [(wall[0] > i, distance[i] - 0.5 * (distance[wall].min() + distance[wall].max())) for wall in walls]
+            on_wall = any(abs(far) <= thresholds.width_m for _, far in away)
+            if on_wall or any(above and far >= -thresholds.front_m for above, far in away):
+                image[row, beams[i]] = Surface.VERTICAL
+    return image
+
+
+def is_wall(distance: F64, height: F64, thresholds: WallThresholds) -> bool:
+    """Tell whether a vertical run is high, straight and upright."""
+    if np.ptp(height) < thresholds.extent_m or np.ptp(height) == 0:
+        return False
+    lean, offset = np.polyfit(height - height[0], distance - distance[0], 1)
+    residual = distance - distance[0] - lean * (height - height[0]) - offset
+    return bool(abs(lean) <= thresholds.slope and np.sqrt(np.mean(residual**2)) <= thresholds.residual_m)

@@ -136,7 +136,7 @@ class Growing:
     def decide(self, region: Region, signed: F64) -> None:
         """Decide what a complete region is; ``signed`` holds the angles of its side by line."""
         region.fate = "rejected"
-        if not region.possible:
+        if not region.possible or float(region.high) - float(region.low) < self.thresholds.min_height_m:
             return
         changes = [
             abs(signed[line, k] - signed[line, k - 1]) for line, k in region.points if (line, k - 1) in region.points

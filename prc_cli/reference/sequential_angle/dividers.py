@@ -34,10 +34,13 @@ def is_something_under(ranges: F64, j: int, n_before: int, threshold_m: float) -
     return bool(max(ranges[max(0, j - n_before) : j + 1]) - ranges[j] > threshold_m)
 
 
-def is_jump(points: F64, j: int, separation_m: float) -> bool:
-    """Tell whether the next point is far away and not back towards the scanner."""
+def is_jump(points: F64, distance: F64, j: int, thresholds: DividerThresholds) -> bool:
+    """Tell whether the next point is far away, not back towards the scanner, and the line does not come back."""
     step = points[j + 1] - points[j]
-    return bool(np.sum(step[:2] * points[j, :2]) > 0 and np.sqrt(np.sum(step**2)) > separation_m)
+    far = np.sum(step[:2] * points[j, :2]) > 0 and np.sqrt(np.sum(step**2)) > thresholds.separation_m
+    after = slice(j + 2, j + 2 + thresholds.return_points)
+    comes_back = (distance[after] - distance[j] <= 1.0) & (points[after, 2] - points[j, 2] <= 0.8)
+    return bool(far and not comes_back.any())
 
 
 def is_flat(distance: F64, height: F64, residual_m: float, slope: float) -> bool:
@@ -110,10 +113,12 @@ def car_intervals(
             or is_something_under(ranges, j, thresholds.under_points, thresholds.under_m)
         ]
         last_dividers = [
-            j for j in range(len(beams)) if j + 1 == len(beams) or is_jump(points, j, thresholds.separation_m)
+            j for j in range(len(beams)) if j + 1 == len(beams) or is_jump(points, distance, j, thresholds)
         ]
+        if thresholds.from_start and codes[:1] == [V]:
+            first_dividers.insert(0, 0)
 
-        start = 1
+        start = 0
         while dividers := [j for j in first_dividers if j >= start]:
             t1 = dividers[0]
             start = len(beams)
@@ -134,7 +139,10 @@ def first_ground(
 ) -> tuple[int, int] | None:
     """Find the first long flat stretch, within one horizontal run, between two dividers; None = there is none."""
     limits = (thresholds.flat_length_m, thresholds.flat_residual_m, thresholds.flat_slope)
-    for first, last in runs(codes[t1 : t2 + 1], H):
+    steps = [k for k in range(t1 + 1, t2 + 1) if abs(height[k] - height[k - 1]) > thresholds.flat_step_m]
+    cuts = [t1, *steps, t2 + 1]
+    level = [(a - t1 + f, a - t1 + z) for a, b in pairwise(cuts) for f, z in runs(codes[a:b], H)]
+    for first, last in level:
         part = slice(t1 + first, t1 + last + 1)
         stretch = flat_stretch(distance[part], height[part], *limits)
         if stretch:
@@ -142,10 +150,36 @@ def first_ground(
     return None
 
 
+def is_too_high(heights: F64, ground_m: float, thresholds: DividerThresholds) -> bool:
+    """Tell whether a vertical run is one that no car has, by its height and that of its top."""
+    return bool(
+        np.ptp(heights) >= thresholds.vertical_extent_m and not heights.max() <= ground_m + thresholds.vertical_top_m
+    )
+
+
+def is_straight(distance: F64, heights: F64, thresholds: DividerThresholds) -> bool:
+    """Tell whether a vertical run is straight and upright, as no car is."""
+    if np.ptp(heights) < thresholds.straight_extent_m or np.ptp(heights) == 0:
+        return False
+    high = bool(np.ptp(heights) >= thresholds.vertical_extent_m)
+    if high and len(heights) < thresholds.straight_points:
+        return True
+    lean, offset = np.polyfit(heights - heights[0], distance - distance[0], 1)
+    residual = distance - distance[0] - lean * (heights - heights[0]) - offset
+    near = high or np.sqrt(np.mean(residual**2)) <= thresholds.straight_residual_m
+    return bool(near and abs(lean) <= (thresholds.vertical_slope if high else thresholds.straight_slope))
+
+
 def cut_verticals(
-    surface: U8, xyz_m: F32, horizontal_m: F32, n_beams: I32, intervals: I32, thresholds: DividerThresholds
+    surface: U8,
+    xyz_m: F32,
+    horizontal_m: F32,
+    n_beams: I32,
+    intervals: I32,
+    ground_m: F32,
+    thresholds: DividerThresholds,
 ) -> I32:
-    """Take long vertical runs out; see :func:`prc_cli.kernels.sequential_angle.dividers.cut_verticals`."""
+    """Take vertical runs out; see :func:`prc_cli.kernels.sequential_angle.dividers.cut_verticals`."""
     left: list[tuple[int, int, int]] = []
     for row, first, last in intervals.tolist():
         beams = [k for k in range(first, n_beams[row]) if not np.isnan(horizontal_m[row, k])]
@@ -161,7 +195,19 @@ def cut_verticals(
         ]
         for begin, end in vertical:
             heights = xyz_m[row, beams[begin : end + 1], 2].astype(np.float64)
-            if heights.max() - heights.min() >= thresholds.vertical_extent_m:
+            too_high = is_too_high(heights, float(ground_m[row]), thresholds)
+            if too_high or is_straight(distance[begin : end + 1], heights, thresholds):
                 keep[begin : end + 1] = [False] * (end + 1 - begin)
         left += [(row, beams[begin], beams[end]) for begin, end in runs([int(one) for one in keep], 1)]
     return np.array(left, np.int32).reshape(-1, 3)
+
+
+def firm_intervals(surface: U8, intervals: I32, most: float, least: int) -> Mask:
+    """Mark intervals without much foliage; see :func:`prc_cli.kernels.sequential_angle.dividers.firm_intervals`."""
+    firm = []
+    for row, first, last in intervals.tolist():
+        codes = surface[row, first : last + 1]
+        green = np.count_nonzero(codes == Surface.VEGETATION)
+        n = np.count_nonzero(codes != Surface.MISSING)
+        firm.append(n >= least and green <= most * n)
+    return np.array(firm, np.bool_)

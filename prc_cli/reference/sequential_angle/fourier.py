@@ -28,6 +28,9 @@ def stable_intervals(signed_deg: F32, intervals: I32, thresholds: FourierThresho
         if n < max(thresholds.min_points, 1):
             decisions.append(False)
             continue
+        if 0 < thresholds.longest < n:
+            decisions.append(True)
+            continue
         n_windows = -(-n // thresholds.window_points)
         edges = [window * n // n_windows for window in range(n_windows + 1)]
         empty = [not high_frequencies(angles[a:b], thresholds.band, thresholds.ratio) for a, b in pairwise(edges)]

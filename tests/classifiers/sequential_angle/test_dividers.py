@@ -27,7 +27,18 @@ from tests.classifiers.sequential_angle.car_lines import (
     wall,
 )
 
-PARAMS = DividersParams()
+
+class PlainDividersParams(DividersParams):
+    """Without the readings that are ours, so that every rule is tested by itself."""
+
+    return_points: int = 0
+    from_start: bool = False
+    flat_step_m: float = 0.0
+    vertical_top_m: float = 0.0
+    straight_extent_m: float = 0.0
+
+
+PARAMS = PlainDividersParams()
 
 
 def find(found: Seen, params: DividersParams = PARAMS, *, trigger: int = 0, noise_m: float = NOISE_M) -> I32:
@@ -48,9 +59,9 @@ def share_of_lines(pieces: list[Piece], params: DividersParams, at_m: float, **h
     return len(set(rows)) / 100
 
 
-ALL_SUDDEN = DividersParams(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=100)
+ALL_SUDDEN = PlainDividersParams(sudden_from_deg=-180, sudden_to_deg=180, vertical_extent_m=100)
 """Every change is sudden, so that TestUnder alone decides."""
-ALL_OBSTACLES = DividersParams(under_m=100, vertical_extent_m=100)
+ALL_OBSTACLES = PlainDividersParams(under_m=100, vertical_extent_m=100)
 """Nothing is under anything, so that the angle of the change alone decides."""
 
 
@@ -92,7 +103,7 @@ def test_walls_curbs_and_poles_give_no_interval() -> None:
     pole = [Piece("pole", (5.0, 0.0), (5.0, 1.1))]
     scenes = [[*road()], [*road(), *wall(9)], [*road(), *curb(9), *wall(12, 0.15, windows=True)], [*road(), *pole]]
     found = see(scenes * 25, rng)
-    sudden = DividersParams(sudden_from_deg=-60, sudden_to_deg=60)
+    sudden = PlainDividersParams(sudden_from_deg=-60, sudden_to_deg=60)
     assert len(find(found, sudden)) == 0
     assert len(set(find(found)[:, 0].tolist())) <= 8, "some of a hundred changes look gradual"
 
@@ -108,8 +119,8 @@ def test_wall_behind_a_car_is_cut_out_although_the_search_ends_below_its_top(beh
     found = look([*road(), *car(6, glass=False), *wall(behind_m)])
     (interval,) = find(found)
     assert {found.names[0][k] for k in range(interval[1], interval[2] + 1)} == {"car"}
-    assert len(find(found, DividersParams(vertical_extent_m=100)).ravel()) >= 3
-    uncut = find(found, DividersParams(vertical_extent_m=100))
+    assert len(find(found, PlainDividersParams(vertical_extent_m=100)).ravel()) >= 3
+    uncut = find(found, PlainDividersParams(vertical_extent_m=100))
     assert {found.names[0][k] for _, a, b in uncut for k in range(a, b + 1)} >= {"car", "wall"}
 
 
@@ -131,7 +142,7 @@ def test_search_ends_at_dense_vegetation_and_at_height() -> None:
     found = look([*road(), *car(6), *car(14, glass=False)], scanner_m=3.0)
     first, second = find(found)[:2]
     assert len(find(found)) >= 2
-    high = DividersParams(height_m=1.2)
+    high = PlainDividersParams(height_m=1.2)
     (cut,) = find(found, high)
     assert cut[1] == first[1]
     assert cut[2] < second[1]
@@ -167,7 +178,7 @@ def test_jump_ahead_divides_and_jump_back_does_not() -> None:
     assert spans([*start, *side(9.9)]) == [(begin, n + 7)]
     assert spans([*start, *side(10.5)]) == [(begin, n - 1), (n, n + 7)]
     assert spans([*start, *side(10.5), *side(6.2)]) == [(begin, n - 1), (n, n + 15)], "back towards the scanner"
-    assert spans([*start, *side(10.5)], DividersParams(separation_m=5)) == [(begin, n + 7)]
+    assert spans([*start, *side(10.5)], PlainDividersParams(separation_m=5)) == [(begin, n + 7)]
 
 
 def test_long_flat_stretch_ends_the_interval_and_the_search_begins_anew() -> None:
@@ -181,7 +192,7 @@ def test_long_flat_stretch_ends_the_interval_and_the_search_begins_anew() -> Non
     assert spans([*first, *bent, *second]) == [(begin, len(steps) - 1)]
     sloping = [("H", h, 0.1 * (h - 7)) for _, h, _ in plane]
     assert spans([*first, *sloping]) == [(begin, n)]
-    assert spans([*first, *sloping], DividersParams(flat_slope_deg=5)) == [(begin, n + len(plane) - 1)]
+    assert spans([*first, *sloping], PlainDividersParams(flat_slope_deg=5)) == [(begin, n + len(plane) - 1)]
 
 
 def test_the_largest_slope_of_ground_is_an_angle() -> None:
@@ -190,7 +201,7 @@ def test_the_largest_slope_of_ground_is_an_angle() -> None:
     steep = [("H", h, 1.4 * (h - 7)) for _, h, _ in ground(7, 11)]
     begin, n = len(ground(2, 6.5)), len(first)
     for slope_deg, is_ground in ((55.0, True), (54.0, False)):
-        params = DividersParams(flat_slope_deg=slope_deg, height_m=100)
+        params = PlainDividersParams(flat_slope_deg=slope_deg, height_m=100)
         assert spans([*first, *steep], params) == [(begin, n if is_ground else n + len(steep) - 1)]
 
 
@@ -224,7 +235,7 @@ def test_long_vertical_runs_are_cut_out_of_the_middle() -> None:
     after = [("H", float(h), 1.9) for h in (7.2, 7.4)]
     steps = [*start, *hood, *trunk, *after]
     assert spans(steps) == [(begin, n - 1), (n + len(trunk), len(steps) - 1)]
-    assert spans(steps, DividersParams(vertical_extent_m=1.5)) == [(begin, len(steps) - 1)]
+    assert spans(steps, PlainDividersParams(vertical_extent_m=1.5)) == [(begin, len(steps) - 1)]
 
 
 def test_side_of_a_car_and_the_wall_behind_it_are_two_runs() -> None:
@@ -232,7 +243,7 @@ def test_side_of_a_car_and_the_wall_behind_it_are_two_runs() -> None:
     begin = len(ground(2, 6.5))
     high = [("V", 8.0, float(z)) for z in np.arange(1.0, 4.0, 0.1)]
     assert spans([*start, *high]) == [(begin, len(start) - 1)]
-    assert spans([*start, *high], DividersParams(vertical_break_m=3)) == []
+    assert spans([*start, *high], PlainDividersParams(vertical_break_m=3)) == []
 
 
 def test_angle_of_the_point_itself_where_no_chord_can_be_laid() -> None:
@@ -262,9 +273,54 @@ def test_hostile_row_takes_no_more_than_a_moment() -> None:
     codes[2:, ::7] = 0
     z_g = np.full(4, -1.8, np.float32)
     signed = np.full((4, n), 50, np.float32)
-    params = DividersParams(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
+    params = PlainDividersParams(flat_length_m=0.01, flat_residual_m=1e-9, change_reach=200)
     intervals = dividers(found, codes, signed, np.zeros(4, np.int32), z_g, params, range_noise_m=NOISE_M).pieces
     assert intervals[:, 0].max() <= 3
     limits = params.thresholds(NOISE_M)._replace(vertical_extent_m=1.0, vertical_break_m=0.0)
-    left = kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, limits)
+    left = kernels.cut_verticals(codes, found.xyz_m, found.horizontal_m, found.n_beams, intervals, z_g, limits)
     assert left.shape[1] == 3
+
+
+def columns(shapes: list[tuple[float, float, float, int]], codes: str) -> tuple[Any, Any, Any]:
+    """One line through (distance, from height, to height, points) pieces, and its codes."""
+    x = np.concatenate([np.full(n, d) for d, _, _, n in shapes])
+    z = np.concatenate([np.linspace(a, b, n) for _, a, b, n in shapes])
+    letters = np.repeat(list(codes), [n for *_, n in shapes])
+    surface = np.array([[{"H": H, "V": V}[letter] for letter in letters]], np.uint8)
+    return x, z, surface
+
+
+def left_of(x: Any, z: Any, surface: Any, **changed: Any) -> list[tuple[int, int]]:
+    """What is left of an interval over a whole line; the ground lies at -1.8 m."""
+    xyz = np.stack([x, 0 * x, z], axis=-1)[None].astype(np.float32)
+    whole = np.array([[0, 0, len(x) - 1]], np.int32)
+    limits = DividersParams.model_validate(changed).thresholds(0.005)
+    ground = np.array([-1.8], np.float32)
+    n_beams = np.array([len(x)], np.int32)
+    found = kernels.cut_verticals(surface, xyz, xyz[..., 0].copy(), n_beams, whole, ground, limits)
+    return [(int(a), int(b)) for _, a, b in found]
+
+
+def test_a_fence_is_cut_out_and_the_bowed_side_of_a_car_is_not() -> None:
+    x, z, surface = columns([(6.0, -1.6, -0.7, 40)], "V")
+    assert left_of(x, z, surface) == []
+    assert left_of(x, z, surface, straight_extent_m=0) == [(0, 39)]
+    bowed = x + 0.06 * np.sin(np.linspace(0, np.pi, 40))
+    leaning = x + np.tan(np.deg2rad(4)) * (z + 1.6)
+    assert left_of(bowed, z, surface) == left_of(leaning, z, surface) == [(0, 39)]
+
+
+def test_only_what_is_higher_than_a_van_is_cut_out_by_its_height() -> None:
+    x, z, surface = columns([(6.0, -1.6, 0.5, 60)], "V")
+    leaning = x + np.tan(np.deg2rad(5)) * (z + 1.6)
+    assert left_of(leaning, z, surface) == [(0, 59)]
+    assert left_of(leaning, z, surface, vertical_top_m=0) == []
+    assert left_of(leaning, z + 0.5, surface) == []
+    few = slice(None, None, 6)
+    assert left_of(leaning[few], z[few], surface[:, few].copy()) == []
+
+
+def test_a_line_that_begins_on_a_car_begins_with_an_interval() -> None:
+    steps = [("V", 2.0, -1.4 + 0.1 * i) for i in range(6)] + [("H", 2.1 + 0.1 * i, -0.8) for i in range(6)]
+    assert spans(steps, DividersParams(straight_extent_m=0)) == [(0, 11)]
+    assert spans(steps, DividersParams(straight_extent_m=0, from_start=False)) == []

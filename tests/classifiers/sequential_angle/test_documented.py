@@ -48,6 +48,8 @@ def test_defaults_in_the_table(key: str) -> None:
     value, written = VALUES[key], documented()[key]
     if isinstance(value, tuple) and isinstance(value[0], float) and "/" not in written:
         assert written == ", ".join(f"{number:g}" for number in value)
+    elif isinstance(value, bool):
+        assert written == str(value).lower()
     elif isinstance(value, int | float):
         assert float(written) == value
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -240,6 +241,7 @@ def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
         ground=np.array([[True, False, False, False, False]]),
         car=np.array([[False, True, True, True, False]]),
         horizontal_m=np.array([[2.0, 3.0, 5.0, 6.0, np.nan]], np.float32),
+        xyz_m=np.array([[[2, 0, -1.8], [3, 0, -1.6], [5, 0, -1.7], [6, 0, -1.6], [np.nan] * 3]], np.float32),
         ground_height_m=np.array([-1.8], np.float32),
         trigger=np.empty((1, 0), np.uint8),
         car_interval=np.empty((1, 0), np.uint16),
@@ -247,10 +249,13 @@ def test_cars_behind_a_curb_go_back_to_the_coarse_classification() -> None:
     )
     none = np.zeros((1, 5), np.bool_)
     expected = [Label.GROUND, Label.CAR, Label.CAR, Label.CAR, Label.MISSING]
-    assert combine(rows, none).tolist() == [expected]
+    assert combine(rows, none, CurbParams()).tolist() == [expected]
     curb = np.array([[False, False, True, False, False]])
     expected = [Label.GROUND, Label.CAR, Label.CURB, Label.VEGETATION, Label.MISSING]
-    assert combine(rows, curb).tolist() == [expected]
+    assert combine(rows, curb, CurbParams(stands_below_m=1000)).tolist() == [expected]
+    # the ground before the car is lower than the curb: it stands on the road
+    expected = [Label.GROUND, Label.CAR, Label.CURB, Label.CAR, Label.MISSING]
+    assert combine(rows, curb, CurbParams()).tolist() == [expected]
 
 
 def config() -> RunConfig:
@@ -415,3 +420,24 @@ def test_the_state_holds_nothing_hidden() -> None:
     for one, other in zip(*again, strict=True):
         np.testing.assert_array_equal(one.labels, other.labels)
     assert {each.name for each in fields(begun.state)} == set(SequentialAngleState.__slots__)
+
+
+@pytest.mark.parametrize(
+    ("options", "missing"),
+    [
+        ({"ground": {"enabled": False}}, {Label.GROUND, Label.CURB, Label.CAR}),
+        ({"curb": {"enabled": False}}, {Label.CURB}),
+    ],
+)
+def test_a_stage_that_is_switched_off_gives_no_labels(options: dict[str, Any], missing: set[Label]) -> None:
+    block, _ = scan()
+    (labels, *_), _ = run(iter([block]), SequentialAngleParams.model_validate(options), block.n_lines)
+    assert not np.isin(labels, list(missing)).any()
+
+
+def test_without_trigger_and_high_verticals_no_car_is_lost() -> None:
+    block, _ = scan()
+    options = {"car": {"suspicious": {"enabled": False}, "high_verticals": {"enabled": False}}}
+    (usual, *_), _ = run(iter([block]), PARAMS, block.n_lines)
+    (labels, *_), _ = run(iter([block]), SequentialAngleParams.model_validate(options), block.n_lines)
+    assert not ((usual == Label.CAR) & (labels != Label.CAR)).any()
