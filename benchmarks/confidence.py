@@ -385,7 +385,7 @@ def report(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
 
 COMMANDS = """$ python -m benchmarks.confidence calibrate     # the table of the package, after any change of fused
 $ python -m benchmarks.confidence report > docs/confidence_figures.md
-$ python -m benchmarks.confidence ablation >> docs/confidence_figures.md"""
+$ python -m benchmarks.confidence ablation urban >> docs/confidence_figures.md"""
 
 
 def speed(environments: Sequence[Environment] = ENVIRONMENTS) -> None:
