@@ -142,7 +142,8 @@ def table_of(judged: Sequence[Judged], environment: Environment, dropped: tuple[
             rest = tuple(range(k, len(questions)))
             there, good = n.sum(rest, keepdims=True), right.sum(rest, keepdims=True)
             share = (good + PRIOR_SHOTS * share) / (there + PRIOR_SHOTS)
-        table[label] = np.rint(100.0 * share).ravel()
+        # 0 is for what is not known
+        table[label] = np.maximum(np.rint(100.0 * share).ravel(), 1)
     return table
 
 
